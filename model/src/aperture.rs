@@ -1,0 +1,121 @@
+//! The opening in the mask, seen from one emitter: where the beam's edges fall on the detector.
+//!
+//! Cell frame, metres. Positions on the detector are kept relative to the emitter's foot point
+//! (x − e_x, y − e_y): the optics depend on nothing else, and nothing cancels for a far emitter.
+
+use glam::{DMat3, DVec2, DVec3};
+
+use crate::pose::rotation_exp;
+use crate::scalar::{Scalar, Vector3};
+use crate::scene::Slit;
+
+/// The compiled opening.
+#[derive(Clone, Debug)]
+pub(crate) enum Aperture<S: Scalar> {
+    /// A thin mask, slit sides parallel to the detector's.
+    Thin(Face<S>),
+    /// A thick mask, slit sides parallel to the detector's: lower and upper face.
+    Thick(Face<S>, Face<S>),
+    /// A slit turned against the detector; the faces of a thin mask coincide.
+    Turned(Turned<S>),
+}
+
+/// A slit face parallel to the detector at height z.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Face<S> {
+    pub(crate) z: S,
+    pub(crate) x: Span<S>,
+    pub(crate) y: Span<S>,
+}
+
+/// An interval with its length kept apart, so that it survives a far origin.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span<S> {
+    pub(crate) low: S,
+    pub(crate) high: S,
+    pub(crate) length: S,
+}
+
+impl<S: Scalar> Span<S> {
+    pub(crate) fn centred(centre: f64, length: f64) -> Self {
+        Self { low: S::of(centre - 0.5 * length), high: S::of(centre + 0.5 * length), length: S::of(length) }
+    }
+}
+
+/// A slit in general orientation.
+#[derive(Clone, Debug)]
+pub(crate) struct Turned<S: Scalar> {
+    /// Corners of the faces, in order around the slit.
+    pub(crate) faces: [[S::Vec3; 4]; 2],
+    /// One face suffices for a thin mask.
+    pub(crate) face_count: usize,
+    /// Centre of the slit.
+    pub(crate) centre: S::Vec3,
+    /// Normal of the mask, pointing away from the detector.
+    pub(crate) normal: S::Vec3,
+    /// Half the mask's thickness.
+    pub(crate) half_thickness: S,
+}
+
+impl<S: Scalar> Aperture<S> {
+    pub(crate) fn compile(slit: &Slit) -> Self {
+        let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
+        let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
+        // A turn that leaves the sides along x and y to rounding (none, or a multiple of 90°
+        // about z) keeps the definitions of a rectangle.
+        let along = |v: DVec3, w: DVec3| v.dot(w).abs() > 1.0 - 1e-14;
+        if along(axes.z_axis, DVec3::Z) {
+            if along(axes.x_axis, DVec3::X) {
+                return Self::parallel(centre, DVec2::new(slit.width_m, slit.length_m), slit.thickness_m);
+            }
+            if along(axes.x_axis, DVec3::Y) {
+                return Self::parallel(centre, DVec2::new(slit.length_m, slit.width_m), slit.thickness_m);
+            }
+        }
+        let half_thickness = 0.5 * slit.thickness_m;
+        let normal = if axes.z_axis.z < 0.0 { -axes.z_axis } else { axes.z_axis };
+        let face = |offset: f64| {
+            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(i, j)| {
+                S::Vec3::of(
+                    centre
+                        + normal * offset
+                        + axes.x_axis * (0.5 * i * slit.width_m)
+                        + axes.y_axis * (0.5 * j * slit.length_m),
+                )
+            })
+        };
+        Self::Turned(Turned {
+            faces: [face(-half_thickness), face(half_thickness)],
+            face_count: if half_thickness > 0.0 { 2 } else { 1 },
+            centre: S::Vec3::of(centre),
+            normal: S::Vec3::of(normal),
+            half_thickness: S::of(half_thickness),
+        })
+    }
+
+    fn parallel(centre: DVec3, size: DVec2, thickness: f64) -> Self {
+        let face = |offset: f64| Face {
+            z: S::of(centre.z + offset),
+            x: Span::centred(centre.x, size.x),
+            y: Span::centred(centre.y, size.y),
+        };
+        if thickness > 0.0 { Self::Thick(face(-0.5 * thickness), face(0.5 * thickness)) } else { Self::Thin(face(0.0)) }
+    }
+
+    /// The corners of the faces that bound the beam, for the treatment of general polygons.
+    pub(crate) fn corners(&self) -> heapless::Vec<[S::Vec3; 4], 2> {
+        let of_face = |face: &Face<S>| {
+            [
+                S::Vec3::new(face.x.low, face.y.low, face.z),
+                S::Vec3::new(face.x.high, face.y.low, face.z),
+                S::Vec3::new(face.x.high, face.y.high, face.z),
+                S::Vec3::new(face.x.low, face.y.high, face.z),
+            ]
+        };
+        match self {
+            Self::Thin(face) => [of_face(face)].into_iter().collect(),
+            Self::Thick(lower, upper) => [of_face(lower), of_face(upper)].into_iter().collect(),
+            Self::Turned(turned) => turned.faces[..turned.face_count].iter().copied().collect(),
+        }
+    }
+}

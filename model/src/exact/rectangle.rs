@@ -1,0 +1,195 @@
+//! The exact tier for a rectangular spot wholly in front of the emitter: a tensor Gauss–Legendre
+//! rule, differentiated as it stands.
+//!
+//! With d = (X, Y, −h) from the emitter to a point of the spot, r = |d| and c = u·d/r, the power
+//! is ∫ g dX dY, g = I_rel(c)·h/r³. Nodes X = X_m + H_x·ξ, Y = Y_m + H_y·η follow the spot's sides.
+//! Writing ∇g = k₁·u − k₂·d with k₁ = h·r⁻⁴·I'(c) and k₂ = h·r⁻⁵·(c·I' + 3·I), all derivatives
+//! reduce to moments of g, k₁ and k₂ over the nodes.
+
+use crate::profile::Emission;
+use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
+use crate::scalar::{Scalar, Vector3};
+
+use super::order::{Orders, Rules};
+
+/// What a spot needs of its rule.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Needs<S> {
+    /// Numbers of nodes along x and y.
+    pub(super) nodes: (usize, usize),
+    /// cos γ of the ray to the spot's middle, and its greatest relative change over the spot.
+    pub(super) cosine: S,
+    pub(super) spread: S,
+}
+
+/// What a spot needs, or `None` if the spot needs dividing (it touches the horizon,
+/// is very wide, or contains a kink of a tabulated profile).
+#[inline(always)]
+pub(super) fn needs<S: Scalar, E: Emission<S>>(
+    spot: &Rectangle<S>,
+    axis: S::Vec3,
+    emission: &E,
+    orders: &Orders<S>,
+) -> Option<Needs<S>> {
+    let (x, y, h) = (&spot.x, &spot.y, spot.height);
+    // u·d is linear over the spot: its least value decides how near the horizon is.
+    let (slope_x, slope_y) = ((axis.x() * x.half).abs(), (axis.y() * y.half).abs());
+    let middle = axis.x() * x.middle + axis.y() * y.middle - axis.z() * h;
+    let least = middle - slope_x - slope_y;
+    if least <= S::zero() {
+        return None;
+    }
+    let h2 = h * h;
+    let reach = |along: &crate::rectangle::Extent<S>, across: &crate::rectangle::Extent<S>| {
+        // The line across the spot nearest to the emitter's foot.
+        let nearest = across.low.position.max(across.high.position.min(S::zero()));
+        let d2 = h2 + nearest * nearest;
+        let (low, high) = (along.low.position, along.high.position);
+        ((low * low + d2).sqrt() + (high * high + d2).sqrt()) / (S::two() * along.half)
+    };
+    let (reach_x, reach_y) = (reach(x, y), reach(y, x));
+    let horizon = |slope: S| S::one() + least / slope;
+    let nodes = (orders.nodes(reach_x, horizon(slope_x))?, orders.nodes(reach_y, horizon(slope_y))?);
+    let corners = spot.corners().map(|[x, y]| S::Vec3::new(x, y, -h));
+    if let Some(jump) = super::kink(corners, axis, emission) {
+        // A jump J of d²I/dγ² inside a spot of half width δ changes its power by J·δ²/4 at most.
+        let width = (S::two() / reach_x).max(S::two() / reach_y);
+        if jump * width * width > S::of(4.0) * orders.tolerance() {
+            return None;
+        }
+    }
+    // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, δ
+    // the half angle under which its diagonal appears.
+    let distance = S::Vec3::new(x.middle, y.middle, -h).length();
+    let cosine = (middle / distance).min(S::one());
+    let angle2 = (reach_x * reach_x).recip() + (reach_y * reach_y).recip();
+    let tangent2 = (S::one() - cosine * cosine) / (cosine * cosine);
+    let spread = (tangent2 * angle2).sqrt() + S::half() * angle2;
+    Some(Needs { nodes, cosine, spread })
+}
+
+/// Power and centroid (relative to the emitter's foot) with `nodes` along x and y.
+#[inline(always)]
+pub(super) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    spot: &Rectangle<S>,
+    axis: S::Vec3,
+    emission: &E,
+    rules: &Rules<S>,
+    nodes: (usize, usize),
+) -> RectangleLight<S> {
+    let (zero, one, half) = (S::zero(), S::one(), S::half());
+    let (xm, hx, ym, hy, h) = (spot.x.middle, spot.x.half, spot.y.middle, spot.y.half, spot.height);
+    let (ux, uy, uz) = (axis.x(), axis.y(), axis.z());
+
+    // Moments over the nodes: g by 1, ξ; k₁ by 1, ξ, ξ², η, ξη; k₂ by 1, ξ, ξ², ξ³, η, ξη, ξ²η, η², ξη².
+    let (mut g0, mut g1) = (zero, zero);
+    let (mut k0, mut k1, mut k2, mut k01, mut k11) = (zero, zero, zero, zero, zero);
+    let (mut l0, mut l1, mut l2, mut l3) = (zero, zero, zero, zero);
+    let (mut l01, mut l11, mut l02, mut l12) = (zero, zero, zero, zero);
+    for (eta, weight_y) in rules.get(nodes.1) {
+        let y = ym + hy * eta;
+        let across2 = y * y + h * h;
+        let across_u = uy * y - uz * h;
+        let (mut rg0, mut rg1) = (zero, zero);
+        let (mut rk0, mut rk1, mut rk2) = (zero, zero, zero);
+        let (mut rl0, mut rl1, mut rl2, mut rl3) = (zero, zero, zero, zero);
+        for (xi, weight_x) in rules.get(nodes.0) {
+            let x = xm + hx * xi;
+            let inverse = (x * x + across2).sqrt().recip();
+            let inverse2 = inverse * inverse;
+            let c = (ux * x + across_u) * inverse;
+            let density = weight_x * h * inverse2 * inverse;
+            if GRADIENT {
+                let (relative, slope) = emission.with_slope(c);
+                let g = density * relative;
+                let turn = density * slope;
+                let kappa = turn * inverse;
+                let lambda = (turn * c + S::of(3.0) * g) * inverse2;
+                let (kappa_xi, lambda_xi) = (kappa * xi, lambda * xi);
+                let lambda_xi2 = lambda_xi * xi;
+                rg0 += g;
+                rg1 += g * xi;
+                rk0 += kappa;
+                rk1 += kappa_xi;
+                rk2 += kappa_xi * xi;
+                rl0 += lambda;
+                rl1 += lambda_xi;
+                rl2 += lambda_xi2;
+                rl3 += lambda_xi2 * xi;
+            } else {
+                let g = density * emission.relative(c);
+                rg0 += g;
+                rg1 += g * xi;
+            }
+        }
+        g0 += weight_y * rg0;
+        g1 += weight_y * rg1;
+        if GRADIENT {
+            let weight_eta = weight_y * eta;
+            let weight_eta2 = weight_eta * eta;
+            k0 += weight_y * rk0;
+            k1 += weight_y * rk1;
+            k2 += weight_y * rk2;
+            k01 += weight_eta * rk0;
+            k11 += weight_eta * rk1;
+            l0 += weight_y * rl0;
+            l1 += weight_y * rl1;
+            l2 += weight_y * rl2;
+            l3 += weight_y * rl3;
+            l01 += weight_eta * rl0;
+            l11 += weight_eta * rl1;
+            l02 += weight_eta2 * rl0;
+            l12 += weight_eta2 * rl1;
+        }
+    }
+    let area = hx * hy;
+    let power = area * g0;
+    let ratio = g1 / g0;
+    let centroid = xm + hx * ratio;
+    if !GRADIENT {
+        let plain = |value| SideGradient { value, ..SideGradient::default() };
+        return RectangleLight { power: plain(power), centroid: plain(centroid) };
+    }
+
+    // Moments of ∂g/∂X by 1, ξ, ξ² and of ∂g/∂Y by 1, η and, times ξ, by 1, η.
+    let gx0 = ux * k0 - (xm * l0 + hx * l1);
+    let gx1 = ux * k1 - (xm * l1 + hx * l2);
+    let gx2 = ux * k2 - (xm * l2 + hx * l3);
+    let gy0 = uy * k0 - (ym * l0 + hy * l01);
+    let gy1 = uy * k01 - (ym * l01 + hy * l02);
+    let gy10 = uy * k1 - (ym * l1 + hy * l11);
+    let gy11 = uy * k11 - (ym * l11 + hy * l12);
+    let gh0 = g0 / h - uz * k0 - h * l0;
+    let gh1 = g1 / h - uz * k1 - h * l1;
+    // ∂g/∂u = k₁·d.
+    let axis0 = S::Vec3::new(xm * k0 + hx * k1, ym * k0 + hy * k01, -h * k0);
+    let axis1 = S::Vec3::new(xm * k1 + hx * k2, ym * k1 + hy * k11, -h * k1);
+
+    let per_g0 = g0.recip();
+    // The ratio of moments: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
+    let of_ratio = |first: S, zeroth: S| (first - ratio * zeroth) * per_g0;
+    RectangleLight {
+        power: SideGradient {
+            value: power,
+            by_side: [
+                half * (area * (gx0 - gx1) - hy * g0),
+                half * (area * (gx0 + gx1) + hy * g0),
+                half * (area * (gy0 - gy1) - hx * g0),
+                half * (area * (gy0 + gy1) + hx * g0),
+            ],
+            by_height: area * gh0,
+            by_axis: axis0 * area,
+        },
+        centroid: SideGradient {
+            value: centroid,
+            by_side: [
+                half * (one - ratio + hx * of_ratio(gx1 - gx2, gx0 - gx1)),
+                half * (one + ratio + hx * of_ratio(gx1 + gx2, gx0 + gx1)),
+                half * hx * of_ratio(gy10 - gy11, gy0 - gy1),
+                half * hx * of_ratio(gy10 + gy11, gy0 + gy1),
+            ],
+            by_height: hx * of_ratio(gh1, gh0),
+            by_axis: (axis1 - axis0 * ratio) * (hx * per_g0),
+        },
+    }
+}

@@ -1,0 +1,190 @@
+//! From a scene to a plan: validation, normalisation, and everything that does not depend on the
+//! pose.
+
+use glam::DVec3;
+use heapless::Vec;
+
+use crate::aperture::Aperture;
+use crate::exact::Orders;
+use crate::profile::CompiledProfile;
+use crate::scalar::{Scalar, Vector3};
+use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
+
+use super::{CompiledCell, CompiledEmitter, Receiver, Tier};
+
+/// How far from unit length or perpendicularity an axis may be and is still normalised.
+const AXIS_TOLERANCE: f64 = 1e-6;
+
+/// Checks one value; knows where it stands.
+struct Check {
+    cell: Option<usize>,
+    section: &'static str,
+}
+
+impl Check {
+    fn fault(&self, key: &'static str, fault: Fault) -> SceneError {
+        SceneError { place: Place { cell: self.cell, section: self.section, key }, fault }
+    }
+
+    fn finite(&self, key: &'static str, values: &[f64]) -> Result<(), SceneError> {
+        match values.iter().find(|value| !value.is_finite()) {
+            Some(&value) => Err(self.fault(key, Fault::NotFinite(value))),
+            None => Ok(()),
+        }
+    }
+
+    fn not_negative(&self, key: &'static str, value: f64) -> Result<(), SceneError> {
+        self.finite(key, &[value])?;
+        if value < 0.0 {
+            return Err(self.fault(key, Fault::Negative(value)));
+        }
+        Ok(())
+    }
+
+    fn positive(&self, key: &'static str, value: f64) -> Result<(), SceneError> {
+        self.finite(key, &[value])?;
+        if value <= 0.0 {
+            return Err(self.fault(key, Fault::NotPositive(value)));
+        }
+        Ok(())
+    }
+
+    fn unit(&self, key: &'static str, axis: DVec3) -> Result<DVec3, SceneError> {
+        self.finite(key, &axis.to_array())?;
+        let length = axis.length();
+        if (length - 1.0).abs() > AXIS_TOLERANCE {
+            return Err(self.fault(key, Fault::NotUnit(length)));
+        }
+        Ok(axis * length.recip())
+    }
+}
+
+pub(super) fn cells<S: Scalar>(scene: &Scene, tier: Tier) -> Result<Vec<CompiledCell<S>, MAX_CELLS>, SceneError> {
+    let of_scene = Check { cell: None, section: "cell" };
+    if scene.cells.is_empty() {
+        return Err(of_scene.fault("detector_mm", Fault::NoCells));
+    }
+    check_noise(scene)?;
+    let mut cells = Vec::new();
+    for (index, cell) in scene.cells.iter().enumerate() {
+        let compiled = compile_cell(index, cell, tier)?;
+        // As many as the scene's own list holds.
+        let _ = cells.push(compiled);
+    }
+    Ok(cells)
+}
+
+fn check_noise(scene: &Scene) -> Result<(), SceneError> {
+    if let Some(noise) = &scene.noise {
+        let check = Check { cell: None, section: "noise" };
+        check.not_negative("bandwidth_hz", noise.shot_bandwidth_hz)?;
+        check.not_negative("bandwidth_hz", noise.johnson_bandwidth_hz)?;
+        check.not_negative("temperature_k", noise.temperature_k)?;
+        check.not_negative("adc_a", noise.adc_a)?;
+    }
+    let check = Check { cell: None, section: "uncertainty" };
+    check.not_negative("emitter_gain_relative", scene.uncertainty.emitter_gain_relative)?;
+    check.not_negative("electrode_gain_relative", scene.uncertainty.electrode_gain_relative)?;
+    check.not_negative("position_mm", scene.uncertainty.position_m)
+}
+
+fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {
+    let at = |section| Check { cell: Some(index), section };
+    let (x_axis, normal) = check_detector(&at("detector"), &at("cell"), &cell.detector)?;
+    check_slit(&at("slit"), &cell.slit)?;
+    let axis = check_emitter(&at("emitter"), &at("cell"), &cell.emitter)?;
+
+    let tolerance = match tier {
+        Tier::Paper => 0.0,
+        Tier::Exact { tolerance } => tolerance.max(4.0 * S::epsilon().as_f64()),
+    };
+    let profile = CompiledProfile::<S>::compile(&cell.emitter.profile, tolerance);
+    let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(profile.steepness().as_f64(), tolerance));
+    let y_axis = normal.cross(x_axis);
+    Ok(CompiledCell {
+        receiver: Receiver {
+            axes: [x_axis, y_axis, normal].map(S::Vec3::of),
+            centre: S::Vec3::of(cell.detector.centre_base_m),
+            half: [S::of(0.5 * cell.detector.length_m), S::of(0.5 * cell.detector.width_m)],
+            length: S::of(cell.detector.length_m),
+            aperture: Aperture::compile(&cell.slit),
+            responsivity: S::of(cell.detector.responsivity_a_per_w),
+            dark: S::of(cell.detector.dark_current_a),
+            saturation: cell.detector.saturation_a.map(S::of),
+            faint: S::of(cell.detector.faint_a),
+        },
+        emitter: CompiledEmitter {
+            position: S::Vec3::of(cell.emitter.position_tool_m),
+            axis: S::Vec3::of(axis),
+            intensity: S::of(cell.emitter.radiant_intensity_w_per_sr),
+            profile,
+            orders,
+        },
+    })
+}
+
+fn check_detector(section: &Check, cell: &Check, detector: &Detector) -> Result<(DVec3, DVec3), SceneError> {
+    cell.finite("detector_mm", &detector.centre_base_m.to_array())?;
+    let x_axis = cell.unit("x_axis", detector.x_axis_base)?;
+    let normal = cell.unit("normal", detector.normal_base)?;
+    let cosine = x_axis.dot(normal);
+    if cosine.abs() > AXIS_TOLERANCE {
+        return Err(cell.fault("x_axis", Fault::NotPerpendicular(cosine)));
+    }
+    section.positive("length_mm", detector.length_m)?;
+    section.positive("width_mm", detector.width_m)?;
+    section.not_negative("responsivity_a_per_w", detector.responsivity_a_per_w)?;
+    section.not_negative("dark_current_a", detector.dark_current_a)?;
+    section.not_negative("faint_a", detector.faint_a)?;
+    if let Some(resistance) = detector.interelectrode_ohm {
+        section.positive("interelectrode_ohm", resistance)?;
+    }
+    if let Some(saturation) = detector.saturation_a {
+        section.positive("saturation_a", saturation)?;
+    }
+    Ok(((x_axis - normal * cosine).normalize(), normal))
+}
+
+fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
+    check.not_negative("distance_mm", slit.distance_m)?;
+    check.not_negative("width_mm", slit.width_m)?;
+    check.not_negative("length_mm", slit.length_m)?;
+    check.not_negative("thickness_mm", slit.thickness_m)?;
+    check.finite("offset_mm", &slit.offset_m.to_array())?;
+    check.finite("tilt_deg", &slit.tilt_rad.to_array())?;
+    let below = 0.5 * slit.thickness_m - slit.distance_m;
+    if below > 0.0 {
+        return Err(check.fault("distance_mm", Fault::MaskInDetector(below)));
+    }
+    Ok(())
+}
+
+fn check_emitter(section: &Check, cell: &Check, emitter: &Emitter) -> Result<DVec3, SceneError> {
+    cell.finite("emitter_mm", &emitter.position_tool_m.to_array())?;
+    let axis = cell.unit("emitter_axis", emitter.axis_tool)?;
+    section.not_negative("radiant_intensity_w_per_sr", emitter.radiant_intensity_w_per_sr)?;
+    match &emitter.profile {
+        Profile::Cosine { exponent } => section.not_negative("profile_exponent", *exponent)?,
+        Profile::Table(knots) => {
+            for &(angle, value) in knots {
+                section.finite("profile", &[angle])?;
+                section.not_negative("profile", value)?;
+            }
+            let degrees = |angle: f64| angle.to_degrees();
+            match knots.as_slice() {
+                [] | [_] => return Err(section.fault("profile", Fault::TooFewKnots(knots.len()))),
+                [(first, _), ..] if *first != 0.0 => {
+                    return Err(section.fault("profile", Fault::FirstKnotNotZero(degrees(*first))));
+                }
+                knots => {
+                    // Rounding of the conversion from degrees is let pass.
+                    let limit = core::f64::consts::FRAC_PI_2 * (1.0 + 4.0 * f64::EPSILON);
+                    if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 <= pair[0].0 || pair[1].0 > limit) {
+                        return Err(section.fault("profile", Fault::KnotOrder(degrees(pair[0].0), degrees(pair[1].0))));
+                    }
+                }
+            }
+        }
+    }
+    Ok(axis)
+}

@@ -1,0 +1,309 @@
+//! The polygonal spot of a turned slit, or of a spot that the emitter's horizon (γ = 90°) cuts.
+//!
+//! The detector's rectangle is clipped by the planes through the emitter and each slit edge. No
+//! slit corner is ever projected, so corners beside or above the emitter need no special case.
+//! Positions are relative to the emitter's foot point; edges know how they move with the emitter.
+
+use heapless::Vec;
+
+use crate::aperture::{Aperture, Turned};
+use crate::response::Status;
+use crate::scalar::{Scalar, Vector3};
+
+/// Four sides of the detector, four of each of two slit faces, mask plane, horizon.
+pub(crate) const MAX_CORNERS: usize = 16;
+
+/// A line in the detector plane, F(X, Y) = normal·(X, Y) + offset, positive inside.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Line<S: Scalar> {
+    pub(crate) normal: [S; 2],
+    offset: S,
+    pub(crate) motion: Motion<S>,
+}
+
+/// What a line does when the emitter moves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Motion<S: Scalar> {
+    /// An end of the detector (it cuts the spot along x): stands still.
+    DetectorEnd,
+    /// Another line that stands still.
+    Still,
+    /// Shadow of the slit edge from `corner` (relative to the emitter) along `edge`.
+    Shadow { corner: S::Vec3, edge: S::Vec3 },
+    /// The emitter's horizon for its axis.
+    Horizon { axis: S::Vec3 },
+}
+
+impl<S: Scalar> Line<S> {
+    #[inline(always)]
+    fn at(&self, point: [S; 2]) -> S {
+        self.normal[0] * point[0] + self.normal[1] * point[1] + self.offset
+    }
+
+    /// The plane through the emitter and the slit edge from `corner` to `next`, `centre` inside
+    /// (all relative to the emitter).
+    fn shadow(corner: S::Vec3, next: S::Vec3, centre: S::Vec3, height: S) -> Self {
+        let mut edge = next - corner;
+        let mut normal = corner.cross(edge);
+        if normal.dot(centre - corner) < S::zero() {
+            edge = -edge;
+            normal = -normal;
+        }
+        Self { normal: [normal.x(), normal.y()], offset: -normal.z() * height, motion: Motion::Shadow { corner, edge } }
+    }
+
+    /// Outward speed of the line at `point` per motion of the emitter: (∂F/∂e)/|∇F|.
+    /// With F = (p − q)·((q − e)×E): ∂F/∂e = −E×(p − q).
+    pub(crate) fn speed_by_position(&self, point: S::Vec3) -> S::Vec3 {
+        let inverse = self.inverse_gradient();
+        match self.motion {
+            Motion::DetectorEnd | Motion::Still => S::Vec3::default(),
+            Motion::Shadow { corner, edge } => edge.cross(point - corner) * -inverse,
+            Motion::Horizon { axis } => axis * -inverse,
+        }
+    }
+
+    /// Outward speed at `point` per turn of the emitter's axis: (∂F/∂u)/|∇F|.
+    pub(crate) fn speed_by_axis(&self, point: S::Vec3) -> S::Vec3 {
+        match self.motion {
+            Motion::Horizon { .. } => point * self.inverse_gradient(),
+            _ => S::Vec3::default(),
+        }
+    }
+
+    fn inverse_gradient(&self) -> S {
+        S::norm(self.normal[0], self.normal[1]).recip()
+    }
+}
+
+/// A quantity with its derivatives by the emitter's position (on fixed detector coordinates)
+/// and axis, cell frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct EmitterGradient<S: Scalar> {
+    pub(crate) value: S,
+    pub(crate) by_position: S::Vec3,
+    pub(crate) by_axis: S::Vec3,
+}
+
+impl<S: Scalar> EmitterGradient<S> {
+    pub(crate) fn of_value(value: S) -> Self {
+        Self { value, ..Self::default() }
+    }
+}
+
+/// A convex spot; edge i runs from corner i to corner i + 1 on line i.
+#[derive(Clone, Debug)]
+pub(crate) struct Polygon<S: Scalar> {
+    corners: Vec<[S; 2], MAX_CORNERS>,
+    lines: Vec<Line<S>, MAX_CORNERS>,
+    height: S,
+}
+
+impl<S: Scalar> Polygon<S> {
+    /// The spot of the beam through `aperture` from an emitter at `emitter` (cell frame).
+    pub(crate) fn of_beam(
+        aperture: &Aperture<S>,
+        emitter: S::Vec3,
+        detector_half: [S; 2],
+    ) -> Result<(Self, Status), Status> {
+        let mut polygon = Self::detector(emitter, detector_half);
+        if let Aperture::Turned(turned) = aperture {
+            if (emitter - turned.centre).dot(turned.normal) <= turned.half_thickness {
+                return Err(Status::Behind);
+            }
+            polygon.clip(mask_plane(turned, emitter));
+        }
+        for face in aperture.corners() {
+            let centre = (face[0] + face[2]) * S::half() - emitter;
+            for i in 0..4 {
+                let (corner, next) = (face[i] - emitter, face[(i + 1) % 4] - emitter);
+                polygon.clip(Line::shadow(corner, next, centre, emitter.z()));
+            }
+        }
+        if !polygon.has_area() {
+            return Err(Status::Dark);
+        }
+        let cut = polygon.lines.iter().any(|line| matches!(line.motion, Motion::DetectorEnd));
+        let status = if cut { Status::Clipped } else { Status::Lit };
+        Ok((polygon, status))
+    }
+
+    fn detector(emitter: S::Vec3, half: [S; 2]) -> Self {
+        let (x0, x1) = (-half[0] - emitter.x(), half[0] - emitter.x());
+        let (y0, y1) = (-half[1] - emitter.y(), half[1] - emitter.y());
+        let (zero, one) = (S::zero(), S::one());
+        let line = |normal, offset, motion| Line { normal, offset, motion };
+        Self {
+            corners: [[x0, y0], [x1, y0], [x1, y1], [x0, y1]].into_iter().collect(),
+            lines: [
+                line([zero, one], -y0, Motion::Still),
+                line([-one, zero], x1, Motion::DetectorEnd),
+                line([zero, -one], y1, Motion::Still),
+                line([one, zero], -x0, Motion::DetectorEnd),
+            ]
+            .into_iter()
+            .collect(),
+            height: emitter.z(),
+        }
+    }
+
+    /// The part that the emitter's front half-space lights: u·(p − e) > 0.
+    pub(crate) fn clip_horizon(&mut self, axis: S::Vec3) -> bool {
+        self.clip(Line {
+            normal: [axis.x(), axis.y()],
+            offset: -axis.z() * self.height,
+            motion: Motion::Horizon { axis },
+        });
+        self.has_area()
+    }
+
+    /// Keeps the side where `line` is positive (Sutherland and Hodgman 1974).
+    fn clip(&mut self, line: Line<S>) {
+        let count = self.corners.len();
+        let values: Vec<S, MAX_CORNERS> = self.corners.iter().map(|&corner| line.at(corner)).collect();
+        let zero = S::zero();
+        if values.iter().all(|&value| value >= zero) {
+            return;
+        }
+        let (mut corners, mut lines) = (Vec::new(), Vec::new());
+        let mut push = |corner, line| {
+            // A convex polygon gains at most one corner a cut; the capacity covers all cuts.
+            let _ = corners.push(corner);
+            let _ = lines.push(line);
+        };
+        for i in 0..count {
+            let j = (i + 1) % count;
+            let (a, b) = (self.corners[i], self.corners[j]);
+            let (fa, fb) = (values[i], values[j]);
+            let crossing = || {
+                let t = fa / (fa - fb);
+                [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]
+            };
+            match (fa >= zero, fb >= zero) {
+                (true, true) => push(a, self.lines[i]),
+                (true, false) => {
+                    push(a, self.lines[i]);
+                    push(crossing(), line);
+                }
+                (false, true) => push(crossing(), self.lines[i]),
+                (false, false) => {}
+            }
+        }
+        self.corners = corners;
+        self.lines = lines;
+    }
+
+    /// Whether more than rounding is left.
+    fn has_area(&self) -> bool {
+        let perimeter = (0..self.corners.len()).fold(S::zero(), |sum, i| sum + self.edge_length(i));
+        self.corners.len() >= 3 && self.area() > S::of(64.0) * S::epsilon() * perimeter * perimeter
+    }
+
+    pub(crate) fn height(&self) -> S {
+        self.height
+    }
+
+    pub(crate) fn corners(&self) -> &[[S; 2]] {
+        &self.corners
+    }
+
+    /// Edges as (line, from, to).
+    pub(crate) fn edges(&self) -> impl Iterator<Item = (&Line<S>, [S; 2], [S; 2])> {
+        let count = self.corners.len();
+        self.lines.iter().enumerate().map(move |(i, line)| (line, self.corners[i], self.corners[(i + 1) % count]))
+    }
+
+    fn edge_length(&self, i: usize) -> S {
+        let (a, b) = (self.corners[i], self.corners[(i + 1) % self.corners.len()]);
+        S::norm(b[0] - a[0], b[1] - a[1])
+    }
+
+    /// Triangles of the fan around corner 0, as (twice the area, second corner, third corner).
+    pub(crate) fn fan(&self) -> impl Iterator<Item = (S, [S; 2], [S; 2])> {
+        let [x0, y0] = self.corners.first().copied().unwrap_or_default();
+        self.corners.windows(2).skip(1).map(move |pair| {
+            ((pair[0][0] - x0) * (pair[1][1] - y0) - (pair[1][0] - x0) * (pair[0][1] - y0), pair[0], pair[1])
+        })
+    }
+
+    pub(crate) fn area(&self) -> S {
+        S::half() * self.fan().fold(S::zero(), |sum, (twice, ..)| sum + twice)
+    }
+
+    /// Centre of the area, relative to the emitter's foot.
+    pub(crate) fn centroid(&self) -> [S; 2] {
+        let origin = self.corners[0];
+        let mut sums = [S::zero(); 3];
+        for (twice, b, c) in self.fan() {
+            sums[0] += twice;
+            sums[1] += twice * (b[0] + c[0] - S::two() * origin[0]);
+            sums[2] += twice * (b[1] + c[1] - S::two() * origin[1]);
+        }
+        let third = (S::of(3.0) * sums[0]).recip();
+        [origin[0] + sums[1] * third, origin[1] + sums[2] * third]
+    }
+
+    /// The chord at height y: (edge, x) of its left and its right end.
+    pub(crate) fn chord(&self, y: S) -> ((usize, S), (usize, S)) {
+        let mut left = (0, S::infinity());
+        let mut right = (0, S::neg_infinity());
+        for (i, (_, a, b)) in self.edges().enumerate() {
+            let (below, above) = (a[1].min(b[1]), a[1].max(b[1]));
+            if y < below || y > above || below == above {
+                continue;
+            }
+            let x = a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+            if x < left.1 {
+                left = (i, x);
+            }
+            if x > right.1 {
+                right = (i, x);
+            }
+        }
+        (left, right)
+    }
+
+    /// Motion by the emitter's position, on fixed detector coordinates, of the area and of the
+    /// centroid's x and y.
+    ///
+    /// An edge that moves outward by δ adds ∫δ ds of area and ∫pδ ds of first moment; δ is linear
+    /// along an edge, so both integrals are exact.
+    pub(crate) fn motion(&self) -> (S::Vec3, S::Vec3, S::Vec3) {
+        let [xc, yc] = self.centroid();
+        let (third, sixth) = (S::of(1.0 / 3.0), S::of(1.0 / 6.0));
+        let (mut area, mut x, mut y) = (S::Vec3::default(), S::Vec3::default(), S::Vec3::default());
+        for (i, (line, a, b)) in self.edges().enumerate() {
+            let length = self.edge_length(i);
+            let speed = |p: [S; 2]| line.speed_by_position(S::Vec3::new(p[0], p[1], -self.height)) * length;
+            let (da, db) = (speed(a), speed(b));
+            let moment = |pa: S, pb: S| da * (pa * third + pb * sixth) + db * (pb * third + pa * sixth);
+            area += (da + db) * S::half();
+            x += moment(a[0] - xc, b[0] - xc);
+            y += moment(a[1] - yc, b[1] - yc);
+        }
+        let inverse = self.area().recip();
+        (area, x * inverse, y * inverse)
+    }
+
+    /// Motion of the end on edge `i` of the chord through the centroid, when the centroid's y
+    /// moves by `y_moved`: on the line, F_x·dx + F_y·dy + ∂F/∂e·de = 0.
+    pub(crate) fn chord_motion(&self, i: usize, y_moved: S::Vec3) -> S::Vec3 {
+        let line = &self.lines[i];
+        let [_, yc] = self.centroid();
+        let (a, b) = (self.corners[i], self.corners[(i + 1) % self.corners.len()]);
+        let x = a[0] + (yc - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+        let by_position = line.speed_by_position(S::Vec3::new(x, yc, -self.height)) * line.inverse_gradient().recip();
+        (by_position + y_moved * line.normal[1]) * -(line.normal[0].recip())
+    }
+}
+
+/// Light that has not yet passed the mask where its plane dips below the detector surface is not
+/// light through the slit: only points behind the mask count.
+fn mask_plane<S: Scalar>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
+    let below = turned.centre - emitter + turned.normal * -turned.half_thickness;
+    Line {
+        normal: [-turned.normal.x(), -turned.normal.y()],
+        offset: turned.normal.dot(below) + turned.normal.z() * emitter.z(),
+        motion: Motion::Still,
+    }
+}

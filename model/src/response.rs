@@ -1,0 +1,110 @@
+//! What one cell answers to one pose.
+
+use core::fmt;
+
+use crate::scalar::Scalar;
+
+/// Geometry of a cell's spot, and nothing else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// The whole spot lies between the ends of the active area.
+    Lit,
+    /// The spot is cut along x by an end of the active area.
+    Clipped,
+    /// No spot on the active area.
+    Dark,
+    /// The emitter is at or behind the slit.
+    Behind,
+}
+
+impl Status {
+    /// The word used in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Lit => "lit",
+            Self::Clipped => "clipped",
+            Self::Dark => "dark",
+            Self::Behind => "behind",
+        }
+    }
+
+    /// Whether there is a spot.
+    pub fn has_spot(self) -> bool {
+        matches!(self, Self::Lit | Self::Clipped)
+    }
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// What the light does beyond geometry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Flags {
+    /// I_O is above the detector's saturation current.
+    pub saturated: bool,
+    /// I_O − I_D is below the scene's faint threshold.
+    pub faint: bool,
+    /// The axis of the beam leaves the emitter at γ ≥ 90°.
+    pub facing_away: bool,
+}
+
+impl fmt::Display for Flags {
+    /// The words of the flags that are set, joined by `;`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words = [(self.saturated, "saturated"), (self.faint, "faint"), (self.facing_away, "facing_away")];
+        let mut separator = "";
+        for (_, word) in words.into_iter().filter(|(set, _)| *set) {
+            write!(f, "{separator}{word}")?;
+            separator = ";";
+        }
+        Ok(())
+    }
+}
+
+/// The two currents of a cell, amperes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pair<S> {
+    /// I_X1, of the electrode at x = −Lx/2.
+    pub i_x1_a: S,
+    /// I_X2, of the electrode at x = +Lx/2.
+    pub i_x2_a: S,
+}
+
+impl<S: Scalar> Pair<S> {
+    /// Equation (1) of De La Cruz et al. 2018: a total current divided by the light's position,
+    /// I_X1,2 = I/2·(1 ∓ 2X_A/Lx).
+    #[inline(always)]
+    pub fn divide(total_a: S, x_a_m: S, detector_length_m: S) -> Self {
+        let half = S::half() * total_a;
+        let imbalance = total_a * x_a_m / detector_length_m;
+        Self { i_x1_a: half - imbalance, i_x2_a: half + imbalance }
+    }
+
+    /// I_O = I_X1 + I_X2.
+    #[inline(always)]
+    pub fn total_a(&self) -> S {
+        self.i_x1_a + self.i_x2_a
+    }
+}
+
+/// Everything the model says of one cell at one pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response<S> {
+    /// Geometry.
+    pub status: Status,
+    /// Light.
+    pub flags: Flags,
+    /// Position X_A of the light on the detector, metres; `None` where there is no light.
+    pub x_a_m: Option<S>,
+    /// Angle γ between the emitter's axis and the beam's central axis, radians; `None` without spot.
+    pub gamma_rad: Option<S>,
+    /// Solid angle Ω of the spot seen from the emitter, steradians; zero without spot.
+    pub solid_angle_sr: S,
+    /// I_O, dark current included, amperes.
+    pub i_o_a: S,
+    /// I_X1 and I_X2, dark current included.
+    pub currents: Pair<S>,
+}

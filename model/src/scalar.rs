@@ -1,0 +1,168 @@
+//! The number type of the optics: `f32` on the board, `f64` on the host, one text for both.
+//!
+//! Elementary functions come from the `libm` crate on every platform, never from the platform's C
+//! library: the same bytes give the same pose, bit for bit, on any machine. Vectors are glam's.
+
+use core::fmt::Debug;
+use core::ops::{Add, AddAssign, Mul, Neg, Sub};
+
+use glam::{DVec3, Vec3};
+use num_traits::{Float, FloatConst, NumAssignOps};
+
+/// A real number the optics compute with, and the glam vector that goes with it.
+pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + Sync + 'static {
+    /// Three components of this number type.
+    type Vec3: Vector3<Self>;
+
+    /// The nearest representable number to an `f64`.
+    fn of(value: f64) -> Self;
+
+    /// This number as an `f64` (exact).
+    fn as_f64(self) -> f64;
+
+    /// This number to a real power.
+    fn power(self, exponent: Self) -> Self;
+
+    /// Arc tangent.
+    fn arc_tangent(self) -> Self;
+
+    /// Arc cosine.
+    fn arc_cosine(self) -> Self;
+
+    /// Cosine.
+    fn cosine(self) -> Self;
+
+    /// Angle of the point (`x`, self), in −π…π.
+    fn angle_from(self, x: Self) -> Self;
+
+    /// √(x² + y²) of lengths, which never come near the ends of the number range.
+    #[inline(always)]
+    fn norm(x: Self, y: Self) -> Self {
+        (x * x + y * y).sqrt()
+    }
+
+    /// One half.
+    #[inline(always)]
+    fn half() -> Self {
+        Self::of(0.5)
+    }
+
+    /// Two.
+    #[inline(always)]
+    fn two() -> Self {
+        Self::of(2.0)
+    }
+}
+
+/// The operations the optics need of a three-component vector.
+pub trait Vector3<S>:
+    Copy
+    + Debug
+    + Default
+    + PartialEq
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + Mul<S, Output = Self>
+    + Neg<Output = Self>
+{
+    /// From components.
+    fn new(x: S, y: S, z: S) -> Self;
+    /// From an `f64` vector, rounded.
+    fn of(value: DVec3) -> Self;
+    /// To an `f64` vector (exact).
+    fn as_dvec3(self) -> DVec3;
+    /// First component.
+    fn x(self) -> S;
+    /// Second component.
+    fn y(self) -> S;
+    /// Third component.
+    fn z(self) -> S;
+    /// Scalar product.
+    fn dot(self, other: Self) -> S;
+    /// Vector product.
+    fn cross(self, other: Self) -> Self;
+    /// Euclidean length.
+    fn length(self) -> S;
+}
+
+macro_rules! implement_scalar {
+    ($scalar:ty, $vec3:ty, $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $atan2:ident]) => {
+        impl Scalar for $scalar {
+            type Vec3 = $vec3;
+            #[inline(always)]
+            fn of(value: f64) -> Self {
+                value as $scalar
+            }
+            #[inline(always)]
+            fn as_f64(self) -> f64 {
+                f64::from(self)
+            }
+            #[inline(always)]
+            fn power(self, exponent: Self) -> Self {
+                libm::$pow(self, exponent)
+            }
+            #[inline(always)]
+            fn arc_tangent(self) -> Self {
+                libm::$atan(self)
+            }
+            #[inline(always)]
+            fn arc_cosine(self) -> Self {
+                libm::$acos(self)
+            }
+            #[inline(always)]
+            fn cosine(self) -> Self {
+                libm::$cos(self)
+            }
+            #[inline(always)]
+            fn angle_from(self, x: Self) -> Self {
+                libm::$atan2(self, x)
+            }
+        }
+
+        impl Vector3<$scalar> for $vec3 {
+            #[inline(always)]
+            fn new(x: $scalar, y: $scalar, z: $scalar) -> Self {
+                <$vec3>::new(x, y, z)
+            }
+            #[inline(always)]
+            fn of(value: DVec3) -> Self {
+                $of_dvec3(value)
+            }
+            #[inline(always)]
+            fn as_dvec3(self) -> DVec3 {
+                $as_dvec3(self)
+            }
+            #[inline(always)]
+            fn x(self) -> $scalar {
+                self.x
+            }
+            #[inline(always)]
+            fn y(self) -> $scalar {
+                self.y
+            }
+            #[inline(always)]
+            fn z(self) -> $scalar {
+                self.z
+            }
+            #[inline(always)]
+            fn dot(self, other: Self) -> $scalar {
+                <$vec3>::dot(self, other)
+            }
+            #[inline(always)]
+            fn cross(self, other: Self) -> Self {
+                <$vec3>::cross(self, other)
+            }
+            #[inline(always)]
+            fn length(self) -> $scalar {
+                <$vec3>::length(self)
+            }
+        }
+    };
+}
+
+implement_scalar!(f32, Vec3, |v: Vec3| v.as_dvec3(), |v: DVec3| v.as_vec3(), [powf, atanf, acosf, cosf, atan2f]);
+implement_scalar!(f64, DVec3, |v| v, |v| v, [pow, atan, acos, cos, atan2]);

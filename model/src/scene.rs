@@ -1,0 +1,217 @@
+//! What a scene is made of: detectors, slits, emitters, and what is known of noise.
+//!
+//! Everything here is `f64` in SI units. Lengths and directions of detectors are in the base
+//! frame, those of emitters in the tool frame. A [`Scene`] only describes; compile it to a
+//! [`Plan`](crate::Plan) to evaluate it.
+
+use glam::{DVec2, DVec3};
+use heapless::Vec;
+use thiserror::Error;
+
+/// Most cells a scene can have.
+pub const MAX_CELLS: usize = 16;
+
+/// Most knots a tabulated emission profile can have.
+pub const MAX_PROFILE_KNOTS: usize = 64;
+
+/// A current below which a cell is flagged faint unless the scene says otherwise: 50 nA is
+/// about 40 times the noise of a single lit-minus-dark sample of the default front end.
+pub const DEFAULT_FAINT_A: f64 = 50e-9;
+
+/// The optics of a sensor head.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    /// The emitter-slit-detector cells, in the order of their numbers.
+    pub cells: Vec<Cell, MAX_CELLS>,
+    /// Noise of the measured currents; `None`: noise-free.
+    pub noise: Option<Noise>,
+    /// What calibration has not settled.
+    pub uncertainty: Uncertainty,
+}
+
+/// One emitter-slit-detector cell.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// The position-sensitive detector (PSD).
+    pub detector: Detector,
+    /// The slit in the mask above it.
+    pub slit: Slit,
+    /// The infrared emitter (IRED) on the tool.
+    pub emitter: Emitter,
+}
+
+/// A one-dimensional PSD.
+///
+/// Its cell frame has the origin at the centre of the active area, x along its length, z the
+/// outward normal, y = z × x.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detector {
+    /// Centre of the active area, base frame, metres.
+    pub centre_base_m: DVec3,
+    /// Direction from electrode 1 to electrode 2, base frame, unit length.
+    pub x_axis_base: DVec3,
+    /// Outward normal, towards slit and emitter, base frame, unit length.
+    pub normal_base: DVec3,
+    /// Length Lx of the active area between the electrodes, metres.
+    pub length_m: f64,
+    /// Width Ly of the active area, metres.
+    pub width_m: f64,
+    /// Responsivity S, ampere per watt.
+    pub responsivity_a_per_w: f64,
+    /// Dark current I_D of both electrodes together, amperes.
+    pub dark_current_a: f64,
+    /// Inter-electrode resistance, ohms; `None`: no Johnson noise.
+    pub interelectrode_ohm: Option<f64>,
+    /// Total current I_O above which the detector saturates; `None`: never.
+    pub saturation_a: Option<f64>,
+    /// Photocurrent I_O − I_D below which the cell is flagged faint.
+    pub faint_a: f64,
+}
+
+/// A rectangular slit in an otherwise opaque mask.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Slit {
+    /// Height d_B of the mask's mid-plane above the detector surface, metres.
+    pub distance_m: f64,
+    /// Width w, along the cell's x if not tilted, metres.
+    pub width_m: f64,
+    /// Length l, along the cell's y if not tilted, metres.
+    pub length_m: f64,
+    /// Centre of the slit in the cell's x and y, metres.
+    pub offset_m: DVec2,
+    /// Rotation vector of the slit about its centre in the cell frame, radians.
+    pub tilt_rad: DVec3,
+    /// Thickness t of the mask, metres; zero: a thin mask.
+    pub thickness_m: f64,
+}
+
+/// A point-like infrared emitter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Emitter {
+    /// Position in the tool frame, metres.
+    pub position_tool_m: DVec3,
+    /// Direction of its axis in the tool frame, unit length.
+    pub axis_tool: DVec3,
+    /// Radiant intensity I_e on the axis, watt per steradian.
+    pub radiant_intensity_w_per_sr: f64,
+    /// Relative radiant intensity I_rel as a function of the angle γ to the axis.
+    pub profile: Profile,
+}
+
+/// The relative radiant intensity I_rel(γ) of an emitter. Zero from γ = 90° on.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Profile {
+    /// I_rel = cosⁿ γ.
+    Cosine {
+        /// The exponent n.
+        exponent: f64,
+    },
+    /// Knots (γ in radians, I_rel), ascending from γ = 0, interpolated by a monotone cubic;
+    /// a table that ends before 90° falls linearly to zero there.
+    Table(Vec<(f64, f64), MAX_PROFILE_KNOTS>),
+}
+
+impl Profile {
+    /// The cosine profile whose intensity has fallen to one half at `half_angle_rad`:
+    /// n = ln ½ / ln cos φ.
+    pub fn from_half_angle(half_angle_rad: f64) -> Self {
+        let exponent = -core::f64::consts::LN_2 / libm::log(libm::cos(half_angle_rad));
+        Self::Cosine { exponent }
+    }
+}
+
+/// White noise of the measured currents.
+///
+/// Shot noise and Johnson noise have bandwidths of their own because subtracting a dark sample
+/// doubles the variance of the latter and of the converter, but not of the former.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// One-sided noise bandwidth of the shot noise, hertz.
+    pub shot_bandwidth_hz: f64,
+    /// One-sided noise bandwidth of the Johnson noise of the inter-electrode resistance, hertz.
+    pub johnson_bandwidth_hz: f64,
+    /// Temperature of the detectors, kelvin.
+    pub temperature_k: f64,
+    /// Standard deviation of converter and amplifier together, per electrode, amperes.
+    pub adc_a: f64,
+}
+
+/// Standard deviations of what calibration has not settled. Zero: known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Uncertainty {
+    /// Of each emitter's intensity (common to both electrodes of its cell), relative.
+    pub emitter_gain_relative: f64,
+    /// Of each electrode's gain, relative.
+    pub electrode_gain_relative: f64,
+    /// Of each cell's measured light position X_A, metres.
+    pub position_m: f64,
+}
+
+/// Why a scene cannot be compiled: the place in the scene, and what is wrong there.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+#[error("{place}: {fault}")]
+pub struct SceneError {
+    /// Where.
+    pub place: Place,
+    /// What.
+    pub fault: Fault,
+}
+
+/// A place in a scene, in the words of the scene file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The cell's number; `None`: a property of the scene.
+    pub cell: Option<usize>,
+    /// The section in the scene file, e.g. `slit`; for keys that stand in `[[cell]]` itself: `cell`.
+    pub section: &'static str,
+    /// The key, e.g. `width_mm`.
+    pub key: &'static str,
+}
+
+impl core::fmt::Display for Place {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match (self.cell, self.section) {
+            (Some(cell), "cell") => write!(f, "cell {cell}, {}", self.key),
+            (Some(cell), section) => write!(f, "cell {cell}, {section}.{}", self.key),
+            (None, section) => write!(f, "{section}.{}", self.key),
+        }
+    }
+}
+
+/// What can be wrong with a value of a scene.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum Fault {
+    /// NaN or infinite.
+    #[error("{0} is not a finite number")]
+    NotFinite(f64),
+    /// Below zero where that has no meaning.
+    #[error("{0} is negative; give zero or more")]
+    Negative(f64),
+    /// Zero or below where a positive number is needed.
+    #[error("{0} is not positive; give more than zero")]
+    NotPositive(f64),
+    /// An axis that is not a unit vector.
+    #[error("axis has length {0}, not 1; divide it by its length")]
+    NotUnit(f64),
+    /// Two axes that must be perpendicular and are not.
+    #[error("x_axis and normal are not perpendicular, their scalar product is {0}; correct one of them")]
+    NotPerpendicular(f64),
+    /// The mask reaches below the detector's surface.
+    #[error("the mask reaches {0} m below the detector surface; raise slit.distance_mm or make the mask thinner")]
+    MaskInDetector(f64),
+    /// No cell at all.
+    #[error("the scene has no cell; add at least one [[cell]]")]
+    NoCells,
+    /// A profile table without at least two knots.
+    #[error("a profile needs at least two knots, this one has {0}")]
+    TooFewKnots(usize),
+    /// A profile table that does not start on the axis.
+    #[error("a profile starts at 0 degrees, this one at {0}")]
+    FirstKnotNotZero(f64),
+    /// Profile angles not ascending, or beyond 90°.
+    #[error("profile angles must ascend and not pass 90 degrees, but {1} follows {0}")]
+    KnotOrder(f64, f64),
+    /// An unusable half angle.
+    #[error("half angle {0} degrees is not between 0 and 90")]
+    HalfAngle(f64),
+}

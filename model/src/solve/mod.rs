@@ -1,0 +1,319 @@
+//! From photocurrents to a pose.
+//!
+//! Positions first, currents after: [`planes`] finds a start from home by the ratios alone, which
+//! converges everywhere; [`refine`] descends from there on all currents, weighted by their noise.
+//! χ² and the cells that saw no light tell a true solution from a mirror image; the information
+//! matrix tells what the data leave open.
+
+mod algebra;
+mod observability;
+mod outcome;
+mod planes;
+mod readings;
+mod refine;
+mod track;
+mod weights;
+
+use heapless::Vec;
+
+use crate::plan::{Plan, Tier};
+use crate::pose::{Pose, Transform, Twist};
+use crate::scalar::{Scalar, Vector3};
+use crate::scene::{MAX_CELLS, Scene, SceneError};
+
+pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Weakness};
+pub use readings::{Photocurrents, Reading};
+pub use track::Tracker;
+
+use planes::PlaneCell;
+use readings::{Limits, Sorted};
+use refine::{Motion, Problem, Refined};
+use weights::{CellNoise, TwistVariance};
+
+/// Steps of one refinement before it is given up.
+const MAX_ITERATIONS: usize = 40;
+
+/// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
+const GATE_SIGMAS: f64 = 6.0;
+
+/// Cells below which mirror images are searched for: with four lit cells or more none but the
+/// truth keeps all of them lit.
+const UNIQUE_FROM: usize = 4;
+
+/// Starts of the search beside home: half turns of the reach about each axis.
+const SEARCH_ROTATION_RAD: f64 = 0.3;
+const SEARCH_TRANSLATION_M: f64 = 3e-3;
+
+/// Two poses this many σ apart are two poses.
+const DISTINCT_SIGMAS: f64 = 20.0;
+
+/// A residual this large a share of a cell's current is no misfit but another place.
+const ELSEWHERE: f64 = 0.3;
+
+/// Estimates poses from the photocurrents of one scene.
+///
+/// Holds the compiled scene and no state: every solve is a function of its arguments.
+#[derive(Clone, Debug)]
+pub struct Solver<S: Scalar> {
+    plan: Plan<S>,
+    planes: Vec<PlaneCell<S>, MAX_CELLS>,
+    noise: Vec<CellNoise<S>, MAX_CELLS>,
+    limits: Vec<Limits, MAX_CELLS>,
+    exposure: Vec<S, MAX_CELLS>,
+    arm: S,
+}
+
+/// What is known beforehand of the tool's motion within a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionPrior {
+    /// The twist that carries each cell's exposure to the reference instant.
+    pub twist: Twist,
+    /// Standard deviation of its linear part, per axis, m/s.
+    pub linear_sigma_m_per_s: f64,
+    /// Standard deviation of its angular part, per axis, rad/s.
+    pub angular_sigma_rad_per_s: f64,
+}
+
+impl<S: Scalar> Solver<S> {
+    /// For cells that are all exposed at the reference instant.
+    ///
+    /// # Errors
+    /// Those of [`Plan::compile`].
+    pub fn new(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
+        let plan = Plan::compile(scene, tier)?;
+        let rounding = 16.0 * S::epsilon().as_f64();
+        let relative_error = match tier {
+            Tier::Paper => rounding,
+            Tier::Exact { tolerance } => tolerance.max(rounding),
+        };
+        let cells = scene.cells.iter();
+        let square_arm: f64 = cells.clone().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
+        let arm_m = libm::sqrt(square_arm / scene.cells.len() as f64);
+        Ok(Self {
+            planes: cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)).collect(),
+            noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
+            limits: cells
+                .map(|cell| Limits {
+                    faint_a: cell.detector.faint_a,
+                    saturation_a: cell.detector.saturation_a,
+                    dark_a: cell.detector.dark_current_a,
+                })
+                .collect(),
+            exposure: scene.cells.iter().map(|_| S::zero()).collect(),
+            // A lone emitter at the tool's origin has no arm: any length scale serves.
+            arm: S::of(if arm_m > 0.0 { arm_m } else { 0.01 }),
+            plan,
+        })
+    }
+
+    /// With cell k exposed `offsets_s[k]` seconds after the reference instant.
+    ///
+    /// # Panics
+    /// If there are fewer offsets than cells.
+    #[must_use]
+    pub fn with_exposures(mut self, offsets_s: &[f64]) -> Self {
+        for (exposure, &offset) in self.exposure.iter_mut().zip(&offsets_s[..self.plan.cell_count()]) {
+            *exposure = S::of(offset);
+        }
+        self
+    }
+
+    /// The compiled scene.
+    pub fn plan(&self) -> &Plan<S> {
+        &self.plan
+    }
+
+    /// The pose from `readings` alone, the tool at rest.
+    pub fn solve(&self, readings: &Photocurrents) -> Solution {
+        self.solve_moving(readings, &MotionPrior::default())
+    }
+
+    /// The pose from `readings`, with no idea where the tool is but some of how it moves.
+    pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
+        let sorted = Sorted::of(readings, &self.limits);
+        match self.too_few(&sorted) {
+            Some(solution) => solution,
+            None => self.search(&sorted, &self.problem(&sorted, motion)),
+        }
+    }
+
+    /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
+    /// not fit there.
+    pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution {
+        let sorted = Sorted::of(readings, &self.limits);
+        if let Some(solution) = self.too_few(&sorted) {
+            return solution;
+        }
+        let problem = self.problem(&sorted, motion);
+        let start = Transform::of(prior);
+        let whiteners = problem.whiteners(&start);
+        let refined = problem.refine(start, &whiteners, MAX_ITERATIONS);
+        if self.fits(&sorted, &problem, &refined) && sorted.usable.len() >= UNIQUE_FROM {
+            return self.conclude(&sorted, &refined, refined.iterations, true);
+        }
+        let mut solution = self.search(&sorted, &problem);
+        solution.iterations += refined.iterations;
+        solution
+    }
+
+    fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {
+        let square = |sigma: f64| S::of(sigma * sigma);
+        Problem {
+            plan: &self.plan,
+            noise: &self.noise,
+            exposure: &self.exposure,
+            readings: &sorted.usable,
+            motion: Motion {
+                linear: S::Vec3::of(motion.twist.linear_m_per_s),
+                angular: S::Vec3::of(motion.twist.angular_rad_per_s),
+                variance: TwistVariance {
+                    linear: square(motion.linear_sigma_m_per_s),
+                    angular: square(motion.angular_sigma_rad_per_s),
+                },
+            },
+            arm: self.arm,
+        }
+    }
+
+    /// Six unknowns need three cells.
+    fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution> {
+        if sorted.usable.len() >= 3 {
+            return None;
+        }
+        let outcome = if sorted.usable.len() + sorted.faint.count() >= 3 {
+            Outcome::TooDark
+        } else {
+            Outcome::Unobservable(Directions::all())
+        };
+        Some(Solution::without_pose(outcome, sorted.used))
+    }
+
+    /// Cold start: home first, then turned and shifted starts until the data fit.
+    fn search(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>) -> Solution {
+        let mut iterations = 0;
+        let mut best: Option<(Refined<S>, bool)> = None;
+        let need_all = sorted.usable.len() < UNIQUE_FROM;
+        for start in starts() {
+            let start = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&start), self.arm);
+            let rough = problem.refine(start, &problem.whiteners(&start), MAX_ITERATIONS);
+            iterations += rough.iterations;
+            // Weights that depend on the pose are known only now.
+            let refined = if problem.weights_vary() {
+                let again = problem.refine(rough.pose, &problem.whiteners(&rough.pose), MAX_ITERATIONS);
+                iterations += again.iterations;
+                again
+            } else {
+                rough
+            };
+            let fits = self.fits(sorted, problem, &refined);
+            match &best {
+                Some((before, true)) if fits => {
+                    if observability::distinct(&before.at.information, &before.pose, &refined.pose, self.arm) {
+                        let mut solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
+                        solution.iterations = iterations;
+                        return solution;
+                    }
+                }
+                Some((before, false)) if fits || refined.at.chi2 < before.at.chi2 => best = Some((refined, fits)),
+                None => best = Some((refined, fits)),
+                Some(_) => {}
+            }
+            let observable = || observability::free_directions(&refined.at.information).is_none();
+            if fits && (!need_all || !observable()) {
+                break;
+            }
+        }
+        match best {
+            Some((refined, fits)) if fits || !self.is_elsewhere(problem, &refined) => {
+                self.conclude(sorted, &refined, iterations, fits)
+            }
+            _ => {
+                let mut solution = Solution::without_pose(Outcome::Diverged, sorted.used);
+                solution.iterations = iterations;
+                solution
+            }
+        }
+    }
+
+    /// Whether `refined` explains the data: χ² by the noise, and no light where none was seen.
+    fn fits(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+        let gate = chi2_gate(redundancy(sorted.usable.len()));
+        refined.converged
+            && refined.at.chi2.as_f64() <= gate
+            && (sorted.faint.count() == 0 || {
+                let pose = refined.pose.to_pose();
+                (0..self.plan.cell_count()).filter(|&cell| sorted.faint.contains(cell)).all(|cell| {
+                    problem.plan.photocurrents(cell, &pose).total_a().as_f64() < 2.0 * self.limits[cell].faint_a
+                })
+            })
+    }
+
+    /// Whether the best pose found is too far from the data to call it one.
+    fn is_elsewhere(&self, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+        !refined.converged
+            || problem.readings.iter().any(|reading| {
+                let predicted = problem.predicted(reading.cell, &refined.pose);
+                let [first, second] = reading.pair;
+                let off = (first - predicted.i_x1_a).abs().max((second - predicted.i_x2_a).abs());
+                off > S::of(ELSEWHERE) * (first + second)
+            })
+    }
+
+    fn conclude(&self, sorted: &Sorted<S>, refined: &Refined<S>, iterations: usize, fits: bool) -> Solution {
+        let mut solution = Solution {
+            chi2: refined.at.chi2.as_f64(),
+            redundancy: redundancy(sorted.usable.len()),
+            iterations,
+            information: Some(refined.at.information.map(|row| row.map(S::as_f64))),
+            ..Solution::without_pose(Outcome::Diverged, sorted.used)
+        };
+        let Some(covariance) = observability::covariance(&refined.at.information, self.arm) else {
+            let free = observability::free_directions(&refined.at.information).unwrap_or_default();
+            solution.outcome = Outcome::Unobservable(free);
+            return solution;
+        };
+        let pose = refined.pose.to_pose();
+        if !pose.is_finite() {
+            return solution;
+        }
+        solution.outcome = if !fits {
+            Outcome::Degraded(Weakness::Misfit)
+        } else if sorted.usable.len() < self.plan.cell_count() {
+            Outcome::Degraded(Weakness::FewerCells)
+        } else {
+            Outcome::Converged
+        };
+        solution.estimate = Some(Estimate { pose, covariance });
+        solution
+    }
+}
+
+/// Two currents a cell, less six unknowns.
+fn redundancy(cells: usize) -> usize {
+    (2 * cells).saturating_sub(6)
+}
+
+/// The χ² that `freedom` degrees of freedom exceed with probability 1e-9 (Wilson and Hilferty
+/// 1931); without redundancy a fit is exact, and χ² near zero.
+fn chi2_gate(freedom: usize) -> f64 {
+    if freedom == 0 {
+        return 1.0;
+    }
+    let k = freedom as f64;
+    let spread = 2.0 / (9.0 * k);
+    let root = 1.0 - spread + GATE_SIGMAS * libm::sqrt(spread);
+    k * root * root * root
+}
+
+/// Home, then turns and shifts along each axis, both ways.
+fn starts() -> impl Iterator<Item = Pose> {
+    let moved = |i: usize| {
+        let mut turn = [0.0; 3];
+        let mut shift = [0.0; 3];
+        let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+        turn[i / 2 % 3] = sign * SEARCH_ROTATION_RAD;
+        shift[(i / 2 + 1) % 3] = sign * SEARCH_TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
+        Pose::from_vectors(shift.into(), turn.into())
+    };
+    core::iter::once(Pose::HOME).chain((0..12).map(moved))
+}

@@ -1,0 +1,174 @@
+//! What comes out of a solve.
+
+use core::fmt;
+
+use crate::pose::Pose;
+use crate::scene::MAX_CELLS;
+
+use super::algebra::{self, Matrix6};
+
+/// The coordinates of a pose, in the order of the covariance.
+pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
+
+/// Whether there is a pose, and how good; else why not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Outcome {
+    /// A pose from all cells of the scene, and the data fit it.
+    Converged,
+    /// A pose, but for the reason given it deserves less trust.
+    Degraded(Weakness),
+    /// Several distinct poses explain the data.
+    Ambiguous,
+    /// The data leave these directions free.
+    Unobservable(Directions),
+    /// Too few cells see enough light for six unknowns.
+    TooDark,
+    /// No pose near the data was found.
+    Diverged,
+}
+
+/// Why a pose deserves less trust.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weakness {
+    /// Some cells are saturated, faint or missing; the others decide.
+    FewerCells,
+    /// The residuals are larger than the noise explains.
+    Misfit,
+}
+
+impl Outcome {
+    /// Whether the solution carries a pose.
+    pub fn has_pose(&self) -> bool {
+        matches!(self, Self::Converged | Self::Degraded(_))
+    }
+
+    /// The word used in tables and messages.
+    pub fn as_str(&self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::Degraded(_) => "degraded",
+            Self::Ambiguous => "ambiguous",
+            Self::Unobservable(_) => "unobservable",
+            Self::TooDark => "too_dark",
+            Self::Diverged => "diverged",
+        }
+    }
+}
+
+/// A set of pose coordinates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Directions(u8);
+
+impl Directions {
+    pub(crate) fn all() -> Self {
+        Self(0b11_1111)
+    }
+
+    /// The coordinates that lie more than half in the space of `free` directions.
+    pub(crate) fn of_free(free: &[[f64; 6]]) -> Self {
+        let share = |axis: usize| free.iter().map(|vector| vector[axis] * vector[axis]).sum::<f64>();
+        Self((0..6).filter(|&axis| share(axis) > 0.25).fold(0, |set, axis| set | 1 << axis))
+    }
+
+    /// Their names.
+    pub fn names(&self) -> impl Iterator<Item = &'static str> + '_ {
+        AXES.into_iter().enumerate().filter(|(axis, _)| self.0 & (1 << axis) != 0).map(|(_, name)| name)
+    }
+}
+
+impl fmt::Display for Directions {
+    /// The names joined by `;`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, name) in self.names().enumerate() {
+            write!(f, "{}{name}", if i == 0 { "" } else { ";" })?;
+        }
+        Ok(())
+    }
+}
+
+/// A set of cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cells(u16);
+
+const _: () = assert!(MAX_CELLS <= 16, "one bit per cell");
+
+impl Cells {
+    pub(crate) fn insert(&mut self, cell: usize) {
+        self.0 |= 1 << cell;
+    }
+
+    /// Whether `cell` belongs to the set.
+    pub fn contains(&self, cell: usize) -> bool {
+        cell < MAX_CELLS && self.0 & (1 << cell) != 0
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.0.count_ones() as usize
+    }
+}
+
+/// A pose with its covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// `base_from_tool` at the reference instant.
+    pub pose: Pose,
+    /// Covariance of the perturbation (δt, δθ) in the base frame: m², m·rad, rad².
+    pub covariance: Matrix6<f64>,
+}
+
+impl Estimate {
+    /// Standard deviations of (δt, δθ): m and rad.
+    pub fn sigma(&self) -> [f64; 6] {
+        core::array::from_fn(|i| libm::sqrt(self.covariance[i][i]))
+    }
+
+    /// Normalised estimation error squared against the `truth`: eᵀC⁻¹e with
+    /// e = [t̂ − t ; log(R̂ Rᵀ)]. Of an honest covariance its mean is 6. `None` if the covariance is
+    /// singular.
+    pub fn nees(&self, truth: &Pose) -> Option<f64> {
+        let (dt, dr) = self.pose.displacement_from(truth);
+        let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+        // Metres and radians differ in size: scaled by σ the factorisation sees correlations.
+        let sigma = self.sigma();
+        let scaled: Matrix6<f64> =
+            core::array::from_fn(|i| core::array::from_fn(|j| self.covariance[i][j] / (sigma[i] * sigma[j])));
+        let right: [f64; 6] = core::array::from_fn(|i| error[i] / sigma[i]);
+        let factor = algebra::Cholesky::factorise(&scaled, 0.0, f64::EPSILON)?;
+        let weighted = factor.solve(&right);
+        Some(right.iter().zip(weighted).map(|(a, b)| a * b).sum())
+    }
+}
+
+/// The result of one solve.
+#[derive(Clone, Copy, Debug)]
+pub struct Solution {
+    /// What happened.
+    pub outcome: Outcome,
+    /// The pose; present exactly if the outcome carries one.
+    pub estimate: Option<Estimate>,
+    /// Sum of the squared whitened residuals.
+    pub chi2: f64,
+    /// Data minus unknowns: what χ² is distributed over, and what checked the pose.
+    pub redundancy: usize,
+    /// Refinement steps taken, over all starts.
+    pub iterations: usize,
+    /// The cells whose currents entered.
+    pub cells_used: Cells,
+    /// Information matrix in scaled coordinates; see [`Self::condition`].
+    pub(crate) information: Option<Matrix6<f64>>,
+}
+
+impl Solution {
+    pub(crate) fn without_pose(outcome: Outcome, cells_used: Cells) -> Self {
+        Self { outcome, estimate: None, chi2: f64::NAN, redundancy: 0, iterations: 0, cells_used, information: None }
+    }
+
+    /// Condition number (ratio of the extreme singular values) of the whitened Jacobian, with
+    /// translations counted in units of the emitters' root-mean-square distance from the tool's
+    /// origin, so that metres and radians compare. `None` without solution.
+    pub fn condition(&self) -> Option<f64> {
+        let pairs = algebra::eigen(self.information.as_ref()?);
+        Some(libm::sqrt(pairs[5].0 / pairs[0].0.max(0.0)))
+    }
+}

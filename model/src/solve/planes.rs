@@ -1,0 +1,121 @@
+//! A first pose from positions alone.
+//!
+//! The light of a cell comes through the slit and lands at X_A: the emitter lies in the plane
+//! through that point of the detector and the slit's long axis. For a parallel, centred slit this
+//! is e_x·d_B + X_A·(e_z − d_B) = 0. Planes are linear in the emitter's position, so Gauss–Newton
+//! on them finds the pose from home wherever the tool can be.
+
+use crate::pose::Transform;
+use crate::scalar::{Scalar, Vector3};
+use crate::scene::Cell;
+
+use super::algebra::{Cholesky, Matrix6, Vector6};
+use super::readings::Usable;
+
+/// Four steps suffice throughout the reach of a head; more is for odd geometries.
+const MAX_STEPS: usize = 8;
+
+/// Steps below a micrometre (or its equivalent in rotation) are left to the refinement.
+const STEP_M: f64 = 1e-6;
+
+/// Weight of a position so near the detector's end that the spot is probably clipped: its centre
+/// is then pulled inward, by up to 0.26 mm in the shipped scenes.
+const CLIPPED_WEIGHT: f64 = 0.01;
+
+/// Pull towards home of directions that the planes leave free, relative to the others.
+const PULL: f64 = 1e-6;
+
+/// What the planes need of a cell, base frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PlaneCell<S: Scalar> {
+    detector: S::Vec3,
+    x_axis: S::Vec3,
+    slit: S::Vec3,
+    /// Long direction of the slit.
+    along: S::Vec3,
+    emitter_tool: S::Vec3,
+    half_length: S,
+    /// |X_A| beyond which the spot of an emitter at home is clipped.
+    unclipped: S,
+    dark: S,
+}
+
+impl<S: Scalar> PlaneCell<S> {
+    /// From a valid cell; `dark_in_ratio`: whether the currents divide I_D like the photocurrent.
+    pub(super) fn compile(cell: &Cell, dark_in_ratio: bool) -> Self {
+        let detector = &cell.detector;
+        let (x, z) = (detector.x_axis_base, detector.normal_base);
+        let y = z.cross(x);
+        let to_base = |v: glam::DVec3| x * v.x + y * v.y + z * v.z;
+        let slit = &cell.slit;
+        let slit_cell = glam::DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
+        let along = crate::pose::rotation_exp(slit.tilt_rad) * glam::DVec3::Y;
+        let height = (cell.emitter.position_tool_m - detector.centre_base_m).dot(z);
+        let magnification = if height > slit.distance_m { height / (height - slit.distance_m) } else { 1.0 };
+        Self {
+            detector: S::Vec3::of(detector.centre_base_m),
+            x_axis: S::Vec3::of(x),
+            slit: S::Vec3::of(detector.centre_base_m + to_base(slit_cell)),
+            along: S::Vec3::of(to_base(along)),
+            emitter_tool: S::Vec3::of(cell.emitter.position_tool_m),
+            half_length: S::of(0.5 * detector.length_m),
+            unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification)),
+            dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
+        }
+    }
+
+    /// Unit normal of the emitter's plane, and the weight of its distance.
+    fn plane(&self, reading: &Usable<S>) -> (S::Vec3, S) {
+        let [first, second] = reading.pair;
+        let x_a = self.half_length * (second - first) / (first + second + self.dark);
+        let x_a = x_a.max(-self.half_length).min(self.half_length);
+        let landing = self.detector + self.x_axis * x_a;
+        let normal = (self.slit - landing).cross(self.along);
+        let weight = if x_a.abs() > self.unclipped { S::of(CLIPPED_WEIGHT) } else { S::one() };
+        (normal * normal.length().recip(), weight)
+    }
+}
+
+/// The pose nearest `start` whose emitters lie in the planes of `readings`; `arm_m` scales
+/// rotations to metres.
+pub(super) fn pose_on_planes<S: Scalar>(
+    cells: &[PlaneCell<S>],
+    readings: &[Usable<S>],
+    start: Transform<S>,
+    arm_m: S,
+) -> Transform<S> {
+    let planes: heapless::Vec<_, { crate::scene::MAX_CELLS }> =
+        readings.iter().map(|reading| (reading.cell, cells[reading.cell].plane(reading))).collect();
+    let mut pose = start;
+    for _ in 0..MAX_STEPS {
+        let mut matrix: Matrix6<S> = [[S::zero(); 6]; 6];
+        let mut right: Vector6<S> = [S::zero(); 6];
+        for &(index, (normal, weight)) in &planes {
+            let cell = &cells[index];
+            let arm = pose.rotate(cell.emitter_tool);
+            let distance = normal.dot(arm + pose.translation() - cell.slit);
+            let turn = arm.cross(normal) * arm_m.recip();
+            let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
+            for i in 0..6 {
+                right[i] -= weight * row[i] * distance;
+                for j in 0..6 {
+                    matrix[i][j] += weight * row[i] * row[j];
+                }
+            }
+        }
+        for (i, row) in matrix.iter_mut().enumerate() {
+            row[i] += S::of(PULL);
+        }
+        let Some(factor) = Cholesky::factorise(&matrix, S::zero(), S::zero()) else {
+            break;
+        };
+        let step = factor.solve(&right);
+        pose = pose
+            .moved(S::Vec3::new(step[0], step[1], step[2]), S::Vec3::new(step[3], step[4], step[5]) * arm_m.recip());
+        let size = step.iter().fold(S::zero(), |sum, &value| sum + value * value).sqrt();
+        if size < S::of(STEP_M) {
+            break;
+        }
+    }
+    pose
+}

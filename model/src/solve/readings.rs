@@ -1,0 +1,84 @@
+//! What was measured of the cells at one reference instant.
+
+use heapless::Vec;
+
+use crate::response::Pair;
+use crate::scalar::Scalar;
+use crate::scene::MAX_CELLS;
+
+use super::outcome::Cells;
+
+/// What is known of one cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reading {
+    /// Currents above dark, I_X − I_D/2 for each electrode, at nominal emitter drive: amperes.
+    Light(Pair<f64>),
+    /// A converter or the detector was at its limit.
+    Saturated,
+    /// No measurement of this cell.
+    Missing,
+}
+
+/// The photocurrents of all cells of a scene, in the order of its cells.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Photocurrents {
+    /// One reading per cell.
+    pub cells: Vec<Reading, MAX_CELLS>,
+}
+
+impl Photocurrents {
+    /// From one pair per cell, currents above dark.
+    pub fn of_pairs(pairs: impl IntoIterator<Item = Pair<f64>>) -> Self {
+        Self { cells: pairs.into_iter().map(Reading::Light).collect() }
+    }
+}
+
+/// A reading that enters the solve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Usable<S> {
+    pub(super) cell: usize,
+    pub(super) pair: [S; 2],
+}
+
+/// What keeps a cell from entering.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    pub(super) faint_a: f64,
+    pub(super) saturation_a: Option<f64>,
+    pub(super) dark_a: f64,
+}
+
+/// The readings of one solve, sorted by use.
+#[derive(Clone, Debug)]
+pub(super) struct Sorted<S> {
+    pub(super) usable: Vec<Usable<S>, MAX_CELLS>,
+    pub(super) used: Cells,
+    /// Cells that were measured and found without enough light.
+    pub(super) faint: Cells,
+}
+
+impl<S: Scalar> Sorted<S> {
+    pub(super) fn of(readings: &Photocurrents, limits: &[Limits]) -> Self {
+        let mut sorted = Self { usable: Vec::new(), used: Cells::default(), faint: Cells::default() };
+        for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {
+            let Reading::Light(pair) = reading else {
+                continue;
+            };
+            let total = pair.total_a();
+            if !total.is_finite() || !pair.i_x1_a.is_finite() {
+                continue;
+            }
+            if limits.saturation_a.is_some_and(|limit| total + limits.dark_a > limit) {
+                continue;
+            }
+            if total < limits.faint_a || total <= 0.0 {
+                sorted.faint.insert(cell);
+                continue;
+            }
+            sorted.used.insert(cell);
+            // As many as the scene has cells.
+            let _ = sorted.usable.push(Usable { cell, pair: [S::of(pair.i_x1_a), S::of(pair.i_x2_a)] });
+        }
+        sorted
+    }
+}

@@ -1,0 +1,3 @@
+//! What several whole-chain tests share: reference tables and scenes.
+
+pub mod reference;
