@@ -1,0 +1,139 @@
+//! From finished scans to batches, and the account of what was taken.
+
+use slitpose_protocol::{BatchBuilder, HardwareFault, MAX_SCAN_BYTES, RawScan, Schedule};
+
+use crate::hardware::{Hardware, Overrun};
+use crate::outbox::Outbox;
+
+/// Largest number of scans in a batch. Four scans of six cells, lit and dark, make a
+/// packet of some 220 bytes, of which 192 are samples; the first waits three frames.
+pub const BATCH_SCANS: usize = 4;
+
+/// A batch holds no more scans than this many milliseconds have frames (but one at
+/// least): at low frame rates scans go out singly instead of waiting for company.
+pub const BATCH_SPAN_MS: u32 = 1;
+
+/// Scans looked at in one call, so that hardware which always has one more cannot hold
+/// the caller: 16 ms at 4 kHz.
+const SCANS_PER_CALL: usize = 64;
+
+/// Scans of one batch by `schedule`.
+fn batch_scans(schedule: &Schedule) -> usize {
+    let frames = schedule.tick_hz / 1_000 * BATCH_SPAN_MS / schedule.frame_ticks.max(1);
+    (frames as usize).clamp(1, BATCH_SCANS)
+}
+
+#[derive(Debug)]
+pub(crate) struct Collector {
+    batch: BatchBuilder<{ BATCH_SCANS * MAX_SCAN_BYTES }>,
+    /// What the next scan is read into; always in the shape of the batch.
+    scan: RawScan,
+    /// Smallest sequence number the next scan can have: scans taken so far.
+    taken: u64,
+    last_tick: Option<u64>,
+    lost: u64,
+    overruns: u32,
+}
+
+impl Collector {
+    /// A collector that has seen nothing and is ready for scans of this configuration.
+    pub fn new(configuration: u16, schedule: &Schedule) -> Self {
+        let batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
+        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0 }
+    }
+
+    /// Readies the collector for scans of another configuration; the batch of the old one
+    /// must have been flushed.
+    pub fn configure(&mut self, configuration: u16, schedule: &Schedule) {
+        self.batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
+        self.scan = self.batch.blank();
+    }
+
+    /// Moves finished scans into batches and full batches into the outbox.
+    ///
+    /// # Errors
+    /// If the hardware's counters contradict themselves; nothing it says can then be
+    /// given a time.
+    pub fn collect<const QUEUE: usize>(
+        &mut self,
+        hardware: &mut impl Hardware,
+        outbox: &mut Outbox<QUEUE>,
+    ) -> Result<(), HardwareFault> {
+        for _ in 0..SCANS_PER_CALL {
+            match hardware.next_scan(&mut self.scan) {
+                Ok(true) => self.take(outbox)?,
+                Ok(false) => break,
+                Err(Overrun) => {
+                    self.overruns = self.overruns.saturating_add(1);
+                    self.flush(outbox);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the open batch, full or not.
+    pub fn flush<const QUEUE: usize>(&mut self, outbox: &mut Outbox<QUEUE>) {
+        if let Some(batch) = self.batch.batch() {
+            outbox.push_batch(batch, self.batch.len());
+        }
+        self.batch.clear();
+    }
+
+    /// Scans the hardware has taken, as far as their numbers have told.
+    pub fn taken(&self) -> u64 {
+        self.taken
+    }
+
+    /// Scans among them that never came.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Overruns reported.
+    pub fn overruns(&self) -> u32 {
+        self.overruns
+    }
+
+    /// Takes over the scan just read.
+    fn take<const QUEUE: usize>(&mut self, outbox: &mut Outbox<QUEUE>) -> Result<(), HardwareFault> {
+        let missed = self.scan.sequence.checked_sub(self.taken);
+        let taken = self.scan.sequence.checked_add(1);
+        let (Some(missed), Some(taken)) = (missed, taken) else {
+            return Err(HardwareFault::Counters);
+        };
+        self.lost += missed;
+        self.taken = taken;
+        let later = self.last_tick.is_none_or(|last| last < self.scan.tick);
+        if !later || !self.batch.fits(&self.scan) {
+            self.lost += 1;
+            self.scan = self.batch.blank();
+            return Err(HardwareFault::Counters);
+        }
+        self.last_tick = Some(self.scan.tick);
+        if !self.batch.push(&self.scan) {
+            self.flush(outbox);
+            // An empty batch takes any scan of its shape.
+            let _ = self.batch.push(&self.scan);
+        }
+        if self.batch.is_full() {
+            self.flush(outbox);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::default_configuration;
+
+    #[test]
+    fn a_batch_spans_a_millisecond_at_most() {
+        let mut schedule = default_configuration().schedule;
+        for (frame_rate_hz, scans) in [(7_000, 4), (4_000, 4), (2_000, 2), (1_001, 1), (10, 1)] {
+            schedule.frame_ticks = schedule.tick_hz / frame_rate_hz;
+            assert_eq!(batch_scans(&schedule), scans, "{frame_rate_hz} Hz");
+        }
+    }
+}

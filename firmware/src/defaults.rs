@@ -1,0 +1,71 @@
+//! What a board does until its host says otherwise.
+
+use slitpose_protocol::{Configuration, EmitterSet, Level, MAX_CELLS, Schedule};
+
+use crate::collector::BATCH_SCANS;
+use crate::queue::HEADER_BYTES;
+
+/// Bytes of the queue of a board that streams the default configuration: 100 ms.
+pub const DEFAULT_QUEUE_BYTES: usize = 25 * 1024;
+
+// 100 ms at 4 kHz are 400 scans or 100 batches. A packet of four scans of six cells, lit
+// and dark, has 4 · 6 · 8 = 192 bytes of samples; around them at most 1 (kind), 3
+// (configuration), 10 (sequence), 10 (tick), 1 + 6 · 3 (levels) and 2 (length) bytes, 4 of
+// checksum and 2 of framing: 243 bytes, and the queue's own header.
+const PACKET_BYTES: usize = BATCH_SCANS * 6 * 8 + 1 + 3 + 10 + 10 + (1 + 6 * 3) + 2 + 4 + 2;
+const _: () = assert!(DEFAULT_QUEUE_BYTES >= 400 / BATCH_SCANS * (PACKET_BYTES + HEADER_BYTES));
+
+/// Six cells in three slots of opposite pairs and a dark one, 4 000 frames a second, four
+/// conversions a word, nominal levels, in ticks of 170 MHz (the controller's clock).
+///
+/// | | ticks | from |
+/// |---|---|---|
+/// | settling | 2 210 | 13 µs: 9.6 time constants of a front end of 1.36 µs |
+/// | conversion | 148 | 24.5 + 12.5 cycles of the converters' 42.5 MHz clock |
+/// | slot | 5 800 | settling and 24 conversions take 5 762; 38 ticks in hand |
+/// | frame | 42 500 | four slots take 23 200; the rest is idle |
+pub fn default_configuration() -> Configuration {
+    let slots = [EmitterSet::of(&[0, 3]), EmitterSet::of(&[1, 4]), EmitterSet::of(&[2, 5]), EmitterSet::DARK];
+    Configuration {
+        schedule: Schedule {
+            tick_hz: 170_000_000,
+            frame_ticks: 42_500,
+            slots: slots.into_iter().collect(),
+            slot_ticks: 5_800,
+            settling_ticks: 2_210,
+            conversion_ticks: 148,
+            oversampling: 4,
+            cells: 6,
+        },
+        levels: [Level::NOMINAL; MAX_CELLS].into_iter().take(6).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slitpose_protocol::{Batch, MAX_MESSAGE_BYTES, Message, encode};
+
+    use super::*;
+
+    #[test]
+    fn the_default_is_valid() {
+        let Configuration { schedule, levels } = default_configuration();
+        assert_eq!(schedule.validate(), Ok(()));
+        assert_eq!(schedule.frame_rate_hz(), 4_000.0);
+        assert_eq!(levels.len(), 6);
+    }
+
+    #[test]
+    fn the_packet_arithmetic_is_that_of_the_encoder() {
+        let samples = [0xff; BATCH_SCANS * 6 * 8];
+        let batch = Message::Batch(Batch {
+            configuration: u16::MAX,
+            sequence: u64::MAX,
+            tick: u64::MAX,
+            levels: [Level(u16::MAX); 6].into_iter().collect(),
+            samples: &samples,
+        });
+        let mut buffer = [0; MAX_MESSAGE_BYTES];
+        assert_eq!(encode(&batch, &mut buffer).unwrap().len(), PACKET_BYTES);
+    }
+}

@@ -1,0 +1,167 @@
+//! Packets waiting for the link.
+//!
+//! Scans and everything else have a queue each. When the scan queue is full its oldest
+//! packets go, for whoever tracks a moving tool wants the newest; they are counted. The
+//! other queue only ever holds answers to commands and a few events, so it fills only if
+//! a host keeps commanding without reading.
+//!
+//! Packets leave in the order they arose, whatever queue they are in: each one of the
+//! second queue is tagged with the number of scan packets that came before it. That is
+//! what lets a recording be read with the last Hello seen.
+
+use slitpose_protocol::{Batch, DELIMITER, MAX_MESSAGE_BYTES, Message, encode};
+
+use crate::queue::{HEADER_BYTES, PacketQueue};
+
+/// Room for answers and events: a hundred replies at least.
+const ANSWER_BYTES: usize = 2048;
+
+const LARGEST_ENTRY: usize = MAX_MESSAGE_BYTES + HEADER_BYTES;
+const _: () = assert!(ANSWER_BYTES >= LARGEST_ENTRY);
+
+#[derive(Debug)]
+pub(crate) struct Outbox<const QUEUE: usize> {
+    /// Tag: scans in the packet.
+    batches: PacketQueue<QUEUE>,
+    /// Tag: `arrived` when the packet was queued.
+    answers: PacketQueue<ANSWER_BYTES>,
+    /// Batches ever queued, and batches that have left, one way or the other.
+    arrived: u32,
+    left: u32,
+    open: bool,
+    /// A listener has come and nothing has been sent to it yet.
+    fresh: bool,
+    dropped: Dropped,
+}
+
+/// What an outbox could not keep, since reset.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Dropped {
+    pub scans: u64,
+    pub batches: u32,
+    pub answers: u32,
+}
+
+impl<const QUEUE: usize> Outbox<QUEUE> {
+    const ROOM_FOR_ONE: () = assert!(QUEUE >= LARGEST_ENTRY, "a queue takes any packet when empty");
+
+    /// An empty outbox of a closed link.
+    pub fn new() -> Self {
+        let () = Self::ROOM_FOR_ONE;
+        Self {
+            batches: PacketQueue::new(),
+            answers: PacketQueue::new(),
+            arrived: 0,
+            left: 0,
+            open: false,
+            fresh: false,
+            dropped: Dropped::default(),
+        }
+    }
+
+    /// Somebody listens from now on.
+    pub fn open(&mut self) {
+        self.open = true;
+        self.fresh = true;
+    }
+
+    /// Nobody listens any more: what was meant for the one who left goes with them.
+    pub fn close(&mut self) {
+        self.open = false;
+        self.fresh = false;
+        while self.drop_batch() {}
+        self.answers.clear();
+    }
+
+    /// Queues a batch, at the cost of the oldest ones if need be; without a listener it
+    /// is counted as dropped at once.
+    pub fn push_batch(&mut self, batch: Batch<'_>, scans: usize) {
+        let scans = scans as u32;
+        if !self.open {
+            return self.count_dropped(scans);
+        }
+        let mut buffer = [0; MAX_MESSAGE_BYTES];
+        let Ok(packet) = encode(&Message::Batch(batch), &mut buffer) else {
+            return self.count_dropped(scans);
+        };
+        // Ends because an empty queue takes any packet.
+        while !self.batches.push(packet, scans) {
+            self.drop_batch();
+        }
+        self.arrived = self.arrived.wrapping_add(1);
+    }
+
+    /// Queues anything but a batch.
+    pub fn push_answer(&mut self, message: &Message<'_>) {
+        let mut buffer = [0; MAX_MESSAGE_BYTES];
+        match encode(message, &mut buffer) {
+            Ok(packet) => self.queue_answer(packet),
+            Err(_) => self.count_dropped_answer(),
+        }
+    }
+
+    /// Moves as many whole packets as fit to the start of `out`, in the order they arose,
+    /// and gives the bytes they take.
+    pub fn take(&mut self, out: &mut [u8]) -> usize {
+        let mut filled = 0;
+        if self.fresh
+            && let Some(first) = out.first_mut()
+        {
+            // Ends whatever half a packet the last listener left in the link.
+            *first = DELIMITER;
+            self.fresh = false;
+            filled = 1;
+        }
+        while let Some(length) = self.pop(&mut out[filled..]) {
+            filled += length;
+        }
+        filled
+    }
+
+    /// What could not be kept.
+    pub fn dropped(&self) -> Dropped {
+        self.dropped
+    }
+
+    fn pop(&mut self, out: &mut [u8]) -> Option<usize> {
+        // An answer is next once every batch queued before it has left, that is, once
+        // `left` has reached or passed its tag. The counts wrap, so this asks instead
+        // whether the tag is beyond the batches that are still here.
+        let answer_is_next = self.answers.front().is_some_and(|answer| {
+            let ahead = answer.tag.wrapping_sub(self.left);
+            ahead == 0 || ahead > self.arrived.wrapping_sub(self.left)
+        });
+        if answer_is_next {
+            return self.answers.pop(out);
+        }
+        let length = self.batches.pop(out)?;
+        self.left = self.left.wrapping_add(1);
+        Some(length)
+    }
+
+    fn queue_answer(&mut self, packet: &[u8]) {
+        // Ends because an empty queue takes any packet.
+        while !self.answers.push(packet, self.arrived) {
+            self.count_dropped_answer();
+            self.answers.discard();
+        }
+    }
+
+    fn drop_batch(&mut self) -> bool {
+        let Some(scans) = self.batches.discard() else {
+            return false;
+        };
+        self.left = self.left.wrapping_add(1);
+        self.count_dropped(scans);
+        true
+    }
+
+    fn count_dropped_answer(&mut self) {
+        self.dropped.answers = self.dropped.answers.saturating_add(1);
+    }
+
+    fn count_dropped(&mut self, scans: u32) {
+        self.dropped.scans = self.dropped.scans.saturating_add(scans.into());
+        self.dropped.batches = self.dropped.batches.saturating_add(1);
+    }
+}

@@ -1,0 +1,155 @@
+//! Packets: a value, its checksum, and the bytes that mark its end.
+//!
+//! `COBS( postcard value ‖ CRC-32 of it, little endian ) ‖ 0x00`
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use postcard::ser_flavors::crc::CrcModifier;
+use postcard::ser_flavors::{Cobs, Slice};
+use postcard::serialize_with_flavor;
+use serde::Serialize;
+use thiserror::Error;
+
+use crate::ProtocolVersion;
+
+/// Marks the end of a packet; occurs nowhere else.
+pub const DELIMITER: u8 = 0;
+
+/// No packet from a board is longer, delimiter included. 20 scans of six cells with a
+/// dark slot fit, or 7 of sixteen cells.
+pub const MAX_MESSAGE_BYTES: usize = 1024;
+
+/// No packet from a host is longer, delimiter included: the largest, a
+/// [`Configure`](crate::Command::Configure) of 16 cells in 17 slots, takes 140.
+pub const MAX_REQUEST_BYTES: usize = 160;
+
+static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+const CRC_BYTES: usize = size_of::<u32>();
+
+/// A value that may stand in a packet: a [`Message`](crate::Message) or a
+/// [`Request`](crate::Request).
+pub trait Packet<'p>: Serialize + Sized {
+    /// Reads the value from a payload whose checksum has been found right.
+    ///
+    /// # Errors
+    /// If the payload is no such value, or has bytes left over.
+    fn from_payload(payload: &'p [u8]) -> Result<Self, PayloadError>;
+}
+
+/// Writes `value` as a packet to the start of `out` and returns the packet, delimiter
+/// included. Checksum and stuffing are done on the way: one pass, no buffer between.
+///
+/// # Errors
+/// If `out` is too small; what it holds then means nothing.
+pub fn encode<'o, 'p>(value: &impl Packet<'p>, out: &'o mut [u8]) -> Result<&'o [u8], EncodeError> {
+    let available = out.len();
+    let too_small = |_| EncodeError { available };
+    let stuffed = Cobs::try_new(Slice::new(out)).map_err(too_small)?;
+    let packet = serialize_with_flavor(value, CrcModifier::new(stuffed, CRC.digest())).map_err(too_small)?;
+    Ok(packet)
+}
+
+/// Undoes stuffing and checksum of a frame (a packet without its delimiter) in place and
+/// returns the payload.
+pub(crate) fn open(frame: &mut [u8]) -> Result<&[u8], FrameError> {
+    let stuffed_bytes = frame.len();
+    let bytes = cobs::decode_in_place(frame).map_err(|_| FrameError::Stuffing { bytes: stuffed_bytes })?;
+    match frame[..bytes].split_last_chunk::<CRC_BYTES>() {
+        Some((payload, &received)) if !payload.is_empty() => {
+            let received = u32::from_le_bytes(received);
+            let computed = CRC.checksum(payload);
+            if computed == received { Ok(payload) } else { Err(FrameError::Checksum { computed, received }) }
+        }
+        _ => Err(FrameError::Short { bytes }),
+    }
+}
+
+/// The buffer given to [`encode`] is too small.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error("the packet does not fit {available} bytes")]
+pub struct EncodeError {
+    /// Bytes the buffer has.
+    pub available: usize,
+}
+
+/// Why a frame gave no value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum FrameError {
+    /// More bytes than any packet has stood between two delimiters.
+    #[error("{bytes} bytes without a delimiter, no packet has more than {limit}")]
+    Overlong {
+        /// Bytes between the delimiters.
+        bytes: u64,
+        /// Bytes the decoder takes.
+        limit: usize,
+    },
+    /// The stuffing points past the end of the frame.
+    #[error("the stuffing of a frame of {bytes} bytes is broken")]
+    Stuffing {
+        /// Bytes of the frame, still stuffed.
+        bytes: usize,
+    },
+    /// There is no room for a checksum and one byte of payload.
+    #[error("a frame of {bytes} bytes holds no payload")]
+    Short {
+        /// Bytes of the frame, unstuffed.
+        bytes: usize,
+    },
+    /// The payload is not what was sent.
+    #[error("checksum {received:#010x} received, {computed:#010x} computed")]
+    Checksum {
+        /// Checksum of the payload that arrived.
+        computed: u32,
+        /// Checksum that came with it.
+        received: u32,
+    },
+    /// The payload arrived as it was sent, but cannot be read.
+    #[error(transparent)]
+    Payload(#[from] PayloadError),
+}
+
+/// Why an undamaged payload cannot be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum PayloadError {
+    /// The payload ends before it says what it is.
+    #[error("a payload of {bytes} bytes does not say what it is")]
+    NoKind {
+        /// Bytes of the payload.
+        bytes: usize,
+    },
+    /// A message this version does not know; nothing is wrong with the link.
+    #[error("message kind {kind} is unknown: the board is newer than this program")]
+    UnknownMessage {
+        /// Number of the variant.
+        kind: u32,
+    },
+    /// A known message with fields that cannot be read.
+    #[error("the fields of message kind {kind} cannot be read: compare schema keys")]
+    MalformedMessage {
+        /// Number of the variant.
+        kind: u32,
+    },
+    /// A hello of another major version.
+    #[error("the board speaks protocol {theirs}, this program {ours}: update the older one")]
+    Version {
+        /// Version of the board.
+        theirs: ProtocolVersion,
+        /// Version of this crate.
+        ours: ProtocolVersion,
+    },
+    /// A command this version does not know.
+    #[error("command {number} is of unknown kind {kind}: the host is newer than the board")]
+    UnknownCommand {
+        /// Number the host gave the command.
+        number: u16,
+        /// Number of the variant.
+        kind: u32,
+    },
+    /// A known command with fields that cannot be read.
+    #[error("the fields of command {number}, kind {kind}, cannot be read: compare schema keys")]
+    MalformedCommand {
+        /// Number the host gave the command.
+        number: u16,
+        /// Number of the variant.
+        kind: u32,
+    },
+}

@@ -1,0 +1,174 @@
+//! What crosses the wire between a slitpose board and its host.
+//!
+//! The crate has no clock, no input or output, and allocates nothing; it turns values
+//! into bytes and bytes into values. This page describes the bytes well enough to write
+//! a decoder in any language; `tests/golden.rs` pins them.
+//!
+//! # Framing
+//! The link is a byte stream in each direction (USB serial, UART, pipe or file).
+//!
+//! ```text
+//! packet  = COBS( payload ‖ checksum ) ‖ 0x00
+//! ```
+//!
+//! * *checksum*: CRC-32/ISO-HDLC of the payload (polynomial 0x04C11DB7 reflected, initial
+//!   value and final exclusive-or 0xFFFFFFFF; that of zlib), 4 bytes, little endian.
+//! * *COBS* (Cheshire and Baker 1999) replaces every zero, so that 0x00 only ever ends a
+//!   packet. A code byte n < 255 means: n − 1 bytes follow as they are, then a zero that
+//!   is not sent; n = 255 means: 254 bytes follow, and no zero. The zero after the last
+//!   run is not part of the data.
+//! * Packets from a board have at most [`MAX_MESSAGE_BYTES`], from a host at most
+//!   [`MAX_REQUEST_BYTES`], 0x00 included.
+//! * 0x00 on its own means nothing and may come at any time. Whoever opens a link sends
+//!   one first, which ends whatever half a packet was left in it.
+//!
+//! A receiver collects bytes up to 0x00, undoes the stuffing, compares the checksum, and
+//! drops what does not agree; that is all there is to staying in step.
+//!
+//! # Values
+//! Payloads are [postcard](https://postcard.jamesmunns.com/wire-format) values:
+//!
+//! | type | bytes |
+//! |---|---|
+//! | `u8`, `bool` | one byte; `bool` is 0 or 1 |
+//! | `u16`, `u32`, `u64` | varint: 7 bits a byte, least significant first, high bit set in all bytes but the last |
+//! | `f32`, `f64` | IEEE 754, little endian, 4 or 8 bytes |
+//! | `[T; n]` | n values, no count |
+//! | `list T` | varint count, then the values |
+//! | `bytes`, `str` | varint count of bytes, then the bytes (`str`: UTF-8) |
+//! | `?T` | 0, or 1 and the value |
+//! | enum | varint number of the variant, then its fields |
+//! | struct | its fields in order, nothing between or around |
+//!
+//! # Board to host
+//! A payload is one enum; the first byte is its number.
+//!
+//! **0 Hello**: `u8` major, `u8` minor (version of the protocol) · `bytes` message keys,
+//! `bytes` command keys (8 bytes little endian for each kind, see [`schema`]) ·
+//! `[u8; 12]` device id · enum kind (0 physical, 1 simulated) · `str` board ·
+//! `str` firmware · enum reset cause (0 unknown, 1 power on, 2 brown-out, 3 pin,
+//! 4 software, 5 watchdog) · `?u64` scene hash · scaling (`f64` zero code, `f64` amperes
+//! per code, `u8` bits, `u16` saturation code: [`AdcScaling`]) · `u16` configuration ·
+//! schedule.
+//! It comes when the link is opened, when it is asked for, and whenever the schedule has
+//! changed, ahead of the batches taken by the new one.
+//!
+//! *schedule*: `u32` ticks per second · `u32` frame ticks · `list u16` slots (bit k:
+//! emitter k is lit; 0: dark; at most 17) · `u32` slot ticks · `u32` settling ticks ·
+//! `u32` conversion ticks · `u16` oversampling · `u8` cells. What the numbers mean for
+//! time stands at [`Schedule`].
+//!
+//! **1 Batch**: `u16` configuration · `u64` sequence and `u64` tick of the first scan ·
+//! `list u16` emitter levels (0x8000: nominal; one a cell) · `bytes` samples. Samples are
+//! *not* varints: little-endian 16-bit words, for each scan I_X1 and I_X2 of cell 0, 1, …
+//! lit, then the same dark if the schedule has a dark slot. The scans of a batch follow
+//! each other in sequence and are one frame apart; the next batch may leave a gap in
+//! sequence, and then those scans are lost. Read samples only by the schedule of the
+//! Hello with the same configuration number.
+//!
+//! **2 Status**: `u64` tick · `bool` acquiring · `u64` scans taken · `u64` scans dropped ·
+//! `u32` batches dropped · `u64` scans lost · `u32` ADC overruns · `u32` replies dropped ·
+//! `u32` commands damaged · `u32` commands rejected · `f32` supply in volts ·
+//! `f32` temperature in kelvin · `u16` processor load in thousandths ([`Status`]).
+//!
+//! **3 Event**: `u64` tick · enum severity (0 info, 1 warning, 2 error) · `str` text.
+//!
+//! **4 Reply**: `u16` number of the command · enum outcome (0 accepted; 1 rejected, then
+//! an enum [`Rejection`], numbered from 0 in the order it is written there, with
+//! [`ScheduleError`] and [`HardwareFault`] numbered likewise).
+//!
+//! **5 Pong**: `u32` token · `u64` tick.
+//!
+//! **6 Truth**: `u64` sequence · `[f64; 3]` translation in metres · `[f64; 4]` rotation as
+//! a quaternion x, y, z, w: the pose `base_from_tool` at the reference instant of that
+//! scan ([`Schedule::reference_ticks`]). Only simulators send it.
+//!
+//! # Host to board
+//! A payload is `u16` number of the command, chosen by the host, then one enum:
+//! **0 Hello** · **1 Start** · **2 Stop** · **3 Configure**: schedule, `list u16` levels ·
+//! **4 Ping**: `u32` token · **5 Identify**: `u8` seconds.
+//!
+//! Every command whose number can be read gets one Reply, after everything else it
+//! yields; a command of unknown kind gets rejection 0 (unsupported).
+//!
+//! # Example
+//! ```text
+//! 0b 05 07 80 fd 87 51 56 d5 c4 6b 00
+//! │  │  │  └────┬────┘ └────┬────┘ └ end of packet
+//! │  │  │       │           └ checksum 0x6bc4d556
+//! │  │  │       └ tick 170 000 000: 0x00 + (0x7d << 7) + (0x07 << 14) + (0x51 << 21)
+//! │  │  └ token 7
+//! │  └ message 5: Pong
+//! └ COBS: ten bytes without a zero follow
+//! ```
+//!
+//! From host to board, a Stop with the number 3:
+//! ```text
+//! 07 03 02 10 20 fa 84 00
+//! │  │  │  └────┬────┘ └ end of packet
+//! │  │  │       └ checksum 0x84fa2010
+//! │  │  └ command 2: Stop
+//! │  └ number 3
+//! └ COBS: six bytes without a zero follow
+//! ```
+//!
+//! # Versions, and what is not promised
+//! Promised for ever: the framing, and that message 0 starts with the version. Within a
+//! major version kinds are only added at the end, and the fields of a kind never change;
+//! bytes left over behind the fields make a payload malformed. A receiver skips kinds it
+//! does not know.
+//!
+//! Not promised: that a varint or a stuffed run takes its shortest form (receivers take
+//! any) · the number of scans in a batch, or that it is constant · when Status comes ·
+//! the texts of Event, and the names of board and firmware · that sequence or tick start
+//! at 0 when a host connects · that nothing is lost: sequence numbers show what is · that
+//! tick rates of two boards agree to better than their crystals.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod batch;
+mod command;
+mod decoder;
+mod frame;
+mod message;
+mod scan;
+mod schedule;
+mod schedule_error;
+pub mod schema;
+
+use core::fmt;
+
+use serde::{Deserialize, Serialize};
+
+pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES, Scans};
+pub use command::{Command, Configuration, Request};
+pub use decoder::{Decoder, DecoderCounters};
+pub use frame::{
+    DELIMITER, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Packet, PayloadError, encode,
+};
+pub use message::{
+    BoardKind, Event, HardwareFault, Hello, Message, Pong, Rejection, Reply, ResetCause, Severity, Status, Truth,
+};
+pub use scan::{AdcScaling, Level, Levels, RawScan, ScalingError, WordPair};
+pub use schedule::{EmitterSet, MAX_CELLS, MAX_OVERSAMPLING, MAX_SLOTS, Schedule};
+pub use schedule_error::{Quantity, ScheduleError};
+
+/// Version of the protocol this crate speaks.
+pub const PROTOCOL: ProtocolVersion = ProtocolVersion { major: 1, minor: 0 };
+
+/// Version of the protocol.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProtocolVersion {
+    /// Raised when anything that exists changes: two majors do not understand each
+    /// other.
+    pub major: u8,
+    /// Raised when a message or command is added: two minors of a major understand
+    /// what both know.
+    pub minor: u8,
+}
+
+impl fmt::Display for ProtocolVersion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}", self.major, self.minor)
+    }
+}

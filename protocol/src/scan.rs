@@ -1,0 +1,224 @@
+//! One scan: what the converters read in one frame, before any number has a unit of
+//! current.
+
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::schedule::{MAX_CELLS, MAX_OVERSAMPLING};
+
+/// Drive level of an emitter: its radiant intensity as a fraction of nominal, in
+/// units of 1/32 768. `Level(0x8000)` is nominal, `Level(0)` off, `Level(0xFFFF)` just
+/// under twice nominal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Level(pub u16);
+
+impl Level {
+    /// Nominal radiant intensity.
+    pub const NOMINAL: Self = Self(0x8000);
+
+    /// Intensity relative to nominal, 0 to just under 2.
+    pub fn relative(self) -> f64 {
+        f64::from(self.0) / f64::from(Self::NOMINAL.0)
+    }
+}
+
+/// Levels of the emitters of all cells, index = cell.
+pub type Levels = Vec<Level, MAX_CELLS>;
+
+/// Two words of one cell: the sums of its I_X1 and of its I_X2 conversions, in ADC
+/// codes. [`AdcScaling`] says what a code is worth.
+pub type WordPair = [u16; 2];
+
+/// The words of one frame, with the count and the tick that belong to them.
+///
+/// All arrays have room for [`MAX_CELLS`] cells and the value lives where it is put:
+/// 184 bytes, no heap. Whoever fills one starts from [`RawScan::new`] and writes
+/// through the `_mut` accessors, which show exactly the cells there are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RawScan {
+    /// Number of this scan: every scan the board has taken since its reset counts,
+    /// whether or not it reached the wire; the first is 0.
+    pub sequence: u64,
+    /// Device tick at which the frame started.
+    pub tick: u64,
+    levels: [Level; MAX_CELLS],
+    lit: [WordPair; MAX_CELLS],
+    dark: [WordPair; MAX_CELLS],
+    cells: u8,
+    has_dark: bool,
+}
+
+const _: () = assert!(size_of::<RawScan>() == 184);
+
+impl RawScan {
+    /// A scan of zeros for `cells` cells (more than [`MAX_CELLS`] are cut to that),
+    /// with or without dark words.
+    pub fn new(cells: usize, has_dark: bool) -> Self {
+        Self {
+            sequence: 0,
+            tick: 0,
+            levels: [Level(0); MAX_CELLS],
+            lit: [[0; 2]; MAX_CELLS],
+            dark: [[0; 2]; MAX_CELLS],
+            cells: cells.min(MAX_CELLS) as u8,
+            has_dark,
+        }
+    }
+
+    /// Number of cells.
+    pub fn cells(&self) -> usize {
+        usize::from(self.cells)
+    }
+
+    /// Level each emitter was driven at.
+    pub fn levels(&self) -> &[Level] {
+        &self.levels[..self.cells()]
+    }
+
+    /// Levels to be filled in.
+    pub fn levels_mut(&mut self) -> &mut [Level] {
+        let cells = self.cells();
+        &mut self.levels[..cells]
+    }
+
+    /// Words of each cell while its own emitter was lit.
+    pub fn lit(&self) -> &[WordPair] {
+        &self.lit[..self.cells()]
+    }
+
+    /// Lit words to be filled in.
+    pub fn lit_mut(&mut self) -> &mut [WordPair] {
+        let cells = self.cells();
+        &mut self.lit[..cells]
+    }
+
+    /// Words of each cell in the dark slot; `None` if the schedule has none.
+    pub fn dark(&self) -> Option<&[WordPair]> {
+        self.has_dark.then(|| &self.dark[..self.cells()])
+    }
+
+    /// Dark words to be filled in; `None` if the schedule has none.
+    pub fn dark_mut(&mut self) -> Option<&mut [WordPair]> {
+        let cells = self.cells();
+        self.has_dark.then(|| &mut self.dark[..cells])
+    }
+
+    /// Whether the scan has dark words.
+    pub fn has_dark(&self) -> bool {
+        self.has_dark
+    }
+}
+
+/// What a word is worth: a word w of `oversampling` conversions is the current
+/// (w / oversampling − `zero_code`) · `amperes_per_code`.
+///
+/// The scale is signed because a detector's anodes source current and a single-supply
+/// stage then swings down from a code near the top.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AdcScaling {
+    /// Code of one conversion at zero current; it need not be a whole number.
+    pub zero_code: f64,
+    /// Amperes for one code of one conversion; negative when the code falls as the
+    /// current rises.
+    pub amperes_per_code: f64,
+    /// Bits of one conversion.
+    pub bits: u8,
+    /// The last code that can be trusted in the direction of rising current: from it
+    /// on, towards more current, the stage or the converter saturates.
+    pub saturation_code: u16,
+}
+
+impl AdcScaling {
+    /// Checks that words can be turned into currents.
+    ///
+    /// # Errors
+    /// The first disagreement found, with its numbers.
+    pub fn validate(&self) -> Result<(), ScalingError> {
+        // The widest conversion whose largest allowed sum still fits a word.
+        const MAX_BITS: u8 = (u16::MAX / MAX_OVERSAMPLING).ilog2() as u8 + 1;
+        if self.bits == 0 || self.bits > MAX_BITS {
+            return Err(ScalingError::Bits { bits: self.bits, max: MAX_BITS });
+        }
+        let top_code = (1 << self.bits) - 1;
+        if self.saturation_code > top_code {
+            return Err(ScalingError::SaturationCode { saturation_code: self.saturation_code, top_code });
+        }
+        if !self.zero_code.is_finite() {
+            return Err(ScalingError::ZeroCode(self.zero_code));
+        }
+        if self.amperes_per_code == 0.0 || !self.amperes_per_code.is_finite() {
+            return Err(ScalingError::AmperesPerCode(self.amperes_per_code));
+        }
+        Ok(())
+    }
+
+    /// Whether a word of `oversampling` conversions reaches the saturation code on
+    /// average, so that it no longer measures the current.
+    pub fn is_saturated(&self, word: u16, oversampling: u16) -> bool {
+        let limit = u32::from(self.saturation_code) * u32::from(oversampling);
+        if self.amperes_per_code < 0.0 { u32::from(word) <= limit } else { u32::from(word) >= limit }
+    }
+}
+
+/// Why an [`AdcScaling`] cannot be used.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum ScalingError {
+    /// The width of a conversion is out of range.
+    #[error("conversions of {bits} bits: 1 to {max} fit a summed word")]
+    Bits {
+        /// Bits of one conversion.
+        bits: u8,
+        /// Widest conversion allowed.
+        max: u8,
+    },
+    /// The saturation code lies above the top code.
+    #[error("saturation code {saturation_code} lies above the top code {top_code}")]
+    SaturationCode {
+        /// The code given.
+        saturation_code: u16,
+        /// Largest code of one conversion.
+        top_code: u16,
+    },
+    /// The code at zero current is not a finite number.
+    #[error("the code at zero current is {0}: give a finite number")]
+    ZeroCode(f64),
+    /// The scale is zero or not a finite number.
+    #[error("one code is {0} A: give a finite number other than zero")]
+    AmperesPerCode(f64),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FALLING: AdcScaling =
+        AdcScaling { zero_code: 3900.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 64 };
+
+    #[test]
+    fn saturation_follows_the_sign_of_the_scale() {
+        assert!(FALLING.is_saturated(4 * 64, 4));
+        assert!(!FALLING.is_saturated(4 * 64 + 1, 4));
+        let rising = AdcScaling { amperes_per_code: 2.5e-9, saturation_code: 4000, ..FALLING };
+        assert!(rising.is_saturated(4 * 4000, 4));
+        assert!(!rising.is_saturated(4 * 4000 - 1, 4));
+    }
+
+    #[test]
+    fn scalings_that_mean_nothing_are_refused() {
+        assert_eq!(FALLING.validate(), Ok(()));
+        for bits in [0, 13, 255] {
+            let scaling = AdcScaling { bits, ..FALLING };
+            let error = ScalingError::Bits { bits, max: 12 };
+            assert_eq!(scaling.validate(), Err(error));
+        }
+        let scaling = AdcScaling { saturation_code: 4096, ..FALLING };
+        let error = ScalingError::SaturationCode { saturation_code: 4096, top_code: 4095 };
+        assert_eq!(scaling.validate(), Err(error));
+        let scaling = AdcScaling { amperes_per_code: 0.0, ..FALLING };
+        assert_eq!(scaling.validate(), Err(ScalingError::AmperesPerCode(0.0)));
+        let scaling = AdcScaling { zero_code: f64::INFINITY, ..FALLING };
+        let error = ScalingError::ZeroCode(f64::INFINITY);
+        assert_eq!(scaling.validate(), Err(error));
+    }
+}
