@@ -100,6 +100,7 @@ pub struct Emitter {
 
 /// The relative radiant intensity I_rel(γ) of an emitter. Zero from γ = 90° on.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "no heap on the board; a scene has at most 16 of them")]
 pub enum Profile {
     /// I_rel = cosⁿ γ.
     Cosine {

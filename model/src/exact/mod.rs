@@ -15,6 +15,14 @@ use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::scalar::{Scalar, Vector3};
 
+/// Whether the whole spot lies behind the emitter's horizon: u·d, linear over the spot, is nowhere
+/// positive.
+#[inline(always)]
+pub(crate) fn faces_away<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
+    let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
+    axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height + slopes <= S::zero()
+}
+
 /// Power and centroid of a rectangular spot by one tensor rule; `None` if it needs dividing.
 #[inline(always)]
 pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(

@@ -82,6 +82,12 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     spot: &Spot<S>,
 ) -> Option<Light<S>> {
     let axis = seen.axis;
+    if let Spot::Rectangle(rectangle) = spot
+        && emitter.orders.is_some()
+        && exact::faces_away(rectangle, axis)
+    {
+        return None;
+    }
     let (power, centroid) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
             match exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission, orders, rules) {
@@ -183,13 +189,24 @@ impl<S: Scalar> Plan<S> {
 
 pub(super) fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let CompiledCell { receiver, emitter } = &plan.cells[cell];
+    photocurrents_of(plan, receiver, emitter, base_from_tool)
+}
+
+#[inline(always)]
+fn photocurrents_of<S: Scalar>(
+    plan: &Plan<S>,
+    receiver: &Receiver<S>,
+    emitter: &CompiledEmitter<S>,
+    base_from_tool: &Transform<S>,
+) -> Pair<S> {
     let seen = receiver.see(emitter, base_from_tool);
     let Ok((spot, _)) = receiver.spot(&seen) else {
         return Pair::default();
     };
     match emitter.light_on::<false>(plan, receiver, &seen, &spot) {
         Some(light) => {
-            plan.above_dark(receiver, receiver.responsivity * emitter.intensity * light.power.value, light.x_a.value)
+            let photocurrent = receiver.responsivity * emitter.intensity * light.power.value;
+            plan.above_dark(receiver, photocurrent, light.x_a.value)
         }
         None => Pair::default(),
     }
@@ -304,13 +321,11 @@ pub(super) fn outline<S: Scalar>(
     }
 }
 
-pub(super) fn crosstalk<S: Scalar>(plan: &Plan<S>, cell: usize, emitter: usize, base_from_tool: &Transform<S>) -> S {
-    let receiver = &plan.cells[cell].receiver;
-    let emitter = &plan.cells[emitter].emitter;
-    let seen = receiver.see(emitter, base_from_tool);
-    let Ok((spot, _)) = receiver.spot(&seen) else {
-        return S::zero();
-    };
-    let light = emitter.light_on::<false>(plan, receiver, &seen, &spot);
-    light.map_or(S::zero(), |light| receiver.responsivity * emitter.intensity * light.power.value)
+pub(super) fn crosstalk<S: Scalar>(
+    plan: &Plan<S>,
+    cell: usize,
+    emitter: usize,
+    base_from_tool: &Transform<S>,
+) -> Pair<S> {
+    photocurrents_of(plan, &plan.cells[cell].receiver, &plan.cells[emitter].emitter, base_from_tool)
 }

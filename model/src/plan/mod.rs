@@ -138,12 +138,12 @@ impl<S: Scalar> Plan<S> {
         evaluate::outline(self, cell, &Transform::of(pose))
     }
 
-    /// The total photocurrent (amperes) that the light of emitter `emitter` gives on the detector
-    /// of cell `cell` through that cell's slit.
+    /// The photocurrents above dark that the light of emitter `emitter` gives on the detector of
+    /// cell `cell` through that cell's slit.
     ///
     /// # Panics
     /// If there is no such cell or emitter.
-    pub fn crosstalk(&self, cell: usize, emitter: usize, pose: &Pose) -> S {
+    pub fn crosstalk(&self, cell: usize, emitter: usize, pose: &Pose) -> Pair<S> {
         evaluate::crosstalk(self, cell, emitter, &Transform::of(pose))
     }
 }

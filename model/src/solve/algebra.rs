@@ -129,7 +129,7 @@ mod tests {
         let mut matrix = [[0.0; 6]; 6];
         for k in 0..6 {
             let scale = spread.powf(k as f64 / 5.0);
-            let row: [f64; 6] = core::array::from_fn(|i| ((k * 7 + i * 3 + 1) as f64).sin() * scale);
+            let row: [f64; 6] = core::array::from_fn(|i| ((7 * k * k + 3 * i * i + k * i + 1) as f64).sin() * scale);
             for i in 0..6 {
                 for j in 0..6 {
                     matrix[i][j] += row[i] * row[j];

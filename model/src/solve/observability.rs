@@ -27,7 +27,9 @@ pub(super) fn covariance<S: Scalar>(information: &Matrix6<S>, arm: S) -> Option<
         None => Cholesky::factorise(information, S::zero(), S::zero())?,
     };
     let inverse = factor.inverse();
-    if inverse.iter().enumerate().any(|(i, row)| !(row[i].as_f64() <= LARGEST_SIGMA * LARGEST_SIGMA)) {
+    // Written so that NaN fails, too.
+    let is_bounded = inverse.iter().enumerate().all(|(i, row)| row[i].as_f64() <= LARGEST_SIGMA * LARGEST_SIGMA);
+    if !is_bounded {
         return None;
     }
     let scale = |axis: usize| if axis < 3 { arm.as_f64() } else { 1.0 };
@@ -42,7 +44,7 @@ pub(super) fn free_directions<S: Scalar>(information: &Matrix6<S>) -> Option<Dir
     let largest = pairs[5].0;
     let least = (RANK_ROUNDINGS * S::epsilon().as_f64() * largest).max(LARGEST_SIGMA.recip());
     let free: heapless::Vec<[f64; 6], 6> =
-        pairs.iter().filter(|(value, _)| !(*value > least)).map(|(_, vector)| *vector).collect();
+        pairs.iter().filter(|(value, _)| *value <= least || value.is_nan()).map(|(_, vector)| *vector).collect();
     (!free.is_empty()).then(|| Directions::of_free(&free))
 }
 

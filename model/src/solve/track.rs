@@ -15,8 +15,9 @@ use crate::scalar::Scalar;
 
 use super::{Estimate, MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
-/// Poses the parabola is fitted to: at 4 kHz 2.5 ms, an eighth of the period of a 50 Hz motion.
-const MEMORY: usize = 10;
+/// Poses the parabola is fitted to: at 4 kHz 1.25 ms. More would average the slope's noise, which
+/// already disturbs a pose by less than a tenth of its σ, and miss the bends of a fast motion.
+const MEMORY: usize = 5;
 
 /// Twist of a tool nothing is known about, standard deviation per axis: a fast hand.
 const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;

@@ -1,0 +1,116 @@
+//! `slitpose identify`: an emitter's profile from measured currents, by equation (6).
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use slitpose_model::{Plan, Tier};
+
+use super::{CommandError, Outcome};
+use crate::identification::{Identified, ProfileError, identify, profile_table};
+use crate::scene_file::SceneFile;
+use crate::table::{CurrentColumns, Output, PoseColumns, TableReader, TableWriter};
+
+/// Finds an emitter's profile from measured currents.
+///
+/// I_rel(γ) = I_Om/(S·Ω·I_e), equation (6) of De La Cruz et al. 2018, for every lit cell of every row.
+/// Columns in: those of `model` for the pose, and i_x1_k_a, i_x2_k_a for every cell k. Out: a table
+/// of id, cell, gamma_deg, relative_intensity, solid_angle_sr, i_o_a; or, with --format profile, a
+/// `profile` line for each cell's emitter.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose identify bench --currents measured.csv --format profile --step 5")]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene
+    scene: String,
+    /// Table of poses and currents; - is standard input
+    #[arg(long, value_name = "CSV")]
+    currents: String,
+    /// One row a point, or lines for a scene file
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+    /// Distance of the knots of --format profile
+    #[arg(long, value_name = "DEG", default_value_t = 5.0, value_parser = parse_step)]
+    step: f64,
+    /// Write to this file instead of standard output
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Csv,
+    Profile,
+}
+
+/// A point and where it came from.
+struct Found {
+    id: String,
+    cell: usize,
+    i_o_a: f64,
+    point: Identified,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let scene = SceneFile::open(&args.scene)?.scene;
+    // The solid angle and γ of the equations as printed: the profile is for use with them.
+    let plan = Plan::<f64>::compile(&scene, Tier::Paper)?;
+    let mut rows = TableReader::open(&args.currents)?;
+    let poses = PoseColumns::find(&rows)?;
+    let currents = CurrentColumns::find(&rows, plan.cell_count())?;
+    let output = Output::open(args.output.as_deref())?;
+    let mut found = Vec::new();
+    while let Some(row) = rows.next_row()? {
+        let pose = poses.pose(&row)?;
+        for (cell, description) in scene.cells.iter().enumerate() {
+            let i_o_a = currents.pair(&row, cell)?.total_a();
+            if let Some(point) = identify(description, &plan, cell, &pose, i_o_a) {
+                found.push(Found { id: poses.id(&row).to_owned(), cell, i_o_a, point });
+            }
+        }
+    }
+    match args.format {
+        Format::Csv => write_points(&found, output)?,
+        Format::Profile => output.write_text(&profile_lines(&found, plan.cell_count(), args.step)?)?,
+    }
+    Ok(Outcome::Done)
+}
+
+fn write_points(found: &[Found], output: Output) -> Result<(), CommandError> {
+    let header = ["id", "cell", "gamma_deg", "relative_intensity", "solid_angle_sr", "i_o_a"];
+    let mut table = TableWriter::new(output, header)?;
+    for Found { id, cell, i_o_a, point } in found {
+        table.text(id)?;
+        table.text(&cell.to_string())?;
+        table.number(point.gamma_rad.to_degrees())?;
+        table.number(point.relative_intensity)?;
+        table.number(point.solid_angle_sr)?;
+        table.number(*i_o_a)?;
+        table.end_row()?;
+    }
+    Ok(table.finish()?)
+}
+
+fn profile_lines(found: &[Found], cells: usize, step_deg: f64) -> Result<String, CommandError> {
+    let line = |cell: usize| {
+        let points: Vec<_> = found.iter().filter(|found| found.cell == cell).map(|found| found.point).collect();
+        let knots = profile_table(&points, step_deg).map_err(|source| CellProfileError { cell, source })?;
+        let knots: Vec<_> = knots.iter().map(|[deg, relative]| format!("[{deg:.4}, {relative:.6}]")).collect();
+        Ok(format!("# cell {cell}\nprofile = [{}]\n", knots.join(", ")))
+    };
+    (0..cells).map(line).collect()
+}
+
+/// Which cell's points are no profile.
+#[derive(Debug, thiserror::Error)]
+#[error("cell {cell}")]
+pub struct CellProfileError {
+    cell: usize,
+    source: ProfileError,
+}
+
+fn parse_step(text: &str) -> Result<f64, &'static str> {
+    // A profile has at most 64 knots from 0 to 90 degrees.
+    match text.parse::<f64>() {
+        Ok(step) if (1.5..=45.0).contains(&step) => Ok(step),
+        _ => Err("give degrees from 1.5 to 45"),
+    }
+}

@@ -1,0 +1,75 @@
+//! `slitpose model`: poses in, spots and currents of every cell out.
+
+use std::path::PathBuf;
+
+use slitpose_model::{Plan, Response};
+
+use super::options::TierOptions;
+use super::{CommandError, Outcome};
+use crate::scene_file::SceneFile;
+use crate::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
+
+/// Tables are made once and kept, so they get nearly all the digits there are.
+const DEFAULT_TOLERANCE: f64 = 1e-10;
+
+/// Evaluates every cell of a scene at every pose of a table.
+///
+/// Columns in: id, tx_mm, ty_mm, tz_mm, rx_rad, ry_rad, rz_rad (rotation vector), in any order.
+/// Columns out, for each cell k: status_k, flags_k, x_a_k_mm, solid_angle_k_sr, i_o_k_a,
+/// i_x1_k_a, i_x2_k_a. x_a is empty where there is no light.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose model wide --poses poses.csv --output currents.csv")]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene
+    scene: String,
+    /// Table of poses; - is standard input
+    #[arg(long, value_name = "CSV")]
+    poses: String,
+    #[command(flatten)]
+    tier: TierOptions,
+    /// Write to this file instead of standard output
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let scene = SceneFile::open(&args.scene)?.scene;
+    let plan = Plan::<f64>::compile(&scene, args.tier.tier(DEFAULT_TOLERANCE))?;
+    let mut poses = TableReader::open(&args.poses)?;
+    let columns = PoseColumns::find(&poses)?;
+    let names: Vec<String> = (0..plan.cell_count()).flat_map(column_names).collect();
+    let header = std::iter::once("id").chain(names.iter().map(String::as_str));
+    let mut table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
+    while let Some(row) = poses.next_row()? {
+        let pose = columns.pose(&row)?;
+        table.text(columns.id(&row))?;
+        for cell in 0..plan.cell_count() {
+            write_response(&mut table, &plan.respond(cell, &pose))?;
+        }
+        table.end_row()?;
+    }
+    table.finish()?;
+    Ok(Outcome::Done)
+}
+
+fn column_names(cell: usize) -> [String; 7] {
+    [
+        format!("status_{cell}"),
+        format!("flags_{cell}"),
+        format!("x_a_{cell}_mm"),
+        format!("solid_angle_{cell}_sr"),
+        format!("i_o_{cell}_a"),
+        format!("i_x1_{cell}_a"),
+        format!("i_x2_{cell}_a"),
+    ]
+}
+
+fn write_response(table: &mut TableWriter, response: &Response<f64>) -> Result<(), OutputError> {
+    table.text(response.status.as_str())?;
+    table.text(&response.flags.to_string())?;
+    table.optional(response.x_a_m.map(|x_a_m| x_a_m * 1e3))?;
+    table.number(response.solid_angle_sr)?;
+    table.number(response.i_o_a)?;
+    table.number(response.currents.i_x1_a)?;
+    table.number(response.currents.i_x2_a)
+}

@@ -1,0 +1,79 @@
+//! Options that several verbs share.
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use slitpose_model::{Pose, Tier};
+
+/// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
+const MOST: f64 = 1e9;
+
+/// How exactly the optics are evaluated.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct TierOptions {
+    /// Equations as printed in the source paper, or integrated over the spot
+    #[arg(long, value_enum, default_value_t = TierName::Exact)]
+    tier: TierName,
+    /// Relative error of the exact tier's integrals
+    #[arg(long, value_name = "T", value_parser = parse_tolerance)]
+    tolerance: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum TierName {
+    /// Equations (1) to (6) of De La Cruz et al. 2018
+    Paper,
+    /// Integrated over the spot
+    Exact,
+}
+
+impl TierOptions {
+    /// The tier asked for; exact to `default_tolerance` if nothing is asked.
+    pub(super) fn tier(self, default_tolerance: f64) -> Tier {
+        match self.tier {
+            TierName::Paper => Tier::Paper,
+            TierName::Exact => Tier::Exact { tolerance: self.tolerance.unwrap_or(default_tolerance) },
+        }
+    }
+}
+
+fn parse_tolerance(text: &str) -> Result<f64, &'static str> {
+    match text.parse::<f64>() {
+        Ok(tolerance) if tolerance > 0.0 && tolerance < 1.0 => Ok(tolerance),
+        _ => Err("give a number between 0 and 1, such as 1e-10"),
+    }
+}
+
+/// A pose as the command line gives it: millimetres, then a rotation vector in degrees.
+pub(super) fn parse_pose(text: &str) -> Result<Pose, &'static str> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[tx, ty, tz, rx, ry, rz]) if numbers.iter().flatten().all(|number| number.abs() <= MOST) => {
+            let degrees = DVec3::new(rx, ry, rz);
+            Ok(Pose::from_vectors(DVec3::new(tx, ty, tz) * 1e-3, degrees * (std::f64::consts::PI / 180.0)))
+        }
+        _ => Err("give six numbers, tx,ty,tz in mm and rx,ry,rz in degrees, such as 1.5,0,-2,0,10,0"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_is_six_finite_numbers() {
+        let pose = parse_pose("1, 2,-3,0,0,90").unwrap();
+        assert_eq!(pose.translation_m, DVec3::new(1e-3, 2e-3, -3e-3));
+        assert!((pose.rotation_rad().z - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+        for text in ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,3,4,5,x", "nan,0,0,0,0,0", "inf,0,0,0,0,0", "1e12,0,0,0,0,0"] {
+            assert!(parse_pose(text).is_err(), "`{text}` was taken for a pose");
+        }
+    }
+
+    #[test]
+    fn a_tolerance_lies_between_zero_and_one() {
+        assert_eq!(parse_tolerance("1e-6"), Ok(1e-6));
+        for text in ["0", "1", "-1e-3", "nan", "tight"] {
+            assert!(parse_tolerance(text).is_err(), "`{text}` was taken for a tolerance");
+        }
+    }
+}

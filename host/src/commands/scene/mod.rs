@@ -1,0 +1,35 @@
+//! `slitpose scene`: everything about scenes that needs no device.
+
+mod check;
+mod list;
+mod plot;
+mod show;
+
+use clap::Subcommand;
+
+use super::{CommandError, Outcome};
+
+/// Checks, draws, lists and shows scenes.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    Check(check::Args),
+    /// Lists the scenes that come with the program
+    List,
+    Plot(plot::Args),
+    Show(show::Args),
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    match &args.verb {
+        Verb::Check(args) => check::run(args),
+        Verb::List => list::run(),
+        Verb::Plot(args) => plot::run(args),
+        Verb::Show(args) => show::run(args),
+    }
+}

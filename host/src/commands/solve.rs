@@ -1,0 +1,64 @@
+//! `slitpose solve`: currents of all cells in, poses out.
+
+use std::path::PathBuf;
+
+use slitpose_model::{Pair, Photocurrents, Solver};
+
+use super::options::TierOptions;
+use super::{CommandError, Outcome};
+use crate::scene_file::SceneFile;
+use crate::table::{CurrentColumns, Output, SOLUTION_COLUMNS, SolutionRow, TableReader, TableWriter};
+
+/// A measured current is worth no more digits.
+const DEFAULT_TOLERANCE: f64 = 1e-6;
+
+/// Finds the pose behind each row of currents, each from a cold start.
+///
+/// Columns in: id, and for each cell k i_x1_k_a and i_x2_k_a, all taken at one instant, dark current
+/// included. Columns out: status, pose, standard deviations, condition number, chi2, iterations,
+/// cells_used, and free_directions, which names what an unobservable pose leaves open. A row without
+/// a pose keeps its place, with a status.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  slitpose model wide --poses poses.csv | slitpose solve wide --currents -")]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene
+    scene: String,
+    /// Table of currents; - is standard input
+    #[arg(long, value_name = "CSV")]
+    currents: String,
+    #[command(flatten)]
+    tier: TierOptions,
+    /// Write to this file instead of standard output
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let scene = SceneFile::open(&args.scene)?.scene;
+    let solver = Solver::<f64>::new(&scene, args.tier.tier(DEFAULT_TOLERANCE))?;
+    let half_dark: Vec<f64> = scene.cells.iter().map(|cell| 0.5 * cell.detector.dark_current_a).collect();
+    let mut currents = TableReader::open(&args.currents)?;
+    let id = currents.column("id")?;
+    let columns = CurrentColumns::find(&currents, half_dark.len())?;
+    let header = std::iter::once("id").chain(SOLUTION_COLUMNS);
+    let mut table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
+    while let Some(row) = currents.next_row()? {
+        let mut pairs = Vec::with_capacity(half_dark.len());
+        for (cell, half_dark) in half_dark.iter().enumerate() {
+            let pair = columns.pair(&row, cell)?;
+            pairs.push(Pair { i_x1_a: pair.i_x1_a - half_dark, i_x2_a: pair.i_x2_a - half_dark });
+        }
+        let solution = SolutionRow::of(&solver.solve(&Photocurrents::of_pairs(pairs)));
+        table.text(row.text(id))?;
+        table.text(solution.status)?;
+        for number in solution.numbers {
+            table.optional(number)?;
+        }
+        table.text(&solution.iterations.to_string())?;
+        table.text(&solution.cells_used.to_string())?;
+        table.text(&solution.free_directions)?;
+        table.end_row()?;
+    }
+    table.finish()?;
+    Ok(Outcome::Done)
+}

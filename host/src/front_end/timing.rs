@@ -1,0 +1,119 @@
+//! From a scene's lighting and electronics to the schedule a board runs.
+
+use slitpose_protocol::{Configuration, EmitterSet, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError};
+use thiserror::Error;
+
+use crate::scene_file::SceneFile;
+
+/// Timer clock of the board: the STM32G474's 170 MHz.
+pub const TICK_HZ: u32 = 170_000_000;
+
+/// Why a scene cannot be run by a board.
+#[derive(Debug, Error)]
+pub enum TimingError {
+    /// No electronics.
+    #[error("scene `{scene}` has no [front_end], so no board can sample it; add one, or use the shipped scene `wide`")]
+    NoFrontEnd {
+        /// The scene.
+        scene: String,
+    },
+    /// More conversions than a word holds.
+    #[error(
+        "scene `{scene}` sums {oversampling} conversions, a word on the wire holds {MAX_OVERSAMPLING}; \
+         lower front_end.oversampling"
+    )]
+    Oversampling {
+        /// The scene.
+        scene: String,
+        /// Conversions asked for.
+        oversampling: u32,
+    },
+    /// A duration that is no number of ticks.
+    #[error("scene `{scene}`: front_end.{key} = {value} is not a duration a timer of {TICK_HZ} Hz can count")]
+    Ticks {
+        /// The scene.
+        scene: String,
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A schedule that no board can run.
+    #[error("scene `{scene}`: the schedule cannot be run; change [lighting] or [front_end]")]
+    Schedule {
+        /// The scene.
+        scene: String,
+        /// What disagrees.
+        source: ScheduleError,
+    },
+}
+
+/// The configuration that `file` asks of a board: its lighting slots, each just long enough for
+/// settling and conversions, at nominal emitter levels.
+///
+/// # Errors
+/// If the scene has no front end, or one whose schedule does not fit its frame period.
+pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
+    let scene = || file.name.clone();
+    let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd { scene: scene() })?;
+    let oversampling = u16::try_from(front_end.oversampling)
+        .ok()
+        .filter(|&oversampling| oversampling <= MAX_OVERSAMPLING)
+        .ok_or_else(|| TimingError::Oversampling { scene: scene(), oversampling: front_end.oversampling })?;
+    let ticks = |key, value: f64, seconds: f64| {
+        let ticks = (seconds * f64::from(TICK_HZ)).round();
+        if ticks <= f64::from(u32::MAX) {
+            Ok(ticks as u32)
+        } else {
+            Err(TimingError::Ticks { scene: scene(), key, value })
+        }
+    };
+    let settling_ticks = ticks("settling_s", front_end.settling_s, front_end.settling_s)?;
+    let conversion_ticks = ticks("conversion_s", front_end.conversion_s, front_end.conversion_s)?.max(1);
+    let frame_ticks = ticks("frame_rate_hz", front_end.frame_rate_hz, front_end.frame_period_s())?;
+    let cells = file.scene.cells.len();
+    let conversions = cells as u32 * u32::from(oversampling);
+    let slot_ticks = conversions.saturating_mul(conversion_ticks).saturating_add(settling_ticks);
+    let schedule = Schedule {
+        tick_hz: TICK_HZ,
+        frame_ticks,
+        slots: file.lighting.slots.iter().map(|slot| EmitterSet::of(slot)).collect(),
+        slot_ticks,
+        settling_ticks,
+        conversion_ticks,
+        oversampling,
+        cells: cells as u8,
+    };
+    schedule.validate().map_err(|source| TimingError::Schedule { scene: scene(), source })?;
+    Ok(Configuration { schedule, levels: [Level::NOMINAL; MAX_CELLS].into_iter().take(cells).collect() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene_file::Shipped;
+
+    fn wide() -> SceneFile {
+        Shipped::named("wide").expect("shipped").read().expect("valid")
+    }
+
+    #[test]
+    fn the_default_scene_runs_at_4_khz_with_a_third_of_the_frame_idle() {
+        let Configuration { schedule, levels } = configuration(&wide()).unwrap();
+        assert_eq!(schedule.frame_rate_hz(), 4000.0);
+        assert_eq!((schedule.slots.len(), levels.len(), schedule.words_per_scan()), (4, 6, 24));
+        let busy = 4.0 * f64::from(schedule.slot_ticks) / f64::from(schedule.frame_ticks);
+        assert!((0.5..0.67).contains(&busy), "{busy}");
+    }
+
+    #[test]
+    fn what_does_not_fit_says_so() {
+        let mut file = wide();
+        file.front_end.as_mut().unwrap().frame_rate_hz = 8000.0;
+        assert!(matches!(configuration(&file), Err(TimingError::Schedule { .. })));
+        file.front_end.as_mut().unwrap().oversampling = 32;
+        assert!(configuration(&file).unwrap_err().to_string().contains("32"));
+        file.front_end = None;
+        assert!(configuration(&file).unwrap_err().to_string().contains("[front_end]"));
+    }
+}

@@ -1,0 +1,31 @@
+//! The host's side of a slit-and-detector tracker: scenes, tables, pictures and commands around
+//! the optics of [`slitpose_model`].
+//!
+//! * [`scene_file`] reads what describes a sensor head;
+//! * [`front_end`] stands between counts and currents;
+//! * [`identification`] finds an emitter's profile from currents;
+//! * [`paper`] calculates the source paper's experiments;
+//! * [`pipeline`] turns bytes into poses;
+//! * [`plot`] draws;
+//! * [`simulator`] is a board made of arithmetic;
+//! * [`sink`] is where poses go;
+//! * [`survey`] tells what a scene can do;
+//! * [`table`] reads and writes CSV, and is where results go;
+//! * [`commands`] has one file for each verb of the `slitpose` command.
+//!
+//! Inside, everything is SI. Millimetres and degrees appear in scene files, on the command line
+//! and in pictures, with the unit in the name.
+
+#![forbid(unsafe_code)]
+
+pub mod commands;
+pub mod front_end;
+pub mod identification;
+pub mod paper;
+pub mod pipeline;
+pub mod plot;
+pub mod scene_file;
+pub mod simulator;
+pub mod sink;
+pub mod survey;
+pub mod table;

@@ -1,0 +1,22 @@
+//! The `slitpose` command.
+
+#![forbid(unsafe_code)]
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::Parser;
+use slitpose::commands::{Cli, run};
+
+fn main() -> ExitCode {
+    match run(Cli::parse()) {
+        Ok(outcome) => outcome.into(),
+        Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
+        Err(error) => {
+            let error = anyhow::Error::new(error);
+            // Nobody is left to tell if even standard error is closed.
+            let _ = writeln!(std::io::stderr(), "slitpose: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

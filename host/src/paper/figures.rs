@@ -1,0 +1,172 @@
+//! The calculated curves in the manner of the paper's figures 7 and 15 to 17.
+
+use glam::dvec2;
+use slitpose_model::{Cell, Profile};
+
+use crate::plot::{Axis, Canvas, Chart, Colour, Curve, CurveStyle, TextStyle, cell_colour};
+
+use super::{Point, Study};
+
+const WIDTH: f64 = 760.0;
+const LEFT: f64 = 92.0;
+const RIGHT: f64 = 24.0;
+const UPPER: f64 = 330.0;
+const LOWER: f64 = 120.0;
+
+const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
+const NO_MEASUREMENT: &str = "Calculated points only: the paper's measured ones were published without numbers.";
+const SIMULATED: &str = "All currents are simulated: the paper's measured ones were published without numbers.";
+
+/// Every figure, as a file name and an SVG text.
+pub fn figures(study: &Study, cell: &Cell) -> Vec<(&'static str, String)> {
+    vec![
+        ("figure_15.svg", spot_position(study)),
+        ("figure_16.svg", photocurrent(study)),
+        ("figure_17.svg", photocurrent_with_profile(study)),
+        ("identified_profile.svg", profile(study, cell)),
+    ]
+}
+
+fn spot_position(study: &Study) -> String {
+    let x_a = |response: &slitpose_model::Response<f64>| response.x_a_m.map(|x_a_m| x_a_m * 1e3);
+    let paper = points(&study.translation, |point| x_a(&point.paper));
+    let exact = points(&study.translation, |point| x_a(&point.exact));
+    let difference = points(&study.translation, |point| Some(1e3 * (x_a(&point.exact)? - x_a(&point.paper)?)));
+    Figure {
+        title: "Light spot position, experiment 1 (the paper's figure 15)",
+        note: NO_MEASUREMENT,
+        x: POSITION,
+        y: "$X_A$ / mm",
+        curves: vec![
+            curve("geometric centre of the spot (paper tier)", 0, CurveStyle::Line, paper),
+            curve("power-weighted centroid (exact tier)", 1, CurveStyle::Rings, exact),
+        ],
+        from_zero: false,
+        lower_label: "exact tier − paper tier",
+        lower_y: "difference / µm",
+        lower: difference,
+    }
+    .draw()
+}
+
+fn photocurrent(study: &Study) -> String {
+    let paper = points(&study.translation, |point| Some(point.paper.i_o_a * 1e6));
+    let exact = points(&study.translation, |point| Some(point.exact.i_o_a * 1e6));
+    let difference = points(&study.translation, |point| Some(100.0 * (point.exact.i_o_a / point.paper.i_o_a - 1.0)));
+    Figure {
+        title: "Photocurrent, experiment 1 (the paper's figure 16)",
+        note: NO_MEASUREMENT,
+        x: POSITION,
+        y: "$I_O$ / µA",
+        curves: vec![
+            curve("equation (5), one $γ$ for the whole beam (paper tier)", 0, CurveStyle::Line, paper),
+            curve("integrated over the spot (exact tier)", 1, CurveStyle::Rings, exact),
+        ],
+        from_zero: true,
+        lower_label: "exact tier, relative to paper tier",
+        lower_y: "difference / %",
+        lower: difference,
+    }
+    .draw()
+}
+
+fn photocurrent_with_profile(study: &Study) -> String {
+    let both = || study.translation.iter().zip(&study.with_identified);
+    let refit = both().map(|(point, refit)| [point.amount, refit.i_o_a * 1e6]).collect();
+    let exact = points(&study.translation, |point| Some(point.exact.i_o_a * 1e6));
+    let difference =
+        both().map(|(point, refit)| [point.amount, 100.0 * (refit.i_o_a / point.exact.i_o_a - 1.0)]).collect();
+    Figure {
+        title: "Photocurrent, experiment 1, identified profile (the paper's figure 17)",
+        note: SIMULATED,
+        x: POSITION,
+        y: "$I_O$ / µA",
+        curves: vec![
+            curve("equation (5) with the profile identified by equation (6)", 2, CurveStyle::Line, refit),
+            curve("simulated (exact tier)", 1, CurveStyle::Rings, exact),
+        ],
+        from_zero: true,
+        lower_label: "calculated, relative to simulated",
+        lower_y: "difference / %",
+        lower: difference,
+    }
+    .draw()
+}
+
+fn profile(study: &Study, cell: &Cell) -> String {
+    let given = |gamma_deg: f64| match &cell.emitter.profile {
+        Profile::Cosine { exponent } => Some(gamma_deg.to_radians().cos().max(0.0).powf(*exponent)),
+        Profile::Table(_) => None,
+    };
+    let angles = || study.rotation.iter().zip(&study.identified);
+    let identified = angles().map(|(point, found)| [point.amount, found.relative_intensity]).collect();
+    let cosine = points(&study.rotation, |point| given(point.amount));
+    let relative = |(point, found): (&Point, &crate::identification::Identified)| {
+        Some(100.0 * (found.relative_intensity / given(point.amount)? - 1.0))
+    };
+    let difference = angles().filter_map(|pair| Some([pair.0.amount, relative(pair)?])).collect();
+    Figure {
+        title: "Relative radiant intensity from experiment 2, by equation (6)",
+        note: SIMULATED,
+        x: "emitter angle / °",
+        y: "$I_{rel}$",
+        curves: vec![
+            curve("the scene's profile, half intensity at 55°", 0, CurveStyle::Line, cosine),
+            curve("identified from simulated currents (exact tier)", 1, CurveStyle::Rings, identified),
+        ],
+        from_zero: true,
+        lower_label: "identified, relative to the scene's",
+        lower_y: "difference / %",
+        lower: difference,
+    }
+    .draw()
+}
+
+fn points(points: &[Point], value: impl Fn(&Point) -> Option<f64>) -> Vec<[f64; 2]> {
+    points.iter().filter_map(|point| Some([point.amount, value(point)?])).collect()
+}
+
+fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
+    let colour: Colour = cell_colour(colour);
+    Curve { label: label.to_owned(), colour, style, points }
+}
+
+/// Curves above, their difference below, over the same horizontal axis.
+struct Figure<'a> {
+    title: &'a str,
+    note: &'a str,
+    x: &'a str,
+    y: &'a str,
+    curves: Vec<Curve>,
+    from_zero: bool,
+    lower_label: &'a str,
+    lower_y: &'a str,
+    lower: Vec<[f64; 2]>,
+}
+
+impl Figure<'_> {
+    fn draw(self) -> String {
+        let all = || self.curves.iter().flat_map(|curve| &curve.points);
+        let x = |label: &str| Axis::around(label, all().map(|point| point[0]));
+        let y = Axis::around(self.y, all().map(|point| point[1]));
+        let lower = Chart {
+            x: x(self.x),
+            y: Axis::around(self.lower_y, self.lower.iter().map(|point| point[1]).chain([0.0])),
+            curves: vec![Curve {
+                label: self.lower_label.to_owned(),
+                colour: cell_colour(6),
+                style: CurveStyle::Markers,
+                points: self.lower,
+            }],
+        };
+        let upper = Chart { x: x(""), y: if self.from_zero { y.from_zero() } else { y }, curves: self.curves };
+        let top = 64.0 + upper.legend_height();
+        let lower_top = top + UPPER + 30.0 + lower.legend_height();
+        let mut canvas = Canvas::new(WIDTH, lower_top + LOWER + 56.0, self.title);
+        canvas.text(dvec2(20.0, 30.0), self.title, TextStyle::new(16.0).bold());
+        canvas.text(dvec2(20.0, 50.0), self.note, TextStyle::new(12.0));
+        upper.draw(&mut canvas, dvec2(LEFT, top), dvec2(WIDTH - RIGHT, top + UPPER));
+        lower.draw(&mut canvas, dvec2(LEFT, lower_top), dvec2(WIDTH - RIGHT, lower_top + LOWER));
+        canvas.into_svg()
+    }
+}

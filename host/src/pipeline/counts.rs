@@ -1,0 +1,87 @@
+//! What came through the pipeline and what did not.
+
+use slitpose_model::Outcome;
+use slitpose_protocol::{DecoderCounters, Status};
+
+/// Counters since the pipeline was made.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    /// Scans that arrived.
+    pub scans: u64,
+    /// Scans missing in the board's numbering, wherever they were lost.
+    pub scans_lost: u64,
+    /// Times the numbering began anew: the board restarted.
+    pub restarts: u64,
+    /// Scans by outcome: converged, degraded, ambiguous, unobservable, too dark, diverged.
+    pub outcomes: [u64; 6],
+    /// Batches that no hello explains.
+    pub batches_without_hello: u64,
+    /// Batches that do not fit their schedule.
+    pub batches_unreadable: u64,
+    /// The decoder's counters.
+    pub decoder: DecoderCounters,
+    /// Bytes of a packet that has not ended.
+    pub pending_bytes: u64,
+    /// The board's latest own account.
+    pub board_status: Option<Status>,
+    next_sequence: Option<u64>,
+}
+
+/// The words for [`Counts::outcomes`].
+pub const OUTCOMES: [&str; 6] = ["converged", "degraded", "ambiguous", "unobservable", "too_dark", "diverged"];
+
+impl Counts {
+    pub(super) fn count_scan(&mut self, sequence: u64) {
+        self.scans += 1;
+        match self.next_sequence {
+            Some(expected) if sequence >= expected => self.scans_lost += sequence - expected,
+            Some(_) => self.restarts += 1,
+            None => {}
+        }
+        self.next_sequence = Some(sequence.wrapping_add(1));
+    }
+
+    pub(super) fn count_outcome(&mut self, outcome: &Outcome) {
+        let index = match outcome {
+            Outcome::Converged => 0,
+            Outcome::Degraded(_) => 1,
+            Outcome::Ambiguous => 2,
+            Outcome::Unobservable(_) => 3,
+            Outcome::TooDark => 4,
+            Outcome::Diverged => 5,
+        };
+        self.outcomes[index] += 1;
+    }
+
+    /// Scans that gave a pose.
+    pub fn poses(&self) -> u64 {
+        self.outcomes[0] + self.outcomes[1]
+    }
+
+    /// Whether data were damaged or lost anywhere on the way, a cut-off end included.
+    pub fn has_loss(&self) -> bool {
+        self.pending_bytes > 0 || self.has_loss_before_end()
+    }
+
+    /// Whether data were damaged or lost before the end.
+    pub fn has_loss_before_end(&self) -> bool {
+        self.scans_lost > 0
+            || self.batches_without_hello > 0
+            || self.batches_unreadable > 0
+            || self.decoder.bytes_skipped > 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_counted_and_restarts_are_no_gaps() {
+        let mut counts = Counts::default();
+        for sequence in [7, 8, 11, 12, 0, 1] {
+            counts.count_scan(sequence);
+        }
+        assert_eq!((counts.scans, counts.scans_lost, counts.restarts), (6, 2, 1));
+    }
+}

@@ -1,0 +1,67 @@
+//! Why a board cannot be used.
+
+use slitpose_model::SceneError;
+use slitpose_protocol::schema::SchemaMismatch;
+use slitpose_protocol::{ScalingError, ScheduleError};
+use thiserror::Error;
+
+/// Why the pipeline cannot go on.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    /// Board and host lay messages out differently.
+    #[error("board `{board}` and this program disagree on the protocol; update whichever is older")]
+    Schema {
+        /// The board.
+        board: String,
+        /// Which message.
+        source: SchemaMismatch,
+    },
+    /// The schedule in the hello contradicts itself.
+    #[error("board `{board}` announces a schedule that contradicts itself; update its firmware")]
+    Schedule {
+        /// The board.
+        board: String,
+        /// What disagrees.
+        source: ScheduleError,
+    },
+    /// The scaling in the hello cannot be used.
+    #[error("board `{board}` announces an ADC scaling that cannot be used; update its firmware")]
+    Scaling {
+        /// The board.
+        board: String,
+        /// What is wrong.
+        source: ScalingError,
+    },
+    /// Another number of cells.
+    #[error(
+        "board `{board}` samples {board_cells} cells, scene `{scene}` has {scene_cells}; give the scene of this head"
+    )]
+    Cells {
+        /// The board.
+        board: String,
+        /// Its cells.
+        board_cells: usize,
+        /// The scene.
+        scene: String,
+        /// Its cells.
+        scene_cells: usize,
+    },
+    /// The board belongs to another scene.
+    #[error(
+        "board `{board}` belongs to the scene with hash {board_hash:016x}, but `{scene}` has {scene_hash:016x}; \
+         give the scene it belongs to with --scene"
+    )]
+    SceneHash {
+        /// The board.
+        board: String,
+        /// Hash of the scene stored on it.
+        board_hash: u64,
+        /// The scene in use.
+        scene: String,
+        /// Its hash.
+        scene_hash: u64,
+    },
+    /// The scene cannot be compiled.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}

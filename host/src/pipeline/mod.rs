@@ -1,0 +1,223 @@
+//! The way of the data: bytes → packets → scans → photocurrents → poses.
+//!
+//! One pipeline serves boards, simulated boards and captures; they differ only in who supplies the
+//! bytes. It does no input and no output: bytes are pushed in, [`Item`]s come out in order. After
+//! the first hello nothing is allocated per scan.
+
+mod counts;
+mod error;
+mod session;
+
+use std::collections::VecDeque;
+
+use glam::{DQuat, DVec3};
+use slitpose_model::{Pose, Solution, Tier};
+use slitpose_protocol::{Batch, BoardKind, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth};
+
+pub use counts::{Counts, OUTCOMES};
+pub use error::PipelineError;
+
+use crate::scene_file::SceneFile;
+use session::Session;
+
+/// True poses that may wait for their scans: more than a board queues.
+const MAX_TRUTHS: usize = 1024;
+
+/// The pose of one scan.
+#[derive(Clone, Copy, Debug)]
+pub struct Record {
+    /// Number of the scan, counted by the board.
+    pub sequence: u64,
+    /// The instant the pose refers to, by the board's clock, seconds.
+    pub device_time_s: f64,
+    /// What the solver says.
+    pub solution: Solution,
+    /// Whether the photocurrents were computed, not measured.
+    pub simulated: bool,
+    /// Where the tool was at that instant; only simulators know.
+    pub truth: Option<Pose>,
+}
+
+/// What comes out of the pipeline.
+#[derive(Debug)]
+pub enum Item<'a> {
+    /// A board introduced itself.
+    Hello(&'a Hello<'a>),
+    /// A pose, or why there is none.
+    Pose(&'a Record),
+    /// The board's own counters.
+    Status(&'a Status),
+    /// Something happened on the board.
+    Event {
+        /// How bad it is.
+        severity: Severity,
+        /// By the board's clock, seconds.
+        device_time_s: f64,
+        /// What.
+        text: &'a str,
+    },
+    /// The board answered a command.
+    Reply(&'a slitpose_protocol::Reply),
+}
+
+/// How the pipeline treats a board whose stored scene differs from the one in use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SceneMatch {
+    /// A different hash is an error.
+    Required,
+    /// The user chose this scene knowingly.
+    Waived,
+}
+
+/// Turns bytes into poses.
+#[derive(Debug)]
+pub struct Pipeline {
+    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    flow: Flow,
+}
+
+/// Everything behind the decoder.
+#[derive(Debug)]
+struct Flow {
+    file: SceneFile,
+    tier: Tier,
+    scene_match: SceneMatch,
+    session: Option<Session>,
+    truths: VecDeque<Truth>,
+    counts: Counts,
+}
+
+impl Pipeline {
+    /// For boards with the head of `file`, solved in `tier`.
+    pub fn new(file: SceneFile, tier: Tier, scene_match: SceneMatch) -> Self {
+        Self {
+            decoder: Decoder::new(),
+            flow: Flow {
+                file,
+                tier,
+                scene_match,
+                session: None,
+                truths: VecDeque::with_capacity(MAX_TRUTHS),
+                counts: Counts::default(),
+            },
+        }
+    }
+
+    /// Takes `bytes`, cut anywhere, and hands on what they complete.
+    ///
+    /// # Errors
+    /// If the board cannot be used with this scene, or `sink` fails. Damaged bytes are no error:
+    /// they are counted and passed over.
+    pub fn push<E: From<PipelineError>>(
+        &mut self,
+        mut bytes: &[u8],
+        mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        while let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) {
+            // Damage is counted by the decoder.
+            if let Ok(message) = result {
+                self.flow.take(&message, &mut sink)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What has come through so far.
+    pub fn counts(&self) -> Counts {
+        let mut counts = self.flow.counts;
+        counts.decoder = self.decoder.counters();
+        counts.pending_bytes = self.decoder.pending_bytes();
+        counts
+    }
+}
+
+impl Flow {
+    fn take<E: From<PipelineError>>(
+        &mut self,
+        message: &Message<'_>,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        match message {
+            Message::Hello(hello) => {
+                self.greet(hello)?;
+                sink(Item::Hello(hello))
+            }
+            Message::Batch(batch) => self.solve(batch, sink),
+            Message::Status(status) => {
+                self.counts.board_status = Some(*status);
+                sink(Item::Status(status))
+            }
+            Message::Event(event) => {
+                let tick_hz = self.session.as_ref().map_or(f64::NAN, Session::tick_hz);
+                sink(Item::Event {
+                    severity: event.severity,
+                    device_time_s: event.tick as f64 / tick_hz,
+                    text: event.text,
+                })
+            }
+            Message::Reply(reply) => sink(Item::Reply(reply)),
+            Message::Pong(_) => Ok(()),
+            Message::Truth(truth) => {
+                if self.truths.len() == MAX_TRUTHS {
+                    self.truths.pop_front();
+                }
+                self.truths.push_back(*truth);
+                Ok(())
+            }
+        }
+    }
+
+    fn greet(&mut self, hello: &Hello<'_>) -> Result<(), PipelineError> {
+        if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
+            return Ok(());
+        }
+        self.session = Some(Session::open(&self.file, self.tier, self.scene_match, hello)?);
+        Ok(())
+    }
+
+    fn solve<E: From<PipelineError>>(
+        &mut self,
+        batch: &Batch<'_>,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let Some(session) = self.session.as_mut().filter(|session| session.configuration() == batch.configuration)
+        else {
+            self.counts.batches_without_hello += 1;
+            return Ok(());
+        };
+        let Ok(scans) = batch.scans(session.schedule()) else {
+            self.counts.batches_unreadable += 1;
+            return Ok(());
+        };
+        for scan in scans {
+            self.counts.count_scan(scan.sequence);
+            let (device_time_s, solution) = session.solve(&scan);
+            self.counts.count_outcome(&solution.outcome);
+            let record = Record {
+                sequence: scan.sequence,
+                device_time_s,
+                solution,
+                simulated: session.kind() == BoardKind::Simulated,
+                truth: truth_of(&mut self.truths, scan.sequence),
+            };
+            sink(Item::Pose(&record))?;
+        }
+        Ok(())
+    }
+}
+
+/// The truth sent for a scan; older ones are dropped.
+fn truth_of(truths: &mut VecDeque<Truth>, sequence: u64) -> Option<Pose> {
+    while truths.front().is_some_and(|truth| truth.sequence < sequence) {
+        truths.pop_front();
+    }
+    if truths.front()?.sequence != sequence {
+        return None;
+    }
+    let truth = truths.pop_front()?;
+    let pose = Pose {
+        rotation: DQuat::from_array(truth.rotation_xyzw),
+        translation_m: DVec3::from_array(truth.translation_m),
+    };
+    pose.is_finite().then_some(pose)
+}

@@ -1,0 +1,91 @@
+//! One board under one configuration: from a scan to a solution.
+
+use slitpose_model::{Solution, Solver, Tier, Tracker};
+use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
+
+use super::{PipelineError, SceneMatch};
+use crate::front_end::Stage;
+use crate::scene_file::SceneFile;
+
+/// What a hello opens.
+#[derive(Debug)]
+pub(super) struct Session {
+    device_id: [u8; 12],
+    kind: BoardKind,
+    configuration: u16,
+    schedule: Schedule,
+    scaling: AdcScaling,
+    reference_ticks: f64,
+    stage: Stage,
+    tracker: Tracker<f64>,
+}
+
+impl Session {
+    /// Checks `hello` against the scene and prepares everything that does not change per scan.
+    pub(super) fn open(
+        file: &SceneFile,
+        tier: Tier,
+        scene_match: SceneMatch,
+        hello: &Hello<'_>,
+    ) -> Result<Self, PipelineError> {
+        let board = || hello.board.to_owned();
+        hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), source })?;
+        hello.schedule.validate().map_err(|source| PipelineError::Schedule { board: board(), source })?;
+        hello.scaling.validate().map_err(|source| PipelineError::Scaling { board: board(), source })?;
+        let board_cells = usize::from(hello.schedule.cells);
+        let scene_cells = file.scene.cells.len();
+        if board_cells != scene_cells {
+            return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
+        }
+        if let Some(board_hash) = hello.scene_hash
+            && board_hash != file.hash
+            && scene_match == SceneMatch::Required
+        {
+            let (scene, scene_hash) = (file.name.clone(), file.hash);
+            return Err(PipelineError::SceneHash { board: board(), board_hash, scene, scene_hash });
+        }
+        let stage = Stage::new(file, &hello.schedule, &hello.scaling);
+        let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
+        let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
+        Ok(Self {
+            device_id: hello.device_id,
+            kind: hello.kind,
+            configuration: hello.configuration,
+            reference_ticks: hello.schedule.reference_ticks(),
+            tracker: Tracker::new(solver, hello.schedule.frame_rate_hz().recip()),
+            stage,
+            schedule: hello.schedule.clone(),
+            scaling: hello.scaling,
+        })
+    }
+
+    /// Whether `hello` says what opened this session, so that it can go on.
+    pub(super) fn is_of(&self, hello: &Hello<'_>) -> bool {
+        self.device_id == hello.device_id
+            && self.configuration == hello.configuration
+            && self.schedule == hello.schedule
+            && self.scaling == hello.scaling
+    }
+
+    pub(super) fn configuration(&self) -> u16 {
+        self.configuration
+    }
+
+    pub(super) fn kind(&self) -> BoardKind {
+        self.kind
+    }
+
+    pub(super) fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    pub(super) fn tick_hz(&self) -> f64 {
+        f64::from(self.schedule.tick_hz)
+    }
+
+    /// The instant (device seconds) and the solution of a scan.
+    pub(super) fn solve(&mut self, scan: &RawScan) -> (f64, Solution) {
+        let device_time_s = (scan.tick as f64 + self.reference_ticks) / self.tick_hz();
+        (device_time_s, self.tracker.track(scan.sequence, &self.stage.photocurrents(scan)))
+    }
+}

@@ -1,0 +1,281 @@
+//! A sheet to draw on: lines, areas and labels to SVG.
+
+use glam::{DVec2, dvec2};
+use quick_xml::Writer;
+use quick_xml::events::{BytesEnd, BytesStart, BytesText, Event};
+
+use super::label;
+use super::palette::{Colour, INK, WHITE};
+
+const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif";
+
+/// Size and drop of a subscript, as shares of the letter size.
+const SUBSCRIPT_SIZE: f64 = 0.72;
+const SUBSCRIPT_DROP: f64 = 0.22;
+
+/// How a line is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stroke {
+    /// Colour.
+    pub colour: Colour,
+    /// Width in pixels.
+    pub width: f64,
+    /// Lengths of dash and gap in pixels; `None`: solid.
+    pub dash: Option<[f64; 2]>,
+}
+
+impl Stroke {
+    /// A solid line.
+    pub const fn new(colour: Colour, width: f64) -> Self {
+        Self { colour, width, dash: None }
+    }
+
+    /// The same line, dashed.
+    pub const fn dashed(self, dash: f64, gap: f64) -> Self {
+        Self { dash: Some([dash, gap]), ..self }
+    }
+}
+
+/// Which point of a label its position means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Anchor {
+    /// The beginning.
+    Start,
+    /// The middle.
+    Middle,
+    /// The end.
+    End,
+}
+
+/// How a label is set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextStyle {
+    /// Letter size in pixels.
+    pub size: f64,
+    /// Colour.
+    pub colour: Colour,
+    /// Alignment.
+    pub anchor: Anchor,
+    /// Bold letters.
+    pub bold: bool,
+    /// Written upwards instead of to the right.
+    pub upwards: bool,
+}
+
+impl TextStyle {
+    /// Ordinary text of a size.
+    pub const fn new(size: f64) -> Self {
+        Self { size, colour: INK, anchor: Anchor::Start, bold: false, upwards: false }
+    }
+
+    /// The same, aligned otherwise.
+    pub const fn anchored(self, anchor: Anchor) -> Self {
+        Self { anchor, ..self }
+    }
+
+    /// The same in another colour.
+    pub const fn coloured(self, colour: Colour) -> Self {
+        Self { colour, ..self }
+    }
+
+    /// The same in bold.
+    pub const fn bold(self) -> Self {
+        Self { bold: true, ..self }
+    }
+}
+
+/// A picture in the making.
+pub struct Canvas {
+    writer: Writer<Vec<u8>>,
+    size: DVec2,
+}
+
+impl Canvas {
+    /// An empty white sheet; `title` is what screen readers say.
+    pub fn new(width: f64, height: f64, title: &str) -> Self {
+        let mut canvas = Self { writer: Writer::new(Vec::new()), size: dvec2(width, height) };
+        let mut svg = BytesStart::new("svg");
+        svg.push_attribute(("xmlns", "http://www.w3.org/2000/svg"));
+        svg.push_attribute(("width", number(width).as_str()));
+        svg.push_attribute(("height", number(height).as_str()));
+        svg.push_attribute(("viewBox", format!("0 0 {} {}", number(width), number(height)).as_str()));
+        svg.push_attribute(("font-family", FONT));
+        canvas.event(Event::Start(svg));
+        canvas.event(Event::Start(BytesStart::new("title")));
+        canvas.event(Event::Text(BytesText::new(&printable(title))));
+        canvas.event(Event::End(BytesEnd::new("title")));
+        canvas.end_line();
+        canvas.area(&[dvec2(0.0, 0.0), dvec2(width, 0.0), dvec2(width, height), dvec2(0.0, height)], WHITE, 1.0);
+        canvas
+    }
+
+    /// Width and height in pixels.
+    pub fn size(&self) -> DVec2 {
+        self.size
+    }
+
+    /// A straight line.
+    pub fn line(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
+        self.path(&[from, to], stroke);
+    }
+
+    /// A line through points.
+    pub fn path(&mut self, points: &[DVec2], stroke: Stroke) {
+        let mut attributes = vec![("points", joined(points)), ("fill", "none".to_owned())];
+        attributes.extend(stroke_attributes(stroke));
+        self.element("polyline", &attributes);
+    }
+
+    /// A filled area; `opacity` from 0 to 1.
+    pub fn area(&mut self, corners: &[DVec2], fill: Colour, opacity: f64) {
+        let attributes = [("points", joined(corners)), ("fill", fill.to_owned()), ("fill-opacity", number(opacity))];
+        self.element("polygon", &attributes);
+    }
+
+    /// The outline of an area.
+    pub fn outline(&mut self, corners: &[DVec2], stroke: Stroke) {
+        let mut attributes = vec![("points", joined(corners)), ("fill", "none".to_owned())];
+        attributes.extend(stroke_attributes(stroke));
+        self.element("polygon", &attributes);
+    }
+
+    /// A disc, with a rim.
+    pub fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
+        let mut attributes =
+            vec![("cx", number(centre.x)), ("cy", number(centre.y)), ("r", number(radius)), ("fill", fill.to_owned())];
+        attributes.extend(stroke_attributes(rim));
+        self.element("circle", &attributes);
+    }
+
+    /// A line with an arrow head at `to`.
+    pub fn arrow(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
+        let direction = (to - from).normalize_or_zero();
+        let (length, half_width) = (3.2 * stroke.width + 3.0, 1.2 * stroke.width + 1.2);
+        let base = to - direction * length;
+        self.line(from, base, stroke);
+        let side = direction.perp() * half_width;
+        self.area(&[to, base + side, base - side], stroke.colour, 1.0);
+    }
+
+    /// A line with arrow heads at both ends: a dimension.
+    pub fn dimension(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
+        let middle = 0.5 * (from + to);
+        self.arrow(middle, from, stroke);
+        self.arrow(middle, to, stroke);
+    }
+
+    /// A label whose base line starts, is centred or ends at a point. Formulas stand between `$`.
+    pub fn text(&mut self, at: DVec2, label: &str, style: TextStyle) {
+        let mut text = BytesStart::new("text");
+        let place = match style.upwards {
+            false => format!("translate({} {})", number(at.x), number(at.y)),
+            true => format!("translate({} {}) rotate(-90)", number(at.x), number(at.y)),
+        };
+        text.push_attribute(("transform", place.as_str()));
+        text.push_attribute(("font-size", number(style.size).as_str()));
+        text.push_attribute(("fill", style.colour));
+        // Else viewers drop the blanks between runs.
+        text.push_attribute(("xml:space", "preserve"));
+        if style.bold {
+            text.push_attribute(("font-weight", "bold"));
+        }
+        match style.anchor {
+            Anchor::Start => {}
+            Anchor::Middle => text.push_attribute(("text-anchor", "middle")),
+            Anchor::End => text.push_attribute(("text-anchor", "end")),
+        }
+        self.event(Event::Start(text));
+        let mut lowered = false;
+        for run in label::runs(&printable(label)) {
+            let mut span = BytesStart::new("tspan");
+            if run.italic {
+                span.push_attribute(("font-style", "italic"));
+            }
+            if run.subscript {
+                span.push_attribute(("font-size", number(SUBSCRIPT_SIZE * style.size).as_str()));
+            }
+            if run.subscript != lowered {
+                let drop = SUBSCRIPT_DROP * style.size;
+                let shift = number(if run.subscript { drop } else { -drop });
+                span.push_attribute(("dy", shift.as_str()));
+                lowered = run.subscript;
+            }
+            self.event(Event::Start(span));
+            self.event(Event::Text(BytesText::new(&run.text)));
+            self.event(Event::End(BytesEnd::new("tspan")));
+        }
+        self.event(Event::End(BytesEnd::new("text")));
+        self.end_line();
+    }
+
+    /// The finished picture.
+    pub fn into_svg(mut self) -> String {
+        self.event(Event::End(BytesEnd::new("svg")));
+        let mut svg = String::from_utf8_lossy(&self.writer.into_inner()).into_owned();
+        svg.push('\n');
+        svg
+    }
+
+    fn element(&mut self, name: &str, attributes: &[(&str, String)]) {
+        let attributes = attributes.iter().map(|(key, value)| (*key, value.as_str()));
+        self.event(Event::Empty(BytesStart::new(name).with_attributes(attributes)));
+        self.end_line();
+    }
+
+    /// Between elements only: inside a label a line end would be a blank.
+    fn end_line(&mut self) {
+        self.event(Event::Text(BytesText::from_escaped("\n")));
+    }
+
+    fn event(&mut self, event: Event<'_>) {
+        // Writing to memory cannot fail.
+        let _ = self.writer.write_event(event);
+    }
+}
+
+/// Without the characters that XML 1.0 has no way to write.
+fn printable(text: &str) -> String {
+    text.chars().filter(|letter| !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}')).collect()
+}
+
+fn stroke_attributes(stroke: Stroke) -> Vec<(&'static str, String)> {
+    let mut attributes = vec![
+        ("stroke", stroke.colour.to_owned()),
+        ("stroke-width", number(stroke.width)),
+        ("stroke-linejoin", "round".to_owned()),
+    ];
+    if let Some([dash, gap]) = stroke.dash {
+        attributes.push(("stroke-dasharray", format!("{} {}", number(dash), number(gap))));
+    }
+    attributes
+}
+
+fn joined(points: &[DVec2]) -> String {
+    let points: Vec<_> = points.iter().map(|point| format!("{},{}", number(point.x), number(point.y))).collect();
+    points.join(" ")
+}
+
+/// To a hundredth of a pixel; more digits only make the file larger.
+fn number(value: f64) -> String {
+    format!("{}", (value * 100.0).round() / 100.0 + 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_label_is_escaped_and_its_runs_touch() {
+        let mut canvas = Canvas::new(100.0, 50.0, "a < b");
+        canvas.text(dvec2(1.0, 2.0), "$X_A$ & more", TextStyle::new(10.0));
+        let svg = canvas.into_svg();
+        assert!(svg.contains("<title>a &lt; b</title>"), "{svg}");
+        assert!(svg.contains(">X</tspan><tspan"), "runs are separated: {svg}");
+        assert!(svg.contains(" &amp; more</tspan>"), "{svg}");
+    }
+
+    #[test]
+    fn numbers_are_short_and_never_negative_zero() {
+        assert_eq!((number(1.23456), number(-0.001), number(2.0)), ("1.23".into(), "0".into(), "2".into()));
+    }
+}

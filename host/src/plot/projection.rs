@@ -1,0 +1,138 @@
+//! A sensor head in space, and the three ways to look at it.
+
+use glam::{DVec2, DVec3, dvec2, dvec3};
+use slitpose_model::{Cell, Plan, Pose, Scene, rotation_exp};
+
+/// How far the drawn mask reaches beyond detector and slit, millimetres. Scenes do not say how
+/// large their masks are.
+const MASK_MARGIN_MM: f64 = 1.0;
+
+/// Outlines of one cell in the base frame, millimetres.
+pub(super) struct CellShape {
+    pub(super) number: usize,
+    pub(super) detector: Vec<DVec3>,
+    pub(super) mask: Vec<DVec3>,
+    pub(super) slit: Vec<DVec3>,
+    pub(super) emitter: DVec3,
+    pub(super) emitter_axis: DVec3,
+    /// Corners of the light spot; empty without spot.
+    pub(super) spot: Vec<DVec3>,
+    /// Where the light's position X_A is on the detector's centre line.
+    pub(super) x_a: Option<DVec3>,
+}
+
+impl CellShape {
+    pub(super) fn of(number: usize, cell: &Cell, plan: &Plan<f64>, pose: &Pose) -> Self {
+        let (detector, slit, emitter) = (&cell.detector, &cell.slit, &cell.emitter);
+        let (x, z) = (detector.x_axis_base, detector.normal_base);
+        let y = z.cross(x);
+        let base_from_cell = |p: DVec3| (detector.centre_base_m + x * p.x + y * p.y + z * p.z) * 1e3;
+        let tilt = rotation_exp(slit.tilt_rad);
+        let slit_centre = slit.offset_m.extend(slit.distance_m);
+        let in_mask = |corner: DVec2| base_from_cell(slit_centre + tilt * corner.extend(0.0));
+        let plate = 0.5 * dvec2(detector.length_m.max(slit.width_m), slit.length_m.max(detector.width_m));
+        let x_a_m = plan.respond(number, pose).x_a_m;
+        let outline = plan.spot_outline_m(number, pose);
+        Self {
+            number,
+            detector: rectangle(0.5 * dvec2(detector.length_m, detector.width_m))
+                .map(|corner| base_from_cell(corner.extend(0.0)))
+                .collect(),
+            mask: rectangle(plate + MASK_MARGIN_MM * 1e-3).map(in_mask).collect(),
+            slit: rectangle(0.5 * dvec2(slit.width_m, slit.length_m)).map(in_mask).collect(),
+            emitter: (pose.rotation * emitter.position_tool_m + pose.translation_m) * 1e3,
+            emitter_axis: pose.rotation * emitter.axis_tool,
+            spot: outline.iter().map(|[x, y]| base_from_cell(dvec3(*x, *y, 0.0))).collect(),
+            x_a: x_a_m.map(|x_a| base_from_cell(dvec3(x_a, 0.0, 0.0))),
+        }
+    }
+
+    pub(super) fn all(scene: &Scene, plan: &Plan<f64>, pose: &Pose) -> Vec<Self> {
+        scene.cells.iter().enumerate().map(|(number, cell)| Self::of(number, cell, plan, pose)).collect()
+    }
+
+    /// The middle of the detector.
+    pub(super) fn centre(&self) -> DVec3 {
+        self.detector.iter().sum::<DVec3>() / self.detector.len() as f64
+    }
+
+    fn points(&self) -> impl Iterator<Item = DVec3> {
+        self.detector.iter().chain(&self.mask).copied().chain([self.emitter])
+    }
+}
+
+fn rectangle(half: DVec2) -> impl Iterator<Item = DVec2> {
+    [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].into_iter().map(move |[x, y]| half * dvec2(x, y))
+}
+
+/// The box around all cells: least and greatest corner, millimetres.
+pub(super) fn bounds(shapes: &[CellShape]) -> [DVec3; 2] {
+    let start = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let points = shapes.iter().flat_map(CellShape::points);
+    points.fold(start, |[least, most], point| [least.min(point), most.max(point)])
+}
+
+/// A direction to look in, parallel to an axis of the base frame.
+#[derive(Clone, Copy)]
+pub(super) struct View {
+    pub(super) name: &'static str,
+    /// Base axis that points to the right, and its name.
+    pub(super) right: (DVec3, &'static str),
+    /// Base axis that points up, and its name.
+    pub(super) up: (DVec3, &'static str),
+}
+
+/// From above.
+pub(super) const TOP: View = View { name: "top view", right: (DVec3::X, "x"), up: (DVec3::Y, "y") };
+/// From the front: along +y.
+pub(super) const FRONT: View = View { name: "front view", right: (DVec3::X, "x"), up: (DVec3::Z, "z") };
+/// From the right: along −x.
+pub(super) const SIDE: View = View { name: "side view", right: (DVec3::Y, "y"), up: (DVec3::Z, "z") };
+
+impl View {
+    /// Right and up, millimetres.
+    pub(super) fn project(&self, point: DVec3) -> DVec2 {
+        dvec2(point.dot(self.right.0), point.dot(self.up.0))
+    }
+
+    /// How near to the eye.
+    pub(super) fn nearness(&self, point: DVec3) -> f64 {
+        point.dot(self.right.0.cross(self.up.0))
+    }
+}
+
+/// The convex hull of points in a plane, in order around it (Andrew's monotone chain).
+pub(super) fn hull(points: &[DVec2]) -> Vec<DVec2> {
+    let mut sorted = points.to_vec();
+    sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    let half = |points: &mut dyn Iterator<Item = DVec2>| {
+        let mut chain: Vec<DVec2> = Vec::new();
+        for point in points {
+            while let [.., before, last] = chain[..] {
+                if (last - before).perp_dot(point - last) > 0.0 {
+                    break;
+                }
+                chain.pop();
+            }
+            chain.push(point);
+        }
+        chain.pop();
+        chain
+    };
+    let mut around = half(&mut sorted.iter().copied());
+    around.extend(half(&mut sorted.iter().rev().copied()));
+    around
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hull_leaves_out_what_is_inside() {
+        let square = [dvec2(0.0, 0.0), dvec2(1.0, 0.0), dvec2(1.0, 1.0), dvec2(0.0, 1.0)];
+        let mut points = square.to_vec();
+        points.extend([dvec2(0.5, 0.5), dvec2(0.2, 0.9)]);
+        assert_eq!(hull(&points), square);
+    }
+}

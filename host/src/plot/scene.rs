@@ -1,0 +1,269 @@
+//! A sensor head from above, from the front and from the side, and the light on its detectors.
+
+use glam::{DVec2, DVec3, dvec2};
+use slitpose_model::{Plan, Pose, Scene};
+
+use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
+use super::palette::{INK, MASK, SOFT_INK, TOOL, WHITE, cell_colour};
+use super::projection::{CellShape, FRONT, SIDE, TOP, View, bounds, hull};
+use super::size::{PlotError, require_drawable};
+use super::strips;
+use super::ticks::round_step;
+
+const MARGIN: f64 = 28.0;
+const COLUMN: f64 = 560.0;
+const HEADER: f64 = 64.0;
+const FOOTER: f64 = 12.0;
+
+/// The height of the legend, which stands below the strips.
+const LEGEND: f64 = 170.0;
+
+/// Around the drawing inside a view: title above, axes and scale below.
+const ABOVE: f64 = 40.0;
+const BELOW: f64 = 64.0;
+const BESIDE: f64 = 36.0;
+
+/// No view is drawn higher than this.
+const HIGHEST: f64 = 640.0;
+
+/// Points that the letters of a cell's number cover.
+const LETTERS: [DVec2; 5] = [DVec2::ZERO, dvec2(-16.0, -8.0), dvec2(16.0, -8.0), dvec2(16.0, 8.0), dvec2(-16.0, 8.0)];
+
+/// A slit seen edge-on is drawn as a gap if it is narrower than this share of its mask.
+const GAP_SHARE: f64 = 0.25;
+
+/// Length of a drawn emitter axis: a little longer than an emitter's housing.
+const AXIS_MM: f64 = 2.6;
+
+/// Numbers of cells that would stand nearer to each other than this are written as one label.
+const LABEL_ROOM: DVec2 = dvec2(30.0, 14.0);
+
+/// Draws a scene with the tool at a pose: three views and one strip for each cell.
+///
+/// # Panics
+/// If `plan` is not of `scene`.
+pub fn scene_picture(name: &str, scene: &Scene, plan: &Plan<f64>, pose: &Pose) -> Result<String, PlotError> {
+    for (number, cell) in scene.cells.iter().enumerate() {
+        require_drawable(number, cell)?;
+    }
+    let shapes = CellShape::all(scene, plan, pose);
+    let [least, most] = bounds(&shapes);
+    // Flat scenes still get a millimetre, so that nothing divides by zero.
+    let extent = (most - least).max(DVec3::ONE);
+    let across = COLUMN - 2.0 * BESIDE;
+    let scale = (across / extent.x.max(extent.y)).min(HIGHEST / extent.y.max(extent.z));
+    let row = |rise_mm: f64| ABOVE + rise_mm * scale + BELOW;
+    let strips_height = strips::height(scene);
+    let top_row = row(extent.y).max(strips_height + LEGEND);
+    let size = dvec2(2.0 * COLUMN + 3.0 * MARGIN, HEADER + top_row + row(extent.z) + FOOTER);
+
+    let mut canvas = Canvas::new(size.x, size.y, &format!("{name}: three views and the light on each detector"));
+    canvas.text(dvec2(MARGIN, 34.0), name, TextStyle::new(20.0).bold());
+    canvas.text(dvec2(MARGIN, 54.0), &pose_text(pose), TextStyle::new(13.0).coloured(SOFT_INK));
+    let (left, right) = (MARGIN, 2.0 * MARGIN + COLUMN);
+    let centre = 0.5 * (least + most);
+    let mut draw = |view: View, corner: DVec2, rise_mm: f64| {
+        let middle = corner + dvec2(0.5 * COLUMN, ABOVE + 0.5 * rise_mm * scale);
+        let sheet = Sheet { view, middle, scale, centre: view.project(centre) };
+        sheet.draw(&mut canvas, corner, corner.y + row(rise_mm), &shapes, pose);
+    };
+    draw(TOP, dvec2(left, HEADER), extent.y);
+    draw(FRONT, dvec2(left, HEADER + top_row), extent.z);
+    draw(SIDE, dvec2(right, HEADER + top_row), extent.z);
+    strips::draw(&mut canvas, dvec2(right, HEADER), COLUMN, scene, plan, pose);
+    draw_legend(&mut canvas, dvec2(right, HEADER + strips_height));
+    Ok(canvas.into_svg())
+}
+
+/// One view on the canvas.
+struct Sheet {
+    view: View,
+    /// Pixels of the middle of the drawing.
+    middle: DVec2,
+    /// Pixels per millimetre.
+    scale: f64,
+    /// Millimetres of the middle.
+    centre: DVec2,
+}
+
+impl Sheet {
+    fn place(&self, point: DVec3) -> DVec2 {
+        let offset = (self.view.project(point) - self.centre) * self.scale;
+        self.middle + dvec2(offset.x, -offset.y)
+    }
+
+    fn places(&self, points: &[DVec3]) -> Vec<DVec2> {
+        points.iter().map(|point| self.place(*point)).collect()
+    }
+
+    fn draw(&self, canvas: &mut Canvas, corner: DVec2, bottom: f64, shapes: &[CellShape], pose: &Pose) {
+        canvas.text(corner + dvec2(0.0, 14.0), self.view.name, TextStyle::new(15.0).bold());
+        let mut shapes: Vec<_> = shapes.iter().collect();
+        shapes.sort_by(|a, b| self.view.nearness(a.centre()).total_cmp(&self.view.nearness(b.centre())));
+        for shape in &shapes {
+            self.draw_receiver(canvas, shape);
+        }
+        let origin = self.place(pose.translation_m * 1e3);
+        for shape in &shapes {
+            canvas.line(origin, self.place(shape.emitter), Stroke::new(TOOL, 1.4));
+        }
+        canvas.disc(origin, 2.6, TOOL, Stroke::new(TOOL, 1.0));
+        for shape in &shapes {
+            self.draw_light(canvas, shape);
+        }
+        self.draw_numbers(canvas, &shapes);
+        self.draw_axes(canvas, dvec2(corner.x + 14.0, bottom - 16.0));
+        self.draw_scale(canvas, dvec2(corner.x + COLUMN, bottom - 16.0));
+    }
+
+    fn draw_receiver(&self, canvas: &mut Canvas, shape: &CellShape) {
+        let colour = cell_colour(shape.number);
+        let detector = self.places(&shape.detector);
+        canvas.area(&detector, colour, 0.25);
+        canvas.outline(&detector, Stroke::new(colour, 2.4));
+        let mask = self.places(&shape.mask);
+        canvas.area(&mask, MASK, 0.07);
+        canvas.outline(&mask, Stroke::new(MASK, 1.2));
+        let slit = self.places(&shape.slit);
+        canvas.area(&slit, WHITE, 0.9);
+        canvas.outline(&slit, Stroke::new(MASK, 0.7));
+        if span(&slit) < GAP_SHARE * span(&mask) {
+            canvas.outline(&slit, Stroke::new(WHITE, 3.0));
+        }
+    }
+
+    fn draw_light(&self, canvas: &mut Canvas, shape: &CellShape) {
+        let colour = cell_colour(shape.number);
+        let emitter = self.place(shape.emitter);
+        if let Some(x_a) = shape.x_a {
+            let mut beam = self.places(&shape.spot);
+            canvas.area(&beam, colour, 0.9);
+            beam.push(emitter);
+            canvas.area(&hull(&beam), colour, 0.2);
+            canvas.line(emitter, self.place(x_a), Stroke::new(colour, 0.9));
+        }
+        let tip = self.place(shape.emitter + AXIS_MM * shape.emitter_axis);
+        // An axis that points at the eye has no arrow.
+        if tip.distance(emitter) > 6.0 {
+            canvas.arrow(emitter, tip, Stroke::new(INK, 1.3));
+        }
+        canvas.disc(emitter, 3.6, colour, Stroke::new(INK, 0.9));
+    }
+
+    /// The cells' numbers outside the detectors; those of cells in line with each other together.
+    fn draw_numbers(&self, canvas: &mut Canvas, shapes: &[&CellShape]) {
+        let mut labels: Vec<(DVec2, Vec<usize>)> = Vec::new();
+        for shape in shapes {
+            let at = self.number_place(shape, shapes);
+            match labels.iter_mut().find(|(other, _)| (*other - at).abs().cmplt(LABEL_ROOM).all()) {
+                Some((_, numbers)) => numbers.push(shape.number),
+                None => labels.push((at, vec![shape.number])),
+            }
+        }
+        for (at, mut numbers) in labels {
+            numbers.sort_unstable();
+            let colour = if numbers.len() == 1 { cell_colour(numbers[0]) } else { INK };
+            let text: Vec<_> = numbers.iter().map(ToString::to_string).collect();
+            let style = TextStyle::new(14.0).bold().coloured(colour).anchored(Anchor::Middle);
+            canvas.text(at + dvec2(0.0, 5.0), &text.join(", "), style);
+        }
+    }
+
+    /// Outward of the detector; below the whole drawing where that place is taken by some cell.
+    fn number_place(&self, shape: &CellShape, shapes: &[&CellShape]) -> DVec2 {
+        let centre = self.place(shape.centre());
+        let outward = centre + 16.0 * (centre - self.middle).normalize_or(DVec2::Y);
+        let taken = shapes.iter().flat_map(|other| [self.places(&other.detector), self.places(&other.mask)]);
+        let letters = LETTERS.map(|offset| outward + offset);
+        if !taken.into_iter().any(|corners| letters.iter().any(|point| contains(&corners, *point))) {
+            return outward;
+        }
+        let corners = shapes.iter().flat_map(|other| other.mask.iter().chain(&other.detector));
+        let lowest = corners.map(|corner| self.place(*corner).y).fold(centre.y, f64::max);
+        dvec2(self.place(shape.slit.iter().sum::<DVec3>() / 4.0).x, lowest + 16.0)
+    }
+
+    fn draw_axes(&self, canvas: &mut Canvas, origin: DVec2) {
+        let (stroke, style) = (Stroke::new(SOFT_INK, 1.3), TextStyle::new(13.0).coloured(SOFT_INK));
+        canvas.arrow(origin, origin + dvec2(34.0, 0.0), stroke);
+        canvas.arrow(origin, origin - dvec2(0.0, 34.0), stroke);
+        canvas.text(origin + dvec2(39.0, 4.0), &format!("${}$", self.view.right.1), style);
+        canvas.text(origin - dvec2(0.0, 39.0), &format!("${}$", self.view.up.1), style.anchored(Anchor::Middle));
+    }
+
+    fn draw_scale(&self, canvas: &mut Canvas, end: DVec2) {
+        let length_mm = round_step(50.0 / self.scale);
+        let start = end - dvec2(length_mm * self.scale, 0.0);
+        let stroke = Stroke::new(SOFT_INK, 1.3);
+        canvas.line(start, end, stroke);
+        for at in [start, end] {
+            canvas.line(at - dvec2(0.0, 4.0), at + dvec2(0.0, 4.0), stroke);
+        }
+        let style = TextStyle::new(13.0).coloured(SOFT_INK).anchored(Anchor::Middle);
+        canvas.text(0.5 * (start + end) - dvec2(0.0, 8.0), &format!("{length_mm} mm"), style);
+    }
+}
+
+/// The distance between the two corners that are farthest apart.
+fn span(corners: &[DVec2]) -> f64 {
+    let pairs = corners.iter().flat_map(|a| corners.iter().map(move |b| a.distance(*b)));
+    pairs.fold(0.0, f64::max)
+}
+
+/// Whether a point is inside a convex polygon; never inside one that is seen edge-on.
+fn contains(corners: &[DVec2], point: DVec2) -> bool {
+    let sides = corners.iter().zip(corners.iter().cycle().skip(1));
+    let (mut left, mut right) = (0, 0);
+    for (from, to) in sides {
+        let side = (*to - *from).perp_dot(point - *from);
+        left += usize::from(side > 0.0);
+        right += usize::from(side < 0.0);
+    }
+    left == corners.len() || right == corners.len()
+}
+
+fn draw_legend(canvas: &mut Canvas, top_left: DVec2) {
+    let text = TextStyle::new(13.0).coloured(SOFT_INK);
+    let colour = cell_colour(0);
+    let mut at = top_left + dvec2(4.0, 26.0);
+    let mut entry = |label: &str, symbol: &dyn Fn(&mut Canvas, [DVec2; 4])| {
+        symbol(canvas, [dvec2(0.0, -9.0), dvec2(26.0, -9.0), dvec2(26.0, 0.0), dvec2(0.0, 0.0)].map(|p| at + p));
+        canvas.text(at + dvec2(38.0, 0.0), label, text);
+        at.y += 24.0;
+    };
+    let across = |[_, _, right, left]: [DVec2; 4]| [left - dvec2(0.0, 4.5), right - dvec2(0.0, 4.5)];
+    entry("detector, in its cell's colour", &|canvas, bar| {
+        canvas.area(&bar, colour, 0.25);
+        canvas.outline(&bar, Stroke::new(colour, 2.0));
+    });
+    entry("mask with its slit (outer size arbitrary)", &|canvas, bar| {
+        canvas.area(&bar, MASK, 0.07);
+        canvas.outline(&bar, Stroke::new(MASK, 1.2));
+    });
+    entry("emitter and its axis", &|canvas, bar| {
+        let [left, right] = across(bar);
+        canvas.arrow(left, right, Stroke::new(INK, 1.3));
+        canvas.disc(left, 3.6, colour, Stroke::new(INK, 0.9));
+    });
+    entry("light that reaches the detector, and its position", &|canvas, bar| {
+        canvas.area(&bar, colour, 0.2);
+        let [left, right] = across(bar);
+        canvas.line(left, right, Stroke::new(colour, 0.9));
+    });
+    entry("tool, from its origin to the emitters", &|canvas, bar| {
+        let [left, right] = across(bar);
+        canvas.line(left, right, Stroke::new(TOOL, 1.4));
+        canvas.disc(left, 2.6, TOOL, Stroke::new(TOOL, 1.0));
+    });
+}
+
+fn pose_text(pose: &Pose) -> String {
+    if *pose == Pose::HOME {
+        return "tool at home".to_owned();
+    }
+    let (t, r) = ((pose.translation_m * 1e3).to_array(), pose.rotation_rad().to_array().map(f64::to_degrees));
+    let list = |values: [f64; 3]| {
+        values.map(|value| format!("{}", (value * 1e3).round() / 1e3 + 0.0).replace('-', "−")).join(", ")
+    };
+    format!("tool at ({}) mm, turned by the rotation vector ({})°", list(t), list(r))
+}

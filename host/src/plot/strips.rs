@@ -1,0 +1,88 @@
+//! The detectors side by side, with the light on them.
+
+use glam::{DVec2, dvec2};
+use slitpose_model::{Plan, Pose, Response, Scene, Status};
+
+use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
+use super::palette::{ALERT, INK, PALE, SOFT_INK, cell_colour};
+use super::size::quantity;
+use super::ticks::ticks;
+
+/// Room for the numbers at the right of a strip.
+const READOUT: f64 = 226.0;
+/// Room for the cell's number at the left.
+const NUMBER: f64 = 34.0;
+/// From one strip to the next, and for title and axis together.
+const ROW: f64 = 46.0;
+const FRAME: f64 = 76.0;
+
+/// The height of the panel.
+pub(super) fn height(scene: &Scene) -> f64 {
+    FRAME + ROW * scene.cells.len() as f64
+}
+
+/// Draws the panel with its corner at `top_left`.
+pub(super) fn draw(canvas: &mut Canvas, top_left: DVec2, width: f64, scene: &Scene, plan: &Plan<f64>, pose: &Pose) {
+    canvas.text(top_left + dvec2(0.0, 14.0), "light on the detectors", TextStyle::new(15.0).bold());
+    let longest_m = scene.cells.iter().map(|cell| cell.detector.length_m).fold(0.0, f64::max);
+    let widest_m = scene.cells.iter().map(|cell| cell.detector.width_m).fold(0.0, f64::max);
+    let across = width - NUMBER - READOUT - 16.0;
+    let scale = (across / longest_m).min((ROW - 16.0) / widest_m);
+    let centre_x = top_left.x + NUMBER + 0.5 * across;
+    let mut centre = dvec2(centre_x, top_left.y + 30.0 + 0.5 * ROW);
+    for (number, cell) in scene.cells.iter().enumerate() {
+        let place = |[x, y]: [f64; 2]| centre + scale * dvec2(x, -y);
+        let (half_x, half_y) = (0.5 * cell.detector.length_m, 0.5 * cell.detector.width_m);
+        let corners = [[-half_x, -half_y], [half_x, -half_y], [half_x, half_y], [-half_x, half_y]].map(place);
+        canvas.area(&corners, PALE, 0.35);
+        let spot: Vec<_> = plan.spot_outline_m(number, pose).into_iter().map(place).collect();
+        let colour = cell_colour(number);
+        if !spot.is_empty() {
+            canvas.area(&spot, colour, 0.45);
+            canvas.outline(&spot, Stroke::new(colour, 1.0));
+        }
+        canvas.outline(&corners, Stroke::new(INK, 1.0));
+        let response = plan.respond(number, pose);
+        if let Some(x_a_m) = response.x_a_m {
+            let reach = half_y + 4.0 / scale;
+            canvas.line(place([x_a_m, -reach]), place([x_a_m, reach]), Stroke::new(colour, 2.0));
+        }
+        let at = dvec2(top_left.x + 8.0, centre.y + 5.0);
+        canvas.text(at, &number.to_string(), TextStyle::new(15.0).bold().coloured(colour));
+        draw_readout(canvas, dvec2(top_left.x + width - READOUT, centre.y), &response);
+        centre.y += ROW;
+    }
+    let axis_y = centre.y - 0.5 * ROW + 4.0;
+    draw_axis(canvas, dvec2(centre_x, axis_y), scale, longest_m);
+}
+
+fn draw_readout(canvas: &mut Canvas, at: DVec2, response: &Response<f64>) {
+    let flags = response.flags.to_string().replace(';', ", ").replace('_', " ");
+    let good = response.status == Status::Lit && flags.is_empty();
+    let colour = if good { SOFT_INK } else { ALERT };
+    let separator = if flags.is_empty() { "" } else { ", " };
+    let condition = format!("{}{separator}{flags}", response.status);
+    let numbers = match response.x_a_m {
+        Some(x_a_m) => format!("$X_A$ = {} mm", quantity(x_a_m * 1e3)),
+        None => "no light".to_owned(),
+    };
+    let line = format!("{numbers}, $I_O$ = {} µA", quantity(response.i_o_a * 1e6));
+    canvas.text(at - dvec2(0.0, 4.0), &line, TextStyle::new(13.0));
+    canvas.text(at + dvec2(0.0, 13.0), &condition, TextStyle::new(12.0).coloured(colour));
+}
+
+fn draw_axis(canvas: &mut Canvas, centre: DVec2, scale: f64, length_m: f64) {
+    let stroke = Stroke::new(SOFT_INK, 1.0);
+    let half_mm = 0.5e3 * length_m;
+    let end = dvec2(0.5 * length_m * scale, 0.0);
+    canvas.line(centre - end, centre + end, stroke);
+    let (positions, decimals) = ticks([-half_mm, half_mm], 6);
+    for tick in positions {
+        let at = centre + dvec2(tick * 1e-3 * scale, 0.0);
+        canvas.line(at, at + dvec2(0.0, 5.0), stroke);
+        let text = format!("{tick:.decimals$}").replace('-', "−");
+        let style = TextStyle::new(12.0).coloured(SOFT_INK).anchored(Anchor::Middle);
+        canvas.text(at + dvec2(0.0, 18.0), &text, style);
+    }
+    canvas.text(centre + end + dvec2(20.0, 18.0), "$x$ / mm", TextStyle::new(12.0).coloured(SOFT_INK));
+}

@@ -1,0 +1,84 @@
+//! The table of sections and keys a scene file may have.
+
+/// Keys at the top level, sections included.
+pub(super) const TOP: &[&str] = &[
+    "name",
+    "detector",
+    "slit",
+    "emitter",
+    "window",
+    "stray",
+    "noise",
+    "front_end",
+    "uncertainty",
+    "lighting",
+    "workspace",
+    "cell",
+];
+
+/// Keys of a `[[cell]]`: its own five, and the sections it may override key by key.
+pub(super) const CELL: &[&str] = &[
+    "detector_mm",
+    "x_axis",
+    "normal",
+    "emitter_mm",
+    "emitter_axis",
+    "detector",
+    "slit",
+    "emitter",
+    "window",
+    "stray",
+];
+
+/// Sections whose keys a cell may override.
+pub(super) const PER_CELL: &[&str] = &["detector", "slit", "emitter", "window", "stray"];
+
+/// The three ways to give an emitter's profile, exactly one of which is needed.
+pub(super) const PROFILES: [&str; 3] = ["half_angle_deg", "profile_exponent", "profile"];
+
+/// Every section with its keys.
+const SECTIONS: &[(&str, &[&str])] = &[
+    (
+        "detector",
+        &[
+            "part",
+            "length_mm",
+            "width_mm",
+            "responsivity_a_per_w",
+            "dark_current_a",
+            "interelectrode_ohm",
+            "saturation_a",
+            "faint_a",
+            "nonlinearity_mm",
+        ],
+    ),
+    ("slit", &["distance_mm", "width_mm", "length_mm", "offset_mm", "tilt_deg", "thickness_mm"]),
+    (
+        "emitter",
+        &["part", "radiant_intensity_w_per_sr", "source_diameter_mm", "half_angle_deg", "profile_exponent", "profile"],
+    ),
+    ("window", &["thickness_mm", "refractive_index"]),
+    ("stray", &["current_a", "centre_mm"]),
+    ("noise", &["bandwidth_hz", "temperature_k", "adc_a"]),
+    (
+        "front_end",
+        &[
+            "full_scale_a",
+            "adc_bits",
+            "raw_noise_lsb",
+            "oversampling",
+            "time_constant_s",
+            "settling_s",
+            "conversion_s",
+            "frame_rate_hz",
+        ],
+    ),
+    ("uncertainty", &["emitter_gain_relative", "electrode_gain_relative", "position_mm"]),
+    ("lighting", &["slots"]),
+    ("workspace", &["half_extent_mm", "half_extent_deg"]),
+];
+
+/// All sections, with the keys each may have.
+pub(super) fn sections() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
+    SECTIONS.iter().copied()
+}

@@ -1,0 +1,50 @@
+//! The scenes that are compiled into the program.
+
+use super::{SceneFile, SceneFileError};
+
+/// A scene that comes with the program.
+#[derive(Clone, Copy, Debug)]
+pub struct Shipped {
+    /// The name that stands for it wherever a scene file is asked for.
+    pub name: &'static str,
+    /// What it is, in one line.
+    pub about: &'static str,
+    /// Its scene file.
+    pub text: &'static str,
+}
+
+/// The default scene.
+pub const WIDE: Shipped = Shipped {
+    name: "wide",
+    about: "six cells rolled ±45°, wide slits: the default, lit nearly all over ±4 mm / ±15°",
+    text: include_str!("../../scenes/wide.toml"),
+};
+
+/// Six cells with the dimensions of the bench.
+pub const BASE: Shipped = Shipped {
+    name: "base",
+    about: "six cells rolled 0° and 90° in turn, each with the dimensions of the bench",
+    text: include_str!("../../scenes/base.toml"),
+};
+
+/// The source paper's test bench.
+pub const BENCH: Shipped = Shipped {
+    name: "bench",
+    about: "the single cell that De La Cruz et al. 2018 measured",
+    text: include_str!("../../scenes/bench.toml"),
+};
+
+/// Every shipped scene.
+pub const SHIPPED: [Shipped; 3] = [WIDE, BASE, BENCH];
+
+impl Shipped {
+    /// The shipped scene of this name.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        SHIPPED.iter().find(|shipped| shipped.name == name)
+    }
+
+    /// Reads it.
+    pub fn read(&self) -> Result<SceneFile, SceneFileError> {
+        SceneFile::parse(self.name, self.text)
+    }
+}

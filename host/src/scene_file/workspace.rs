@@ -1,0 +1,51 @@
+//! `[workspace]`: the box of poses a head is meant for.
+
+use glam::DVec3;
+
+use super::document::Document;
+use super::error::{KeyPath, SceneFileError};
+
+/// A box around home: translations and rotation vectors whose components stay within it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Workspace {
+    /// Half extents of the translation, metres.
+    pub half_extent_m: DVec3,
+    /// Half extents of the rotation vector, radians.
+    pub half_extent_rad: DVec3,
+}
+
+impl Default for Workspace {
+    /// ±4 mm and ±15° on every axis: the span in which the paper's cell measures well (its
+    /// error grows beyond ±4 mm) and a span of wrist motion.
+    fn default() -> Self {
+        Self { half_extent_m: DVec3::splat(4e-3), half_extent_rad: DVec3::splat(15f64.to_radians()) }
+    }
+}
+
+/// The workspace of the file, key by key in place of the default.
+pub(super) fn read(document: &Document<'_>) -> Result<Workspace, SceneFileError> {
+    let default = Workspace::default();
+    let metres = extents(document, "half_extent_mm", f64::INFINITY, "numbers of zero or more")?;
+    let degrees = extents(document, "half_extent_deg", 180.0, "numbers from 0 to 180")?;
+    Ok(Workspace {
+        half_extent_m: metres.map_or(default.half_extent_m, |mm| mm * 1e-3),
+        half_extent_rad: degrees.map_or(default.half_extent_rad, |deg| deg.map(f64::to_radians)),
+    })
+}
+
+fn extents(
+    document: &Document<'_>,
+    key: &'static str,
+    most: f64,
+    allowed: &'static str,
+) -> Result<Option<DVec3>, SceneFileError> {
+    let path = KeyPath::section("workspace", key);
+    let Some(entry) = document.find(path) else {
+        return Ok(None);
+    };
+    let extents = document.as_vector::<3>(path, entry, "three numbers, [x, y, z]")?;
+    if extents.iter().all(|extent| (0.0..=most).contains(extent)) {
+        return Ok(Some(DVec3::from_array(extents)));
+    }
+    Err(document.out_of_range(path, entry, allowed))
+}

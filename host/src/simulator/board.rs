@@ -1,0 +1,85 @@
+//! A simulated board as its host sees it: bytes in, bytes out, and time.
+
+use slitpose_firmware::{Board, Identity, Link, TRANSFER_BYTES, Transfer};
+use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_protocol::{BoardKind, Configuration, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, encode};
+use thiserror::Error;
+
+use super::electronics::Electronics;
+use super::hardware::SimulatedHardware;
+use super::trajectory::Trajectory;
+use crate::front_end::{self, TimingError};
+use crate::scene_file::SceneFile;
+
+/// The firmware's core over simulated hardware.
+#[derive(Debug)]
+pub struct SimulatedBoard {
+    board: Box<Board<SimulatedHardware>>,
+    frame_ticks: u64,
+}
+
+/// Why a scene cannot be simulated.
+#[derive(Debug, Error)]
+pub enum SimulatorError {
+    /// The schedule.
+    #[error(transparent)]
+    Timing(#[from] TimingError),
+    /// The optics.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The firmware's core refuses the configuration.
+    #[error("the simulated board refuses the scene's schedule")]
+    Refused(#[source] Rejection),
+}
+
+impl SimulatedBoard {
+    /// A board in front of the head of `file`, its tool on `trajectory`, optics of `tier`, noise
+    /// drawn from `seed`. It is idle until told to start.
+    ///
+    /// # Errors
+    /// If no board could run the scene.
+    pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64) -> Result<Self, SimulatorError> {
+        let configuration: Configuration = front_end::configuration(file)?;
+        let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
+        let electronics = Electronics::new(&file.scene, front_end);
+        let identity = Identity {
+            device_id: *b"simulated\0\0\0",
+            kind: BoardKind::Simulated,
+            board: "simulated",
+            reset_cause: ResetCause::PowerOn,
+            scene_hash: Some(file.hash),
+            scaling: electronics.scaling(),
+        };
+        let plan = Plan::compile(&file.scene, tier)?;
+        let hardware = SimulatedHardware::new(plan, trajectory, electronics, configuration.schedule.tick_hz, seed);
+        let frame_ticks = u64::from(configuration.schedule.frame_ticks);
+        let board = Board::new(hardware, identity, configuration).map_err(SimulatorError::Refused)?;
+        Ok(Self { board: Box::new(board), frame_ticks })
+    }
+
+    /// Hands bytes from the host to the board.
+    pub fn write(&mut self, bytes: &[u8]) {
+        self.board.receive(bytes);
+    }
+
+    /// Lets one frame period pass with the link open, and appends to `bytes` what the board sends:
+    /// packets as on a wire, with the true pose of each scan ahead of it.
+    pub fn step(&mut self, bytes: &mut Vec<u8>) {
+        self.board.hardware_mut().advance(self.frame_ticks);
+        self.board.poll(Link::Open);
+        let mut packet = [0; MAX_MESSAGE_BYTES];
+        for truth in self.board.hardware_mut().take_truths() {
+            if let Ok(packet) = encode(&Message::Truth(truth), &mut packet) {
+                bytes.extend_from_slice(packet);
+            }
+        }
+        let mut transfer: Transfer = [0; TRANSFER_BYTES];
+        loop {
+            let sent = self.board.transmit(&mut transfer);
+            if sent.is_empty() {
+                break;
+            }
+            bytes.extend_from_slice(sent);
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! The firmware's hardware edge, with a simulated tool, optics and electronics behind it.
+
+use std::collections::VecDeque;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use slitpose_firmware::{Hardware, Health, Indicator, Overrun};
+use slitpose_model::{Pair, Plan, Pose};
+use slitpose_protocol::{Configuration, HardwareFault, RawScan, Truth};
+
+use super::electronics::Electronics;
+use super::trajectory::Trajectory;
+
+/// What the sensors of a simulated board say.
+const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_permille: 0 };
+
+/// Emitters, slits, detectors and converters of one head, by arithmetic. Time passes only by
+/// [`SimulatedHardware::advance`].
+#[derive(Debug)]
+pub struct SimulatedHardware {
+    plan: Plan<f64>,
+    trajectory: Trajectory,
+    electronics: Electronics,
+    rng: ChaCha8Rng,
+    now_ticks: u64,
+    tick_hz: u32,
+    run: Option<Run>,
+    next_sequence: u64,
+    truths: VecDeque<Truth>,
+}
+
+/// An acquisition under way.
+#[derive(Debug)]
+struct Run {
+    configuration: Configuration,
+    next_frame_ticks: u64,
+}
+
+impl SimulatedHardware {
+    pub(super) fn new(
+        plan: Plan<f64>,
+        trajectory: Trajectory,
+        electronics: Electronics,
+        tick_hz: u32,
+        seed: u64,
+    ) -> Self {
+        Self {
+            plan,
+            trajectory,
+            electronics,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            now_ticks: 0,
+            tick_hz,
+            run: None,
+            next_sequence: 0,
+            truths: VecDeque::new(),
+        }
+    }
+
+    /// Lets device time pass.
+    pub fn advance(&mut self, ticks: u64) {
+        self.now_ticks += ticks;
+    }
+
+    /// The true poses of the scans handed out since the last call, at their reference instants.
+    pub fn take_truths(&mut self) -> impl Iterator<Item = Truth> + '_ {
+        self.truths.drain(..)
+    }
+
+    fn pose_at(&self, ticks: f64) -> Pose {
+        self.trajectory.pose(ticks / f64::from(self.tick_hz))
+    }
+
+    /// Light on `cell` from the emitters of `slot`, at `ticks`: its own, and what others of the
+    /// same slot send through its slit.
+    fn light(&self, configuration: &Configuration, cell: usize, slot: usize, ticks: f64) -> Pair<f64> {
+        let pose = self.pose_at(ticks);
+        let mut light = Pair::default();
+        for emitter in configuration.schedule.slots[slot].emitters() {
+            let level = configuration.levels[emitter].relative();
+            let pair = self.plan.crosstalk(cell, emitter, &pose);
+            light.i_x1_a += level * pair.i_x1_a;
+            light.i_x2_a += level * pair.i_x2_a;
+        }
+        light
+    }
+
+    /// Runs one frame through optics and electronics.
+    fn expose(&mut self, configuration: &Configuration, frame_ticks: u64, scan: &mut RawScan) {
+        let schedule = &configuration.schedule;
+        let tick_s = f64::from(self.tick_hz).recip();
+        let slot_ticks = f64::from(schedule.slot_ticks);
+        let conversion_ticks = f64::from(schedule.conversion_ticks);
+        let dark = Pair::default();
+        for cell in 0..usize::from(schedule.cells) {
+            for slot in 0..schedule.slots.len() {
+                let start = frame_ticks as f64 + slot as f64 * slot_ticks;
+                let end = start + slot_ticks;
+                // Within a slot the tool moves micrometres: light is linear in time.
+                let (first_light, last_light) = if schedule.slots[slot].is_dark() {
+                    (dark, dark)
+                } else {
+                    (self.light(configuration, cell, slot, start), self.light(configuration, cell, slot, end))
+                };
+                let light = |ticks: f64| {
+                    let share = (ticks - start) / slot_ticks;
+                    let between = |a: f64, b: f64| a + share * (b - a);
+                    Pair {
+                        i_x1_a: between(first_light.i_x1_a, last_light.i_x1_a),
+                        i_x2_a: between(first_light.i_x2_a, last_light.i_x2_a),
+                    }
+                };
+                let is_lit = schedule.lit_slot(cell) == Some(slot);
+                let sampled = is_lit || schedule.dark_slot() == Some(slot);
+                let mut passed = start;
+                if sampled && let Some(first) = schedule.first_sample_ticks(slot, cell) {
+                    let first = frame_ticks as f64 + first as f64;
+                    self.electronics.pass(cell, (first - start) * tick_s, first_light, light(first));
+                    let word = self.electronics.sample(
+                        cell,
+                        |conversion| light(first + f64::from(conversion) * conversion_ticks),
+                        &mut self.rng,
+                    );
+                    if is_lit {
+                        scan.lit_mut()[cell] = word;
+                    } else if let Some(words) = scan.dark_mut() {
+                        words[cell] = word;
+                    }
+                    passed = first + f64::from(schedule.oversampling - 1) * conversion_ticks;
+                }
+                self.electronics.pass(cell, (end - passed) * tick_s, light(passed), last_light);
+            }
+            let idle = f64::from(schedule.frame_ticks) - schedule.slots.len() as f64 * slot_ticks;
+            self.electronics.pass(cell, idle * tick_s, dark, dark);
+        }
+    }
+}
+
+impl Hardware for SimulatedHardware {
+    fn now_ticks(&mut self) -> u64 {
+        self.now_ticks
+    }
+
+    fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
+        self.run = None;
+        let Some(configuration) = configuration else {
+            return Ok(());
+        };
+        let (asked, available) = (usize::from(configuration.schedule.cells), self.plan.cell_count());
+        if asked != available {
+            return Err(HardwareFault::Channels { cells: asked as u8, channels: available as u8 });
+        }
+        self.run = Some(Run { configuration: configuration.clone(), next_frame_ticks: self.now_ticks });
+        Ok(())
+    }
+
+    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, Overrun> {
+        let Some(mut run) = self.run.take() else {
+            return Ok(false);
+        };
+        let period = u64::from(run.configuration.schedule.frame_ticks);
+        let finished = run.next_frame_ticks + period <= self.now_ticks;
+        if finished {
+            scan.sequence = self.next_sequence;
+            scan.tick = run.next_frame_ticks;
+            scan.levels_mut().copy_from_slice(&run.configuration.levels);
+            self.expose(&run.configuration, run.next_frame_ticks, scan);
+            let reference = run.configuration.schedule.reference_ticks();
+            let pose = self.pose_at(run.next_frame_ticks as f64 + reference);
+            self.truths.push_back(Truth {
+                sequence: self.next_sequence,
+                translation_m: pose.translation_m.to_array(),
+                rotation_xyzw: pose.rotation.to_array(),
+            });
+            self.next_sequence += 1;
+            run.next_frame_ticks += period;
+        }
+        self.run = Some(run);
+        Ok(finished)
+    }
+
+    fn housekeeping(&mut self, _: Indicator) -> Health {
+        HEALTH
+    }
+}

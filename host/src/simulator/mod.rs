@@ -1,0 +1,15 @@
+//! A board with a tool in front of it, made of arithmetic.
+//!
+//! [`Trajectory`] moves the tool; the optics of the scene turn its pose at each instant into
+//! photocurrents; [`electronics`] settles, adds noise, saturates and quantises; [`SimulatedHardware`]
+//! hands the words to the firmware's own core, as a board's converters would; [`SimulatedBoard`]
+//! lets time pass and carries bytes. Everything follows from the seed.
+
+mod board;
+mod electronics;
+mod hardware;
+mod trajectory;
+
+pub use board::{SimulatedBoard, SimulatorError};
+pub use hardware::SimulatedHardware;
+pub use trajectory::{PathError, Trajectory, TrajectoryKind};

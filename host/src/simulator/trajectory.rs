@@ -1,0 +1,203 @@
+//! How the tool moves.
+
+use std::f64::consts::PI;
+
+use clap::ValueEnum;
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use slitpose_model::{Pose, Twist};
+use thiserror::Error;
+
+use crate::table::{PoseColumns, TableError, TableReader};
+
+/// Greatest speeds of a smooth motion.
+const SMOOTH_M_PER_S: f64 = 0.5;
+const SMOOTH_RAD_PER_S: f64 = 5.0;
+
+/// Amplitude of smooth and fast motions, per axis: inside the workspace of the shipped scenes.
+const AMPLITUDE_M: f64 = 2.5e-3;
+const AMPLITUDE_RAD: f64 = 0.17;
+
+/// A fast motion is a smooth one at this many times the speed.
+const FAST: f64 = 4.0;
+
+/// Legs of a contact-like motion: the tool flies straight and reverses abruptly.
+const LEG_S: std::ops::Range<f64> = 5e-3..25e-3;
+
+/// Half sides of the box whose walls a contact-like motion hits.
+const CONTACT_M: f64 = 2.5e-3;
+const CONTACT_RAD: f64 = 0.12;
+
+/// Motions that need no file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TrajectoryKind {
+    /// At rest at home
+    Still,
+    /// Sinusoids in all six coordinates, up to 0.5 m/s and 5 rad/s
+    Smooth,
+    /// The same four times as fast
+    Fast,
+    /// Straight flight with abrupt reversals, as against a wall
+    Contact,
+}
+
+/// The pose of the tool as a function of time.
+#[derive(Clone, Debug)]
+pub struct Trajectory(Motion);
+
+#[derive(Clone, Debug)]
+enum Motion {
+    Still,
+    /// Amplitude, angular frequency and phase of each coordinate.
+    Sines([(f64, f64, f64); 6]),
+    /// Knots in time, constant twist between them, at rest before and after.
+    Path(Vec<(f64, Pose)>),
+}
+
+/// Why a table is not a path.
+#[derive(Debug, Error)]
+pub enum PathError {
+    /// The table itself.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// Time that does not advance.
+    #[error("{file}: time {time_s} s follows {before_s} s; sort the rows by time_s, each time once")]
+    Order {
+        /// The file.
+        file: String,
+        /// The earlier row's time.
+        before_s: f64,
+        /// The offending time.
+        time_s: f64,
+    },
+}
+
+impl Trajectory {
+    /// A motion of a kind, as `seed` makes it. `duration_s` bounds what contact-like motions plan
+    /// ahead; after it they rest.
+    pub fn of_kind(kind: TrajectoryKind, seed: u64, duration_s: f64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        Self(match kind {
+            TrajectoryKind::Still => Motion::Still,
+            TrajectoryKind::Smooth => Motion::Sines(sines(&mut rng, 1.0)),
+            TrajectoryKind::Fast => Motion::Sines(sines(&mut rng, FAST)),
+            TrajectoryKind::Contact => Motion::Path(reversals(&mut rng, duration_s)),
+        })
+    }
+
+    /// A path through the poses of a CSV table: `time_s` and the columns of a pose. Between rows
+    /// the twist is constant, so rows may turn corners.
+    ///
+    /// # Errors
+    /// If the table cannot be read, or time does not advance.
+    pub fn from_table(file: &str) -> Result<Self, PathError> {
+        let mut table = TableReader::open(file)?;
+        let time = table.column("time_s")?;
+        let columns = PoseColumns::keyed(&table, "time_s")?;
+        let mut knots: Vec<(f64, Pose)> = Vec::new();
+        while let Some(row) = table.next_row()? {
+            let time_s = row.number(time)?;
+            if let Some(&(before_s, _)) = knots.last()
+                && time_s <= before_s
+            {
+                return Err(PathError::Order { file: file.to_owned(), before_s, time_s });
+            }
+            knots.push((time_s, columns.pose(&row)?));
+        }
+        Ok(Self(Motion::Path(knots)))
+    }
+
+    /// Where the tool is at `time_s`.
+    pub fn pose(&self, time_s: f64) -> Pose {
+        match &self.0 {
+            Motion::Still => Pose::HOME,
+            Motion::Sines(sines) => {
+                let v = sines.map(|(amplitude, frequency, phase)| amplitude * (frequency * time_s + phase).sin());
+                Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
+            }
+            Motion::Path(knots) => on_path(knots, time_s),
+        }
+    }
+}
+
+fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
+    let after = knots.partition_point(|&(knot_s, _)| knot_s <= time_s);
+    match (after.checked_sub(1).map(|before| knots[before]), knots.get(after)) {
+        (Some((start_s, start)), Some(&(end_s, end))) => {
+            let (dt, dr) = end.displacement_from(&start);
+            let per_second = (end_s - start_s).recip();
+            let twist = Twist { linear_m_per_s: dt * per_second, angular_rad_per_s: dr * per_second };
+            twist.advance(&start, time_s - start_s)
+        }
+        (Some((_, pose)), None) | (None, Some(&(_, pose))) => pose,
+        (None, None) => Pose::HOME,
+    }
+}
+
+/// Each coordinate swings with its own frequency, so that all combinations come by. The greatest
+/// speeds of the three axes add up, at worst, to the stated speed.
+fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
+    // Shares whose squares add up to one.
+    let shares = |rng: &mut ChaCha8Rng| {
+        let raw = [0; 3].map(|_| rng.random_range(0.7..1.3_f64));
+        let norm = raw.iter().map(|share| share * share).sum::<f64>().sqrt();
+        raw.map(|share| share / norm)
+    };
+    let mut out = [(0.0, 0.0, 0.0); 6];
+    for (half, (amplitude, greatest)) in
+        [(AMPLITUDE_M, SMOOTH_M_PER_S), (AMPLITUDE_RAD, SMOOTH_RAD_PER_S)].into_iter().enumerate()
+    {
+        for (axis, share) in shares(rng).into_iter().enumerate() {
+            let frequency = speed * greatest * share / amplitude;
+            out[3 * half + axis] = (amplitude, frequency, rng.random_range(0.0..2.0 * PI));
+        }
+    }
+    out
+}
+
+/// Straight legs between random points of a box.
+fn reversals(rng: &mut ChaCha8Rng, duration_s: f64) -> Vec<(f64, Pose)> {
+    let mut knots = vec![(0.0, Pose::HOME)];
+    let mut time_s = 0.0;
+    while time_s < duration_s {
+        time_s += rng.random_range(LEG_S);
+        let mut vector = |half: f64| DVec3::from([0; 3].map(|_| rng.random_range(-half..half)));
+        knots.push((time_s, Pose::from_vectors(vector(CONTACT_M), vector(CONTACT_RAD))));
+    }
+    knots
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn greatest_speeds(trajectory: &Trajectory) -> (f64, f64) {
+        let step = 1e-5;
+        (0..200_000).fold((0.0, 0.0), |(linear, angular), i| {
+            let time_s = f64::from(i) * 5e-5;
+            let (dt, dr) = trajectory.pose(time_s + step).displacement_from(&trajectory.pose(time_s));
+            (f64::max(linear, dt.length() / step), f64::max(angular, dr.length() / step))
+        })
+    }
+
+    #[test]
+    fn smooth_motion_comes_near_its_greatest_speed_and_not_above() {
+        for seed in 0..5 {
+            let (linear, angular) = greatest_speeds(&Trajectory::of_kind(TrajectoryKind::Smooth, seed, 10.0));
+            assert!((0.45..=0.5001).contains(&linear), "seed {seed}: {linear} m/s");
+            assert!((4.0..=5.001).contains(&angular), "seed {seed}: {angular} rad/s");
+        }
+    }
+
+    #[test]
+    fn contact_stays_in_its_box_and_reverses() {
+        let trajectory = Trajectory::of_kind(TrajectoryKind::Contact, 1, 2.0);
+        for i in 0..2000 {
+            let pose = trajectory.pose(f64::from(i) * 1e-3);
+            assert!(pose.translation_m.abs().max_element() <= CONTACT_M);
+        }
+        assert_eq!(trajectory.pose(0.0), Pose::HOME);
+        assert_eq!(trajectory.pose(10.0), trajectory.pose(11.0));
+    }
+}

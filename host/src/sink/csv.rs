@@ -1,0 +1,73 @@
+//! One row a scan: the columns of `solve`, and what only a stream has.
+
+use std::io::{self, Write};
+
+use super::Sink;
+use crate::pipeline::{Counts, Item, Record};
+use crate::table::SOLUTION_COLUMNS;
+
+/// Writes CSV.
+pub(super) struct Csv<W: Write> {
+    writer: csv::Writer<W>,
+    begun: bool,
+    field: String,
+}
+
+impl<W: Write> Csv<W> {
+    pub(super) fn new(output: W) -> Self {
+        Self { writer: csv::Writer::from_writer(output), begun: false, field: String::new() }
+    }
+
+    fn begin(&mut self) -> io::Result<()> {
+        if !self.begun {
+            self.begun = true;
+            let columns = ["seq", "device_time_s"].into_iter().chain(SOLUTION_COLUMNS).chain(["simulated"]);
+            self.writer.write_record(columns)?;
+        }
+        Ok(())
+    }
+
+    fn number(&mut self, value: Option<f64>) -> io::Result<()> {
+        use std::fmt::Write;
+        self.field.clear();
+        if let Some(value) = value {
+            // Writing to a String cannot fail.
+            let _ = write!(self.field, "{value:?}");
+        }
+        Ok(self.writer.write_field(&self.field)?)
+    }
+
+    fn write(&mut self, record: &Record) -> io::Result<()> {
+        self.writer.write_field(record.sequence.to_string())?;
+        self.number(Some(record.device_time_s))?;
+        let row = crate::table::SolutionRow::of(&record.solution);
+        self.writer.write_field(row.status)?;
+        for value in row.numbers {
+            self.number(value)?;
+        }
+        self.writer.write_field(row.iterations.to_string())?;
+        self.writer.write_field(row.cells_used.to_string())?;
+        self.writer.write_field(row.free_directions)?;
+        self.writer.write_field(if record.simulated { "true" } else { "false" })?;
+        Ok(self.writer.write_record(None::<&[u8]>)?)
+    }
+}
+
+impl<W: Write> Sink for Csv<W> {
+    fn take(&mut self, item: &Item<'_>) -> io::Result<()> {
+        self.begin()?;
+        match item {
+            Item::Pose(record) => self.write(record),
+            _ => Ok(()),
+        }
+    }
+
+    fn tick(&mut self, _: &Counts) -> io::Result<()> {
+        self.writer.flush()
+    }
+
+    fn finish(&mut self, _: &Counts) -> io::Result<()> {
+        self.begin()?;
+        self.writer.flush()
+    }
+}

@@ -1,0 +1,320 @@
+//! CSV in.
+
+use std::fs::File;
+use std::io::{self, Read};
+
+use csv::{StringRecord, Trim};
+use thiserror::Error;
+
+/// Why a table cannot be used.
+#[derive(Debug, Error)]
+pub enum TableError {
+    /// The file cannot be opened.
+    #[error("cannot read {file}; give a CSV file, or - for standard input")]
+    Open {
+        /// The file.
+        file: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Reading failed on the way.
+    #[error("reading {file} failed after row {row}")]
+    Read {
+        /// The file.
+        file: String,
+        /// Data rows read before.
+        row: u64,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A file without a header row.
+    #[error("{file} is empty; give a header row and at least one row of data")]
+    Empty {
+        /// The file.
+        file: String,
+    },
+    /// A header row and nothing else.
+    #[error("{file} has a header but no row of data; add at least one row")]
+    NoRows {
+        /// The file.
+        file: String,
+    },
+    /// A column that is needed and not there.
+    #[error("{file}, line 1: column `{column}` is missing; the header has {present}; add the column")]
+    MissingColumn {
+        /// The file.
+        file: String,
+        /// The column's name.
+        column: String,
+        /// The names that are there.
+        present: String,
+    },
+    /// Two columns of one name.
+    #[error("{file}, line 1: column `{column}` stands in the header twice; remove or rename one")]
+    DuplicateColumn {
+        /// The file.
+        file: String,
+        /// The column's name.
+        column: String,
+    },
+    /// A row that is longer or shorter than the header.
+    #[error("{file}, row {row} (line {line}): {found} fields, but the header has {expected}; correct this row")]
+    UnequalRow {
+        /// The file.
+        file: String,
+        /// Data row, from 1.
+        row: u64,
+        /// Line of the file, from 1.
+        line: u64,
+        /// Fields in the row.
+        found: u64,
+        /// Fields in the header.
+        expected: u64,
+    },
+    /// Bytes that are no text.
+    #[error("{file}, row {row} (line {line}): not UTF-8 text; save the file as UTF-8")]
+    NotText {
+        /// The file.
+        file: String,
+        /// Data row, from 1; 0 for the header.
+        row: u64,
+        /// Line of the file, from 1.
+        line: u64,
+    },
+    /// A field that should be a number.
+    #[error(
+        "{file}, row {row} (line {line}), column `{column}`: `{text}` is not a finite number; give one like -1.5 or 2e-6"
+    )]
+    NotANumber {
+        /// The file.
+        file: String,
+        /// Data row, from 1.
+        row: u64,
+        /// Line of the file, from 1.
+        line: u64,
+        /// The column's name.
+        column: String,
+        /// What stands there.
+        text: String,
+    },
+    /// A number outside what the column can mean.
+    #[error("{file}, row {row} (line {line}), column `{column}`: {value} is out of range; give {allowed}")]
+    OutOfRange {
+        /// The file.
+        file: String,
+        /// Data row, from 1.
+        row: u64,
+        /// Line of the file, from 1.
+        line: u64,
+        /// The column's name.
+        column: String,
+        /// What stands there.
+        value: f64,
+        /// The allowed numbers, in words.
+        allowed: &'static str,
+    },
+}
+
+/// A column of the table at hand, found by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column(usize);
+
+/// A CSV file that is read row by row.
+pub struct TableReader {
+    file: String,
+    header: StringRecord,
+    reader: csv::Reader<Box<dyn Read>>,
+    record: StringRecord,
+    /// Whether `record` holds a row that [`TableReader::next_row`] has not given out yet.
+    waiting: bool,
+    rows: u64,
+}
+
+impl TableReader {
+    /// Opens a file; `-` is standard input.
+    pub fn open(file: &str) -> Result<Self, TableError> {
+        if file == "-" {
+            return Self::new("standard input", io::stdin().lock());
+        }
+        match File::open(file) {
+            Ok(opened) => Self::new(file, opened),
+            Err(source) => Err(TableError::Open { file: file.to_owned(), source }),
+        }
+    }
+
+    /// Reads from any source; `file` names it in messages. A table without any row is an error.
+    pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
+        let mut reader = csv::ReaderBuilder::new().trim(Trim::All).from_reader(Box::new(source) as Box<dyn Read>);
+        let header = reader.headers().cloned().map_err(|error| damaged(file, 0, error))?;
+        if header.is_empty() {
+            return Err(TableError::Empty { file: file.to_owned() });
+        }
+        let mut table =
+            Self { file: file.to_owned(), header, reader, record: StringRecord::new(), waiting: false, rows: 0 };
+        table.waiting = table.advance()?;
+        if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: table.file }) }
+    }
+
+    /// Finds a column that must be there.
+    pub fn column(&self, name: &str) -> Result<Column, TableError> {
+        self.optional_column(name)?.ok_or_else(|| TableError::MissingColumn {
+            file: self.file.clone(),
+            column: name.to_owned(),
+            present: self.header.iter().collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// Finds a column that may be there.
+    pub fn optional_column(&self, name: &str) -> Result<Option<Column>, TableError> {
+        let mut found = (0..self.header.len()).filter(|index| self.header.get(*index) == Some(name));
+        match (found.next(), found.next()) {
+            (first, None) => Ok(first.map(Column)),
+            _ => Err(TableError::DuplicateColumn { file: self.file.clone(), column: name.to_owned() }),
+        }
+    }
+
+    /// The next row; `None` at the end.
+    pub fn next_row(&mut self) -> Result<Option<Row<'_>>, TableError> {
+        let more = std::mem::take(&mut self.waiting) || self.advance()?;
+        Ok(more.then_some(Row { table: self }))
+    }
+
+    fn advance(&mut self) -> Result<bool, TableError> {
+        let more = self.reader.read_record(&mut self.record).map_err(|error| damaged(&self.file, self.rows, error))?;
+        self.rows += u64::from(more);
+        Ok(more)
+    }
+}
+
+/// One row of data.
+#[derive(Clone, Copy)]
+pub struct Row<'a> {
+    table: &'a TableReader,
+}
+
+impl<'a> Row<'a> {
+    /// A field as it stands, without surrounding blanks.
+    pub fn text(&self, column: Column) -> &'a str {
+        self.table.record.get(column.0).unwrap_or_default()
+    }
+
+    /// A field as a finite number.
+    pub fn number(&self, column: Column) -> Result<f64, TableError> {
+        let text = self.text(column);
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(TableError::NotANumber {
+                file: self.table.file.clone(),
+                row: self.number_of_row(),
+                line: self.line(),
+                column: self.name(column),
+                text: text.to_owned(),
+            }),
+        }
+    }
+
+    /// The error of a number that the caller cannot use.
+    pub fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
+        TableError::OutOfRange {
+            file: self.table.file.clone(),
+            row: self.number_of_row(),
+            line: self.line(),
+            column: self.name(column),
+            value,
+            allowed,
+        }
+    }
+
+    /// Number of this data row, from 1.
+    pub fn number_of_row(&self) -> u64 {
+        self.table.rows
+    }
+
+    fn line(&self) -> u64 {
+        self.table.record.position().map_or(0, csv::Position::line)
+    }
+
+    fn name(&self, column: Column) -> String {
+        self.table.header.get(column.0).unwrap_or_default().to_owned()
+    }
+}
+
+fn damaged(file: &str, rows: u64, error: csv::Error) -> TableError {
+    let file = file.to_owned();
+    let line = error.position().map_or(rows + 2, csv::Position::line);
+    match error.into_kind() {
+        csv::ErrorKind::Io(source) => TableError::Read { file, row: rows, source },
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            TableError::UnequalRow { file, row: rows + 1, line, found: len, expected: expected_len }
+        }
+        // The reader gives no other kind: seeking and (de)serialising are not used.
+        _ => TableError::NotText { file, row: rows + 1, line },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> Result<TableReader, TableError> {
+        TableReader::new("poses.csv", io::Cursor::new(text.as_bytes().to_vec()))
+    }
+
+    fn first_error(text: &str, column: &str) -> String {
+        let read = || {
+            let mut table = table(text)?;
+            let column = table.column(column)?;
+            while let Some(row) = table.next_row()? {
+                row.number(column)?;
+            }
+            Ok::<_, TableError>(())
+        };
+        read().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn columns_are_found_in_any_order_and_extra_ones_ignored() {
+        let mut table = table("extra, b ,id\nx,2.5,first\n\ny, -1e-3,second\n").unwrap();
+        let (id, b) = (table.column("id").unwrap(), table.column("b").unwrap());
+        let row = table.next_row().unwrap().unwrap();
+        assert_eq!((row.text(id), row.number(b).unwrap()), ("first", 2.5));
+        let row = table.next_row().unwrap().unwrap();
+        assert_eq!((row.text(id), row.number(b).unwrap()), ("second", -1e-3));
+        assert!(table.next_row().unwrap().is_none());
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_the_first_name() {
+        let table = table("\u{feff}id,b\n1,2\n").unwrap();
+        assert_eq!(table.column("id").unwrap(), Column(0));
+    }
+
+    #[test]
+    fn messages_name_file_row_line_column_text_and_remedy() {
+        let cases = [
+            ("", "b", &["poses.csv is empty", "header row"][..]),
+            ("id,b\n", "b", &["no row", "add at least one"]),
+            ("id,c\n1,2\n", "b", &["line 1", "`b`", "id, c", "add"]),
+            ("b,b\n1,2\n", "b", &["line 1", "`b`", "twice", "rename"]),
+            ("id,b\n1,2\n2,2 mm\n", "b", &["row 2 (line 3)", "`b`", "`2 mm`", "give one like"]),
+            ("id,b\n1,\n", "b", &["row 1 (line 2)", "``", "give one like"]),
+            ("id,b\n1,nan\n", "b", &["row 1", "`nan`", "finite"]),
+            ("id,b\n1,1e999\n", "b", &["row 1", "`1e999`", "finite"]),
+            ("id,b\n1,2\n3\n", "b", &["row 2 (line 3)", "1 fields", "header has 2", "correct"]),
+        ];
+        for (text, column, parts) in cases {
+            let message = first_error(text, column);
+            for part in parts {
+                assert!(message.contains(part), "{text:?}: `{part}` is not in: {message}");
+            }
+        }
+    }
+
+    #[test]
+    fn bytes_that_are_no_text_are_an_error_with_their_row() {
+        let mut table = TableReader::new("poses.csv", io::Cursor::new(b"id,b\n1,2\n\xff,3\n")).unwrap();
+        table.next_row().unwrap();
+        let message = table.next_row().err().unwrap().to_string();
+        assert!(message.contains("row 2 (line 3)") && message.contains("UTF-8"), "{message}");
+    }
+}
