@@ -1,3 +1,20 @@
-//! What several whole-chain tests share: reference tables and scenes.
+//! What several whole-chain tests share.
+//!
+//! * [`process`] runs the `slitpose` command;
+//! * [`scenes`] writes scene files, [`poses`] draws poses, [`capture`] records a simulated board;
+//! * [`table`] and [`ndjson`] read what commands print;
+//! * [`mod@reference`] holds independent numbers;
+//! * [`consistency`] judges poses against the truth, [`statistics`] says how far chance goes.
+//!
+//! Nothing here calls the product to judge the product: errors, their covariances and
+//! interpolations are computed anew.
 
+pub mod capture;
+pub mod consistency;
+pub mod ndjson;
+pub mod poses;
+pub mod process;
 pub mod reference;
+pub mod scenes;
+pub mod statistics;
+pub mod table;

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::{DVec2, DVec3};
 use slitpose_model::{Cell, Detector, Emitter, Profile, Scene, Slit, Uncertainty};
 
+use crate::table::{Row, Table};
+
 const MM: f64 = 1e-3;
 
 /// Path of a file in `data`.
@@ -12,59 +14,16 @@ pub fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
 }
 
-/// A CSV file with a header row.
-#[derive(Debug)]
-pub struct Table {
-    header: Vec<String>,
-    rows: Vec<csv::StringRecord>,
+/// The table in `data/<name>`.
+///
+/// # Panics
+/// If it cannot be read.
+pub fn table(name: &str) -> Table {
+    Table::parse(&std::fs::read_to_string(data(name)).expect("reference table"))
 }
 
-/// One row of a [`Table`].
-#[derive(Clone, Copy, Debug)]
-pub struct Row<'a> {
-    header: &'a [String],
-    record: &'a csv::StringRecord,
-}
-
-impl Table {
-    /// Reads `data/<name>`.
-    ///
-    /// # Panics
-    /// If the file cannot be read.
-    pub fn read(name: &str) -> Self {
-        let mut reader = csv::Reader::from_path(data(name)).expect("reference table");
-        let header = reader.headers().expect("header").iter().map(str::to_owned).collect();
-        let rows = reader.records().map(|row| row.expect("row")).collect();
-        Self { header, rows }
-    }
-
-    /// Its rows, in order.
-    pub fn rows(&self) -> impl Iterator<Item = Row<'_>> {
-        self.rows.iter().map(|record| Row { header: &self.header, record })
-    }
-}
-
-impl<'a> Row<'a> {
-    /// The text in `column`.
-    ///
-    /// # Panics
-    /// If there is no such column.
-    pub fn text(&self, column: &str) -> &'a str {
-        let index = self.header.iter().position(|name| name == column).unwrap_or_else(|| panic!("no column {column}"));
-        &self.record[index]
-    }
-
-    /// The number in `column`; `nan` is a number here.
-    ///
-    /// # Panics
-    /// If there is none.
-    pub fn number(&self, column: &str) -> f64 {
-        self.text(column).parse().unwrap_or_else(|_| panic!("{column} holds {:?}", self.text(column)))
-    }
-
-    fn vector_m(&self, columns: [&str; 3]) -> DVec3 {
-        DVec3::from(columns.map(|column| self.number(column))) * MM
-    }
+fn vector_m(row: &Row<'_>, columns: [&str; 3]) -> DVec3 {
+    DVec3::from(row.numbers(columns)) * MM
 }
 
 /// The one-cell scene of a row of `single_cell.csv`: cell frame, base frame and tool frame coincide.
@@ -91,11 +50,45 @@ pub fn single_cell_scene(row: &Row<'_>) -> Scene {
             thickness_m: if row.text("slit_is_thick") == "1" { row.number("slit_thickness_mm") * MM } else { 0.0 },
         },
         emitter: Emitter {
-            position_tool_m: row.vector_m(["ex_mm", "ey_mm", "ez_mm"]),
-            axis_tool: DVec3::new(row.number("ux"), row.number("uy"), row.number("uz")),
+            position_tool_m: vector_m(row, ["ex_mm", "ey_mm", "ez_mm"]),
+            axis_tool: row.numbers(["ux", "uy", "uz"]).into(),
             radiant_intensity_w_per_sr: row.number("radiant_intensity_w_per_sr"),
             profile: Profile::Cosine { exponent: row.number("profile_exponent") },
         },
     };
     Scene { cells: [cell].into_iter().collect(), noise: None, uncertainty: Uncertainty::default() }
+}
+
+/// The same as a scene file.
+pub fn single_cell_scene_file(row: &Row<'_>) -> String {
+    let thickness = if row.text("slit_is_thick") == "1" {
+        format!("thickness_mm = {}\n", row.text("slit_thickness_mm"))
+    } else {
+        String::new()
+    };
+    let value = |column: &str| format!("{:?}", row.number(column));
+    format!(
+        "[detector]\nlength_mm = {}\nwidth_mm = {}\nresponsivity_a_per_w = {}\ndark_current_a = {}\n\
+         [slit]\ndistance_mm = {}\nwidth_mm = {}\nlength_mm = {}\noffset_mm = [{}, {}]\n{thickness}\
+         [emitter]\nradiant_intensity_w_per_sr = {}\nprofile_exponent = {}\n\
+         [[cell]]\ndetector_mm = [0.0, 0.0, 0.0]\nx_axis = [1.0, 0.0, 0.0]\nnormal = [0.0, 0.0, 1.0]\n\
+         emitter_mm = [{}, {}, {}]\nemitter_axis = [{}, {}, {}]\n",
+        value("length_mm"),
+        value("width_mm"),
+        value("responsivity_a_per_w"),
+        value("dark_current_a"),
+        value("slit_distance_mm"),
+        value("slit_width_mm"),
+        value("slit_length_mm"),
+        value("slit_x_mm"),
+        value("slit_y_mm"),
+        value("radiant_intensity_w_per_sr"),
+        value("profile_exponent"),
+        value("ex_mm"),
+        value("ey_mm"),
+        value("ez_mm"),
+        value("ux"),
+        value("uy"),
+        value("uz"),
+    )
 }

@@ -1,7 +1,8 @@
 //! One cell against independent multi-precision integration, both tiers, ordinary and extreme cases.
 
 use slitpose_model::{Plan, Pose, Response, Tier};
-use slitpose_tests::reference::{Row, Table, single_cell_scene};
+use slitpose_tests::reference::{self, single_cell_scene};
+use slitpose_tests::table::Row;
 
 /// 1e-10 is the default tolerance of exact evaluation outside the solver.
 const EXACT: Tier = Tier::Exact { tolerance: 1e-10 };
@@ -46,21 +47,21 @@ fn check(row: &Row<'_>, prefix: &str, response: &Response<f64>, x_tolerance_mm: 
 
 #[test]
 fn paper_tier_equals_the_reference() {
-    for row in Table::read("reference/single_cell.csv").rows() {
+    for row in reference::table("reference/single_cell.csv").rows() {
         check(&row, "paper", &respond(&row, Tier::Paper), 1e-9);
     }
 }
 
 #[test]
 fn exact_tier_equals_the_reference() {
-    for row in Table::read("reference/single_cell.csv").rows() {
+    for row in reference::table("reference/single_cell.csv").rows() {
         check(&row, "exact", &respond(&row, EXACT), 1e-6);
     }
 }
 
 #[test]
 fn single_precision_follows_double_precision() {
-    for row in Table::read("reference/single_cell.csv").rows() {
+    for row in reference::table("reference/single_cell.csv").rows() {
         // Cut by an edge of the detector, or far beyond what single precision resolves of the
         // distance between emitter and horizon: no bound is claimed there.
         if row.text("status") != "lit" || row.text("name").starts_with("grazing") {

@@ -38,7 +38,7 @@ pub(super) struct Args {
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Device seconds a second, or max
-    #[arg(long, value_name = "N", default_value_t = Speed::Max)]
+    #[arg(long, value_name = "N", default_value_t = Speed::Max, allow_negative_numbers = true)]
     speed: Speed,
     #[command(flatten)]
     tier: TierOptions,
@@ -64,14 +64,12 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         stream.tick()?;
         pace.wait(stream.elapsed_s());
     }
-    let cut_short = stream.is_over();
     let (outcome, counts) = stream.finish()?;
     if counts.scans == 0 {
         let (bytes, packets) = (counts.decoder.bytes, counts.decoder.packets);
         return Err(StreamError::NoScan { path: path.clone(), bytes, packets }.into());
     }
-    // What was not read is not lost: a stop in mid-packet on request is a good end.
-    Ok(if cut_short && !counts.has_loss_before_end() { Outcome::Done } else { outcome })
+    Ok(outcome)
 }
 
 /// The scene hash of the first hello in a capture.
@@ -107,7 +105,6 @@ fn choose_scene(argument: Option<&str>, recorded_with: Option<u64>) -> Result<(S
             "the capture was made with the scene of hash {hash:016x}; solving it with `{}` ({:016x}) as asked",
             file.name, file.hash
         )),
-        None => talk(format!("the capture does not say which scene it was made with; using `{}`", file.name)),
         _ => {}
     }
     Ok((file, if argument.is_some() { SceneMatch::Waived } else { SceneMatch::Required }))

@@ -43,7 +43,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Device seconds a second a simulated board runs at, or max
-    #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0))]
+    #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
     speed: Speed,
     #[command(flatten)]
     tool: ToolOptions,
@@ -81,23 +81,28 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
 
     board.write(&request(1, Command::Configure(configuration)));
     board.write(&request(2, Command::Start));
-    for frame in 1..=frames {
-        board.step(&mut bytes);
-        if frame % frames_between_waits == 0 || frame == frames {
-            pass_on(&mut bytes, &mut stream)?;
-            stream.tick()?;
-            pace.wait(frame as f64 * period_s);
-            if stream.is_over() {
-                break;
+    let mut follow = || -> Result<(), CommandError> {
+        for frame in 1..=frames {
+            board.step(&mut bytes);
+            if frame % frames_between_waits == 0 || frame == frames {
+                pass_on(&mut bytes, &mut stream)?;
+                stream.tick()?;
+                pace.wait(frame as f64 * period_s);
+                if stream.is_over() {
+                    break;
+                }
             }
         }
-    }
-    board.write(&request(3, Command::Stop));
-    board.step(&mut bytes);
-    pass_on(&mut bytes, &mut stream)?;
+        board.write(&request(3, Command::Stop));
+        board.step(&mut bytes);
+        pass_on(&mut bytes, &mut stream)
+    };
+    let followed = follow();
+    // What has been recorded is kept even if nobody reads the poses any more.
     if let Some(record) = record {
         record.finish()?;
     }
+    followed?;
     Ok(stream.finish()?.0)
 }
 

@@ -1,8 +1,8 @@
 //! Between counts and currents: the one place where board and optics meet.
 //!
-//! [`Timing`] turns a scene's lighting and electronics into the schedule a board runs;
-//! [`settling`] says what a first-order front end makes of light that is switched; [`noise`] what
-//! its noise does to a lit-minus-dark current; [`Stage`] converts scans.
+//! [`configuration`] turns a scene's lighting and electronics into the schedule a board runs;
+//! [`Settling`] says what a first-order front end makes of light that is switched; [`Stage`] knows
+//! what its noise does to a lit-minus-dark current, and converts scans.
 
 mod noise;
 mod settling;

@@ -11,9 +11,9 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum OutputError {
     /// The file cannot be made.
-    #[error("cannot write to {}; give an --output in a folder that exists and may be written", path.display())]
+    #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
     Create {
-        /// The `--output` argument.
+        /// The file asked for.
         path: PathBuf,
         /// What the system said.
         source: io::Error,
@@ -190,7 +190,7 @@ mod tests {
         for path in [folder.path().to_owned(), folder.path().join("no/such/folder.csv")] {
             let error = Output::file(&path).unwrap_err();
             let message = error.to_string();
-            assert!(message.contains(&*path.to_string_lossy()) && message.contains("--output"), "{message}");
+            assert!(message.contains(&*path.to_string_lossy()) && message.contains("folder that exists"), "{message}");
         }
     }
 

@@ -18,6 +18,7 @@ use heapless::Vec;
 
 use crate::plan::{Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
+use crate::response::Pair;
 use crate::scalar::{Scalar, Vector3};
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
@@ -36,19 +37,26 @@ const MAX_ITERATIONS: usize = 40;
 /// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
 const GATE_SIGMAS: f64 = 6.0;
 
-/// Cells below which mirror images are searched for: with four lit cells or more none but the
-/// truth keeps all of them lit.
-const UNIQUE_FROM: usize = 4;
+/// Cells below which mirror images are searched for, unless the tool was followed to where it is.
+/// With six lit cells none but the truth keeps all of them lit.
+const UNIQUE_FROM: usize = 6;
 
-/// Starts of the search beside home: half turns of the reach about each axis.
+/// Starts after which mirror images count as searched for.
+const IMAGE_STARTS: usize = 25;
+
+/// Further starts, spread over the reach of a head, for data that nothing has fitted.
+const SPREAD_STARTS: usize = 48;
+
+/// How far the further starts of the search lie apart: half the reach of a head.
 const SEARCH_ROTATION_RAD: f64 = 0.3;
 const SEARCH_TRANSLATION_M: f64 = 3e-3;
 
 /// Two poses this many σ apart are two poses.
-const DISTINCT_SIGMAS: f64 = 20.0;
+const DISTINCT_SIGMAS: f64 = 6.0;
 
-/// A residual this large a share of a cell's current is no misfit but another place.
-const ELSEWHERE: f64 = 0.3;
+/// A residual this large a share of a cell's current is no misfit but another place. Gains that
+/// calibration has not settled stay well below.
+const ELSEWHERE: f64 = 0.1;
 
 /// Estimates poses from the photocurrents of one scene.
 ///
@@ -61,6 +69,9 @@ pub struct Solver<S: Scalar> {
     limits: Vec<Limits, MAX_CELLS>,
     exposure: Vec<S, MAX_CELLS>,
     arm: S,
+    /// Directions that the head cannot tell at home, with all cells lit: mirror images of every
+    /// other pose fit as well, so that it has no pose to give anywhere.
+    blind: Option<Directions>,
 }
 
 /// What is known beforehand of the tool's motion within a frame.
@@ -89,7 +100,7 @@ impl<S: Scalar> Solver<S> {
         let cells = scene.cells.iter();
         let square_arm: f64 = cells.clone().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
         let arm_m = libm::sqrt(square_arm / scene.cells.len() as f64);
-        Ok(Self {
+        let mut solver = Self {
             planes: cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)).collect(),
             noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
             limits: cells
@@ -103,7 +114,27 @@ impl<S: Scalar> Solver<S> {
             // A lone emitter at the tool's origin has no arm: any length scale serves.
             arm: S::of(if arm_m > 0.0 { arm_m } else { 0.01 }),
             plan,
-        })
+            blind: None,
+        };
+        solver.blind = solver.blind_at_home();
+        Ok(solver)
+    }
+
+    /// The directions that the currents of a head leave free at home; `None` if there is none, or
+    /// if fewer than three cells see light there.
+    fn blind_at_home(&self) -> Option<Directions> {
+        let home = Photocurrents::of_pairs((0..self.plan.cell_count()).map(|cell| {
+            let pair = self.plan.photocurrents(cell, &Pose::HOME);
+            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
+        }));
+        let sorted = Sorted::of(&home, &self.limits);
+        if sorted.usable.len() < 3 {
+            return None;
+        }
+        let problem = self.problem(&sorted, &MotionPrior::default());
+        let pose = Transform::of(&Pose::HOME);
+        let at = problem.expand(&pose, &problem.whiteners(&pose));
+        observability::free_directions(&at.information)
     }
 
     /// With cell k exposed `offsets_s[k]` seconds after the reference instant.
@@ -148,7 +179,7 @@ impl<S: Scalar> Solver<S> {
         let start = Transform::of(prior);
         let whiteners = problem.whiteners(&start);
         let refined = problem.refine(start, &whiteners, MAX_ITERATIONS);
-        if self.fits(&sorted, &problem, &refined) && sorted.usable.len() >= UNIQUE_FROM {
+        if self.fits(&sorted, &problem, &refined) {
             return self.conclude(&sorted, &refined, refined.iterations, true);
         }
         let mut solution = self.search(&sorted, &problem);
@@ -160,6 +191,7 @@ impl<S: Scalar> Solver<S> {
         let square = |sigma: f64| S::of(sigma * sigma);
         Problem {
             plan: &self.plan,
+            planes: &self.planes,
             noise: &self.noise,
             exposure: &self.exposure,
             readings: &sorted.usable,
@@ -193,8 +225,16 @@ impl<S: Scalar> Solver<S> {
         let mut iterations = 0;
         let mut best: Option<(Refined<S>, bool)> = None;
         let need_all = sorted.usable.len() < UNIQUE_FROM;
-        for start in starts() {
-            let start = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&start), self.arm);
+        let on_planes = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
+        for (tried, start) in starts(on_planes).enumerate() {
+            // The first start is as a rule next to the solution; later ones have a way to go.
+            let start = if tried == 0 {
+                start
+            } else {
+                let nearer = problem.refine(start, &problem.coarse_whiteners(), MAX_ITERATIONS);
+                iterations += nearer.iterations;
+                nearer.pose
+            };
             let rough = problem.refine(start, &problem.whiteners(&start), MAX_ITERATIONS);
             iterations += rough.iterations;
             // Weights that depend on the pose are known only now.
@@ -219,12 +259,14 @@ impl<S: Scalar> Solver<S> {
                 Some(_) => {}
             }
             let observable = || observability::free_directions(&refined.at.information).is_none();
-            if fits && (!need_all || !observable()) {
+            let searched = tried >= IMAGE_STARTS && best.is_some_and(|(_, fits)| fits);
+            if searched || fits && (!need_all || !observable()) {
                 break;
             }
         }
         match best {
-            Some((refined, fits)) if fits || !self.is_elsewhere(problem, &refined) => {
+            // A misfit is shown only where redundancy tells it from a mirror image.
+            Some((refined, fits)) if fits || (!need_all && !self.is_elsewhere(sorted, problem, &refined)) => {
                 self.conclude(sorted, &refined, iterations, fits)
             }
             _ => {
@@ -238,19 +280,20 @@ impl<S: Scalar> Solver<S> {
     /// Whether `refined` explains the data: χ² by the noise, and no light where none was seen.
     fn fits(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
         let gate = chi2_gate(redundancy(sorted.usable.len()));
-        refined.converged
-            && refined.at.chi2.as_f64() <= gate
-            && (sorted.faint.count() == 0 || {
-                let pose = refined.pose.to_pose();
-                (0..self.plan.cell_count()).filter(|&cell| sorted.faint.contains(cell)).all(|cell| {
-                    problem.plan.photocurrents(cell, &pose).total_a().as_f64() < 2.0 * self.limits[cell].faint_a
-                })
-            })
+        refined.converged && refined.at.chi2.as_f64() <= gate && self.is_dark_where_dark(sorted, problem, refined)
+    }
+
+    /// Whether cells that were found without light are without light at the pose, too.
+    fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+        (0..self.plan.cell_count())
+            .filter(|&cell| sorted.faint.contains(cell))
+            .all(|cell| problem.predicted(cell, &refined.pose).total_a().as_f64() < 2.0 * self.limits[cell].faint_a)
     }
 
     /// Whether the best pose found is too far from the data to call it one.
-    fn is_elsewhere(&self, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+    fn is_elsewhere(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
         !refined.converged
+            || !self.is_dark_where_dark(sorted, problem, refined)
             || problem.readings.iter().any(|reading| {
                 let predicted = problem.predicted(reading.cell, &refined.pose);
                 let [first, second] = reading.pair;
@@ -267,6 +310,10 @@ impl<S: Scalar> Solver<S> {
             information: Some(refined.at.information.map(|row| row.map(S::as_f64))),
             ..Solution::without_pose(Outcome::Diverged, sorted.used)
         };
+        if let Some(blind) = self.blind {
+            solution.outcome = Outcome::Unobservable(blind);
+            return solution;
+        }
         let Some(covariance) = observability::covariance(&refined.at.information, self.arm) else {
             let free = observability::free_directions(&refined.at.information).unwrap_or_default();
             solution.outcome = Outcome::Unobservable(free);
@@ -305,15 +352,37 @@ fn chi2_gate(freedom: usize) -> f64 {
     k * root * root * root
 }
 
-/// Home, then turns and shifts along each axis, both ways.
-fn starts() -> impl Iterator<Item = Pose> {
-    let moved = |i: usize| {
+/// The pose on the planes; then, where clipped spots have led the planes astray, home and its
+/// surroundings; then the surroundings of the pose on the planes.
+fn starts<S: Scalar>(on_planes: Transform<S>) -> impl Iterator<Item = Transform<S>> {
+    // A turn about one axis and a shift along the next, both ways.
+    let around = |i: usize| {
         let mut turn = [0.0; 3];
         let mut shift = [0.0; 3];
         let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
         turn[i / 2 % 3] = sign * SEARCH_ROTATION_RAD;
         shift[(i / 2 + 1) % 3] = sign * SEARCH_TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
-        Pose::from_vectors(shift.into(), turn.into())
+        (S::Vec3::of(shift.into()), S::Vec3::of(turn.into()))
     };
-    core::iter::once(Pose::HOME).chain((0..12).map(moved))
+    let home = Transform::of(&Pose::HOME);
+    let of = move |centre: Transform<S>| {
+        (0..12).map(move |i| {
+            let (shift, turn) = around(i);
+            centre.moved(shift, turn)
+        })
+    };
+    // The generalised golden ratio in six dimensions fills a box evenly (Roberts 2018): powers of
+    // the inverse of the root of x⁷ = x + 1.
+    let spread = (1..=SPREAD_STARTS).map(move |n| {
+        let mut share = 1.0;
+        let coordinates: [f64; 6] = core::array::from_fn(|_| {
+            share *= 0.898_653_712_628_699;
+            let position = n as f64 * share;
+            2.0 * (position - libm::floor(position)) - 1.0
+        });
+        let [tx, ty, tz, rx, ry, rz] = coordinates;
+        let (shift, turn) = (glam::DVec3::new(tx, ty, tz), glam::DVec3::new(rx, ry, rz));
+        home.moved(S::Vec3::of(shift * 4.0 / 3.0 * SEARCH_TRANSLATION_M), S::Vec3::of(turn * SEARCH_ROTATION_RAD))
+    });
+    [on_planes, home].into_iter().chain(of(home)).chain(of(on_planes)).chain(spread)
 }

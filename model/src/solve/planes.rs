@@ -64,6 +64,10 @@ impl<S: Scalar> PlaneCell<S> {
         }
     }
 
+    pub(super) fn detector_length_m(&self) -> S {
+        S::two() * self.half_length
+    }
+
     /// Unit normal of the emitter's plane, and the weight of its distance.
     fn plane(&self, reading: &Usable<S>) -> (S::Vec3, S) {
         let [first, second] = reading.pair;
@@ -73,6 +77,19 @@ impl<S: Scalar> PlaneCell<S> {
         let normal = (self.slit - landing).cross(self.along);
         let weight = if x_a.abs() > self.unclipped { S::of(CLIPPED_WEIGHT) } else { S::one() };
         (normal * normal.length().recip(), weight)
+    }
+
+    /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
+    /// by (δt, arm·δθ).
+    pub(super) fn row(&self, reading: &Usable<S>, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
+        self.row_of(self.plane(reading).0, pose, arm_m)
+    }
+
+    fn row_of(&self, normal: S::Vec3, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
+        let arm = pose.rotate(self.emitter_tool);
+        let turn = arm.cross(normal) * arm_m.recip();
+        let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
+        (row, normal.dot(arm + pose.translation() - self.slit))
     }
 }
 
@@ -91,11 +108,7 @@ pub(super) fn pose_on_planes<S: Scalar>(
         let mut matrix: Matrix6<S> = [[S::zero(); 6]; 6];
         let mut right: Vector6<S> = [S::zero(); 6];
         for &(index, (normal, weight)) in &planes {
-            let cell = &cells[index];
-            let arm = pose.rotate(cell.emitter_tool);
-            let distance = normal.dot(arm + pose.translation() - cell.slit);
-            let turn = arm.cross(normal) * arm_m.recip();
-            let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
+            let (row, distance) = cells[index].row_of(normal, &pose, arm_m);
             for i in 0..6 {
                 right[i] -= weight * row[i] * distance;
                 for j in 0..6 {

@@ -11,6 +11,7 @@ use crate::scalar::{Scalar, Vector3};
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Cholesky, Matrix6, Vector6};
+use super::planes::PlaneCell;
 use super::readings::Usable;
 use super::weights::{CellNoise, TwistVariance, Whitener};
 
@@ -31,9 +32,13 @@ pub(super) struct Motion<S: Scalar> {
     pub(super) variance: TwistVariance<S>,
 }
 
+/// How firmly a plane guides: its distance is worth one σ per so much.
+const GUIDE_M: f64 = 20e-6;
+
 /// What does not change during one refinement.
 pub(super) struct Problem<'a, S: Scalar> {
     pub(super) plan: &'a Plan<S>,
+    pub(super) planes: &'a [PlaneCell<S>],
     pub(super) noise: &'a [CellNoise<S>],
     /// Exposure of each cell relative to the reference instant, seconds.
     pub(super) exposure: &'a [S],
@@ -100,12 +105,39 @@ impl<S: Scalar> Problem<'_, S> {
             .collect()
     }
 
-    fn expand(&self, pose: &Transform<S>, whiteners: &Whiteners<S>) -> Expansion<S> {
+    /// Weights for the way from far off.
+    pub(super) fn coarse_whiteners(&self) -> Whiteners<S> {
+        self.readings
+            .iter()
+            .map(|reading| {
+                let pair = crate::Pair { i_x1_a: reading.pair[0], i_x2_a: reading.pair[1] };
+                let length = self.planes[reading.cell].detector_length_m();
+                self.noise[reading.cell].coarse(length).covariance(&pair).whitener()
+            })
+            .collect()
+    }
+
+    /// χ² and its expansion at `pose`.
+    pub(super) fn expand(&self, pose: &Transform<S>, whiteners: &Whiteners<S>) -> Expansion<S> {
         let mut chi2 = S::zero();
         let mut information = [[S::zero(); 6]; 6];
         let mut descent = [S::zero(); 6];
         for (reading, whitener) in self.readings.iter().zip(whiteners) {
-            let (_, predicted, jacobian) = self.plan.linearise_at(reading.cell, &self.exposed(pose, reading.cell));
+            let (status, predicted, jacobian) = self.plan.linearise_at(reading.cell, &self.exposed(pose, reading.cell));
+            if !status.has_spot() {
+                // A cell that saw light and should see none here has no slope to descend on: its
+                // plane shows the way.
+                let (row, distance) = self.planes[reading.cell].row(reading, pose, self.arm);
+                let residual = -distance / S::of(GUIDE_M);
+                let row = row.map(|value| value * self.arm / S::of(GUIDE_M));
+                chi2 += residual * residual;
+                for i in 0..6 {
+                    descent[i] += row[i] * residual;
+                    for j in 0..=i {
+                        information[i][j] += row[i] * row[j];
+                    }
+                }
+            }
             let residual = whitener.apply([reading.pair[0] - predicted.i_x1_a, reading.pair[1] - predicted.i_x2_a]);
             let mut rows = [[S::zero(); 6]; 2];
             for axis in 0..6 {

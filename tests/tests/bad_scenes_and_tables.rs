@@ -1,0 +1,204 @@
+//! Scene files, tables and command lines that are wrong: refused with a message that says where, what
+//! stands there and what to do, with nothing on standard output.
+
+use slitpose::scene_file::WIDE;
+use slitpose_tests::scenes::wide_with;
+use slitpose_tests::slitpose;
+
+const POSES: &str = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n";
+
+/// Offers `scene` to every verb that reads one; each must refuse it with all of `parts`.
+fn assert_scene_refused(scene: &str, parts: &[&str]) {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("head.toml");
+    std::fs::write(&path, scene).expect("scene");
+    let path = path.to_str().expect("UTF-8 path");
+    let parts: Vec<&str> = parts.iter().copied().chain([path]).collect();
+    let poses = format!("{POSES}a,0,0,0,0,0,0\n");
+    slitpose!().run_with_input(["model", path, "--poses", "-"], &poses).assert_refused(1, &parts);
+    slitpose!().run_with_input(["solve", path, "--currents", "-"], "id\n1\n").assert_refused(1, &parts);
+    slitpose!().run(["run", "--device", "sim", "--scene", path, "--duration", "1ms"]).assert_refused(1, &parts);
+    slitpose!().run(["simulate", "--output", "-", "--scene", path, "--duration", "1ms"]).assert_refused(1, &parts);
+    slitpose!().run(["scene", "check", path]).assert_refused(1, &parts);
+}
+
+/// `:line:column` of the first `text` in `scene`, `skip` characters into it.
+fn place(scene: &str, text: &str, skip: usize) -> String {
+    let at = scene.find(text).expect("stands there") + skip;
+    let line = scene[..at].matches('\n').count() + 1;
+    let column = at - scene[..at].rfind('\n').map_or(0, |newline| newline + 1) + 1;
+    format!(".toml:{line}:{column}")
+}
+
+#[test]
+fn text_that_is_no_toml() {
+    let scene = wide_with(&[("[slit]\n", "[slit\n")]);
+    assert_scene_refused(&scene, &["not valid TOML", &place(&scene, "[slit\n", 5)]);
+    let scene = wide_with(&[("distance_mm = 5.0", "distance_mm 5.0")]);
+    assert_scene_refused(&scene, &["not valid TOML", &place(&scene, "distance_mm 5.0", 12)]);
+    assert_scene_refused("", &["no cell"]);
+}
+
+#[test]
+fn keys_that_no_scene_has() {
+    let scene = wide_with(&[("distance_mm = 5.0", "distanse_mm = 5.0")]);
+    assert_scene_refused(&scene, &["`distanse_mm`", "did you mean `distance_mm`?", &place(&scene, "distanse_mm", 0)]);
+    let scene = WIDE.text.to_owned() + "colour = 3\n";
+    assert_scene_refused(&scene, &["`colour`", "cell", &place(&scene, "colour", 0)]);
+    let scene = wide_with(&[("[emitter] ", "[emiter] ")]);
+    assert_scene_refused(&scene, &["did you mean `emitter`?", &place(&scene, "emiter", 0)]);
+}
+
+#[test]
+fn effects_that_are_not_built_yet() {
+    let remedy = "not supported by this version";
+    let window = WIDE.text.to_owned() + "[window]\nthickness_mm = 0.7\nrefractive_index = 1.52\n";
+    assert_scene_refused(
+        &window,
+        &["window.thickness_mm = 0.7", remedy, "remove", &place(&window, "thickness_mm = 0.7", 15)],
+    );
+    let stray = WIDE.text.to_owned() + "[stray]\ncurrent_a = 1e-9\ncentre_mm = 0.0\n";
+    assert_scene_refused(&stray, &["stray.current_a = 1e-9", remedy, &place(&stray, "1e-9\ncentre", 0)]);
+    let extended = wide_with(&[("half_angle_deg = 55.0", "source_diameter_mm = 0.3\nhalf_angle_deg = 55.0")]);
+    assert_scene_refused(&extended, &["source_diameter_mm = 0.3", remedy, &place(&extended, "0.3\nhalf", 0)]);
+    let bent = wide_with(&[("saturation_a = 100e-6", "nonlinearity_mm = [0.0, 0.06, 0.0]\nsaturation_a = 100e-6")]);
+    assert_scene_refused(&bent, &["nonlinearity_mm = [0.0, 0.06, 0.0]", remedy, &place(&bent, "[0.0, 0.06", 0)]);
+}
+
+#[test]
+fn values_that_cannot_be() {
+    for (old, new, parts) in [
+        ("distance_mm = 5.0", "distance_mm = -5.0", &["slit.distance_mm = -5.0", "-5"][..]),
+        ("width_mm = 1.0", "width_mm = -1.0", &["detector.width_mm = -1.0", "not positive"]),
+        ("responsivity_a_per_w = 0.54", "responsivity_a_per_w = nan", &["responsivity_a_per_w = nan", "finite"]),
+        ("radiant_intensity_w_per_sr = 3.16e-3", "radiant_intensity_w_per_sr = inf", &["= inf", "finite"]),
+        (
+            "x_axis = [0.0, 0.707106781186548, 0.707106781186547]",
+            "x_axis = [0.0, 0.7071, 0.7071]",
+            &["x_axis", "0.99999", "not 1"],
+        ),
+        ("emitter_axis = [1.0, 0.0, 0.0]", "emitter_axis = [0.0, 0.0, 0.0]", &["emitter_axis", "length 0"]),
+        ("normal = [-1.0, 0.0, 0.0]", "normal = [0.0, 0.0, 1.0]", &["x_axis", "not perpendicular"]),
+        (
+            "half_angle_deg = 55.0",
+            "half_angle_deg = 55.0\nprofile_exponent = 1.2",
+            &["2 emission profiles", "exactly one"],
+        ),
+        ("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0, 3], [1, 4], [2], []]", &["emitter 5", "no slot"]),
+    ] {
+        assert_scene_refused(&wide_with(&[(old, new)]), parts);
+    }
+}
+
+#[test]
+fn too_few_and_too_many_cells() {
+    let (head, cells) = WIDE.text.split_at(WIDE.text.find("[[cell]]").expect("cells"));
+    let one = &cells[..cells[1..].find("[[cell]]").expect("more") + 1];
+    let without_lighting = head.replace("slots = [[0, 3], [1, 4], [2, 5], []]", "");
+    assert_scene_refused(&without_lighting, &["no cell", "add", "[[cell]]"]);
+    assert_scene_refused(&(without_lighting + &one.repeat(17)), &["17 cells", "at most 16"]);
+}
+
+#[test]
+fn a_scene_that_is_not_there() {
+    slitpose!()
+        .run(["model", "no/such.toml", "--poses", "-"])
+        .assert_refused(1, &["no/such.toml", "wide, base, bench"]);
+    let refused = slitpose!().run(["run", "--device", "sim", "--scene", "bench", "--duration", "1ms"]);
+    refused.assert_refused(1, &["bench", "[front_end]", "add one"]);
+}
+
+#[test]
+fn tables_that_are_none() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("poses.csv");
+    let name = path.to_str().expect("UTF-8 path");
+    let missing_column = POSES.replace("tz_mm", "tz") + "a,0,0,0,0,0,0\n";
+    for (text, parts) in [
+        ("", &["is empty", "header row"][..]),
+        (POSES, &["no row", "add at least one"]),
+        (&missing_column, &["line 1", "`tz_mm` is missing", "id, tx_mm, ty_mm, tz, rx_rad", "add the column"]),
+        ("id,id,tx_mm\na,b,0\n", &["line 1", "`id`", "twice", "rename"]),
+    ] {
+        std::fs::write(&path, text).expect("table");
+        slitpose!().run(["model", "wide", "--poses", name]).assert_refused(1, &[parts, &[name]].concat());
+        slitpose!().run_with_input(["model", "wide", "--poses", "-"], text).assert_refused(1, parts);
+    }
+    let refused = slitpose!().run(["model", "wide", "--poses", "no/such.csv"]);
+    refused.assert_refused(1, &["cannot read no/such.csv", "give a CSV file"]);
+    let currents = "id,i_x1_0_a,i_x2_0_a\n1,1e-6,1e-6\n";
+    let refused = slitpose!().run_with_input(["solve", "wide", "--currents", "-"], currents);
+    refused.assert_refused(1, &["standard input, line 1", "`i_x1_1_a` is missing", "add the column"]);
+}
+
+#[test]
+fn fields_that_are_no_numbers() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (path, output) = (folder.path().join("poses.csv"), folder.path().join("out.csv"));
+    let (name, output_name) = (path.to_str().expect("UTF-8 path"), output.to_str().expect("UTF-8 path"));
+    for (row, parts) in [
+        ("b,0,0,0.5 mm,0,0,0", &["`tz_mm`", "`0.5 mm` is not a finite number"][..]),
+        ("b,0,0,,0,0,0", &["`tz_mm`", "`` is not a finite number"]),
+        ("b,0,0,0,NaN,0,0", &["`rx_rad`", "`NaN` is not a finite number"]),
+        ("b,0,0,0,0,inf,0", &["`ry_rad`", "`inf` is not a finite number"]),
+        ("b,1e12,0,0,0,0,0", &["`tx_mm`", "out of range"]),
+        ("b,0,0,0", &["4 fields", "header has 7", "correct this row"]),
+        ("b,0,0,0,0,0,0,0", &["8 fields", "header has 7", "correct this row"]),
+    ] {
+        std::fs::write(&path, format!("{POSES}a,0,0,0,0,0,0\n{row}\nc,0,0,0,0,0,0\n")).expect("table");
+        // To a file: what was written to standard output cannot be taken back.
+        let finished = slitpose!().run(["model", "wide", "--poses", name, "--output", output_name]);
+        finished.assert_refused(1, &[parts, &[name, "row 2 (line 3)"]].concat());
+        assert!(!output.exists(), "{row}: a table in spite of the error");
+    }
+    // Not UTF-8.
+    std::fs::write(&path, [POSES.as_bytes(), b"\xff,0,0,0,0,0,0\n"].concat()).expect("table");
+    slitpose!().run(["model", "wide", "--poses", name]).assert_refused(1, &[name, "row 1 (line 2)", "UTF-8"]);
+}
+
+#[test]
+fn paths_that_do_not_advance() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("path.csv");
+    let name = path.to_str().expect("UTF-8 path");
+    let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1ms", "--trajectory", name];
+    slitpose!().run(run).assert_refused(1, &[name, "cannot read"]);
+    std::fs::write(&path, "time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0,0\n0,1,0,0,0,0,0\n")
+        .expect("table");
+    slitpose!().run(run).assert_refused(1, &[name, "time 0 s follows 0 s", "sort"]);
+    std::fs::write(&path, "tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0\n").expect("table");
+    slitpose!().run(run).assert_refused(1, &[name, "`time_s` is missing"]);
+}
+
+#[test]
+fn wrong_usage_ends_with_two() {
+    for (arguments, part) in [
+        (&[][..], "Usage"),
+        (&["frobnicate"], "frobnicate"),
+        (&["run"], "--device"),
+        (&["run", "--device", "sim", "--duration", "soon"], "such as 10s"),
+        (&["run", "--device", "sim", "--duration", "0s"], "such as 10s"),
+        (&["run", "--device", "sim", "--speed", "0"], "such as 1 or 0.5"),
+        (&["run", "--device", "sim", "--format", "xml"], "ndjson"),
+        (&["run", "--device", "sim", "--seed", "one"], "--seed"),
+        (&["model", "wide"], "--poses"),
+        (&["model", "wide", "--poses", "-", "--tier", "best"], "paper, exact"),
+        (&["model", "wide", "--poses", "-", "--tolerance", "0"], "between 0 and 1"),
+        (&["solve", "wide"], "--currents"),
+        (&["replay"], "<FILE>"),
+        (&["simulate"], "--output"),
+    ] {
+        slitpose!().run(arguments).assert_refused(2, &[part]);
+    }
+    slitpose!()
+        .run(["run", "--device", "/dev/no-such-board"])
+        .assert_refused(1, &["/dev/no-such-board", "--device sim"]);
+}
+
+#[test]
+fn help_is_data_and_has_an_example() {
+    for verb in ["run", "replay", "simulate", "model", "solve"] {
+        let help = slitpose!().run([verb, "--help"]).done();
+        assert!(help.contains("Example") && help.contains(&format!("slitpose {verb} ")), "{help}");
+    }
+}

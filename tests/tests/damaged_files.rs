@@ -1,0 +1,176 @@
+//! Captures that are damaged, cut off or none at all, and results that cannot be written, through
+//! processes: exit code, message, and no half result under a final name.
+
+use std::path::{Path, PathBuf};
+
+use slitpose_tests::capture::{Packet, packets};
+use slitpose_tests::slitpose;
+
+/// 100 batches of four scans.
+const SCANS: usize = 400;
+
+struct Capture {
+    folder: tempfile::TempDir,
+    bytes: Vec<u8>,
+    packets: Vec<Packet>,
+    /// What replaying it undamaged prints.
+    lines: Vec<Vec<u8>>,
+}
+
+impl Capture {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let output = slitpose!().run(["simulate", "--output", "-", "--duration", "100ms", "--seed", "41"]);
+        let packets = packets(&output.stdout);
+        let capture = Self { folder, bytes: output.stdout, packets, lines: Vec::new() };
+        let whole = slitpose!().run(["replay", text(&capture.file(&capture.bytes)), "--tier", "paper"]);
+        assert_eq!((whole.code, whole.stderr.as_str()), (0, ""));
+        let lines: Vec<_> = whole.stdout.split_inclusive(|byte| *byte == b'\n').map(<[u8]>::to_vec).collect();
+        assert_eq!(lines.len(), SCANS);
+        Self { lines, ..capture }
+    }
+
+    fn file(&self, bytes: &[u8]) -> PathBuf {
+        let path = self.folder.path().join("damaged.capture");
+        std::fs::write(&path, bytes).expect("capture");
+        path
+    }
+
+    /// Replays `bytes`, from which the scans `lost` are gone, and checks what is printed.
+    fn replay(&self, bytes: &[u8], lost: std::ops::Range<usize>, parts: &[&str]) {
+        let finished = slitpose!().run(["replay", text(&self.file(bytes)), "--tier", "paper"]);
+        assert_eq!(finished.code, 3, "{}", finished.stderr);
+        for part in parts {
+            assert!(finished.stderr.contains(part), "`{part}` is not in: {}", finished.stderr);
+        }
+        let lines: Vec<&[u8]> = finished.stdout.split_inclusive(|byte| *byte == b'\n').collect();
+        assert_eq!(lines.len(), SCANS - lost.len());
+        // What comes ahead of the damage is what it was; behind it the tracker starts anew.
+        assert!(lines[..lost.start].iter().eq(self.lines[..lost.start].iter()));
+        let sequences = |lines: &[&[u8]]| -> Vec<Vec<u8>> {
+            lines.iter().map(|line| line.split(|byte| *byte == b',').next().expect("seq").to_vec()).collect()
+        };
+        let expected: Vec<&[u8]> =
+            self.lines[..lost.start].iter().chain(&self.lines[lost.end..]).map(Vec::as_slice).collect();
+        assert_eq!(sequences(&lines), sequences(&expected));
+        assert!(
+            slitpose_tests::ndjson::parse(&String::from_utf8(finished.stdout.clone()).expect("UTF-8"))
+                .iter()
+                .all(|line| line.estimate.is_some())
+        );
+    }
+
+    fn packet_of(&self, scan: u64) -> &Packet {
+        self.packets.iter().find(|packet| packet.scans.contains(&scan)).expect("taken")
+    }
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8 path")
+}
+
+#[test]
+fn damage_is_told_and_ends_with_three() {
+    let capture = Capture::new();
+    let hit = capture.packet_of(200).clone();
+    let lost = hit.scans.start as usize..hit.scans.end as usize;
+
+    let mut flipped = capture.bytes.clone();
+    flipped[hit.bytes.start + 50] ^= 0x10;
+    capture.replay(&flipped, lost.clone(), &["damaged or lost", "4 scans missing", "1 damaged"]);
+
+    let dropped = [&capture.bytes[..hit.bytes.start], &capture.bytes[hit.bytes.end..]].concat();
+    capture.replay(&dropped, lost, &["4 scans missing", "0 damaged"]);
+
+    let garbage = [&capture.bytes[..hit.bytes.start], b"garbage\0", &capture.bytes[hit.bytes.start..]].concat();
+    capture.replay(&garbage, 0..0, &["0 scans missing", "1 damaged", "8 bytes skipped"]);
+
+    let cut = &capture.bytes[..hit.bytes.start + 50];
+    capture.replay(cut, 200..SCANS, &["0 scans missing", "50 bytes of a packet that was cut off"]);
+}
+
+#[test]
+fn what_holds_no_scan_is_no_capture() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("no.capture");
+    for (bytes, length) in [(&b""[..], "0 bytes"), (b"id,tx_mm\n1,2\n", "13 bytes"), (&[0; 100], "100 bytes")] {
+        std::fs::write(&path, bytes).expect("file");
+        slitpose!().run(["replay", text(&path)]).assert_refused(1, &[text(&path), "no scan", length, "--record"]);
+    }
+    let missing = folder.path().join("missing.capture");
+    slitpose!().run(["replay", text(&missing)]).assert_refused(1, &[text(&missing), "cannot read", "--record"]);
+    slitpose!().run(["replay", text(folder.path())]).assert_refused(1, &[text(folder.path()), "cannot read"]);
+}
+
+#[test]
+fn a_capture_without_its_hello_cannot_be_read() {
+    let capture = Capture::new();
+    let path = capture.file(&capture.bytes[capture.packet_of(0).bytes.start..]);
+    slitpose!()
+        .run(["replay", text(&path)])
+        .assert_refused(1, &[text(&path), "100 batches without a hello", "no scan"]);
+}
+
+#[test]
+fn a_place_that_cannot_be_written_is_refused_before_any_work() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let poses = folder.path().join("poses.csv");
+    std::fs::write(&poses, "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\na,0,0,0,0,0,0\n").expect("poses");
+    let nowhere = folder.path().join("no/such/folder/result");
+    for target in [text(&nowhere), text(folder.path())] {
+        let short = ["--duration", "1ms"];
+        for command in [
+            [&["run", "--device", "sim", "--speed", "max", "--record", target][..], &short].concat(),
+            [&["simulate", "--output", target][..], &short].concat(),
+            [&["simulate", "--output", "-", "--truth", target][..], &short].concat(),
+            vec!["model", "wide", "--poses", text(&poses), "--output", target],
+        ] {
+            slitpose!().run(&command).assert_refused(1, &["cannot write", target]);
+        }
+    }
+    assert_eq!(names(folder.path()), ["poses.csv"]);
+}
+
+#[test]
+fn a_failure_on_the_way_leaves_the_old_result() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (poses, output) = (folder.path().join("poses.csv"), folder.path().join("output.csv"));
+    let mut table = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n".to_owned() + &"a,0,0,0,0,0,0\n".repeat(2000);
+    table += "last,0,0,oops,0,0,0\n";
+    std::fs::write(&poses, table).expect("poses");
+    let command = ["model", "wide", "--poses", text(&poses), "--output", text(&output)];
+    slitpose!().run(command).assert_refused(1, &[text(&poses), "row 2001", "oops"]);
+    assert_eq!(names(folder.path()), ["poses.csv"]);
+    std::fs::write(&output, "old").expect("old result");
+    slitpose!().run(command).assert_refused(1, &["oops"]);
+    assert_eq!(std::fs::read_to_string(&output).expect("old result"), "old");
+    assert_eq!(names(folder.path()), ["output.csv", "poses.csv"]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_an_error_and_the_recording_is_kept() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let record = folder.path().join("run.capture");
+    let full = || std::fs::File::options().write(true).open("/dev/full").expect("a full device");
+    let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1s"];
+    let with_record = [&run[..], &["--record", text(&record)]].concat();
+    let output = slitpose!().command(with_record).stdout(full()).output().expect("runs");
+    let talk = String::from_utf8(output.stderr).expect("UTF-8");
+    assert_eq!(output.status.code(), Some(1), "{talk}");
+    assert!(talk.contains("standard output") && talk.contains("No space left"), "{talk}");
+    assert_eq!(names(folder.path()), ["run.capture"]);
+
+    let finished = slitpose!().run([&run[..], &["--record", "/dev/full"]].concat());
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains("/dev/full") && finished.stderr.contains("No space left"), "{}", finished.stderr);
+}
+
+/// Names of the files in `folder`, hidden ones included.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("folder");
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("entry").file_name().into_string().expect("UTF-8")).collect();
+    names.sort();
+    names
+}

@@ -1,0 +1,122 @@
+//! A capture solved again gives what was printed when it was taken, byte for byte.
+
+use std::path::Path;
+
+use slitpose_tests::scenes::wide_with;
+use slitpose_tests::slitpose;
+use slitpose_tests::table::Table;
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8 path")
+}
+
+fn run(arguments: &[&str]) -> Vec<u8> {
+    let finished = slitpose!().run(["run", "--device", "sim", "--speed", "max"].iter().chain(arguments));
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{arguments:?}");
+    finished.stdout
+}
+
+fn replay(capture: &Path, arguments: &[&str]) -> Vec<u8> {
+    let finished = slitpose!().run(["replay", text(capture)].iter().chain(arguments));
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{arguments:?}");
+    finished.stdout
+}
+
+#[test]
+fn a_recording_replays_as_it_ran() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("run.capture");
+    for motion in ["smooth", "contact"] {
+        for tier in ["paper", "exact"] {
+            for format in ["ndjson", "csv"] {
+                let common = ["--format", format, "--tier", tier];
+                let live = ["--duration", "500ms", "--trajectory", motion, "--record", text(&capture)];
+                let ran = run(&[&live[..], &common[..]].concat());
+                assert_eq!(ran.iter().filter(|byte| **byte == b'\n').count(), 2000 + usize::from(format == "csv"));
+                assert!(replay(&capture, &common) == ran, "{motion}, {tier}, {format}: replay differs from run");
+            }
+        }
+    }
+}
+
+#[test]
+fn simulating_and_replaying_is_running() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (simulated, recorded) = (folder.path().join("simulated"), folder.path().join("recorded"));
+    let common = ["--duration", "300ms", "--trajectory", "fast", "--seed", "21"];
+    let output = ["simulate", "--output", text(&simulated)];
+    let finished = slitpose!().run(output.iter().chain(&common));
+    assert_eq!((finished.code, finished.stdout.as_slice(), finished.stderr.as_str()), (0, &b""[..], ""));
+    let ran = run(&[&common[..], &["--record", text(&recorded)]].concat());
+    assert!(replay(&simulated, &[]) == ran, "replay of simulate differs from run");
+    let read = |path| std::fs::read(path).expect("capture");
+    assert!(read(&simulated) == read(&recorded), "simulate wrote another capture than run recorded");
+
+    let finished = slitpose!().run(["simulate", "--output", "-"].iter().chain(&common));
+    assert!(finished.code == 0 && finished.stdout == read(&simulated), "standard output got another capture");
+}
+
+#[test]
+fn another_seed_is_another_capture() {
+    let capture = |seed| slitpose!().run(["simulate", "--output", "-", "--duration", "50ms", "--seed", seed]).stdout;
+    assert!(capture("1") != capture("2"));
+}
+
+#[test]
+fn duration_ends_a_replay_without_complaint() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("run.capture");
+    let all = run(&["--duration", "300ms", "--record", text(&capture)]);
+    let lines: Vec<&[u8]> = all.split_inclusive(|byte| *byte == b'\n').collect();
+    for (duration, scans) in [("100ms", 400), ("1ms", 4), ("250us", 1), ("299ms", 1196), ("10s", 1200)] {
+        let part = replay(&capture, &["--duration", duration]);
+        assert!(part == lines[..scans].concat(), "{duration} of replay are not the first {scans} lines");
+    }
+}
+
+#[test]
+fn the_true_path_on_file_is_the_one_in_the_capture() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (capture, truth) = (folder.path().join("capture"), folder.path().join("truth.csv"));
+    let arguments = ["--duration", "100ms", "--output", text(&capture), "--truth", text(&truth), "--seed", "22"];
+    assert_eq!(slitpose!().run(["simulate"].iter().chain(&arguments)).code, 0);
+    let table = Table::parse(&std::fs::read_to_string(&truth).expect("truth"));
+    let lines = slitpose_tests::ndjson::parse(&String::from_utf8(replay(&capture, &[])).expect("UTF-8"));
+    assert_eq!((table.rows().len(), lines.len()), (400, 400));
+    for (row, line) in table.rows().zip(&lines) {
+        assert_eq!(row.number("seq"), line.sequence as f64);
+        assert_eq!(row.number("device_time_s"), line.device_time_s);
+        let [tx, ty, tz, rx, ry, rz] = row.numbers(["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"]);
+        let filed = slitpose_tests::poses::pose([tx, ty, tz, rx, ry, rz]);
+        let off = slitpose_tests::consistency::error(&filed, &line.truth.expect("simulated"));
+        // From quaternion to rotation vector and back, from metres to millimetres and back: rounding.
+        assert!(off.iter().all(|axis| axis.abs() < 1e-15), "{line:?}: {off:?}");
+    }
+}
+
+#[test]
+fn the_scene_of_a_capture_is_looked_after() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (capture, scene) = (folder.path().join("capture"), folder.path().join("thick.toml"));
+    let thick = wide_with(&[("length_mm = 10.0  ", "thickness_mm = 0.15\nlength_mm = 10.0  ")]);
+    std::fs::write(&scene, thick).expect("scene");
+    let ran = run(&["--duration", "20ms", "--scene", text(&scene), "--record", text(&capture)]);
+
+    // The hash names no shipped scene: the default one must not be taken for it.
+    let refused = slitpose!().run(["replay", text(&capture)]);
+    let wide = slitpose::scene_file::WIDE.read().expect("shipped").hash;
+    let own = slitpose_tests::scenes::parse(&std::fs::read_to_string(&scene).expect("scene")).hash;
+    refused.assert_refused(1, &[&format!("{wide:016x}"), &format!("{own:016x}"), "--scene"]);
+
+    assert!(replay(&capture, &["--scene", text(&scene)]) == ran, "replay with the scene given differs from run");
+
+    // Asked for by name another scene is used, and said so.
+    let other = slitpose!().run(["replay", text(&capture), "--scene", "wide"]);
+    assert_eq!(other.code, 0);
+    assert!(other.stdout != ran, "the scene asked for was not used");
+    assert!(other.stderr.contains(&format!("{own:016x}")), "{}", other.stderr);
+
+    // A shipped scene is found by its hash.
+    let ran = run(&["--duration", "20ms", "--record", text(&capture), "--scene", "wide"]);
+    assert!(replay(&capture, &[]) == ran);
+}

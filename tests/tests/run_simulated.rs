@@ -1,0 +1,183 @@
+//! `slitpose run --device sim`: every scan arrives, says what the interface promises, and is as near
+//! to the truth as it claims.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use slitpose_model::Pose;
+use slitpose_tests::consistency::{error, nees, worst_axis};
+use slitpose_tests::ndjson::{self, Line};
+use slitpose_tests::poses::{self, between};
+use slitpose_tests::statistics::median;
+use slitpose_tests::table::Table;
+use slitpose_tests::{process::Finished, slitpose};
+
+/// Frames a second of the default scene.
+const RATE_HZ: f64 = 4000.0;
+
+fn run(arguments: &[&str]) -> Finished {
+    let finished = slitpose!().run(["run", "--device", "sim", "--speed", "max"].iter().chain(arguments));
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    finished
+}
+
+fn lines(arguments: &[&str]) -> Vec<Line> {
+    println!("{arguments:?}");
+    ndjson::parse(&run(arguments).done())
+}
+
+/// Asserts that scans 0 to `count` − 1 are there, one frame apart, each with its truth.
+fn assert_complete(lines: &[Line], count: usize) {
+    assert_eq!(lines.len(), count);
+    let start_s = lines[0].device_time_s;
+    for (i, line) in lines.iter().enumerate() {
+        assert_eq!(line.sequence, i as u64);
+        // Instants are exact in ticks of 6 ns.
+        assert!((line.device_time_s - start_s - i as f64 / RATE_HZ).abs() < 1e-9, "{line:?}");
+        assert!(line.truth.is_some() && line.cells_used <= 6, "{line:?}");
+    }
+}
+
+struct Honesty {
+    poses: usize,
+    median_nees: f64,
+    beyond_five_sigma: usize,
+}
+
+fn honesty(lines: &[Line]) -> Honesty {
+    let errors: Vec<_> = lines.iter().filter_map(Line::error).collect();
+    let honesty = Honesty {
+        poses: errors.len(),
+        median_nees: median(errors.iter().map(|(error, covariance)| nees(error, covariance))),
+        beyond_five_sigma: errors.iter().filter(|(error, covariance)| worst_axis(error, covariance) > 5.0).count(),
+    };
+    let mut statuses = BTreeMap::new();
+    lines.iter().for_each(|line| *statuses.entry(line.status.as_str()).or_insert(0) += 1);
+    println!(
+        "{statuses:?}, median NEES {:.3}, {} of {} beyond 5 σ",
+        honesty.median_nees, honesty.beyond_five_sigma, honesty.poses
+    );
+    honesty
+}
+
+#[test]
+fn ten_seconds_of_the_default() {
+    let lines = lines(&["--duration", "10s"]);
+    assert_complete(&lines, 40_000);
+    // The mean lit instant in ticks of 170 MHz: cells k and k + 3 in slot k of 2210 settling ticks and
+    // 24 conversions of 148, so one slot on average, settling, and the middle of rank 2.5.
+    let reference_ticks = (2210.0 + 24.0 * 148.0) + 2210.0 + (2.5 * 4.0 + 1.5) * 148.0;
+    assert!((lines[0].device_time_s - reference_ticks / 170e6).abs() < 1e-12, "{}", lines[0].device_time_s);
+    let honesty = honesty(&lines);
+    assert!(honesty.poses >= 39_960, "99.9 % of the scans must give a pose");
+    // Of 240 000 normal numbers 0.14 lie beyond 5 σ.
+    assert!(honesty.beyond_five_sigma <= 3);
+    // χ² of six degrees has the median 5.35: a covariance 19 % too large or 18 % too small fails.
+    assert!((4.5..6.5).contains(&honesty.median_nees));
+}
+
+#[test]
+fn the_paper_tier_is_as_honest() {
+    let lines = lines(&["--duration", "2s", "--tier", "paper", "--seed", "2"]);
+    assert_complete(&lines, 8_000);
+    let honesty = honesty(&lines);
+    assert!(honesty.poses >= 7_992 && honesty.beyond_five_sigma <= 3);
+    assert!((4.5..6.5).contains(&honesty.median_nees));
+}
+
+#[test]
+fn at_rest_nothing_but_noise_is_left() {
+    let lines = lines(&["--duration", "2s", "--trajectory", "still", "--seed", "3"]);
+    assert_complete(&lines, 8_000);
+    assert!(lines.iter().all(|line| line.truth == Some(Pose::HOME)));
+    let honesty = honesty(&lines);
+    assert!(honesty.poses == 8_000 && honesty.beyond_five_sigma <= 3);
+    assert!((4.5..6.5).contains(&honesty.median_nees));
+}
+
+#[test]
+fn four_times_the_usual_speed_costs_no_pose() {
+    let lines = lines(&["--duration", "2s", "--trajectory", "fast", "--seed", "4"]);
+    assert_complete(&lines, 8_000);
+    let honesty = honesty(&lines);
+    assert!(honesty.poses >= 7_992 && honesty.beyond_five_sigma <= 3);
+    // A parabola through five frames misses part of such bends: a covariance a quarter too small.
+    assert!((4.5..7.1).contains(&honesty.median_nees));
+}
+
+#[test]
+fn abrupt_reversals_cost_no_pose() {
+    let lines = lines(&["--duration", "2s", "--trajectory", "contact", "--seed", "5"]);
+    assert_complete(&lines, 8_000);
+    let honesty = honesty(&lines);
+    assert!(honesty.poses >= 7_992);
+    // Legs of 15 ms on average make 133 reversals in 2 s, and each can surprise one frame.
+    assert!(honesty.beyond_five_sigma <= 133);
+    let largest_m = lines
+        .iter()
+        .filter_map(Line::error)
+        .map(|(error, _)| error[..3].iter().fold(0.0, |largest: f64, axis| largest.max(axis.abs())))
+        .fold(0.0, f64::max);
+    println!("largest error {:.1} um", largest_m * 1e6);
+    // The longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
+    assert!(largest_m < 59e-6);
+    assert!((4.5..6.5).contains(&honesty.median_nees));
+}
+
+#[test]
+fn the_seed_decides_every_byte() {
+    let bytes = |seed| run(&["--duration", "200ms", "--seed", seed]).stdout;
+    let first = bytes("7");
+    assert_eq!(first, bytes("7"));
+    assert_ne!(first, bytes("8"));
+}
+
+#[test]
+fn duration_is_device_time_whatever_the_format() {
+    for (duration, scans) in [("1ms", 4), ("10ms", 40), ("10200us", 41), ("250us", 1)] {
+        assert_complete(&lines(&["--duration", duration]), scans);
+        let table = Table::parse(&run(&["--duration", duration, "--format", "csv"]).done());
+        let sequences: Vec<f64> = table.rows().map(|row| row.number("seq")).collect();
+        assert_eq!(sequences, (0..scans).map(|i| i as f64).collect::<Vec<_>>());
+        assert!(table.rows().all(|row| row.text("simulated") == "true"));
+    }
+    let summary = run(&["--duration", "100ms", "--format", "summary"]).done();
+    assert!(summary.contains("400 scans, 0 lost"), "{summary}");
+}
+
+#[test]
+fn a_path_from_a_table_is_followed() {
+    // Knots every 7 ms: corners fall inside frames, and the last one comes before the end.
+    let knots: Vec<(f64, Pose)> = poses::in_box(&mut poses::generator(6), 1.0, 3.0, 20)
+        .into_iter()
+        .enumerate()
+        .map(|(i, row)| (0.01 + 0.007 * i as f64, poses::pose(row)))
+        .collect();
+    let mut text = "id,time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n".to_owned();
+    for (time_s, pose) in &knots {
+        let (t, r) = (pose.translation_m * 1e3, pose.rotation.to_scaled_axis());
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "-,{time_s:?},{:?},{:?},{:?},{:?},{:?},{:?}", t.x, t.y, t.z, r.x, r.y, r.z);
+    }
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("path.csv");
+    std::fs::write(&path, text).expect("table");
+    let lines = lines(&["--duration", "200ms", "--trajectory", path.to_str().expect("UTF-8 path")]);
+    assert_complete(&lines, 800);
+    for line in &lines {
+        let after = knots.partition_point(|(time_s, _)| *time_s <= line.device_time_s);
+        let expected = match (after.checked_sub(1).map(|i| knots[i]), knots.get(after)) {
+            (Some((start_s, start)), Some((end_s, end))) => {
+                between(&start, end, (line.device_time_s - start_s) / (end_s - start_s))
+            }
+            (Some((_, rest)), None) | (None, Some(&(_, rest))) => rest,
+            (None, None) => panic!("no knots"),
+        };
+        let off = error(&line.truth.expect("simulated"), &expected);
+        // Millimetres and radians of at most 1.7, through sines, products and text: rounding.
+        assert!(off.iter().all(|axis| axis.abs() < 1e-14), "{line:?}: {off:?}");
+    }
+    let honesty = honesty(&lines);
+    assert_eq!(honesty.poses, 800);
+    assert!((4.5..6.5).contains(&honesty.median_nees));
+}
