@@ -191,8 +191,9 @@ fn heads_of_other_sizes() {
         assert!(words && solution.cells_used.count() == 3 && solution.redundancy == 0, "{solution:?}");
     }
     let worst: Vec<f64> = errors(&records).iter().map(|(error, covariance)| worst_axis(error, covariance)).collect();
-    assert!(worst.len() >= 50, "{} poses", worst.len());
-    assert!(median(worst.iter().copied()) < 1.8);
+    // Nearly always there is an image; a pose that is given all the same must be the tool's.
+    assert!(counts.outcomes[2] > 500, "{:?}", counts.outcomes);
+    assert!(worst.iter().all(|&sigmas| sigmas < 6.0), "{worst:?}");
 }
 
 #[test]

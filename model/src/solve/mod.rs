@@ -74,6 +74,17 @@ pub struct Solver<S: Scalar> {
     blind: Option<Directions>,
 }
 
+/// How well a pose explains the data, worst first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fit {
+    /// χ² is more than the noise explains.
+    None,
+    /// The cells that see light fit, but another should see some, too.
+    LitOnly,
+    /// All cells agree.
+    Full,
+}
+
 /// What is known beforehand of the tool's motion within a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MotionPrior {
@@ -179,7 +190,7 @@ impl<S: Scalar> Solver<S> {
         let start = Transform::of(prior);
         let whiteners = problem.whiteners(&start);
         let refined = problem.refine(start, &whiteners, MAX_ITERATIONS);
-        if self.fits(&sorted, &problem, &refined) {
+        if self.fit(&sorted, &problem, &refined) != Fit::None {
             return self.conclude(&sorted, &refined, refined.iterations, true);
         }
         let mut solution = self.search(&sorted, &problem);
@@ -223,51 +234,42 @@ impl<S: Scalar> Solver<S> {
     /// Cold start: home first, then turned and shifted starts until the data fit.
     fn search(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>) -> Solution {
         let mut iterations = 0;
-        let mut best: Option<(Refined<S>, bool)> = None;
+        let mut best: Option<(Refined<S>, Fit)> = None;
         let need_all = sorted.usable.len() < UNIQUE_FROM;
         let on_planes = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
         for (tried, start) in starts(on_planes).enumerate() {
-            // The first start is as a rule next to the solution; later ones have a way to go.
-            let start = if tried == 0 {
-                start
-            } else {
-                let nearer = problem.refine(start, &problem.coarse_whiteners(), MAX_ITERATIONS);
-                iterations += nearer.iterations;
-                nearer.pose
-            };
-            let rough = problem.refine(start, &problem.whiteners(&start), MAX_ITERATIONS);
-            iterations += rough.iterations;
-            // Weights that depend on the pose are known only now.
-            let refined = if problem.weights_vary() {
-                let again = problem.refine(rough.pose, &problem.whiteners(&rough.pose), MAX_ITERATIONS);
-                iterations += again.iterations;
-                again
-            } else {
-                rough
-            };
-            let fits = self.fits(sorted, problem, &refined);
+            let refined = self.refine_from(problem, start, tried > 0);
+            iterations += refined.iterations;
+            let fit = self.fit(sorted, problem, &refined);
             match &best {
-                Some((before, true)) if fits => {
+                Some((before, Fit::Full)) if fit == Fit::Full => {
                     if observability::distinct(&before.at.information, &before.pose, &refined.pose, self.arm) {
                         let mut solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
                         solution.iterations = iterations;
                         return solution;
                     }
                 }
-                Some((before, false)) if fits || refined.at.chi2 < before.at.chi2 => best = Some((refined, fits)),
-                None => best = Some((refined, fits)),
+                Some((before, best_fit)) if (fit, before.at.chi2) > (*best_fit, refined.at.chi2) => {
+                    best = Some((refined, fit));
+                }
+                None => best = Some((refined, fit)),
                 Some(_) => {}
             }
             let observable = || observability::free_directions(&refined.at.information).is_none();
-            let searched = tried >= IMAGE_STARTS && best.is_some_and(|(_, fits)| fits);
-            if searched || fits && (!need_all || !observable()) {
+            let searched = tried >= IMAGE_STARTS && best.is_some_and(|(_, fit)| fit == Fit::Full);
+            if searched || fit == Fit::Full && (!need_all || !observable()) {
                 break;
             }
         }
         match best {
+            Some((refined, Fit::Full)) => self.conclude(sorted, &refined, iterations, true),
+            // The cells with light agree on a pose where others should see some, too: those fail.
+            Some((refined, Fit::LitOnly)) if redundancy(sorted.usable.len()) > 0 => {
+                self.conclude(sorted, &refined, iterations, true)
+            }
             // A misfit is shown only where redundancy tells it from a mirror image.
-            Some((refined, fits)) if fits || (!need_all && !self.is_elsewhere(sorted, problem, &refined)) => {
-                self.conclude(sorted, &refined, iterations, fits)
+            Some((refined, Fit::None)) if !need_all && !self.is_elsewhere(problem, &refined) => {
+                self.conclude(sorted, &refined, iterations, false)
             }
             _ => {
                 let mut solution = Solution::without_pose(Outcome::Diverged, sorted.used);
@@ -277,10 +279,31 @@ impl<S: Scalar> Solver<S> {
         }
     }
 
-    /// Whether `refined` explains the data: χ² by the noise, and no light where none was seen.
-    fn fits(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+    /// A minimum of χ² reached from `start`; `far`: the start is no estimate but a guess.
+    fn refine_from(&self, problem: &Problem<'_, S>, start: Transform<S>, far: bool) -> Refined<S> {
+        let mut steps = 0;
+        let mut refine = |from: Transform<S>, whiteners| {
+            let mut refined = problem.refine(from, &whiteners, MAX_ITERATIONS);
+            steps += refined.iterations;
+            refined.iterations = steps;
+            refined
+        };
+        let start = if far { refine(start, problem.coarse_whiteners()).pose } else { start };
+        let refined = refine(start, problem.whiteners(&start));
+        // Weights that depend on the pose are known only now.
+        if problem.weights_vary() { refine(refined.pose, problem.whiteners(&refined.pose)) } else { refined }
+    }
+
+    /// How well `refined` explains the data: χ² by the noise, and no light where none was seen.
+    fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> Fit {
         let gate = chi2_gate(redundancy(sorted.usable.len()));
-        refined.converged && refined.at.chi2.as_f64() <= gate && self.is_dark_where_dark(sorted, problem, refined)
+        if !refined.converged || refined.at.chi2.as_f64() > gate {
+            Fit::None
+        } else if self.is_dark_where_dark(sorted, problem, refined) {
+            Fit::Full
+        } else {
+            Fit::LitOnly
+        }
     }
 
     /// Whether cells that were found without light are without light at the pose, too.
@@ -291,9 +314,8 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// Whether the best pose found is too far from the data to call it one.
-    fn is_elsewhere(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+    fn is_elsewhere(&self, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
         !refined.converged
-            || !self.is_dark_where_dark(sorted, problem, refined)
             || problem.readings.iter().any(|reading| {
                 let predicted = problem.predicted(reading.cell, &refined.pose);
                 let [first, second] = reading.pair;
@@ -341,12 +363,10 @@ fn redundancy(cells: usize) -> usize {
 }
 
 /// The χ² that `freedom` degrees of freedom exceed with probability 1e-9 (Wilson and Hilferty
-/// 1931); without redundancy a fit is exact, and χ² near zero.
+/// 1931). Without redundancy a fit is exact, but for noise that leads past a fold of the currents:
+/// counted as one degree.
 fn chi2_gate(freedom: usize) -> f64 {
-    if freedom == 0 {
-        return 1.0;
-    }
-    let k = freedom as f64;
+    let k = freedom.max(1) as f64;
     let spread = 2.0 / (9.0 * k);
     let root = 1.0 - spread + GATE_SIGMAS * libm::sqrt(spread);
     k * root * root * root
