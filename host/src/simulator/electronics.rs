@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Pair, Scene};
+use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Pair, Scene};
 use slitpose_protocol::{AdcScaling, WordPair};
 
 use crate::front_end::ROOM_TEMPERATURE_K;
@@ -14,9 +14,6 @@ const PEDESTAL_CODES: f64 = 64.0;
 
 /// Codes from the end of the range where a real stage bends.
 const HEADROOM_CODES: u16 = 16;
-
-const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
-const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
 
 /// The scaling of a front end like the board's: it swings down from near the top code as the
 /// current rises, and `full_scale_a` is reached at code 0.

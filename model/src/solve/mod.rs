@@ -25,6 +25,7 @@ use crate::scene::{MAX_CELLS, Scene, SceneError};
 pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Weakness};
 pub use readings::{Photocurrents, Reading};
 pub use track::Tracker;
+pub use weights::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C};
 
 use planes::PlaneCell;
 use readings::{Limits, Sorted};

@@ -15,8 +15,8 @@ use crate::scalar::Scalar;
 
 use super::{Estimate, MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
-/// Poses the parabola is fitted to: at 4 kHz 1.25 ms. More would average the slope's noise, which
-/// already disturbs a pose by less than a tenth of its σ, and miss the bends of a fast motion.
+/// Poses the parabola is fitted to: at 4 kHz 1.25 ms. More would average the noise of the slope,
+/// which enters the covariance, but miss the bends of a fast motion, which does not.
 const MEMORY: usize = 5;
 
 /// Twist of a tool nothing is known about, standard deviation per axis: a fast hand.

@@ -6,10 +6,10 @@ use crate::scalar::Scalar;
 use crate::scene::{Noise, Scene, Uncertainty};
 
 /// Elementary charge, coulombs (SI, exact).
-const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
+pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
 
 /// Boltzmann constant, J/K (SI, exact).
-const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
+pub const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
 
 /// Covariance of the two currents of a cell, A²: variances of I_X1 and I_X2, and covariance.
 #[derive(Clone, Copy, Debug)]
