@@ -6,14 +6,10 @@ use std::path::{Path, PathBuf};
 
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
-use super::options::TierOptions;
-use super::stream::{
-    DEFAULT_TOLERANCE, Pace, Speed, Stream, StreamError, open_scene, parse_duration, shipped_with_hash,
-};
+use super::stream::{Pace, PoseOptions, Speed, Stream, StreamError, open_scene, shipped_with_hash};
 use super::{CommandError, Outcome};
 use crate::pipeline::{Pipeline, SceneMatch};
 use crate::scene_file::SceneFile;
-use crate::sink::Format;
 
 /// Bytes read at once: some 4 ms of a board at 4 kHz, so that a replay in real time flows.
 const CHUNK_BYTES: usize = 1024;
@@ -31,17 +27,11 @@ pub(super) struct Args {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
     #[arg(long, value_name = "SCENE")]
     scene: Option<String>,
-    /// End after this much device time, such as 10s
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    duration: Option<f64>,
-    /// [default: summary on a terminal, else ndjson]
-    #[arg(long, value_enum)]
-    format: Option<Format>,
+    #[command(flatten)]
+    poses: PoseOptions,
     /// Device seconds a second, or max
     #[arg(long, value_name = "N", default_value_t = Speed::Max, allow_negative_numbers = true)]
     speed: Speed,
-    #[command(flatten)]
-    tier: TierOptions,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -50,8 +40,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut capture = File::open(path).map_err(open_error)?;
     let recorded_with = scene_hash(path).map_err(open_error)?;
     let (file, scene_match) = choose_scene(args.scene.as_deref(), recorded_with)?;
-    let pipeline = Pipeline::new(file, args.tier.tier(DEFAULT_TOLERANCE), scene_match);
-    let mut stream = Stream::new(pipeline, args.format, args.duration)?;
+    let pipeline = Pipeline::new(file, args.poses.tier(), scene_match);
+    let mut stream = Stream::new(pipeline, &args.poses)?;
     let pace = Pace::new(args.speed);
     let mut chunk = [0; CHUNK_BYTES];
     while !stream.is_over() {

@@ -5,15 +5,11 @@ use std::path::PathBuf;
 
 use slitpose_protocol::Command;
 
-use super::options::TierOptions;
-use super::stream::{
-    DEFAULT_TOLERANCE, Pace, Speed, Stream, StreamError, ToolOptions, open_scene, parse_duration, request,
-};
+use super::stream::{Pace, PoseOptions, Speed, Stream, StreamError, ToolOptions, open_scene, request};
 use super::{CommandError, Outcome};
 use crate::front_end;
 use crate::pipeline::{Pipeline, SceneMatch};
 use crate::simulator::SimulatedBoard;
-use crate::sink::Format;
 use crate::table::Output;
 
 /// Device time between two waits.
@@ -33,12 +29,8 @@ pub(super) struct Args {
     /// Scene file, or the name of a shipped scene [default: wide]
     #[arg(long, value_name = "SCENE")]
     scene: Option<String>,
-    /// End after this much device time, such as 10s; without it, at an interrupt
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    duration: Option<f64>,
-    /// [default: summary on a terminal, else ndjson]
-    #[arg(long, value_enum)]
-    format: Option<Format>,
+    #[command(flatten)]
+    poses: PoseOptions,
     /// Keep the bytes as received in this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
@@ -47,8 +39,6 @@ pub(super) struct Args {
     speed: Speed,
     #[command(flatten)]
     tool: ToolOptions,
-    #[command(flatten)]
-    tier: TierOptions,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -56,14 +46,14 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         return Err(StreamError::Device(args.device.clone()).into());
     }
     let file = open_scene(args.scene.as_deref())?;
-    let tier = args.tier.tier(DEFAULT_TOLERANCE);
+    let tier = args.poses.tier();
     let configuration = front_end::configuration(&file)?;
     let period_s = configuration.schedule.frame_rate_hz().recip();
-    let horizon_s = args.duration.unwrap_or(f64::INFINITY);
+    let horizon_s = args.poses.duration.unwrap_or(f64::INFINITY);
     let trajectory = args.tool.trajectory(horizon_s.min(LONGEST_PLAN_S))?;
     let mut board = SimulatedBoard::new(&file, trajectory, tier, args.tool.seed)?;
     let mut record = args.record.as_deref().map(Output::file).transpose()?;
-    let mut stream = Stream::new(Pipeline::new(file, tier, SceneMatch::Required), args.format, args.duration)?;
+    let mut stream = Stream::new(Pipeline::new(file, tier, SceneMatch::Required), &args.poses)?;
 
     let frames = (horizon_s / period_s - 1e-6).ceil();
     let frames = if frames.is_finite() { frames as u64 } else { u64::MAX };

@@ -7,9 +7,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use slitpose_model::Tier;
 use slitpose_protocol::{MAX_REQUEST_BYTES, Rejection, Reply, Request, encode};
 use thiserror::Error;
 
+use super::options::TierOptions;
 use super::{CommandError, Outcome};
 use crate::pipeline::{Counts, Item, Pipeline, PipelineError};
 use crate::scene_file::{SceneFile, SceneFileError, Shipped, WIDE};
@@ -105,6 +107,26 @@ pub(super) fn parse_duration(text: &str) -> Result<f64, String> {
     }
 }
 
+/// When a stream of poses ends, how it is written and how it is solved.
+#[derive(clap::Args, Debug)]
+pub(super) struct PoseOptions {
+    /// End after this much device time, such as 10s; else at the end of the data, or an interrupt
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(super) duration: Option<f64>,
+    /// [default: summary on a terminal, else ndjson]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    #[command(flatten)]
+    tier: TierOptions,
+}
+
+impl PoseOptions {
+    /// The tier to solve in.
+    pub(super) fn tier(&self) -> Tier {
+        self.tier.tier(DEFAULT_TOLERANCE)
+    }
+}
+
 /// The tool in front of a simulated board.
 #[derive(clap::Args, Debug)]
 pub(super) struct ToolOptions {
@@ -156,14 +178,10 @@ pub(super) struct Stream<'a> {
 }
 
 impl Stream<'_> {
-    /// Ends `duration_s` (device time) after the first scan, or when the user interrupts.
-    pub(super) fn new(
-        pipeline: Pipeline,
-        format: Option<Format>,
-        duration_s: Option<f64>,
-    ) -> Result<Self, StreamError> {
+    /// Ends after the duration of `options` (device time, from the first scan), or when the user interrupts.
+    pub(super) fn new(pipeline: Pipeline, options: &PoseOptions) -> Result<Self, StreamError> {
         let live = io::stdout().is_terminal();
-        let format = format.unwrap_or(if live { Format::Summary } else { Format::Ndjson });
+        let format = options.format.unwrap_or(if live { Format::Summary } else { Format::Ndjson });
         let stop = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
             // A second signal ends the program the ordinary way.
@@ -174,7 +192,7 @@ impl Stream<'_> {
         Ok(Self {
             pipeline,
             sink: sink::open(format, output, live),
-            until_s: duration_s,
+            until_s: options.duration,
             first_s: None,
             last_s: 0.0,
             stop,

@@ -30,8 +30,8 @@ pub enum Tier {
 #[derive(Clone, Debug)]
 pub struct Plan<S: Scalar> {
     cells: Vec<CompiledCell<S>, MAX_CELLS>,
+    /// Absent in the paper tier.
     rules: Option<Rules<S>>,
-    tier: Tier,
 }
 
 /// The derivative of a cell's two currents by a perturbation of the pose in the base frame,
@@ -77,21 +77,12 @@ impl<S: Scalar> Plan<S> {
     /// The first impossible value, with its place in the scene. Values that are possible but
     /// useless (no slit width, an emitter behind the slit) compile; they answer with a status.
     pub fn compile(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        Ok(Self {
-            cells: compile::cells(scene, tier)?,
-            rules: matches!(tier, Tier::Exact { .. }).then(Rules::new),
-            tier,
-        })
+        Ok(Self { cells: compile::cells(scene, tier)?, rules: matches!(tier, Tier::Exact { .. }).then(Rules::new) })
     }
 
     /// Number of cells.
     pub fn cell_count(&self) -> usize {
         self.cells.len()
-    }
-
-    /// The tier this plan evaluates.
-    pub fn tier(&self) -> Tier {
-        self.tier
     }
 
     /// Everything about cell `cell` with the tool at `pose`.
