@@ -5,13 +5,14 @@ use core::fmt::{self, Write};
 use heapless::String;
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
-    AdcScaling, BoardKind, Configuration, Decoder, Event, HardwareFault, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES,
-    Message, PROTOCOL, Rejection, ResetCause, Severity, Status, encode,
+    AdcScaling, BoardKind, BootTarget, Configuration, Decoder, Event, Exposure, HardwareFault, Hashes, Hello,
+    MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, ResetCause, Severity, Status, encode,
 };
 
 use crate::collector::Collector;
 use crate::commands::check;
 use crate::defaults::DEFAULT_QUEUE_BYTES;
+use crate::exposure::AutomaticExposure;
 use crate::hardware::{Hardware, Health, Indicator};
 use crate::outbox::Outbox;
 
@@ -56,8 +57,8 @@ pub struct Identity {
     pub board: &'static str,
     /// Why the board last started.
     pub reset_cause: ResetCause,
-    /// Hash of the scene stored on the board; `None` without one.
-    pub scene_hash: Option<u64>,
+    /// Hashes stored on the board.
+    pub hashes: Hashes,
     /// What a word is worth in amperes.
     pub scaling: AdcScaling,
 }
@@ -81,7 +82,7 @@ pub(crate) enum Emitters {
 #[derive(Debug)]
 pub struct Board<H, const QUEUE: usize = DEFAULT_QUEUE_BYTES> {
     pub(crate) hardware: H,
-    identity: Identity,
+    pub(crate) identity: Identity,
     pub(crate) configuration: Configuration,
     pub(crate) configuration_number: u16,
     pub(crate) collector: Collector,
@@ -102,6 +103,25 @@ pub struct Board<H, const QUEUE: usize = DEFAULT_QUEUE_BYTES> {
     pub(crate) identify_until: u64,
     pub(crate) commands_damaged: u32,
     pub(crate) commands_rejected: u32,
+    /// At work while the configuration asks for it.
+    pub(crate) exposure: AutomaticExposure,
+    pub(crate) storing: Option<Storing>,
+    pub(crate) reboot: Option<Reboot>,
+}
+
+/// A Store or Forget that has not been answered yet.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Storing {
+    pub number: u16,
+    pub hashes: Hashes,
+}
+
+/// A reboot that waits for its reply to be sent.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reboot {
+    pub target: BootTarget,
+    /// When it happens even if nobody takes the reply.
+    pub latest: u64,
 }
 
 // Less than a quarter of the controller's 128 KB.
@@ -139,6 +159,9 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
             identify_until: now,
             commands_damaged: 0,
             commands_rejected: 0,
+            exposure: AutomaticExposure::new(identity.scaling),
+            storing: None,
+            reboot: None,
         })
     }
 
@@ -148,11 +171,14 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
         self.follow(link, now);
         if self.acquiring {
             self.collect();
+            self.expose();
         } else if self.emitters != Emitters::Off {
             // Tried again at the next poll if it fails.
             let _ = self.darken();
         }
+        self.answer_storing();
         self.report(now);
+        self.reboot_if_due(now);
     }
 
     /// Fills `transfer` with whole packets, oldest first, and gives the bytes to send;
@@ -167,6 +193,11 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
             self.status_due = false;
         }
         &transfer[..filled]
+    }
+
+    /// Scans until the batch under way is full: there is nothing to poll for before.
+    pub fn scans_to_batch(&self) -> usize {
+        self.collector.scans_to_batch()
     }
 
     /// Whether the board lights and samples.
@@ -238,8 +269,37 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
 
     /// Collects finished scans; a contradiction in them ends acquisition.
     pub(crate) fn collect(&mut self) {
-        if let Err(fault) = self.collector.collect(&mut self.hardware, &mut self.outbox) {
+        let exposure = match self.configuration.exposure {
+            Exposure::Fixed => None,
+            Exposure::Automatic => Some(&mut self.exposure),
+        };
+        if let Err(fault) = self.collector.collect(&mut self.hardware, &mut self.outbox, exposure) {
             self.fail(fault);
+        }
+    }
+
+    /// Lights with other levels from the next frame on, if exposure asks for them.
+    fn expose(&mut self) {
+        if !self.acquiring || self.configuration.exposure == Exposure::Fixed {
+            return;
+        }
+        let now = self.hardware.now_ticks();
+        let Some(levels) = self.exposure.levels(now, &self.configuration) else {
+            return;
+        };
+        self.configuration.levels = levels;
+        if let Err(fault) = self.hardware.acquire(Some(&self.configuration)) {
+            self.fail(fault);
+        }
+    }
+
+    fn reboot_if_due(&mut self, now: u64) {
+        if let Some(Reboot { target, latest }) = self.reboot
+            && (now >= latest || self.link == Link::Closed || self.outbox.is_empty())
+            && self.emitters == Emitters::Off
+        {
+            self.reboot = None;
+            self.hardware.reboot(target);
         }
     }
 
@@ -297,7 +357,7 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
             board: self.identity.board,
             firmware: env!("CARGO_PKG_VERSION"),
             reset_cause: self.identity.reset_cause,
-            scene_hash: self.identity.scene_hash,
+            hashes: self.identity.hashes,
             scaling: self.identity.scaling,
             configuration: self.configuration_number,
             schedule: self.configuration.schedule.clone(),

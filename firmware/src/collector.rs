@@ -2,7 +2,8 @@
 
 use slitpose_protocol::{BatchBuilder, HardwareFault, MAX_SCAN_BYTES, RawScan, Schedule};
 
-use crate::hardware::{Hardware, Overrun};
+use crate::exposure::AutomaticExposure;
+use crate::hardware::{Hardware, ScanError};
 use crate::outbox::Outbox;
 
 /// Largest number of scans in a batch. Four scans of six cells, lit and dark, make a
@@ -52,21 +53,28 @@ impl Collector {
     /// Moves finished scans into batches and full batches into the outbox.
     ///
     /// # Errors
-    /// If the hardware's counters contradict themselves; nothing it says can then be
-    /// given a time.
+    /// If the hardware cannot go on, or its counters contradict themselves; nothing it
+    /// says can then be given a time.
     pub fn collect<const QUEUE: usize>(
         &mut self,
         hardware: &mut impl Hardware,
         outbox: &mut Outbox<QUEUE>,
+        mut exposure: Option<&mut AutomaticExposure>,
     ) -> Result<(), HardwareFault> {
         for _ in 0..SCANS_PER_CALL {
             match hardware.next_scan(&mut self.scan) {
-                Ok(true) => self.take(outbox)?,
+                Ok(true) => {
+                    self.take(outbox)?;
+                    if let Some(exposure) = &mut exposure {
+                        exposure.watch(&self.scan);
+                    }
+                }
                 Ok(false) => break,
-                Err(Overrun) => {
+                Err(ScanError::Overrun) => {
                     self.overruns = self.overruns.saturating_add(1);
                     self.flush(outbox);
                 }
+                Err(ScanError::Fault(fault)) => return Err(fault),
             }
         }
         Ok(())
@@ -78,6 +86,11 @@ impl Collector {
             outbox.push_batch(batch, self.batch.len());
         }
         self.batch.clear();
+    }
+
+    /// Scans until the open batch is full.
+    pub fn scans_to_batch(&self) -> usize {
+        self.batch.remaining()
     }
 
     /// Scans the hardware has taken, as far as their numbers have told.

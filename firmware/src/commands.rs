@@ -9,14 +9,22 @@
 //! | Configure | replaced, and a hello; the hardware sees it at Start | replaced from the next frame on, new batch, and a hello; if the hardware refuses: idle, the old one stays |
 //! | Ping | a pong | a pong |
 //! | Identify | the indicator | the indicator |
+//! | Store, Forget | kept or forgotten beyond a reset, then a hello | the same; sampling goes on |
+//! | Reboot | the reply, then a new start | idle, the reply, then a new start |
 //!
 //! A Configure with a schedule that contradicts itself, in other ticks than the board's,
 //! or with the wrong number of levels changes nothing in either state.
 
-use slitpose_protocol::{Command, Configuration, FrameError, Message, PayloadError, Pong, Rejection, Reply, Request};
+use slitpose_protocol::{
+    Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request,
+};
 
-use crate::board::{Board, Emitters};
-use crate::hardware::Hardware;
+use crate::board::{Board, Emitters, Reboot, Storing};
+use crate::hardware::{Hardware, StorageError};
+use crate::settings::Settings;
+
+/// A reboot waits this long for its reply to be taken.
+const REBOOT_MS: u64 = 100;
 
 impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
     /// Takes bytes from the host, cut anywhere, and carries out the commands that are
@@ -24,7 +32,14 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
     pub fn receive(&mut self, mut bytes: &[u8]) {
         while let Some(result) = self.decoder.next::<Request>(&mut bytes) {
             let (number, outcome) = match result {
-                Ok(Request { number, command }) => (number, self.carry_out(command)),
+                Ok(Request { number, command }) => match self.carry_out(number, command) {
+                    Ok(Done::Now) => (number, Ok(())),
+                    Ok(Done::Later) => {
+                        self.host_tick = self.hardware.now_ticks();
+                        continue;
+                    }
+                    Err(rejection) => (number, Err(rejection)),
+                },
                 Err(FrameError::Payload(PayloadError::UnknownCommand { number, kind })) => {
                     (number, Err(Rejection::Unsupported { kind }))
                 }
@@ -37,14 +52,18 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
                 }
             };
             self.host_tick = self.hardware.now_ticks();
-            if outcome.is_err() {
-                self.commands_rejected = self.commands_rejected.saturating_add(1);
-            }
-            self.outbox.push_answer(&Message::Reply(Reply { number, outcome }));
+            self.reply(number, outcome);
         }
     }
 
-    fn carry_out(&mut self, command: Command) -> Result<(), Rejection> {
+    fn reply(&mut self, number: u16, outcome: Result<(), Rejection>) {
+        if outcome.is_err() {
+            self.commands_rejected = self.commands_rejected.saturating_add(1);
+        }
+        self.outbox.push_answer(&Message::Reply(Reply { number, outcome }));
+    }
+
+    fn carry_out(&mut self, number: u16, command: Command) -> Result<Done, Rejection> {
         match command {
             Command::Hello => self.introduce(),
             Command::Start => self.start()?,
@@ -58,8 +77,41 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
                 let ticks = self.ticks(1_000 * u64::from(seconds));
                 self.identify_until = self.hardware.now_ticks().saturating_add(ticks);
             }
+            Command::Store(hashes) => return self.store(number, Some(hashes)),
+            Command::Forget => return self.store(number, None),
+            Command::Reboot(target) => {
+                self.stop().map_err(Rejection::Hardware)?;
+                let latest = self.hardware.now_ticks().saturating_add(self.ticks(REBOOT_MS));
+                self.reboot = Some(Reboot { target, latest });
+            }
         }
-        Ok(())
+        Ok(Done::Now)
+    }
+
+    fn store(&mut self, number: u16, hashes: Option<Hashes>) -> Result<Done, Rejection> {
+        if self.storing.is_some() {
+            return Err(Rejection::Storing);
+        }
+        let settings = hashes.map(|hashes| Settings { configuration: self.configuration.clone(), hashes });
+        self.storing = Some(Storing { number, hashes: hashes.unwrap_or_default() });
+        self.hardware.store(settings.as_ref());
+        Ok(Done::Later)
+    }
+
+    /// Answers a Store or Forget once it is done.
+    pub(crate) fn answer_storing(&mut self) {
+        let Some(Storing { number, hashes }) = self.storing else {
+            return;
+        };
+        let Some(result) = self.hardware.stored() else {
+            return;
+        };
+        self.storing = None;
+        if result.is_ok() {
+            self.identity.hashes = hashes;
+            self.introduce();
+        }
+        self.reply(number, result.map_err(|StorageError| Rejection::Storage));
     }
 
     fn start(&mut self) -> Result<(), Rejection> {
@@ -73,6 +125,8 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
         }
         self.acquiring = true;
         self.faulty = false;
+        let now = self.hardware.now_ticks();
+        self.exposure.begin(now, &self.configuration.schedule);
         Ok(())
     }
 
@@ -93,14 +147,22 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
         self.configuration = new;
         self.configuration_number = self.configuration_number.wrapping_add(1);
         self.collector.configure(self.configuration_number, &self.configuration.schedule);
+        let now = self.hardware.now_ticks();
+        self.exposure.begin(now, &self.configuration.schedule);
         self.introduce();
         Ok(())
     }
 }
 
+/// When the reply to a command is due.
+enum Done {
+    Now,
+    Later,
+}
+
 /// Whether a board of `board_hz` ticks a second could run `configuration`, hardware aside.
 pub(crate) fn check(configuration: &Configuration, board_hz: u32) -> Result<(), Rejection> {
-    let Configuration { schedule, levels } = configuration;
+    let Configuration { schedule, levels, .. } = configuration;
     schedule.validate().map_err(Rejection::Schedule)?;
     if schedule.tick_hz != board_hz {
         return Err(Rejection::TickRate { asked_hz: schedule.tick_hz, board_hz });

@@ -1,6 +1,6 @@
 //! What a board does until its host says otherwise.
 
-use slitpose_protocol::{Configuration, EmitterSet, Level, MAX_CELLS, Schedule};
+use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, Schedule};
 
 use crate::collector::BATCH_SCANS;
 use crate::queue::HEADER_BYTES;
@@ -38,8 +38,19 @@ pub fn default_configuration() -> Configuration {
             cells: 6,
         },
         levels: [Level::NOMINAL; MAX_CELLS].into_iter().take(6).collect(),
+        exposure: Exposure::Fixed,
     }
 }
+
+/// What a word of the board's own front end is worth: 10 µA from the code at zero current,
+/// 64 codes below the top, down to code 0. Its last 16 codes are not relied on.
+pub fn default_scaling() -> AdcScaling {
+    let zero_code = 4095.0 - 64.0;
+    AdcScaling { zero_code, amperes_per_code: -FULL_SCALE_A / zero_code, bits: 12, saturation_code: 16 }
+}
+
+/// Photocurrent of an electrode at the end of the converters' range.
+const FULL_SCALE_A: f64 = 10e-6;
 
 #[cfg(test)]
 mod tests {
@@ -49,7 +60,7 @@ mod tests {
 
     #[test]
     fn the_default_is_valid() {
-        let Configuration { schedule, levels } = default_configuration();
+        let Configuration { schedule, levels, .. } = default_configuration();
         assert_eq!(schedule.validate(), Ok(()));
         assert_eq!(schedule.frame_rate_hz(), 4_000.0);
         assert_eq!(levels.len(), 6);

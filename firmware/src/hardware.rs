@@ -1,6 +1,8 @@
 //! The hardware edge: all a board core needs from below.
 
-use slitpose_protocol::{Configuration, HardwareFault, RawScan};
+use slitpose_protocol::{BootTarget, Configuration, HardwareFault, RawScan};
+
+use crate::settings::Settings;
 
 /// Emitters, converters, clock and sensors of one board, real or simulated.
 pub trait Hardware {
@@ -27,19 +29,42 @@ pub trait Hardware {
     /// an overrun has cost.
     ///
     /// # Errors
-    /// [`Overrun`] if scans were overwritten before they were collected; the next call
-    /// goes on with what is left.
-    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, Overrun>;
+    /// [`ScanError::Overrun`] if scans were overwritten before they were collected; the
+    /// next call goes on with what is left. [`ScanError::Fault`] if there will be no more.
+    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError>;
 
     /// Shows the indicator and measures the board's health. Called when the indicator
     /// changes and with every status.
     fn housekeeping(&mut self, indicator: Indicator) -> Health;
+
+    /// Begins to keep `settings` beyond the loss of supply, or to forget what is kept.
+    /// Sampling goes on meanwhile.
+    fn store(&mut self, settings: Option<&Settings>);
+
+    /// Whether that has been done: `None` while it is under way.
+    ///
+    /// # Errors
+    /// [`StorageError`] if it cannot be done.
+    fn stored(&mut self) -> Option<Result<(), StorageError>>;
+
+    /// Starts anew. Emitters are off and everything said has been handed to the link
+    /// when this is called. A simulator may have nothing to start.
+    fn reboot(&mut self, target: BootTarget);
 }
 
-/// Scans were overwritten before they were collected, or the converters lost a
-/// conversion; the hardware is back in step.
+/// Why there is no scan although there should be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Overrun;
+pub enum ScanError {
+    /// Scans were overwritten before they were collected, or the converters lost a
+    /// conversion; the hardware is back in step.
+    Overrun,
+    /// The hardware cannot go on; what it lights is off.
+    Fault(HardwareFault),
+}
+
+/// The memory did not take what it was given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StorageError;
 
 /// What the board's indicator light shows; how is the hardware's choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

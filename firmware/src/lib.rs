@@ -37,14 +37,18 @@ mod board;
 mod collector;
 mod commands;
 mod defaults;
+mod exposure;
 mod hardware;
 mod outbox;
 mod queue;
+pub mod settings;
+pub mod timing;
+pub mod wiring;
 
 #[cfg(test)]
 extern crate std;
 
 pub use board::{Board, HOST_GONE_MS, Identity, Link, STATUS_MS, TRANSFER_BYTES, Transfer};
 pub use collector::{BATCH_SCANS, BATCH_SPAN_MS};
-pub use defaults::{DEFAULT_QUEUE_BYTES, default_configuration};
-pub use hardware::{Hardware, Health, Indicator, Overrun};
+pub use defaults::{DEFAULT_QUEUE_BYTES, default_configuration, default_scaling};
+pub use hardware::{Hardware, Health, Indicator, ScanError, StorageError};

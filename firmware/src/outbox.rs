@@ -118,6 +118,11 @@ impl<const QUEUE: usize> Outbox<QUEUE> {
         filled
     }
 
+    /// Whether everything has been handed out.
+    pub fn is_empty(&self) -> bool {
+        self.batches.front().is_none() && self.answers.front().is_none()
+    }
+
     /// What could not be kept.
     pub fn dropped(&self) -> Dropped {
         self.dropped

@@ -8,7 +8,8 @@ use common::{
 };
 use slitpose_firmware::{Board, DEFAULT_QUEUE_BYTES, HOST_GONE_MS, Indicator, Link, STATUS_MS, default_configuration};
 use slitpose_protocol::{
-    Command, Configuration, HardwareFault, Level, RawScan, Rejection, Reply, ScheduleError, Severity, Status,
+    BootTarget, Command, Configuration, EmitterSet, Exposure, HardwareFault, Hashes, Level, RawScan, Rejection, Reply,
+    ScheduleError, Severity, Status,
 };
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
@@ -22,7 +23,7 @@ fn opened() -> (Board<Fake, 2_048>, Listener) {
 }
 
 fn hello(configuration: u16, new: Configuration) -> Heard {
-    Heard::Hello { configuration, schedule: new.schedule }
+    Heard::Hello { configuration, schedule: new.schedule, hashes: Hashes::default() }
 }
 
 fn accepted(number: u16) -> Heard {
@@ -345,4 +346,89 @@ fn status_comes_twice_a_second_to_whoever_listens() {
         assert_eq!(listener.listen(&mut board), []);
         board.hardware_mut().now += MS;
     }
+}
+
+#[test]
+fn settings_are_answered_when_they_are_safe() {
+    let (mut board, mut listener) = opened();
+    let hashes = Hashes { scene: Some(7), calibration: Some(8) };
+    board.hardware_mut().storing_polls = 2;
+    board.receive(&request(1, Command::Configure(without_dark())));
+    board.receive(&request(2, Command::Start));
+    board.receive(&request(3, Command::Store(hashes)));
+    board.receive(&request(4, Command::Forget));
+    let heard = turn(&mut board, &mut listener);
+    assert_eq!(heard[3..], [rejected(4, Rejection::Storing)], "one at a time");
+    board.hardware_mut().sample(4);
+    assert_eq!(sequences(&turn(&mut board, &mut listener)), [0, 1, 2, 3], "sampling goes on");
+    let heard = turn(&mut board, &mut listener);
+    let Heard::Hello { hashes: told, .. } = heard[0] else { panic!("{heard:?}") };
+    assert_eq!((told, &heard[1..]), (hashes, &[accepted(3)][..]));
+    let kept = board.hardware_mut().kept.clone().expect("kept");
+    assert_eq!((kept.configuration, kept.hashes), (without_dark(), hashes));
+
+    board.hardware_mut().refuse_store = true;
+    board.receive(&request(5, Command::Forget));
+    assert_eq!(turn(&mut board, &mut listener), [rejected(5, Rejection::Storage)]);
+    board.receive(&request(6, Command::Forget));
+    let heard = turn(&mut board, &mut listener);
+    assert!(matches!(heard[0], Heard::Hello { hashes: Hashes { scene: None, calibration: None }, .. }));
+    assert_eq!(board.hardware_mut().kept, None);
+}
+
+#[test]
+fn a_reboot_waits_for_its_reply_but_not_for_ever() {
+    let (mut board, mut listener) = opened();
+    board.receive(&request(1, Command::Start));
+    board.hardware_mut().sample(1);
+    board.receive(&request(2, Command::Reboot(BootTarget::BootLoader)));
+    board.poll(Link::Open);
+    assert!(!board.is_acquiring());
+    assert_eq!(board.hardware_mut().rebooted, None);
+    let heard = turn(&mut board, &mut listener);
+    assert_eq!((sequences(&heard).len(), heard.last()), (1, Some(&accepted(2))));
+    board.poll(Link::Open);
+    assert_eq!(board.hardware_mut().rebooted.take(), Some(BootTarget::BootLoader));
+
+    board.receive(&request(3, Command::Reboot(BootTarget::Firmware)));
+    board.poll(Link::Open);
+    assert_eq!(board.hardware_mut().rebooted, None);
+    board.hardware_mut().now += 100 * MS;
+    board.poll(Link::Open);
+    assert_eq!(board.hardware_mut().rebooted, Some(BootTarget::Firmware));
+}
+
+#[test]
+fn hardware_that_cannot_go_on_ends_acquisition() {
+    let (mut board, mut listener) = opened();
+    board.receive(&request(1, Command::Start));
+    board.hardware_mut().sample(2);
+    board.hardware_mut().finished.push_back(Finished::Fault(HardwareFault::Supply));
+    let heard = turn(&mut board, &mut listener);
+    assert_eq!(sequences(&heard), [0, 1]);
+    assert!(is_event(&heard[3], "supply is too low"), "{heard:?}");
+    assert!(board.hardware_mut().running.is_none());
+}
+
+#[test]
+fn exposure_changes_levels_between_batches() {
+    // Long pauses between short pulses, so that levels above nominal are allowed.
+    let mut automatic = configuration();
+    automatic.exposure = Exposure::Automatic;
+    automatic.schedule.frame_ticks = 1_000;
+    automatic.schedule.slots = [EmitterSet::of(&[0, 1]), EmitterSet::DARK].into_iter().collect();
+    let (mut board, mut listener) = opened();
+    board.receive(&request(1, Command::Configure(automatic.clone())));
+    board.receive(&request(2, Command::Start));
+    turn(&mut board, &mut listener);
+    board.hardware_mut().sample(1);
+    // The words of the scripted board's first scan, read as they are: cell 1 is saturated.
+    turn(&mut board, &mut listener);
+    let running = board.hardware_mut().running.clone().expect("still lit");
+    assert_eq!(running.schedule, automatic.schedule);
+    let halved = Level(Level::NOMINAL.0 / 2);
+    assert_eq!(running.levels[..], [halved; 2], "they share a line");
+    board.hardware_mut().sample(1);
+    let heard = turn(&mut board, &mut listener);
+    assert!(matches!(&heard[0], Heard::Scan { scan, .. } if scan.levels() == [halved; 2]), "{heard:?}");
 }

@@ -9,7 +9,7 @@ use common::{Fake, Heard, Listener, TICK_HZ, board, configuration, request, sequ
 use proptest::collection::vec;
 use proptest::prelude::*;
 use slitpose_firmware::{Board, HOST_GONE_MS, Link, STATUS_MS};
-use slitpose_protocol::{Command, Configuration, HardwareFault, Level, Rejection, Status};
+use slitpose_protocol::{BootTarget, Command, Configuration, HardwareFault, Hashes, Level, Rejection, Status};
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
 
@@ -42,6 +42,9 @@ fn step() -> impl Strategy<Value = Step> {
         1 => Just(Command::Configure(impossible())),
         1 => any::<u32>().prop_map(|token| Command::Ping { token }),
         1 => any::<u8>().prop_map(|seconds| Command::Identify { seconds }),
+        1 => any::<Option<u64>>().prop_map(|scene| Command::Store(Hashes { scene, calibration: None })),
+        1 => Just(Command::Forget),
+        1 => Just(Command::Reboot(BootTarget::Firmware)),
     ];
     prop_oneof![
         6 => command.prop_map(Step::Order),
@@ -65,6 +68,8 @@ struct Reference {
     /// Commands without an answer heard, and whether they ought to be accepted.
     owed: Vec<(u16, bool)>,
     rejected: u32,
+    /// What is kept on the board.
+    hashes: Hashes,
 }
 
 impl Reference {
@@ -77,8 +82,14 @@ impl Reference {
             Command::Configure(_) => self.acquiring,
             _ => false,
         };
-        if *command == Command::Stop {
+        if matches!(command, Command::Stop | Command::Reboot(_)) {
             self.acquiring = false;
+        }
+        if let Command::Store(hashes) = command {
+            self.hashes = *hashes;
+        }
+        if *command == Command::Forget {
+            self.hashes = Hashes::default();
         }
         if !lights {
             return true;
@@ -116,6 +127,7 @@ impl Life {
             heard_from_host: 0,
             owed: Vec::new(),
             rejected: 0,
+            hashes: Hashes::default(),
         };
         Self {
             board: board(Fake::default()),
@@ -138,6 +150,8 @@ impl Life {
         self.reference.owed.push((self.next_number, accepted));
         self.reference.rejected += u32::from(!accepted);
         self.next_number += 1;
+        // Scripted memory stores at once, and the answer comes with the next poll.
+        self.poll();
     }
 
     fn poll(&mut self) {
@@ -234,6 +248,8 @@ proptest! {
         prop_assert_eq!(status.commands_rejected, life.reference.rejected);
         prop_assert_eq!(status.replies_dropped, 0);
         prop_assert!(!status.acquiring);
+        let kept = life.board.hardware_mut().kept.as_ref().map(|settings| settings.hashes);
+        prop_assert_eq!(kept.unwrap_or_default(), life.reference.hashes);
     }
 
     #[test]

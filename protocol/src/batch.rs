@@ -172,6 +172,11 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
         self.scans == 0
     }
 
+    /// Scans until the batch should be sent.
+    pub fn remaining(&self) -> usize {
+        self.limit.saturating_sub(self.scans)
+    }
+
     /// Whether the batch should be sent without waiting for more.
     pub fn is_full(&self) -> bool {
         self.scans >= self.limit

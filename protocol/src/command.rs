@@ -44,6 +44,32 @@ pub enum Command {
         /// For how many seconds; 0 ends it.
         seconds: u8,
     },
+    /// Keep the configuration in force and these hashes, also without supply; the board
+    /// starts with them from then on. Answered when they are safe.
+    Store(Hashes),
+    /// Forget what was stored; the board starts with its defaults from then on.
+    Forget,
+    /// Stop, go dark, and start anew, once the reply has been sent.
+    Reboot(BootTarget),
+}
+
+/// What a board belongs to. The board compares them with nothing; a host that is about
+/// to read its words by another scene or calibration does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Hashes {
+    /// Hash of the scene; `None` without one.
+    pub scene: Option<u64>,
+    /// Hash of the calibration; `None` without one.
+    pub calibration: Option<u64>,
+}
+
+/// What a board starts after a [`Reboot`](Command::Reboot).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum BootTarget {
+    /// The firmware.
+    Firmware,
+    /// The controller's own boot loader, to be given new firmware.
+    BootLoader,
 }
 
 /// What a board acquires by.
@@ -53,6 +79,19 @@ pub struct Configuration {
     pub schedule: Schedule,
     /// Level of each emitter, one a cell.
     pub levels: Levels,
+    /// Whether the board keeps to them.
+    pub exposure: Exposure,
+}
+
+/// Who sets the levels of the emitters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Exposure {
+    /// The host: levels stay as configured.
+    #[default]
+    Fixed,
+    /// The board: from the levels configured it lowers an emitter that saturates its
+    /// detector and raises one whose light is faint. Batches carry the levels in force.
+    Automatic,
 }
 
 impl<'p> Packet<'p> for Request {

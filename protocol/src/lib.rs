@@ -47,7 +47,7 @@
 //! `bytes` command keys (8 bytes little endian for each kind, see [`schema`]) ·
 //! `[u8; 12]` device id · enum kind (0 physical, 1 simulated) · `str` board ·
 //! `str` firmware · enum reset cause (0 unknown, 1 power on, 2 brown-out, 3 pin,
-//! 4 software, 5 watchdog) · `?u64` scene hash · scaling (`f64` zero code, `f64` amperes
+//! 4 software, 5 watchdog, 6 panic) · `?u64` scene hash · `?u64` calibration hash · scaling (`f64` zero code, `f64` amperes
 //! per code, `u8` bits, `u16` saturation code: [`AdcScaling`]) · `u16` configuration ·
 //! schedule.
 //! It comes when the link is opened, when it is asked for, and whenever the schedule has
@@ -85,8 +85,10 @@
 //!
 //! # Host to board
 //! A payload is `u16` number of the command, chosen by the host, then one enum:
-//! **0 Hello** · **1 Start** · **2 Stop** · **3 Configure**: schedule, `list u16` levels ·
-//! **4 Ping**: `u32` token · **5 Identify**: `u8` seconds.
+//! **0 Hello** · **1 Start** · **2 Stop** · **3 Configure**: schedule, `list u16` levels,
+//! enum exposure (0 fixed, 1 automatic) · **4 Ping**: `u32` token · **5 Identify**: `u8`
+//! seconds · **6 Store**: `?u64` scene hash, `?u64` calibration hash · **7 Forget** ·
+//! **8 Reboot**: enum target (0 firmware, 1 boot loader).
 //!
 //! Every command whose number can be read gets one Reply, after everything else it
 //! yields; a command of unknown kind gets rejection 0 (unsupported).
@@ -141,7 +143,7 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES, Scans};
-pub use command::{Command, Configuration, Request};
+pub use command::{BootTarget, Command, Configuration, Exposure, Hashes, Request};
 pub use decoder::{Decoder, DecoderCounters};
 pub use frame::{
     DELIMITER, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Packet, PayloadError, encode,
@@ -154,7 +156,7 @@ pub use schedule::{EmitterSet, MAX_CELLS, MAX_OVERSAMPLING, MAX_SLOTS, Schedule}
 pub use schedule_error::{Quantity, ScheduleError};
 
 /// Version of the protocol this crate speaks.
-pub const PROTOCOL: ProtocolVersion = ProtocolVersion { major: 1, minor: 0 };
+pub const PROTOCOL: ProtocolVersion = ProtocolVersion { major: 2, minor: 0 };
 
 /// Version of the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::batch::Batch;
+use crate::command::Hashes;
 use crate::frame::{Packet, PayloadError};
 use crate::scan::AdcScaling;
 use crate::schedule::Schedule;
@@ -81,8 +82,8 @@ pub struct Hello<'a> {
     pub firmware: &'a str,
     /// Why the board last started.
     pub reset_cause: ResetCause,
-    /// Hash of the scene stored on the board; `None` without one.
-    pub scene_hash: Option<u64>,
+    /// What is stored on the board of the scene and calibration it belongs to.
+    pub hashes: Hashes,
     /// What a word is worth in amperes.
     pub scaling: AdcScaling,
     /// Number of the configuration in force, counted up (and round) by the board at
@@ -127,6 +128,9 @@ pub enum ResetCause {
     Software,
     /// The watchdog was not fed.
     Watchdog,
+    /// The firmware met a state that it takes for impossible, or touched memory that is
+    /// not there.
+    Panic,
 }
 
 /// Counters since reset, and health. At every instant
@@ -233,6 +237,13 @@ pub enum Rejection {
     /// The hardware refused or failed. Acquisition has stopped and emitters are off.
     #[error("hardware: {0}; acquisition has stopped")]
     Hardware(HardwareFault),
+    /// An earlier Store or Forget has not finished.
+    #[error("settings are being stored: wait for the reply")]
+    Storing,
+    /// What was to be stored could not be read back. What was stored before is still
+    /// there, unless the Forget failed half-way.
+    #[error("settings could not be stored: the board's flash memory does not take them")]
+    Storage,
 }
 
 /// What part of a board failed, or cannot do what was asked.
@@ -241,6 +252,22 @@ pub enum HardwareFault {
     /// The timers cannot make the durations of the schedule.
     #[error("the timers cannot make this schedule: change its durations")]
     Timing,
+    /// The converters need another time for a conversion.
+    #[error("a conversion cannot take {asked_ticks} ticks: the nearest possible is {nearest_ticks}")]
+    Conversion {
+        /// Ticks of a conversion asked for.
+        asked_ticks: u32,
+        /// What comes nearest among the times the converters can take.
+        nearest_ticks: u32,
+    },
+    /// The first conversion comes too early to be prepared.
+    #[error("settling of {asked_ticks} ticks is too short to start a conversion in: at least {least_ticks}")]
+    Settling {
+        /// Ticks of settling asked for.
+        asked_ticks: u32,
+        /// Least possible with this conversion time.
+        least_ticks: u32,
+    },
     /// The converters cannot sum this many conversions.
     #[error("the converters cannot sum {oversampling} conversions: use a power of two")]
     Oversampling {
@@ -258,6 +285,17 @@ pub enum HardwareFault {
     /// The emitters cannot be driven at the levels asked for.
     #[error("the emitters cannot be driven as asked: lower the levels")]
     Emitters,
+    /// Two emitters that are lit together share one source of their level.
+    #[error("emitters {first} and {second} share a level and are lit together: give both the same level")]
+    SharedLevel {
+        /// The first emitter.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
+    /// The supply is too low to measure by.
+    #[error("the supply is too low: check the cable and the power source")]
+    Supply,
     /// The converters or their data path did not start or stop.
     #[error("the converters do not answer: reset the board")]
     Converters,

@@ -32,8 +32,10 @@ macro_rules! schedule_error {
 
 macro_rules! hardware_fault {
     () => {
-        "Timing|Oversampling{oversampling u16}|Channels{cells u8,channels u8}\
-         |Emitters|Converters|Counters"
+        "Timing|Conversion{asked_ticks u32,nearest_ticks u32}\
+         |Settling{asked_ticks u32,least_ticks u32}|Oversampling{oversampling u16}\
+         |Channels{cells u8,channels u8}|Emitters|SharedLevel{first u8,second u8}|Supply\
+         |Converters|Counters"
     };
 }
 
@@ -47,8 +49,8 @@ pub const MESSAGES: [Schema; 7] = [
         concat!(
             "protocol{major u8,minor u8},message_keys bytes,command_keys bytes,\
              device_id [u8;12],kind(Physical|Simulated),board str,firmware str,\
-             reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog),\
-             scene_hash ?u64,scaling{zero_code f64,amperes_per_code f64,bits u8,\
+             reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic),\
+             hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,\
              saturation_code u16},configuration u16,schedule",
             schedule!()
         ),
@@ -68,7 +70,7 @@ pub const MESSAGES: [Schema; 7] = [
             schedule_error!(),
             ")|Levels{levels u8,cells u8}|TickRate{asked_hz u32,board_hz u32}|Hardware(",
             hardware_fault!(),
-            ")))"
+            ")|Storing|Storage))"
         ),
     ),
     Schema::new("Pong", "token u32,tick u64"),
@@ -76,13 +78,16 @@ pub const MESSAGES: [Schema; 7] = [
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
-pub const COMMANDS: [Schema; 6] = [
+pub const COMMANDS: [Schema; 9] = [
     Schema::new("Hello", ""),
     Schema::new("Start", ""),
     Schema::new("Stop", ""),
-    Schema::new("Configure", concat!("schedule", schedule!(), ",levels [u16;..16]")),
+    Schema::new("Configure", concat!("schedule", schedule!(), ",levels [u16;..16],exposure(Fixed|Automatic)")),
     Schema::new("Ping", "token u32"),
     Schema::new("Identify", "seconds u8"),
+    Schema::new("Store", "hashes{scene ?u64,calibration ?u64}"),
+    Schema::new("Forget", ""),
+    Schema::new("Reboot", "target(Firmware|BootLoader)"),
 ];
 
 const KEY_BYTES: usize = size_of::<u64>();

@@ -5,9 +5,9 @@
 use heapless::Vec;
 use slitpose_protocol::schema::{COMMANDS, MESSAGES, SchemaKeys};
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, Command, Configuration, Decoder, EmitterSet, Event, Hello, Level, MAX_MESSAGE_BYTES,
-    MAX_REQUEST_BYTES, Message, PROTOCOL, Packet, Pong, Rejection, Reply, Request, ResetCause, Schedule, ScheduleError,
-    Severity, Status, Truth, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Event, Exposure,
+    HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Packet, Pong,
+    Rejection, Reply, Request, ResetCause, Schedule, ScheduleError, Severity, Status, Truth, encode,
 };
 
 fn bytes(hex: &str) -> std::vec::Vec<u8> {
@@ -67,14 +67,14 @@ fn hello() {
             board: "virtual",
             firmware: "0.1.0",
             reset_cause: ResetCause::BrownOut,
-            scene_hash: Some(0x0123_4567_89ab_cdef),
+            hashes: Hashes { scene: Some(0x0123_4567_89ab_cdef), calibration: Some(7) },
             scaling: AdcScaling { zero_code: 3900.5, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 64 },
             configuration: 3,
             schedule: two_cells(),
         }),
-        "0102010a08010203040506070801260102030405060708090a0b01077669727475616c\
-         05302e312e300201ef9bafcdf8acd19101010101011979ae403a8c30e28e7925be0c40\
-         0380fd875184cc020301020dac1ba21194010402bcc91e0a00",
+        "0102020a08010203040506070801280102030405060708090a0b01077669727475616c\
+         05302e312e300201ef9bafcdf8acd191010107010101011979ae403a8c30e28e7925be\
+         0c400380fd875184cc020301020dac1ba2119401040241bcc13c00",
     );
 }
 
@@ -136,6 +136,11 @@ fn replies() {
         }),
         "0e0407010207822dac1b1eabad1700",
     );
+    let fault = HardwareFault::Conversion { asked_ticks: 150, nearest_ticks: 148 };
+    assert_message(
+        &Message::Reply(Reply { number: 8, outcome: Err(Rejection::Hardware(fault)) }),
+        "0e0408010501960194016746195800",
+    );
 }
 
 #[test]
@@ -163,11 +168,15 @@ fn commands() {
     assert_command(3, Command::Stop, "0703021020fa8400");
     assert_command(
         300,
-        Command::Configure(Configuration { schedule: two_cells(), levels: levels() }),
-        "0eac020380fd875184cc0203010214ac1ba21194010402028080028080014493a81c00",
+        Command::Configure(Configuration { schedule: two_cells(), levels: levels(), exposure: Exposure::Automatic }),
+        "0eac020380fd875184cc0203010215ac1ba21194010402028080028080010101f2a8d400",
     );
     assert_command(5, Command::Ping { token: 7 }, "080504075e4b820300");
     assert_command(6, Command::Identify { seconds: 10 }, "0806050afbb86e6600");
+    let hashes = Hashes { scene: Some(0x0123_4567_89ab_cdef), calibration: None };
+    assert_command(7, Command::Store(hashes), "0d070601ef9bafcdf8acd1910105176f0e3b00");
+    assert_command(8, Command::Forget, "070807540d641700");
+    assert_command(9, Command::Reboot(BootTarget::BootLoader), "0809080103584e4f00");
 }
 
 /// The table and its hashes: a field list that changes without a new key, or a key that
@@ -179,19 +188,22 @@ fn schema_keys() {
     assert_eq!(
         keys,
         [
-            "Hello 74f04a447c66f695",
+            "Hello 8f0816ddceb320f3",
             "Batch fc1f7fd1dba5ebc4",
             "Status d264e884698222ef",
             "Event 6a8d39b88aebc5d5",
-            "Reply 38147186c8994f92",
+            "Reply 2ec69c1b5541782e",
             "Pong b252f6723e82c8ae",
             "Truth 5399c5b5aa74e6b3",
             "Hello 922503e07c5a06a3",
             "Start 9b3033813c8d813f",
             "Stop 04b4e713e8cb9e2d",
-            "Configure 1b84dbe9dc5dafa5",
+            "Configure 9b9a752161229cce",
             "Ping d88375e7778d2988",
             "Identify 4dfc5f7f06215ccb",
+            "Store 68d6c0e34947d252",
+            "Forget fb7e7d17c5c6d5e2",
+            "Reboot ef15508edfd220a6",
         ]
     );
 }
@@ -213,10 +225,11 @@ fn the_largest_configure_fits_its_limit() {
                 cells: u8::MAX,
             },
             levels: (0..16).map(|_| Level(u16::MAX)).collect(),
+            exposure: Exposure::Automatic,
         }),
     };
     let mut buffer = [0; MAX_REQUEST_BYTES];
-    assert_eq!(encode(&request, &mut buffer).unwrap().len(), 140);
+    assert_eq!(encode(&request, &mut buffer).unwrap().len(), 141);
 }
 
 /// As many scans as the limit of a message promises room for, every number at its

@@ -231,8 +231,8 @@ fn unknown_kinds_say_which() {
     let error = FrameError::Payload(PayloadError::UnknownMessage { kind: 99 });
     assert_eq!(decoder.next::<Message>(&mut bytes.as_slice()), Some(Err(error)));
 
-    let (error, counters) = refuse::<Request>(&[0x81, 4, 6, 1, 2]);
-    let unknown = PayloadError::UnknownCommand { number: 513, kind: 6 };
+    let (error, counters) = refuse::<Request>(&[0x81, 4, 96, 1, 2]);
+    let unknown = PayloadError::UnknownCommand { number: 513, kind: 96 };
     assert_eq!(error, FrameError::Payload(unknown));
     assert_eq!((counters.unknown, counters.damaged()), (1, 0));
 }

@@ -4,11 +4,12 @@
 
 use std::collections::VecDeque;
 
-use slitpose_firmware::{Board, Hardware, Health, Identity, Indicator, Link, Overrun, TRANSFER_BYTES};
-use slitpose_protocol::HardwareFault;
+use slitpose_firmware::settings::Settings;
+use slitpose_firmware::{Board, Hardware, Health, Identity, Indicator, Link, ScanError, StorageError, TRANSFER_BYTES};
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, Command, Configuration, Decoder, EmitterSet, Hello, Level, MAX_MESSAGE_BYTES,
-    MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request, ResetCause, Schedule, Severity, Status, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault,
+    Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request, ResetCause,
+    Schedule, Severity, Status, encode,
 };
 
 /// Ticks per second of the scripted board.
@@ -19,6 +20,7 @@ pub const TICK_HZ: u32 = 1_000_000;
 pub enum Finished {
     Scan(RawScan),
     Overrun,
+    Fault(HardwareFault),
 }
 
 /// Hardware that does as it is told.
@@ -37,6 +39,11 @@ pub struct Fake {
     pub asked_dark: u32,
     pub indicator: Option<Indicator>,
     pub finished: VecDeque<Finished>,
+    /// What is kept, and how many polls the next Store or Forget takes.
+    pub kept: Option<Settings>,
+    pub storing_polls: u32,
+    pub refuse_store: bool,
+    pub rebooted: Option<BootTarget>,
 }
 
 impl Fake {
@@ -102,13 +109,14 @@ impl Hardware for Fake {
         Ok(())
     }
 
-    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, Overrun> {
+    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
         match self.finished.pop_front() {
             Some(Finished::Scan(finished)) => {
                 *scan = finished;
                 Ok(true)
             }
-            Some(Finished::Overrun) => Err(Overrun),
+            Some(Finished::Overrun) => Err(ScanError::Overrun),
+            Some(Finished::Fault(fault)) => Err(ScanError::Fault(fault)),
             None => Ok(false),
         }
     }
@@ -116,6 +124,25 @@ impl Hardware for Fake {
     fn housekeeping(&mut self, indicator: Indicator) -> Health {
         self.indicator = Some(indicator);
         Health { supply_v: 3.3, temperature_k: 300.0, cpu_load_permille: 100 }
+    }
+
+    fn store(&mut self, settings: Option<&Settings>) {
+        if !self.refuse_store {
+            self.kept = settings.cloned();
+        }
+    }
+
+    fn stored(&mut self) -> Option<Result<(), StorageError>> {
+        if self.storing_polls > 0 {
+            self.storing_polls -= 1;
+            return None;
+        }
+        Some(if std::mem::take(&mut self.refuse_store) { Err(StorageError) } else { Ok(()) })
+    }
+
+    fn reboot(&mut self, target: BootTarget) {
+        assert!(self.running.is_none(), "rebooted with emitters lit");
+        self.rebooted = Some(target);
     }
 }
 
@@ -133,6 +160,7 @@ pub fn configuration() -> Configuration {
             cells: 2,
         },
         levels: [Level::NOMINAL; 2].into_iter().collect(),
+        exposure: Exposure::Fixed,
     }
 }
 
@@ -150,7 +178,7 @@ pub fn identity() -> Identity {
         kind: BoardKind::Simulated,
         board: "scripted",
         reset_cause: ResetCause::PowerOn,
-        scene_hash: None,
+        hashes: Hashes::default(),
         scaling: AdcScaling { zero_code: 0.0, amperes_per_code: 1e-9, bits: 12, saturation_code: 4_000 },
     }
 }
@@ -169,7 +197,7 @@ pub fn request(number: u16, command: Command) -> Vec<u8> {
 /// A message without its borrows.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Heard {
-    Hello { configuration: u16, schedule: Schedule },
+    Hello { configuration: u16, schedule: Schedule, hashes: Hashes },
     Scan { configuration: u16, scan: RawScan },
     Status(Status),
     Event { severity: Severity, text: String },
@@ -204,10 +232,10 @@ impl Listener {
             }
             while let Some(message) = self.decoder.next::<Message>(&mut bytes) {
                 match message.expect("a board sends nothing damaged") {
-                    Message::Hello(Hello { configuration, schedule, .. }) => {
+                    Message::Hello(Hello { configuration, schedule, hashes, .. }) => {
                         self.configuration = configuration;
                         self.schedule = schedule.clone();
-                        heard.push(Heard::Hello { configuration, schedule });
+                        heard.push(Heard::Hello { configuration, schedule, hashes });
                     }
                     Message::Batch(batch) => {
                         assert_eq!(batch.configuration, self.configuration, "read by the wrong schedule");

@@ -75,7 +75,7 @@ fn scene_hash(path: &Path) -> io::Result<Option<u64>> {
         let mut bytes = &chunk[..count];
         while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
             if let Ok(Message::Hello(hello)) = message {
-                return Ok(hello.scene_hash);
+                return Ok(hello.hashes.scene);
             }
         }
     }

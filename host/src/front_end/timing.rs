@@ -1,6 +1,8 @@
 //! From a scene's lighting and electronics to the schedule a board runs.
 
-use slitpose_protocol::{Configuration, EmitterSet, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError};
+use slitpose_protocol::{
+    Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
+};
 use thiserror::Error;
 
 use crate::scene_file::SceneFile;
@@ -85,7 +87,8 @@ pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
         cells: cells as u8,
     };
     schedule.validate().map_err(|source| TimingError::Schedule { scene: scene(), source })?;
-    Ok(Configuration { schedule, levels: [Level::NOMINAL; MAX_CELLS].into_iter().take(cells).collect() })
+    let levels = [Level::NOMINAL; MAX_CELLS].into_iter().take(cells).collect();
+    Ok(Configuration { schedule, levels, exposure: Exposure::Fixed })
 }
 
 #[cfg(test)]
@@ -99,7 +102,7 @@ mod tests {
 
     #[test]
     fn the_default_scene_runs_at_4_khz_with_a_third_of_the_frame_idle() {
-        let Configuration { schedule, levels } = configuration(&wide()).unwrap();
+        let Configuration { schedule, levels, .. } = configuration(&wide()).unwrap();
         assert_eq!(schedule.frame_rate_hz(), 4000.0);
         assert_eq!((schedule.slots.len(), levels.len(), schedule.words_per_scan()), (4, 6, 24));
         let busy = 4.0 * f64::from(schedule.slot_ticks) / f64::from(schedule.frame_ticks);

@@ -37,7 +37,7 @@ impl Session {
         if board_cells != scene_cells {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
         }
-        if let Some(board_hash) = hello.scene_hash
+        if let Some(board_hash) = hello.hashes.scene
             && board_hash != file.hash
             && scene_match == SceneMatch::Required
         {

@@ -2,7 +2,7 @@
 
 use slitpose_firmware::{Board, Identity, Link, TRANSFER_BYTES, Transfer};
 use slitpose_model::{Plan, SceneError, Tier};
-use slitpose_protocol::{BoardKind, Configuration, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, encode};
+use slitpose_protocol::{BoardKind, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, encode};
 use thiserror::Error;
 
 use super::electronics::Electronics;
@@ -47,7 +47,7 @@ impl SimulatedBoard {
             kind: BoardKind::Simulated,
             board: "simulated",
             reset_cause: ResetCause::PowerOn,
-            scene_hash: Some(file.hash),
+            hashes: Hashes { scene: Some(file.hash), calibration: None },
             scaling: electronics.scaling(),
         };
         let plan = Plan::compile(&file.scene, tier)?;

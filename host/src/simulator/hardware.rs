@@ -4,9 +4,10 @@ use std::collections::VecDeque;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use slitpose_firmware::{Hardware, Health, Indicator, Overrun};
+use slitpose_firmware::settings::Settings;
+use slitpose_firmware::{Hardware, Health, Indicator, ScanError, StorageError};
 use slitpose_model::{Pair, Plan, Pose};
-use slitpose_protocol::{Configuration, HardwareFault, RawScan, Truth};
+use slitpose_protocol::{BootTarget, Configuration, HardwareFault, RawScan, Truth};
 
 use super::electronics::Electronics;
 use super::trajectory::Trajectory;
@@ -154,7 +155,7 @@ impl Hardware for SimulatedHardware {
         Ok(())
     }
 
-    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, Overrun> {
+    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
         let Some(mut run) = self.run.take() else {
             return Ok(false);
         };
@@ -182,4 +183,13 @@ impl Hardware for SimulatedHardware {
     fn housekeeping(&mut self, _: Indicator) -> Health {
         HEALTH
     }
+
+    /// A simulated board keeps nothing beyond its own life.
+    fn store(&mut self, _: Option<&Settings>) {}
+
+    fn stored(&mut self) -> Option<Result<(), StorageError>> {
+        Some(Ok(()))
+    }
+
+    fn reboot(&mut self, _: BootTarget) {}
 }

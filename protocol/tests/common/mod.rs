@@ -5,9 +5,9 @@ use proptest::option;
 use proptest::prelude::*;
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, Command, Configuration, EmitterSet, Event, HardwareFault, Hello, Level, Levels,
-    MAX_CELLS, MAX_MESSAGE_BYTES, MAX_SLOTS, Message, PROTOCOL, Packet, Pong, Rejection, Reply, Request, ResetCause,
-    Schedule, ScheduleError, Severity, Status, Truth, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, EmitterSet, Event, Exposure, HardwareFault,
+    Hashes, Hello, Level, Levels, MAX_CELLS, MAX_MESSAGE_BYTES, MAX_SLOTS, Message, PROTOCOL, Packet, Pong, Rejection,
+    Reply, Request, ResetCause, Schedule, ScheduleError, Severity, Status, Truth, encode,
 };
 
 /// The packet of a value.
@@ -51,7 +51,7 @@ pub fn schedules() -> impl Strategy<Value = Schedule> {
 fn hello() -> impl Strategy<Value = Message<'static>> {
     let words = (text(), text(), bytes(80), bytes(80));
     let scaling = (number(), number(), any::<u8>(), any::<u16>());
-    let rest = (any::<[u8; 12]>(), any::<bool>(), option::of(any::<u64>()));
+    let rest = (any::<[u8; 12]>(), any::<bool>(), any::<(Option<u64>, Option<u64>)>());
     (words, scaling, rest, any::<u16>(), schedules()).prop_map(|(words, scaling, rest, configuration, schedule)| {
         Message::Hello(Hello {
             protocol: PROTOCOL,
@@ -62,7 +62,7 @@ fn hello() -> impl Strategy<Value = Message<'static>> {
             board: words.0,
             firmware: words.1,
             reset_cause: ResetCause::Watchdog,
-            scene_hash: rest.2,
+            hashes: Hashes { scene: rest.2.0, calibration: rest.2.1 },
             scaling: AdcScaling {
                 zero_code: scaling.0,
                 amperes_per_code: scaling.1,
@@ -104,14 +104,17 @@ fn status() -> impl Strategy<Value = Message<'static>> {
 
 fn rejection() -> impl Strategy<Value = Rejection> {
     let n = any::<(u8, u8, u8, u32, u64)>();
-    (0..8, n).prop_map(|(variant, n)| match variant {
+    (0..11, n).prop_map(|(variant, n)| match variant {
         0 => Rejection::Unsupported { kind: n.3 },
         1 => Rejection::Malformed { kind: n.3 },
         2 => Rejection::Schedule(ScheduleError::LitTwice { emitter: n.0, first_slot: n.1, second_slot: n.2 }),
         3 => Rejection::Schedule(ScheduleError::FrameTooShort { needed_ticks: n.4, frame_ticks: n.3 }),
         4 => Rejection::Levels { levels: n.0, cells: n.1 },
         5 => Rejection::TickRate { asked_hz: n.3, board_hz: !n.3 },
-        6 => Rejection::Hardware(HardwareFault::Channels { cells: n.0, channels: n.1 }),
+        6 => Rejection::Storage,
+        7 => Rejection::Storing,
+        8 => Rejection::Hardware(HardwareFault::Settling { asked_ticks: n.3, least_ticks: !n.3 }),
+        9 => Rejection::Hardware(HardwareFault::Channels { cells: n.0, channels: n.1 }),
         _ => Rejection::Hardware(HardwareFault::Counters),
     })
 }
@@ -138,8 +141,15 @@ pub fn requests() -> impl Strategy<Value = Request> {
         Just(Command::Hello),
         Just(Command::Start),
         Just(Command::Stop),
-        (schedules(), levels())
-            .prop_map(|(schedule, levels)| { Command::Configure(Configuration { schedule, levels }) }),
+        (schedules(), levels(), any::<bool>()).prop_map(|(schedule, levels, automatic)| {
+            let exposure = if automatic { Exposure::Automatic } else { Exposure::Fixed };
+            Command::Configure(Configuration { schedule, levels, exposure })
+        }),
+        any::<(Option<u64>, Option<u64>)>()
+            .prop_map(|(scene, calibration)| Command::Store(Hashes { scene, calibration })),
+        Just(Command::Forget),
+        Just(Command::Reboot(BootTarget::Firmware)),
+        Just(Command::Reboot(BootTarget::BootLoader)),
         any::<u32>().prop_map(|token| Command::Ping { token }),
         any::<u8>().prop_map(|seconds| Command::Identify { seconds }),
     ];

@@ -1,0 +1,109 @@
+//! Emitter gates and level lines.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_stm32::gpio::Output;
+use embassy_stm32::pac;
+use embassy_stm32::pac::dac::Dac;
+use embassy_stm32::peripherals::{DAC1, DAC2};
+use embassy_stm32::{Peri, rcc};
+use slitpose_firmware::timing::BOARD_SLOTS;
+use slitpose_firmware::wiring::{CHANNELS, LEVEL_LINES};
+
+use crate::transfers::{Channel, Table};
+
+/// Emitter k is gated by this pin of port C and the ones above.
+const FIRST_PIN: u32 = 6;
+
+/// All gates, as bits of the port.
+const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
+
+/// What to write to the port for each slot: gates to set in the lower half word, gates to
+/// clear in the upper.
+static SLOT_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
+
+/// What to write to the port to go dark at the end of the last slot.
+static DARK_GATES: [AtomicU32; 1] = [AtomicU32::new(GATES << 16)];
+
+/// On every update of the frame timer: gates of the slot that begins.
+const GATE_TRANSFER: Channel = Channel::new(2, 60);
+/// On compare 4 of the frame timer: all gates off.
+const DARK_TRANSFER: Channel = Channel::new(3, 59);
+
+/// Gates, as outputs, and the converters behind the level lines.
+pub struct Emitters {
+    _gates: [Output<'static>; CHANNELS as usize],
+}
+
+impl Emitters {
+    /// All dark, at level zero.
+    pub fn new(
+        gates: [Output<'static>; CHANNELS as usize],
+        _first: Peri<'static, DAC1>,
+        _second: Peri<'static, DAC2>,
+    ) -> Self {
+        rcc::enable_and_reset::<DAC1>();
+        rcc::enable_and_reset::<DAC2>();
+        for dac in lines() {
+            dac.dhr12r(0).write(|w| w.set_dhr(0));
+            dac.cr().write(|w| w.set_en(0, true));
+        }
+        Self { _gates: gates }
+    }
+
+    /// Readies the gates for the first slot of `slots` at the next update of the frame
+    /// timer; `goes_dark` at its compare 4, too.
+    pub fn arm(&mut self, slots: &[u8], goes_dark: bool) {
+        for (word, &lit) in SLOT_GATES.iter().zip(slots) {
+            let set = u32::from(lit) << FIRST_PIN;
+            word.store(set | (GATES & !set) << 16, Ordering::Relaxed);
+        }
+        let port = pac::GPIOC.bsrr().as_ptr().cast();
+        GATE_TRANSFER.feed(port, Table::of_words(&SLOT_GATES[..slots.len()]));
+        if goes_dark {
+            DARK_TRANSFER.feed(port, Table::of_words(&DARK_GATES));
+        }
+    }
+
+    /// The slot whose gates come next.
+    pub fn next_slot(&self, slots: usize) -> usize {
+        slots - usize::from(GATE_TRANSFER.remaining())
+    }
+
+    /// Whether a transfer has failed.
+    pub fn has_failed(&self) -> bool {
+        GATE_TRANSFER.has_failed() || DARK_TRANSFER.has_failed()
+    }
+
+    /// Sets a level line.
+    pub fn set_level(&mut self, line: usize, code: u16) {
+        lines()[line].dhr12r(0).write(|w| w.set_dhr(code));
+    }
+
+    /// Dark, and level lines at zero. Whether the gates are off is read back.
+    pub fn darken(&mut self) -> bool {
+        darken();
+        for line in lines() {
+            line.dhr12r(0).write(|w| w.set_dhr(0));
+        }
+        pac::GPIOC.odr().read().0 & GATES == 0
+    }
+
+    /// Address of the register that sets a level line.
+    pub fn level_register(line: usize) -> *mut () {
+        lines()[line].dhr12r(0).as_ptr().cast()
+    }
+}
+
+fn lines() -> [Dac; LEVEL_LINES] {
+    [pac::DAC1, pac::DAC2]
+}
+
+/// Ends whatever switches emitters on and switches them off. Valid at any time, also from
+/// interrupts and when everything else has failed.
+pub fn darken() {
+    pac::TIM2.cr1().modify(|w| w.set_cen(false));
+    GATE_TRANSFER.stop();
+    DARK_TRANSFER.stop();
+    pac::GPIOC.bsrr().write_value(pac::gpio::regs::Bsrr(GATES << 16));
+}

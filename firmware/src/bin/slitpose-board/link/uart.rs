@@ -1,0 +1,76 @@
+//! The link over the debugger's serial port: 3 Mbaud, eight bits, no parity, one stop bit.
+//!
+//! No line says whether anybody listens. The link is open while the host says something,
+//! a ping at least, every [`SILENCE`].
+
+use embassy_executor::Spawner;
+use embassy_stm32::Peri;
+use embassy_stm32::mode::Async;
+use embassy_stm32::peripherals::{DMA2_CH1, DMA2_CH2, LPUART1, PA2, PA3};
+use embassy_stm32::usart::{Config, RingBufferedUartRx, Uart, UartTx};
+use embassy_time::{Duration, with_timeout};
+use slitpose_firmware::TRANSFER_BYTES;
+use static_cell::StaticCell;
+
+use super::{Links, Port, start};
+use crate::Interrupts;
+
+/// 4 000 frames of 60 bytes a second take 2.4 Mbaud.
+const BAUD: u32 = 3_000_000;
+
+/// A host that says nothing for this long has gone.
+const SILENCE: Duration = Duration::from_secs(2);
+
+/// Bytes that may arrive between two looks: the longest command and some.
+const RING_BYTES: usize = 512;
+
+/// Sets the port up and starts its tasks. Without it the board has one link fewer.
+pub fn spawn(
+    spawner: Spawner,
+    links: &'static Links,
+    port: Peri<'static, LPUART1>,
+    rx: Peri<'static, PA3>,
+    tx: Peri<'static, PA2>,
+    tx_transfer: Peri<'static, DMA2_CH1>,
+    rx_transfer: Peri<'static, DMA2_CH2>,
+) {
+    let mut config = Config::default();
+    config.baudrate = BAUD;
+    let Ok(uart) = Uart::new(port, rx, tx, tx_transfer, rx_transfer, Interrupts, config) else {
+        return;
+    };
+    let (sender, receiver) = uart.split();
+    static RING: StaticCell<[u8; RING_BYTES]> = StaticCell::new();
+    let receiver = receiver.into_ring_buffered(RING.init([0; RING_BYTES]));
+    start(spawner, send(links, sender));
+    start(spawner, receive(links, receiver));
+}
+
+#[embassy_executor::task]
+async fn send(links: &'static Links, mut sender: UartTx<'static, Async>) {
+    let mut transfer = [0; TRANSFER_BYTES];
+    loop {
+        let bytes = links.transmit(Port::Uart, &mut transfer).await;
+        // Only a wrong configuration can make it fail, and then there is no link.
+        if sender.write(bytes).await.is_err() {
+            return;
+        }
+    }
+}
+
+#[embassy_executor::task]
+async fn receive(links: &'static Links, mut receiver: RingBufferedUartRx<'static>) {
+    let mut bytes = [0; 64];
+    loop {
+        match with_timeout(SILENCE, receiver.read(&mut bytes)).await {
+            Ok(Ok(length)) => {
+                if links.claim(Port::Uart) {
+                    links.receive(Port::Uart, &bytes[..length]);
+                }
+            }
+            // Noise or too much at once: the checksum of what was hit fails.
+            Ok(Err(_)) => {}
+            Err(_) => links.release(Port::Uart),
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! The image that is flashed: the board's core over the parts of an STM32G474.
+//!
+//! Tasks share the core, and none waits while it holds it:
+//!
+//! * *polling* (the main task) collects when a batch is due, at least every millisecond,
+//!   and feeds the watchdog;
+//! * the *links* hand the core what the host sends and take what it has to say;
+//! * *storage* writes what the core wants to keep.
+//!
+//! Everything with a deadline shorter than a millisecond is done by timers, converters
+//! and memory transfers: see [`acquisition`].
+
+#![no_std]
+#![no_main]
+
+mod acquisition;
+mod clock;
+mod converters;
+mod emitters;
+mod faults;
+mod hardware;
+mod link;
+#[cfg(feature = "sensors")]
+mod sensors;
+#[cfg(feature = "storage")]
+mod storage;
+mod supply;
+mod transfers;
+
+use core::cell::RefCell;
+
+use embassy_executor::Spawner;
+use embassy_stm32::gpio::{Level, Output, Speed};
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{Config, bind_interrupts};
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
+use embassy_time::{Duration, Timer};
+use slitpose_firmware::{Board, Identity, default_configuration, default_scaling};
+use slitpose_protocol::{BoardKind, Hashes};
+use static_cell::StaticCell;
+
+use crate::acquisition::Acquisition;
+use crate::hardware::BoardHardware;
+use crate::link::Links;
+
+#[cfg(feature = "defmt")]
+use defmt_rtt as _;
+
+bind_interrupts!(struct Interrupts {
+    #[cfg(feature = "usb")]
+    USB_LP => embassy_stm32::usb::InterruptHandler<embassy_stm32::peripherals::USB>;
+    #[cfg(feature = "uart")]
+    LPUART1 => embassy_stm32::usart::InterruptHandler<embassy_stm32::peripherals::LPUART1>;
+    #[cfg(feature = "uart")]
+    DMA2_CHANNEL1 => embassy_stm32::dma::InterruptHandler<embassy_stm32::peripherals::DMA2_CH1>;
+    #[cfg(feature = "uart")]
+    DMA2_CHANNEL2 => embassy_stm32::dma::InterruptHandler<embassy_stm32::peripherals::DMA2_CH2>;
+    #[cfg(feature = "storage")]
+    FLASH => embassy_stm32::flash::InterruptHandler;
+});
+
+/// The board's core, shared by the tasks.
+type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware>>>;
+
+/// The watchdog resets the board when it has not been polled for this long.
+const WATCHDOG_US: u32 = 100_000;
+
+/// The core is polled at least this often.
+const POLL: Duration = Duration::from_millis(1);
+
+#[embassy_executor::main]
+async fn main(spawner: Spawner) {
+    let reset_cause = faults::reset_cause();
+    let p = embassy_stm32::init(config());
+    faults::running();
+    let emitters = [
+        Output::new(p.PC6, Level::Low, Speed::Medium),
+        Output::new(p.PC7, Level::Low, Speed::Medium),
+        Output::new(p.PC8, Level::Low, Speed::Medium),
+        Output::new(p.PC9, Level::Low, Speed::Medium),
+        Output::new(p.PC10, Level::Low, Speed::Medium),
+        Output::new(p.PC11, Level::Low, Speed::Medium),
+    ];
+    supply::watch();
+
+    #[cfg(feature = "storage")]
+    let (flash, settings) = storage::open(p.FLASH);
+    #[cfg(not(feature = "storage"))]
+    let settings: Option<slitpose_firmware::settings::Settings> = None;
+
+    let hardware = BoardHardware::new(
+        emitters::Emitters::new(emitters, p.DAC1, p.DAC2),
+        Acquisition::new(p.ADC1, p.ADC2, p.TIM2, p.DMA1_CH1),
+        clock::Clock::start(p.TIM5),
+        Output::new(p.PA5, Level::Low, Speed::Low),
+        #[cfg(feature = "sensors")]
+        sensors::Sensors::new(p.ADC5),
+    );
+    let identity = Identity {
+        device_id: embassy_stm32::uid::uid(),
+        kind: BoardKind::Physical,
+        board: "NUCLEO-G474RE",
+        reset_cause,
+        hashes: settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes),
+        scaling: default_scaling(),
+    };
+    // Settings of another board's clock or cells are refused; the defaults are not.
+    let configuration = settings.map(|settings| settings.configuration).filter(Acquisition::can_run);
+    let configuration = configuration.unwrap_or_else(default_configuration);
+    let Ok(board) = Board::new(hardware, identity, configuration) else {
+        faults::give_up();
+    };
+    static CORE: StaticCell<Core> = StaticCell::new();
+    let core: &'static Core = CORE.init_with(|| Mutex::new(RefCell::new(board)));
+    static LINKS: StaticCell<Links> = StaticCell::new();
+    let links: &'static Links = LINKS.init_with(|| Links::new(core));
+
+    #[cfg(feature = "usb")]
+    link::usb::spawn(spawner, links, p.USB, p.PA12, p.PA11);
+    #[cfg(feature = "uart")]
+    link::uart::spawn(spawner, links, p.LPUART1, p.PA3, p.PA2, p.DMA2_CH1, p.DMA2_CH2);
+    #[cfg(feature = "storage")]
+    if let Ok(task) = storage::keep(flash) {
+        spawner.spawn(task);
+    }
+    let _ = spawner;
+
+    let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
+    watchdog.unleash();
+    loop {
+        let next = links.poll();
+        watchdog.pet();
+        Timer::after(next.min(POLL)).await;
+    }
+}
+
+/// 170 MHz from the internal oscillator for everything but USB, which has its own
+/// oscillator, trimmed by the host's frames.
+fn config() -> Config {
+    use embassy_stm32::rcc::{Hsi48Config, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk, mux};
+    let mut config = Config::default();
+    config.rcc.pll = Some(Pll {
+        source: PllSource::HSI,
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL85,
+        divp: None,
+        divq: None,
+        divr: Some(PllRDiv::DIV2),
+    });
+    config.rcc.hsi = true;
+    config.rcc.sys = Sysclk::PLL1_R;
+    config.rcc.boost = true;
+    config.rcc.hsi48 = Some(Hsi48Config { sync_from_usb: true });
+    config.rcc.mux.clk48sel = mux::Clk48sel::HSI48;
+    config.rcc.mux.adc345sel = mux::Adcsel::SYS;
+    // The core's cycle counter stands still while it sleeps: that is how its load is
+    // measured. With a debugger attached the clock stays on and the load reads full.
+    config.enable_debug_during_sleep = cfg!(feature = "defmt");
+    config
+}

@@ -1,0 +1,85 @@
+//! Settings in the flash memory's second bank, written while the program runs from the
+//! first.
+
+use embassy_stm32::Peri;
+use embassy_stm32::flash::{Async, Bank2Region, Flash};
+use embassy_stm32::peripherals::FLASH;
+use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
+use embassy_sync::signal::Signal;
+use slitpose_firmware::StorageError;
+use slitpose_firmware::settings::{self, PAGE_BYTES, Pages, Settings};
+use static_cell::ConstStaticCell;
+
+use crate::Interrupts;
+
+type Bank = Bank2Region<'static, Async>;
+
+/// What is to be kept next.
+static WANTED: Signal<ThreadModeRawMutex, Option<Settings>> = Signal::new();
+
+/// How it went.
+static DONE: Signal<ThreadModeRawMutex, Result<(), StorageError>> = Signal::new();
+
+/// A copy of the two pages, as they are read.
+static PAGES: ConstStaticCell<Pages> = ConstStaticCell::new([[0; PAGE_BYTES]; 2]);
+
+/// The memory, and the copy of its pages.
+pub struct Store {
+    bank: Bank,
+    pages: &'static mut Pages,
+}
+
+/// Opens the memory and reads what is kept there.
+pub fn open(flash: Peri<'static, FLASH>) -> (Store, Option<Settings>) {
+    let bank = Flash::new(flash, Interrupts).into_regions().bank2_region;
+    let mut store = Store { bank, pages: PAGES.take() };
+    let settings = if store.load() { settings::stored(store.pages) } else { None };
+    (store, settings)
+}
+
+/// Begins to keep `settings`.
+pub fn begin(settings: Option<Settings>) {
+    DONE.reset();
+    WANTED.signal(settings);
+}
+
+/// How it went, once it is over.
+pub fn poll() -> Option<Result<(), StorageError>> {
+    DONE.try_take()
+}
+
+/// Keeps what it is given, one after the other.
+#[embassy_executor::task]
+pub async fn keep(mut store: Store) {
+    loop {
+        let settings = WANTED.wait().await;
+        DONE.signal(store.keep(settings.as_ref()).await);
+    }
+}
+
+impl Store {
+    fn load(&mut self) -> bool {
+        let mut offset = 0;
+        self.pages.iter_mut().all(|page| {
+            let read = self.bank.blocking_read(offset, page);
+            offset += PAGE_BYTES as u32;
+            read.is_ok()
+        })
+    }
+
+    async fn keep(&mut self, settings: Option<&Settings>) -> Result<(), StorageError> {
+        if !self.load() {
+            return Err(StorageError);
+        }
+        let append = settings::append(self.pages, settings);
+        let page = (append.page * PAGE_BYTES) as u32;
+        if append.erase {
+            self.bank.erase(page, page + PAGE_BYTES as u32).await.map_err(|_| StorageError)?;
+        }
+        let offset = page + append.offset as u32;
+        self.bank.write(offset, &append.record).await.map_err(|_| StorageError)?;
+        // Believed only when read back.
+        let is_kept = self.load() && settings::stored(self.pages).as_ref() == settings;
+        if is_kept { Ok(()) } else { Err(StorageError) }
+    }
+}

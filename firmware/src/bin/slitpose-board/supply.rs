@@ -1,0 +1,45 @@
+//! Emitters off as the supply falls, before anything measured by it is wrong.
+
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use embassy_stm32::interrupt::InterruptExt;
+use embassy_stm32::{interrupt, pac};
+
+use crate::emitters;
+
+/// The detector's highest threshold, 2.9 V (RM0440, PWR_CR2, PLS).
+const THRESHOLD: u8 = 6;
+
+/// The detector's line among the external interrupts.
+const LINE: usize = 16;
+
+static FELL: AtomicBool = AtomicBool::new(false);
+
+/// Watches the supply from now on.
+pub fn watch() {
+    pac::PWR.cr2().modify(|w| {
+        w.set_pls(THRESHOLD);
+        w.set_pvde(true);
+    });
+    // The detector's output rises as the supply falls.
+    pac::EXTI.rtsr(0).modify(|w| w.set_line(LINE, true));
+    pac::EXTI.imr(0).modify(|w| w.set_line(LINE, true));
+    // SAFETY: the handler below only switches emitters off; no critical section relies on
+    // it being masked.
+    #[allow(unsafe_code)]
+    unsafe {
+        interrupt::PVD_PVM.enable();
+    }
+}
+
+/// Whether the supply is too low, or was since this was last asked.
+pub fn is_low() -> bool {
+    pac::PWR.sr2().read().pvdo() || FELL.swap(false, Ordering::Relaxed)
+}
+
+#[interrupt]
+fn PVD_PVM() {
+    emitters::darken();
+    FELL.store(true, Ordering::Relaxed);
+    pac::EXTI.pr(0).write(|w| w.set_line(LINE, true));
+}

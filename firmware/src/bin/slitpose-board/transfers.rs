@@ -1,0 +1,91 @@
+//! Memory transfers without the core: one request, one item, round and round a table.
+
+use core::sync::atomic::{AtomicU16, AtomicU32};
+
+use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
+use embassy_stm32::pac::{DMA1, DMAMUX1};
+
+/// A table that a transfer reads or writes while the program goes on. Atomic items, so
+/// that both may touch it at any time.
+#[derive(Debug, Clone, Copy)]
+pub struct Table {
+    address: u32,
+    items: u16,
+    size: Size,
+}
+
+impl Table {
+    /// A table of half words.
+    pub fn of_halves(items: &'static [AtomicU16]) -> Self {
+        Self { address: items.as_ptr() as u32, items: items.len() as u16, size: Size::BITS16 }
+    }
+
+    /// A table of words.
+    pub fn of_words(items: &'static [AtomicU32]) -> Self {
+        Self { address: items.as_ptr() as u32, items: items.len() as u16, size: Size::BITS32 }
+    }
+}
+
+/// A channel of the first transfer controller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Channel {
+    index: usize,
+    /// Number of the request line that drives it (RM0440, DMAMUX requests).
+    request: u8,
+}
+
+impl Channel {
+    /// Channel `index` (from 0), driven by `request`.
+    pub const fn new(index: usize, request: u8) -> Self {
+        Self { index, request }
+    }
+
+    /// From now on each request moves an item of the table to `register`.
+    pub fn feed(self, register: *mut (), table: Table) {
+        self.start(register, table, Dir::FROM_MEMORY);
+    }
+
+    /// From now on each request moves the content of `register` to the table.
+    pub fn collect(self, register: *mut (), table: Table) {
+        self.start(register, table, Dir::FROM_PERIPHERAL);
+    }
+
+    fn start(self, register: *mut (), table: Table, direction: Dir) {
+        let channel = DMA1.ch(self.index);
+        self.stop();
+        DMAMUX1.ccr(self.index).write(|w| w.set_dmareq_id(self.request));
+        channel.par().write_value(register as u32);
+        channel.mar().write_value(table.address);
+        channel.ndtr().write(|w| w.set_ndt(table.items));
+        channel.cr().write(|w| {
+            w.set_dir(direction);
+            w.set_circ(true);
+            w.set_minc(true);
+            w.set_psize(table.size);
+            w.set_msize(table.size);
+            w.set_pl(Pl::VERY_HIGH);
+        });
+        channel.cr().modify(|w| w.set_en(true));
+    }
+
+    /// Ends the transfer and forgets its flags.
+    pub fn stop(self) {
+        DMA1.ch(self.index).cr().modify(|w| w.set_en(false));
+        DMA1.ifcr().write(|w| {
+            w.set_gif(self.index, true);
+            w.set_tcif(self.index, true);
+            w.set_htif(self.index, true);
+            w.set_teif(self.index, true);
+        });
+    }
+
+    /// Items left until the table is at its end.
+    pub fn remaining(self) -> u16 {
+        DMA1.ch(self.index).ndtr().read().ndt()
+    }
+
+    /// Whether the controller met an address that does not answer; it has then stopped.
+    pub fn has_failed(self) -> bool {
+        DMA1.isr().read().teif(self.index)
+    }
+}

@@ -1,0 +1,180 @@
+//! Automatic exposure: levels that keep photocurrents between faint and saturated.
+//!
+//! For each cell the larger of its two currents is watched as a share of the range from
+//! zero current to saturation. When one comes near the end of the range the levels change
+//! at once; otherwise every [`DECIDE_MS`], by the largest share seen since:
+//!
+//! | largest share | level |
+//! |---|---|
+//! | saturated | halved |
+//! | above [`BRIGHT`] | so that the share becomes [`TARGET`] |
+//! | up to there | as it is |
+//! | below [`FAINT`] | so that the share becomes [`TARGET`], as far as the emitter goes |
+//! | below [`BLIND`] | nominal: the light does not reach the detector, more does not help |
+//!
+//! A change of levels starts a new frame, so it costs the frame it interrupts.
+
+use slitpose_protocol::{AdcScaling, Configuration, Level, Levels, MAX_CELLS, RawScan, Schedule};
+
+use crate::wiring::{agree, highest_level};
+
+/// Milliseconds between decisions that can wait.
+const DECIDE_MS: u64 = 20;
+
+const BRIGHT: f32 = 0.85;
+const TARGET: f32 = 0.6;
+const FAINT: f32 = 0.3;
+const BLIND: f32 = 0.01;
+
+/// Nothing is driven lower than this: an eighth of nominal.
+const LOWEST: Level = Level(Level::NOMINAL.0 / 8);
+
+#[derive(Debug)]
+pub(crate) struct AutomaticExposure {
+    scaling: AdcScaling,
+    /// Words at zero current, and words from there to saturation.
+    zero: i32,
+    range: i32,
+    /// Largest excursion of each cell since the last decision, in words.
+    largest: [i32; MAX_CELLS],
+    decide_at: u64,
+    /// A cell is near the end of its range.
+    is_urgent: bool,
+}
+
+impl AutomaticExposure {
+    pub fn new(scaling: AdcScaling) -> Self {
+        Self { scaling, zero: 0, range: 1, largest: [0; MAX_CELLS], decide_at: 0, is_urgent: false }
+    }
+
+    /// Scans of `schedule` follow, from `now` on.
+    pub fn begin(&mut self, now: u64, schedule: &Schedule) {
+        let oversampling = f32::from(schedule.oversampling);
+        let zero = self.scaling.zero_code as f32;
+        self.zero = (zero * oversampling) as i32;
+        self.range = ((zero - f32::from(self.scaling.saturation_code)) * oversampling) as i32;
+        self.restart(now, schedule.tick_hz);
+    }
+
+    /// Takes notice of a scan.
+    pub fn watch(&mut self, scan: &RawScan) {
+        // Divided first: the range may have either sign.
+        let near_the_end = (self.range.abs() as f32 * BRIGHT) as i32;
+        let sign = self.range.signum();
+        for (largest, pair) in self.largest.iter_mut().zip(scan.lit()) {
+            let excursion = pair.map(|word| (self.zero - i32::from(word)) * sign);
+            *largest = (*largest).max(excursion[0]).max(excursion[1]);
+            self.is_urgent |= *largest >= near_the_end;
+        }
+    }
+
+    /// The levels to go on with, if they are to change.
+    pub fn levels(&mut self, now: u64, configuration: &Configuration) -> Option<Levels> {
+        if now < self.decide_at && !self.is_urgent {
+            return None;
+        }
+        let Configuration { schedule, levels: old, .. } = configuration;
+        let highest = highest_level(schedule);
+        let mut new = old.clone();
+        for (level, &largest) in new.iter_mut().zip(&self.largest) {
+            let share = largest as f32 / self.range.abs() as f32;
+            *level = decide(*level, share).clamp(LOWEST, highest);
+        }
+        agree(schedule, &mut new);
+        self.restart(now, schedule.tick_hz);
+        (new != *old).then_some(new)
+    }
+
+    fn restart(&mut self, now: u64, tick_hz: u32) {
+        self.largest = [0; MAX_CELLS];
+        self.is_urgent = false;
+        self.decide_at = now.saturating_add(u64::from(tick_hz) / 1_000 * DECIDE_MS);
+    }
+}
+
+fn decide(level: Level, share: f32) -> Level {
+    if share < BLIND {
+        Level::NOMINAL
+    } else if share >= 1.0 {
+        Level(level.0 / 2)
+    } else if !(FAINT..BRIGHT).contains(&share) {
+        // Saturates at the ends of u16.
+        Level((f32::from(level.0) * (TARGET / share)) as u16)
+    } else {
+        level
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::default_configuration;
+
+    const FALLING: AdcScaling =
+        AdcScaling { zero_code: 4031.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 31 };
+    const RISING: AdcScaling =
+        AdcScaling { zero_code: 64.0, amperes_per_code: 2.5e-9, bits: 12, saturation_code: 4064 };
+    const MS: u64 = 170_000;
+
+    /// What comes of scans in which cell 2 shows `share` of the range at nominal level and
+    /// the others half of it, when the detector follows the level.
+    fn settle(scaling: AdcScaling, share: f32, scans: u64) -> (Levels, f32) {
+        let mut configuration = default_configuration();
+        let mut exposure = AutomaticExposure::new(scaling);
+        exposure.begin(0, &configuration.schedule);
+        let (zero, end) = (scaling.zero_code as f32, f32::from(scaling.saturation_code));
+        let mut seen = share;
+        for n in 0..scans {
+            let mut scan = RawScan::new(6, true);
+            for cell in 0..6 {
+                let at_nominal = if cell == 2 { share } else { 0.5 };
+                let level = f32::from(configuration.levels[cell].0) / f32::from(Level::NOMINAL.0);
+                let shown = (at_nominal * level).min(1.05);
+                let word = (zero + shown * (end - zero)) * 4.0;
+                scan.lit_mut()[cell] = [(4.0 * zero) as u16, word as u16];
+                if cell == 2 {
+                    seen = shown;
+                }
+            }
+            exposure.watch(&scan);
+            if let Some(levels) = exposure.levels(n * MS / 4, &configuration) {
+                configuration.levels = levels;
+            }
+        }
+        (configuration.levels, seen)
+    }
+
+    #[test]
+    fn brings_light_into_the_range_and_leaves_the_others_alone() {
+        for scaling in [FALLING, RISING] {
+            for (share, expected) in [(0.16, 0.32), (0.4, 0.4), (0.86, 0.6), (0.95, 0.6), (3.0, 0.75)] {
+                let (levels, seen) = settle(scaling, share, 400);
+                assert!((seen - expected).abs() < 0.02, "{share}: {seen}, {levels:?}");
+                assert_eq!(levels[0], Level::NOMINAL);
+                assert_eq!(levels[5], Level::NOMINAL);
+            }
+        }
+    }
+
+    #[test]
+    fn saturation_does_not_wait() {
+        let (_, seen) = settle(FALLING, 3.0, 3);
+        assert!(seen < 1.0, "two halvings, a scan each: {seen}");
+        let (levels, _) = settle(FALLING, 0.2, 40);
+        assert_eq!(levels[2], Level::NOMINAL, "faint light waits for 20 ms");
+    }
+
+    #[test]
+    fn a_blind_cell_is_driven_as_usual() {
+        let (levels, _) = settle(FALLING, 0.005, 400);
+        assert_eq!(levels[2], Level::NOMINAL);
+    }
+
+    #[test]
+    fn nothing_is_driven_beyond_its_limits() {
+        let (levels, _) = settle(FALLING, 0.02, 400);
+        assert_eq!(levels[2], Level(u16::MAX));
+        let (levels, _) = settle(FALLING, 100.0, 400);
+        assert_eq!(levels[2], LOWEST);
+    }
+}

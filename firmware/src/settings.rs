@@ -1,0 +1,303 @@
+//! What a board keeps without supply: a log of records in two pages of flash memory.
+//!
+//! A record is written behind the last one of the page in use; when the page is full the
+//! other one is erased and takes over. The newest whole record counts. At every instant
+//! of writing or erasing it is still there, so that a power cut costs at most the record
+//! being written.
+//!
+//! ```text
+//! record = magic u32 ‖ version u16 ‖ payload bytes u16 ‖ number u32 ‖ checksum u32 ‖ payload ‖ 0xff…
+//! ```
+//! little endian, padded to whole double words, which is what the memory writes at once.
+//! The checksum is CRC-32/ISO-HDLC of version, length, number and payload. An empty
+//! payload says that settings were forgotten.
+
+use core::mem::size_of;
+
+use heapless::Vec;
+use slitpose_protocol::{Configuration, Hashes};
+
+/// Bytes erased at once.
+pub const PAGE_BYTES: usize = 2048;
+
+/// Bytes written at once: a double word and its error-correcting code.
+pub const WRITE_BYTES: usize = 8;
+
+/// Content of the two pages.
+pub type Pages = [[u8; PAGE_BYTES]; 2];
+
+/// Largest record: a configuration of sixteen cells and the hashes.
+const RECORD_BYTES: usize = 192;
+
+const MAGIC: u32 = u32::from_le_bytes(*b"slit");
+
+/// Raised when the payload changes; records of other versions are passed over.
+const VERSION: u16 = 1;
+
+const HEADER_BYTES: usize = 16;
+const ERASED: u8 = 0xff;
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+
+/// What a board starts with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Settings {
+    /// What it acquires by.
+    pub configuration: Configuration,
+    /// What it belongs to.
+    pub hashes: Hashes,
+}
+
+/// How to keep settings: erase if asked to, then write `record` at `offset` of `page`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Append {
+    /// Index of the page.
+    pub page: usize,
+    /// Whether the page must be erased first.
+    pub erase: bool,
+    /// Where the record goes, in bytes from the start of the page.
+    pub offset: usize,
+    /// Whole double words.
+    pub record: Vec<u8, RECORD_BYTES>,
+}
+
+/// What is stored in `pages`; `None` if nothing is, or it was forgotten, or it is not of
+/// this firmware's version.
+pub fn stored(pages: &Pages) -> Option<Settings> {
+    let newest = newest(pages)?;
+    if newest.version != VERSION || newest.payload.is_empty() {
+        return None;
+    }
+    let (configuration, hashes) = postcard::from_bytes(newest.payload).ok()?;
+    Some(Settings { configuration, hashes })
+}
+
+/// Where and how `settings` (`None`: that they are forgotten) go into `pages`.
+pub fn append(pages: &Pages, settings: Option<&Settings>) -> Append {
+    let newest = newest(pages);
+    let number = newest.as_ref().map_or(0, |newest| newest.number.wrapping_add(1));
+    let record = record(number, settings);
+    let home = newest.map_or(0, |newest| newest.page);
+    match Records::of(&pages[home], home).free_from() {
+        Some(offset) if offset + record.len() <= PAGE_BYTES => Append { page: home, erase: false, offset, record },
+        _ => {
+            let page = if number == 0 { home } else { 1 - home };
+            Append { page, erase: true, offset: 0, record }
+        }
+    }
+}
+
+fn record(number: u32, settings: Option<&Settings>) -> Vec<u8, RECORD_BYTES> {
+    let mut payload = [0; RECORD_BYTES - HEADER_BYTES];
+    let payload: &[u8] = match settings {
+        // A configuration of any content is shorter than its request; see the test below.
+        Some(Settings { configuration, hashes }) => {
+            postcard::to_slice(&(configuration, hashes), &mut payload).map_or(&[], |bytes| bytes)
+        }
+        None => &[],
+    };
+    let length = payload.len() as u16;
+    let mut record = Vec::new();
+    for part in [
+        &MAGIC.to_le_bytes()[..],
+        &VERSION.to_le_bytes(),
+        &length.to_le_bytes(),
+        &number.to_le_bytes(),
+        &checksum(VERSION, number, payload).to_le_bytes(),
+        payload,
+    ] {
+        // Header and payload fit by the size of the payload's buffer.
+        let _ = record.extend_from_slice(part);
+    }
+    let padded = record.len().next_multiple_of(WRITE_BYTES);
+    let _ = record.resize(padded, ERASED);
+    record
+}
+
+fn checksum(version: u16, number: u32, payload: &[u8]) -> u32 {
+    let mut digest = CRC.digest();
+    digest.update(&version.to_le_bytes());
+    digest.update(&(payload.len() as u16).to_le_bytes());
+    digest.update(&number.to_le_bytes());
+    digest.update(payload);
+    digest.finalize()
+}
+
+/// A whole record.
+#[derive(Debug, Clone, Copy)]
+struct Record<'a> {
+    page: usize,
+    number: u32,
+    version: u16,
+    payload: &'a [u8],
+}
+
+fn newest(pages: &Pages) -> Option<Record<'_>> {
+    let records = pages.iter().enumerate().flat_map(|(page, bytes)| Records::of(bytes, page));
+    records.max_by_key(|record| record.number)
+}
+
+/// The whole records of a page, up to the first that is none.
+#[derive(Debug)]
+struct Records<'a> {
+    page: usize,
+    rest: &'a [u8],
+}
+
+impl<'a> Records<'a> {
+    fn of(bytes: &'a [u8; PAGE_BYTES], page: usize) -> Self {
+        Self { page, rest: bytes }
+    }
+
+    /// Where the next record can be written; `None` if what follows the last whole record
+    /// is not erased, for then a write was interrupted there.
+    fn free_from(mut self) -> Option<usize> {
+        while self.next().is_some() {}
+        self.rest.iter().all(|&byte| byte == ERASED).then_some(PAGE_BYTES - self.rest.len())
+    }
+}
+
+impl<'a> Iterator for Records<'a> {
+    type Item = Record<'a>;
+
+    fn next(&mut self) -> Option<Record<'a>> {
+        let (header, rest) = self.rest.split_first_chunk::<HEADER_BYTES>()?;
+        let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        let half = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
+        let (magic, version, length, number, sum) = (word(0), half(4), usize::from(half(6)), word(8), word(12));
+        let payload = rest.get(..length)?;
+        if magic != MAGIC || sum != checksum(version, number, payload) {
+            return None;
+        }
+        self.rest = rest.get(length.next_multiple_of(WRITE_BYTES)..)?;
+        Some(Record { page: self.page, number, version, payload })
+    }
+}
+
+const _: () = assert!(HEADER_BYTES.is_multiple_of(WRITE_BYTES) && size_of::<Pages>() == 2 * PAGE_BYTES);
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use slitpose_protocol::{EmitterSet, Exposure, Level, Schedule};
+
+    use super::*;
+    use crate::default_configuration;
+
+    const BLANK: Pages = [[ERASED; PAGE_BYTES]; 2];
+
+    fn settings(scene: u64) -> Settings {
+        let hashes = Hashes { scene: Some(scene), calibration: None };
+        Settings { configuration: default_configuration(), hashes }
+    }
+
+    /// Carries out an append, of which only the first `steps` pieces of work get done
+    /// before the power is cut: an erased page is one piece, a double word one. The piece
+    /// under way at the cut leaves `debris`.
+    fn carry_out(pages: &mut Pages, append: &Append, steps: usize, debris: u8) {
+        let page = &mut pages[append.page];
+        let mut steps = steps;
+        if append.erase {
+            if steps == 0 {
+                for byte in page.iter_mut().skip(usize::from(debris)) {
+                    *byte |= debris;
+                }
+                return;
+            }
+            page.fill(ERASED);
+            steps -= 1;
+        }
+        for (n, piece) in append.record.chunks(WRITE_BYTES).enumerate() {
+            let place = &mut page[append.offset + n * WRITE_BYTES..][..WRITE_BYTES];
+            assert!(place.iter().all(|&byte| byte == ERASED), "written twice");
+            match n.cmp(&steps) {
+                core::cmp::Ordering::Less => place.copy_from_slice(piece),
+                core::cmp::Ordering::Equal => {
+                    place.iter_mut().zip(piece).for_each(|(byte, new)| *byte = new | debris);
+                    return;
+                }
+                core::cmp::Ordering::Greater => return,
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_stored_last_counts() {
+        let mut pages = BLANK;
+        assert_eq!(stored(&pages), None);
+        for n in 0..60 {
+            let append = append(&pages, Some(&settings(n)));
+            carry_out(&mut pages, &append, usize::MAX, 0);
+            assert_eq!(stored(&pages), Some(settings(n)), "record {n}");
+        }
+        let append = append(&pages, None);
+        carry_out(&mut pages, &append, usize::MAX, 0);
+        assert_eq!(stored(&pages), None);
+    }
+
+    #[test]
+    fn rubbish_and_other_versions_are_passed_over() {
+        let mut pages = [[0; PAGE_BYTES]; 2];
+        assert_eq!(stored(&pages), None);
+        let first = append(&pages, Some(&settings(1)));
+        assert!(first.erase);
+        carry_out(&mut pages, &first, usize::MAX, 0);
+        assert_eq!(stored(&pages), Some(settings(1)));
+        let payload = [1, 2, 3];
+        let mut record = std::vec::Vec::from(MAGIC.to_le_bytes());
+        record.extend(2_u16.to_le_bytes());
+        record.extend(3_u16.to_le_bytes());
+        record.extend(9_u32.to_le_bytes());
+        record.extend(checksum(2, 9, &payload).to_le_bytes());
+        record.extend(payload);
+        pages[1][..record.len()].copy_from_slice(&record);
+        assert_eq!(stored(&pages), None, "a newer firmware's settings are not read as ours");
+    }
+
+    #[test]
+    fn the_largest_settings_fit_a_record() {
+        let largest = Settings {
+            configuration: Configuration {
+                schedule: Schedule {
+                    tick_hz: u32::MAX,
+                    frame_ticks: u32::MAX,
+                    slots: (0..17).map(|_| EmitterSet(u16::MAX)).collect(),
+                    slot_ticks: u32::MAX,
+                    settling_ticks: u32::MAX,
+                    conversion_ticks: u32::MAX,
+                    oversampling: u16::MAX,
+                    cells: u8::MAX,
+                },
+                levels: (0..16).map(|_| Level(u16::MAX)).collect(),
+                exposure: Exposure::Automatic,
+            },
+            hashes: Hashes { scene: Some(u64::MAX), calibration: Some(u64::MAX) },
+        };
+        let mut pages = BLANK;
+        let append = append(&pages, Some(&largest));
+        carry_out(&mut pages, &append, usize::MAX, 0);
+        assert_eq!(stored(&pages), Some(largest));
+    }
+
+    proptest! {
+        /// Power is cut again and again; what was stored before the cut, or what was being
+        /// stored, is always there.
+        #[test]
+        fn a_power_cut_costs_at_most_what_was_being_stored(
+            cuts in prop::collection::vec((0_usize..30, any::<u8>(), any::<bool>()), 1..120),
+        ) {
+            let mut pages = BLANK;
+            let mut before = None;
+            for (n, (steps, debris, forget)) in cuts.into_iter().enumerate() {
+                let new = (!forget).then(|| settings(n as u64));
+                let append = append(&pages, new.as_ref());
+                carry_out(&mut pages, &append, steps, debris);
+                let found = stored(&pages);
+                prop_assert!(found == before || found == new, "{n}: {found:?}");
+                if steps > append.record.len() / WRITE_BYTES {
+                    prop_assert_eq!(&found, &new);
+                }
+                before = found;
+            }
+        }
+    }
+}

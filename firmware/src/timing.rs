@@ -1,0 +1,266 @@
+//! From a configuration to what timers, converters and memory transfers are set to.
+//!
+//! ```text
+//! timer    0────────────────────────────────────────period   one period a slot
+//! emitters on (update)                                        the last slot's period is
+//! trigger        ▲ compare                                    longer by the frame's idle
+//! sampling time  └─24.5─┤hold                                 rest; emitters go off at
+//! conversions           │ 0 │ 1 │ … │ ranks · oversampling    slot_ticks
+//! ```
+//! A word belongs to the instant its samples are held (the end of the sampling time), so
+//! the trigger is early by the sampling time and the converters' latency.
+//! Times are in ticks of the timer, which is also the core's clock.
+
+use heapless::Vec;
+use slitpose_protocol::{Configuration, HardwareFault, Level, Schedule};
+
+use crate::wiring::{CHANNELS, LEVEL_LINES, check_levels, level_line};
+
+/// Ticks of one period of the converters' clock: 170 MHz / 4 = 42.5 MHz, under the limit
+/// for several converters at once (STM32G474 data sheet, ADC characteristics).
+pub const ADC_CLOCK_TICKS: u32 = 4;
+
+/// Ticks from the trigger's edge to the start of the first sampling time: two periods of
+/// the converters' clock (RM0440, ADC timing: t_LATR).
+pub const TRIGGER_LATENCY_TICKS: u32 = 2 * ADC_CLOCK_TICKS;
+
+/// Sampling times the converters have, in half periods of their clock, in the order of the
+/// codes they are set by (RM0440, ADC_SMPR1).
+const SAMPLING_HALF_CLOCKS: [u32; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
+
+/// Half periods from the hold to the end of a conversion of twelve bits.
+const CONVERSION_HALF_CLOCKS: u32 = 25;
+
+/// Slots of any schedule that lights each of the board's emitters once.
+pub const BOARD_SLOTS: usize = CHANNELS as usize + 1;
+
+/// Ticks after the end of the last conversion until its word is surely in memory.
+const TRANSFER_TICKS: u32 = 170;
+
+/// Codes of the level converters at nominal and at the highest level.
+const NOMINAL_CODE: u32 = 2048;
+const HIGHEST_CODE: u32 = 4095;
+
+/// What a frame is made of, ready to be written to registers and transfer tables.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FramePlan {
+    /// Code of the sampling time.
+    pub sampling_code: u8,
+    /// Binary logarithm of the conversions summed by the converters.
+    pub oversampling_log2: u8,
+    /// Cells, and so ranks of each converter.
+    pub ranks: u8,
+    /// Ticks from the start of a slot to the trigger.
+    pub trigger_ticks: u32,
+    /// Ticks from one slot to the next, for each slot.
+    pub periods: Vec<u32, BOARD_SLOTS>,
+    /// Emitters lit in each slot, bit k for emitter k.
+    pub emitters: Vec<u8, BOARD_SLOTS>,
+    /// Ticks after which the emitters of the last slot go off ahead of its period's end.
+    pub off_ticks: Option<u32>,
+    /// Code of each level line in each slot.
+    pub level_codes: [Vec<u16, BOARD_SLOTS>; LEVEL_LINES],
+    /// Ticks of a frame.
+    pub frame_ticks: u32,
+    /// Ticks from the start of a frame until its last word is in memory.
+    pub done_ticks: u32,
+    /// For each cell, where its lit word is among the words of a frame.
+    pub lit_at: Vec<u8, { CHANNELS as usize }>,
+    /// The same for dark words; empty without a dark slot.
+    pub dark_at: Vec<u8, { CHANNELS as usize }>,
+}
+
+impl FramePlan {
+    /// The plan of a valid configuration.
+    ///
+    /// # Errors
+    /// What the board's parts cannot do.
+    pub fn new(configuration: &Configuration) -> Result<Self, HardwareFault> {
+        let Configuration { schedule, levels, .. } = configuration;
+        if schedule.cells > CHANNELS {
+            return Err(HardwareFault::Channels { cells: schedule.cells, channels: CHANNELS });
+        }
+        if !schedule.oversampling.is_power_of_two() {
+            return Err(HardwareFault::Oversampling { oversampling: schedule.oversampling });
+        }
+        check_levels(configuration)?;
+        let sampling_code = sampling_code(schedule.conversion_ticks)?;
+        let trigger_ticks = trigger_ticks(schedule, sampling_code)?;
+        let slots = schedule.slots.len();
+        // A frame of all emitters lit together, or of each alone and a dark slot.
+        let mut periods: Vec<u32, BOARD_SLOTS> = (0..slots.min(BOARD_SLOTS)).map(|_| schedule.slot_ticks).collect();
+        let idle = schedule.frame_ticks - slots as u32 * schedule.slot_ticks;
+        match periods.last_mut() {
+            Some(last) if slots <= BOARD_SLOTS => *last += idle,
+            _ => return Err(HardwareFault::Timing),
+        }
+        let last_is_lit = schedule.slots.last().is_some_and(|set| !set.is_dark());
+        let word = |slot: Option<usize>, cell: u8| slot.map(|slot| slot as u8 * schedule.cells + cell);
+        let cells = 0..schedule.cells;
+        Ok(Self {
+            sampling_code: sampling_code as u8,
+            oversampling_log2: schedule.oversampling.trailing_zeros() as u8,
+            ranks: schedule.cells,
+            trigger_ticks,
+            periods,
+            emitters: schedule.slots.iter().map(|set| set.0 as u8).collect(),
+            off_ticks: (last_is_lit && idle > 0).then_some(schedule.slot_ticks),
+            level_codes: core::array::from_fn(|line| line_codes(schedule, levels, line)),
+            frame_ticks: schedule.frame_ticks,
+            done_ticks: done_ticks(schedule),
+            lit_at: cells.clone().filter_map(|cell| word(schedule.lit_slot(cell.into()), cell)).collect(),
+            dark_at: cells.filter_map(|cell| word(schedule.dark_slot(), cell)).collect(),
+        })
+    }
+
+    /// Words each converter makes in a frame.
+    pub fn words(&self) -> usize {
+        self.periods.len() * usize::from(self.ranks)
+    }
+
+    /// Whether the level of a line is the same in all slots in which it matters, so that
+    /// it can be set once.
+    pub fn is_level_constant(&self, line: usize) -> bool {
+        self.level_codes[line].windows(2).all(|pair| pair[0] == pair[1])
+    }
+}
+
+fn sampling_ticks(code: usize) -> u32 {
+    SAMPLING_HALF_CLOCKS[code] * ADC_CLOCK_TICKS / 2
+}
+
+fn conversion_ticks(code: usize) -> u32 {
+    sampling_ticks(code) + CONVERSION_HALF_CLOCKS * ADC_CLOCK_TICKS / 2
+}
+
+fn sampling_code(asked_ticks: u32) -> Result<usize, HardwareFault> {
+    let distance = |code: &usize| conversion_ticks(*code).abs_diff(asked_ticks);
+    let nearest = (0..SAMPLING_HALF_CLOCKS.len()).min_by_key(distance).unwrap_or(0);
+    let nearest_ticks = conversion_ticks(nearest);
+    if nearest_ticks == asked_ticks {
+        Ok(nearest)
+    } else {
+        Err(HardwareFault::Conversion { asked_ticks, nearest_ticks })
+    }
+}
+
+fn trigger_ticks(schedule: &Schedule, sampling_code: usize) -> Result<u32, HardwareFault> {
+    let lead = TRIGGER_LATENCY_TICKS + sampling_ticks(sampling_code);
+    // At the start of a period its edge would coincide with the update.
+    let least_ticks = lead + 1;
+    let asked_ticks = schedule.settling_ticks;
+    if asked_ticks >= least_ticks {
+        Ok(asked_ticks - lead)
+    } else {
+        Err(HardwareFault::Settling { asked_ticks, least_ticks })
+    }
+}
+
+fn done_ticks(schedule: &Schedule) -> u32 {
+    let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
+    let last_slot = (schedule.slots.len() as u32 - 1) * schedule.slot_ticks;
+    // Counted from the hold of the first conversion: one conversion more than to the hold
+    // of the last one covers its end.
+    last_slot + schedule.settling_ticks + conversions * schedule.conversion_ticks + TRANSFER_TICKS
+}
+
+/// Codes of a level line, slot by slot. A slot that lights no emitter of the line keeps the
+/// code of the slot before, so that lines settle while they do not matter.
+fn line_codes(schedule: &Schedule, levels: &[Level], line: usize) -> Vec<u16, BOARD_SLOTS> {
+    let of_slot = |slot: usize| {
+        let emitter = schedule.slots[slot].emitters().find(|&emitter| level_line(emitter) == line)?;
+        levels.get(emitter).map(|&level| level_code(level))
+    };
+    let slots = schedule.slots.len().min(BOARD_SLOTS);
+    let mut last = (0..slots).rev().find_map(of_slot).unwrap_or(0);
+    let codes = (0..slots).map(|slot| {
+        last = of_slot(slot).unwrap_or(last);
+        last
+    });
+    codes.collect()
+}
+
+fn level_code(level: Level) -> u16 {
+    let code = (u32::from(level.0) * NOMINAL_CODE + u32::from(Level::NOMINAL.0) / 2) / u32::from(Level::NOMINAL.0);
+    code.min(HIGHEST_CODE) as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use slitpose_protocol::EmitterSet;
+
+    use super::*;
+    use crate::default_configuration;
+
+    fn refused(change: impl FnOnce(&mut Configuration)) -> HardwareFault {
+        let mut configuration = default_configuration();
+        change(&mut configuration);
+        FramePlan::new(&configuration).unwrap_err()
+    }
+
+    #[test]
+    fn the_default_frame_in_registers() {
+        let plan = FramePlan::new(&default_configuration()).unwrap();
+        // 24.5 + 12.5 periods of 4 ticks; trigger 98 + 8 ticks ahead of the hold.
+        assert_eq!((plan.sampling_code, plan.oversampling_log2, plan.ranks), (3, 2, 6));
+        assert_eq!(plan.trigger_ticks, 2_210 - 106);
+        // The dark slot takes the idle rest: its emitters are off anyway.
+        assert_eq!(plan.periods[..], [5_800, 5_800, 5_800, 42_500 - 3 * 5_800]);
+        assert_eq!(plan.off_ticks, None);
+        assert_eq!(plan.emitters[..], [0b00_1001, 0b01_0010, 0b10_0100, 0]);
+        assert_eq!(plan.lit_at[..], [0, 7, 14, 3, 10, 17]);
+        assert_eq!(plan.dark_at[..], [18, 19, 20, 21, 22, 23]);
+        assert_eq!(plan.words(), 24);
+        assert!(plan.is_level_constant(0) && plan.is_level_constant(1));
+        // 23 200 ticks of slots less 38 in hand, and a microsecond for the transfer.
+        assert_eq!(plan.done_ticks, 23_200 - 38 + 170);
+    }
+
+    #[test]
+    fn one_slot_without_dark_goes_off_by_itself() {
+        let mut configuration = default_configuration();
+        configuration.schedule.slots.clear();
+        configuration.schedule.slots.push(EmitterSet::of(&[0, 1, 2, 3, 4, 5])).unwrap();
+        let plan = FramePlan::new(&configuration).unwrap();
+        assert_eq!((&plan.periods[..], plan.off_ticks), (&[42_500][..], Some(5_800)));
+        assert_eq!(plan.lit_at[..], [0, 1, 2, 3, 4, 5]);
+        assert!(plan.dark_at.is_empty());
+        configuration.schedule.frame_ticks = 5_800;
+        configuration.levels.iter_mut().for_each(|level| *level = Level(0x4000));
+        let plan = FramePlan::new(&configuration).unwrap();
+        assert_eq!((&plan.periods[..], plan.off_ticks), (&[5_800][..], None));
+        assert_eq!(plan.level_codes[0][..], [1_024]);
+    }
+
+    #[test]
+    fn levels_follow_the_slots() {
+        let mut configuration = default_configuration();
+        let levels = [0x8000, 0x4000, 0xffff, 0x8000, 0x8000, 0x8000].map(Level);
+        configuration.levels = levels.into_iter().collect();
+        let plan = FramePlan::new(&configuration).unwrap();
+        assert_eq!(plan.level_codes[0][..], [2_048, 1_024, 4_095, 4_095]);
+        assert_eq!(plan.level_codes[1][..], [2_048; 4]);
+        assert!(!plan.is_level_constant(0) && plan.is_level_constant(1));
+    }
+
+    #[test]
+    fn what_the_parts_cannot_do_is_refused_with_numbers() {
+        let nearest = |c: u32| HardwareFault::Conversion { asked_ticks: c, nearest_ticks: 148 };
+        assert_eq!(refused(|c| c.schedule.conversion_ticks = 150), nearest(150));
+        assert_eq!(refused(|c| c.schedule.oversampling = 3), HardwareFault::Oversampling { oversampling: 3 });
+        let short = HardwareFault::Settling { asked_ticks: 106, least_ticks: 107 };
+        assert_eq!(refused(|c| c.schedule.settling_ticks = 106), short);
+        assert_eq!(refused(|c| c.schedule.cells = 7), HardwareFault::Channels { cells: 7, channels: 6 });
+        let mut configuration = default_configuration();
+        configuration.schedule.settling_ticks = 107;
+        assert_eq!(FramePlan::new(&configuration).unwrap().trigger_ticks, 1);
+    }
+
+    #[test]
+    fn every_conversion_time_of_the_converters_can_be_asked_for() {
+        for ticks in [60, 76, 100, 148, 240, 420, 1_040, 2_612] {
+            let code = sampling_code(ticks).unwrap();
+            assert_eq!(conversion_ticks(code), ticks);
+        }
+    }
+}

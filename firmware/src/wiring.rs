@@ -1,0 +1,110 @@
+//! How emitters and channels of the board are wired, as far as it limits what can be asked.
+
+use slitpose_protocol::{Configuration, HardwareFault, Level, MAX_CELLS, Schedule};
+
+/// Cells the board has converters and emitter drivers for.
+pub const CHANNELS: u8 = 6;
+
+/// Level lines: each sets the current of its emitters together.
+pub const LEVEL_LINES: usize = 2;
+
+/// The level line of an emitter: 0 to 2 are on the first, 3 to 5 on the second, so that
+/// opposite emitters of a head, which are lit in pairs, have a line each.
+pub const fn level_line(emitter: usize) -> usize {
+    if emitter < CHANNELS as usize / LEVEL_LINES { 0 } else { 1 }
+}
+
+/// Longest pulse for which the emitters may carry more than their continuous current,
+/// seconds. Of the same length as the pulse in data sheets' surge and peak ratings.
+const PULSE_S: f32 = 100e-6;
+
+/// Largest share of time an emitter may be lit at more than its continuous current.
+const DUTY: f32 = 0.25;
+
+/// The highest level an emitter may be driven at by `schedule`: anything in short pulses
+/// and long pauses, which on average is less than half the continuous current; else
+/// nominal, which is the emitters' continuous rating.
+pub fn highest_level(schedule: &Schedule) -> Level {
+    let (lit, frame) = (schedule.slot_ticks as f32, schedule.frame_ticks as f32);
+    let is_pulse = lit <= PULSE_S * schedule.tick_hz as f32 && lit <= DUTY * frame;
+    if is_pulse { Level(u16::MAX) } else { Level::NOMINAL }
+}
+
+/// Checks that the emitters can be driven as `configuration` says.
+///
+/// # Errors
+/// If a level is too high for the schedule's pulses, or two emitters that are lit together
+/// share a level line and ask for different levels.
+pub fn check_levels(configuration: &Configuration) -> Result<(), HardwareFault> {
+    let Configuration { schedule, levels, .. } = configuration;
+    let highest = highest_level(schedule);
+    if levels.iter().any(|&level| level > highest) {
+        return Err(HardwareFault::Emitters);
+    }
+    for slot in &schedule.slots {
+        let mut first_on_line = [None; LEVEL_LINES];
+        for emitter in slot.emitters() {
+            let first = *first_on_line[level_line(emitter)].get_or_insert(emitter);
+            if levels.get(first) != levels.get(emitter) {
+                return Err(HardwareFault::SharedLevel { first: first as u8, second: emitter as u8 });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Lowers levels until emitters that share a line in a slot agree.
+pub(crate) fn agree(schedule: &Schedule, levels: &mut [Level]) {
+    for slot in &schedule.slots {
+        let mut lowest = [Level(u16::MAX); LEVEL_LINES];
+        for (emitter, level) in levels.iter().enumerate().filter(|&(emitter, _)| slot.contains(emitter)) {
+            let line = &mut lowest[level_line(emitter)];
+            *line = (*line).min(*level);
+        }
+        for (emitter, level) in levels.iter_mut().enumerate().filter(|&(emitter, _)| slot.contains(emitter)) {
+            *level = lowest[level_line(emitter)];
+        }
+    }
+}
+
+const _: () = assert!(CHANNELS as usize <= MAX_CELLS);
+
+#[cfg(test)]
+mod tests {
+    use slitpose_protocol::EmitterSet;
+
+    use super::*;
+    use crate::default_configuration;
+
+    #[test]
+    fn short_pulses_may_be_brighter() {
+        let mut configuration = default_configuration();
+        configuration.levels[4] = Level(u16::MAX);
+        assert_eq!(check_levels(&configuration), Ok(()));
+        // Half of the time: no more than nominal.
+        configuration.schedule.frame_ticks = 2 * configuration.schedule.slot_ticks;
+        assert_eq!(check_levels(&configuration), Err(HardwareFault::Emitters));
+        configuration.levels[4] = Level::NOMINAL;
+        assert_eq!(check_levels(&configuration), Ok(()));
+        // Rare, but 101 µs long.
+        configuration.schedule.slot_ticks = 17_170;
+        configuration.schedule.frame_ticks = u32::MAX;
+        assert_eq!(highest_level(&configuration.schedule), Level::NOMINAL);
+    }
+
+    #[test]
+    fn emitters_of_a_line_agree_when_lit_together() {
+        let mut configuration = default_configuration();
+        configuration.levels[1] = Level(7);
+        assert_eq!(check_levels(&configuration), Ok(()), "pairs have a line each");
+        configuration.schedule.slots.clear();
+        let all = EmitterSet::of(&[0, 1, 2, 3, 4, 5]);
+        configuration.schedule.slots.push(all).unwrap();
+        let shared = HardwareFault::SharedLevel { first: 0, second: 1 };
+        assert_eq!(check_levels(&configuration), Err(shared));
+        agree(&configuration.schedule, &mut configuration.levels);
+        assert_eq!(check_levels(&configuration), Ok(()));
+        assert_eq!(configuration.levels[..3], [Level(7); 3]);
+        assert_eq!(configuration.levels[3..], [Level::NOMINAL; 3]);
+    }
+}

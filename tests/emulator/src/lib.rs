@@ -1,0 +1,1 @@
+//! An STM32G474 in software, with light and electronics around it.
