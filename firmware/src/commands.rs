@@ -6,22 +6,25 @@
 //! | Hello | a hello | a hello |
 //! | Start | acquiring, or rejected by the hardware | accepted, nothing changes |
 //! | Stop | accepted, nothing changes | idle |
-//! | Configure | replaced, and a hello; the hardware sees it at Start | replaced from the next frame on, new batch, and a hello; if the hardware refuses: idle, the old one stays |
+//! | Configure | replaced, and a hello | replaced from the next frame on, new batch, and a hello; if the hardware fails: idle, the old one stays |
 //! | Ping | a pong | a pong |
 //! | Identify | the indicator | the indicator |
 //! | Store, Forget | kept or forgotten beyond a reset, then a hello | the same; sampling goes on |
 //! | Reboot | the reply, then a new start | idle, the reply, then a new start |
 //!
 //! A Configure with a schedule that contradicts itself, in other ticks than the board's,
-//! or with the wrong number of levels changes nothing in either state.
+//! with the wrong number of levels, or beyond what the hardware can do changes nothing in
+//! either state.
 
 use slitpose_protocol::{
     Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request,
 };
 
 use crate::board::{Board, Emitters, Reboot, Storing};
+use crate::defaults::default_configuration;
 use crate::hardware::{Hardware, StorageError};
 use crate::settings::Settings;
+use crate::timing::FramePlan;
 
 /// A reboot waits this long for its reply to be taken.
 const REBOOT_MS: u64 = 100;
@@ -132,6 +135,7 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
 
     fn configure(&mut self, new: Configuration) -> Result<(), Rejection> {
         check(&new, self.configuration.schedule.tick_hz)?;
+        self.hardware.check(&new).map_err(Rejection::Unsuited)?;
         if self.acquiring {
             // What the old configuration has finished still belongs to it. Should that
             // end in a fault, the board is idle and the rest is as for an idle one.
@@ -158,6 +162,12 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
 enum Done {
     Now,
     Later,
+}
+
+/// Whether the board of the image could run `configuration`.
+pub fn can_run(configuration: &Configuration) -> bool {
+    let board_hz = default_configuration().schedule.tick_hz;
+    check(configuration, board_hz).is_ok() && FramePlan::new(configuration).is_ok()
 }
 
 /// Whether a board of `board_hz` ticks a second could run `configuration`, hardware aside.

@@ -10,6 +10,12 @@ pub trait Hardware {
     /// Never goes backwards.
     fn now_ticks(&mut self) -> u64;
 
+    /// Whether the hardware can run a valid configuration. Changes nothing.
+    ///
+    /// # Errors
+    /// What it cannot do.
+    fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault>;
+
     /// `Some`: light and sample by this configuration from the next frame on. `None`:
     /// emitters off and sampling stopped, both done when the call returns.
     ///

@@ -132,7 +132,9 @@ fn what_cannot_run_is_rejected_and_changes_nothing() {
     other_clock.schedule.tick_hz += 1;
     let mut one_level = configuration();
     one_level.levels.pop();
-    for (number, wrong) in [(2, short), (3, other_clock), (4, one_level)] {
+    let mut odd = configuration();
+    odd.schedule.oversampling = 3;
+    for (number, wrong) in [(2, short), (3, other_clock), (4, one_level), (5, odd)] {
         board.receive(&request(number, Command::Configure(wrong)));
     }
     let too_short = ScheduleError::SlotTooShort { needed_ticks: 21, slot_ticks: 20 };
@@ -142,10 +144,11 @@ fn what_cannot_run_is_rejected_and_changes_nothing() {
             rejected(2, Rejection::Schedule(too_short)),
             rejected(3, Rejection::TickRate { asked_hz: TICK_HZ + 1, board_hz: TICK_HZ }),
             rejected(4, Rejection::Levels { levels: 1, cells: 2 }),
+            rejected(5, Rejection::Unsuited(HardwareFault::Oversampling { oversampling: 3 })),
         ]
     );
     assert_eq!(board.hardware_mut().running, Some(configuration()));
-    assert_eq!(status(&mut board, &mut listener).1.commands_rejected, 3);
+    assert_eq!(status(&mut board, &mut listener).1.commands_rejected, 4);
 }
 
 #[test]

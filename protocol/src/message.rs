@@ -237,6 +237,9 @@ pub enum Rejection {
     /// The hardware refused or failed. Acquisition has stopped and emitters are off.
     #[error("hardware: {0}; acquisition has stopped")]
     Hardware(HardwareFault),
+    /// The hardware cannot run the configuration.
+    #[error("the board cannot run this: {0}")]
+    Unsuited(HardwareFault),
     /// An earlier Store or Forget has not finished.
     #[error("settings are being stored: wait for the reply")]
     Storing,

@@ -70,6 +70,8 @@ pub const MESSAGES: [Schema; 7] = [
             schedule_error!(),
             ")|Levels{levels u8,cells u8}|TickRate{asked_hz u32,board_hz u32}|Hardware(",
             hardware_fault!(),
+            ")|Unsuited(",
+            hardware_fault!(),
             ")|Storing|Storage))"
         ),
     ),

@@ -192,7 +192,7 @@ fn schema_keys() {
             "Batch fc1f7fd1dba5ebc4",
             "Status d264e884698222ef",
             "Event 6a8d39b88aebc5d5",
-            "Reply 2ec69c1b5541782e",
+            "Reply b70fb5cc8ecb3d93",
             "Pong b252f6723e82c8ae",
             "Truth 5399c5b5aa74e6b3",
             "Hello 922503e07c5a06a3",

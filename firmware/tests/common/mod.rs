@@ -90,6 +90,13 @@ impl Hardware for Fake {
         self.now
     }
 
+    fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
+        if configuration.schedule.oversampling == 3 {
+            return Err(HardwareFault::Oversampling { oversampling: 3 });
+        }
+        Ok(())
+    }
+
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
         if configuration.is_some() {
             if let Some(fault) = self.refuse_light.take() {

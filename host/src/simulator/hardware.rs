@@ -142,15 +142,17 @@ impl Hardware for SimulatedHardware {
         self.now_ticks
     }
 
+    fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
+        let (cells, channels) = (configuration.schedule.cells, self.plan.cell_count() as u8);
+        if cells == channels { Ok(()) } else { Err(HardwareFault::Channels { cells, channels }) }
+    }
+
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
         self.run = None;
         let Some(configuration) = configuration else {
             return Ok(());
         };
-        let (asked, available) = (usize::from(configuration.schedule.cells), self.plan.cell_count());
-        if asked != available {
-            return Err(HardwareFault::Channels { cells: asked as u8, channels: available as u8 });
-        }
+        self.check(configuration)?;
         self.run = Some(Run { configuration: configuration.clone(), next_frame_ticks: self.now_ticks });
         Ok(())
     }

@@ -104,7 +104,7 @@ fn status() -> impl Strategy<Value = Message<'static>> {
 
 fn rejection() -> impl Strategy<Value = Rejection> {
     let n = any::<(u8, u8, u8, u32, u64)>();
-    (0..11, n).prop_map(|(variant, n)| match variant {
+    (0..12, n).prop_map(|(variant, n)| match variant {
         0 => Rejection::Unsupported { kind: n.3 },
         1 => Rejection::Malformed { kind: n.3 },
         2 => Rejection::Schedule(ScheduleError::LitTwice { emitter: n.0, first_slot: n.1, second_slot: n.2 }),
@@ -113,6 +113,7 @@ fn rejection() -> impl Strategy<Value = Rejection> {
         5 => Rejection::TickRate { asked_hz: n.3, board_hz: !n.3 },
         6 => Rejection::Storage,
         7 => Rejection::Storing,
+        10 => Rejection::Unsuited(HardwareFault::Emitters),
         8 => Rejection::Hardware(HardwareFault::Settling { asked_ticks: n.3, least_ticks: !n.3 }),
         9 => Rejection::Hardware(HardwareFault::Channels { cells: n.0, channels: n.1 }),
         _ => Rejection::Hardware(HardwareFault::Counters),

@@ -36,12 +36,13 @@ const RING_WORDS: usize = 2048;
 /// Frames of a ring that are not read any more because they may be overwritten meanwhile.
 const MARGIN_FRAMES: u64 = 2;
 
-/// Ticks around a slot's start in which the gates may be or not be switched yet.
-const SLOT_EDGE_TICKS: u32 = 64;
+/// Ticks around a slot's start in which the transfers may be done or not: looking at the
+/// clock and at them takes some twenty.
+const SLOT_EDGE_TICKS: u32 = 128;
 
 static WORDS: [[AtomicU16; RING_WORDS]; 2] = [const { [const { AtomicU16::new(0) }; RING_WORDS] }; 2];
 static PERIODS: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
-static LEVELS: [[AtomicU16; BOARD_SLOTS]; LEVEL_LINES] = [const { [const { AtomicU16::new(0) }; BOARD_SLOTS] }; 2];
+static LEVELS: [[AtomicU32; BOARD_SLOTS]; LEVEL_LINES] = [const { [const { AtomicU32::new(0) }; BOARD_SLOTS] }; 2];
 
 /// Request lines: RM0440, DMAMUX, assignment of multiplexer inputs.
 const WORD_TRANSFERS: [Channel; 2] = [Channel::new(0, 5), Channel::new(1, 36)];
@@ -82,11 +83,6 @@ impl Acquisition {
         Self { converters: Converters::new(adc1, adc2), run: None, next_sequence: 0 }
     }
 
-    /// Whether the board's parts can do what is asked.
-    pub fn can_run(configuration: &Configuration) -> bool {
-        FramePlan::new(configuration).is_ok()
-    }
-
     /// Stops what runs and starts `configuration`.
     pub fn start(
         &mut self,
@@ -96,6 +92,7 @@ impl Acquisition {
     ) -> Result<(), HardwareFault> {
         let plan = FramePlan::new(configuration)?;
         self.stop(emitters, clock)?;
+        supply::forgive();
         let run = Run {
             frames_in_ring: (RING_WORDS / plan.words()) as u32,
             plan,
@@ -128,13 +125,13 @@ impl Acquisition {
         let Some(run) = &mut self.run else {
             return Ok(false);
         };
+        // Behind an overrun the converters' words move up in the rings.
+        if self.converters.has_overrun() {
+            return self.restart(emitters, clock);
+        }
         let now = clock.now();
         if now < run.tick + u64::from(run.plan.done_ticks) {
-            return if run.is_in_step(now, emitters) && !self.converters.has_overrun() {
-                Ok(false)
-            } else {
-                self.restart(emitters, clock)
-            };
+            return if run.is_in_step(now, emitters) { Ok(false) } else { self.restart(emitters, clock) };
         }
         let behind = now - run.tick;
         if behind >= (u64::from(run.frames_in_ring) - MARGIN_FRAMES) * u64::from(run.plan.frame_ticks) {
@@ -182,7 +179,8 @@ impl Acquisition {
         // The timer starts at the very end of a period: its first update begins slot 0, like
         // all that follow.
         let timer = pac::TIM2;
-        rcc::enable_and_reset::<TIM2>();
+        pac::RCC.apb1rstr1().modify(|w| w.set_tim2rst(true));
+        pac::RCC.apb1rstr1().modify(|w| w.set_tim2rst(false));
         timer.cr1().write(|w| {
             w.set_arpe(true);
             w.set_urs(Urs::COUNTER_ONLY);
@@ -214,8 +212,8 @@ impl Acquisition {
                 emitters.set_level(line, first);
             }
             if varies[line] {
-                LEVELS[line].iter().zip(codes).for_each(|(item, &code)| item.store(code, Ordering::Relaxed));
-                let table = Table::of_halves(&LEVELS[line][..codes.len()]);
+                LEVELS[line].iter().zip(codes).for_each(|(item, &code)| item.store(code.into(), Ordering::Relaxed));
+                let table = Table::of_words(&LEVELS[line][..codes.len()]);
                 LEVEL_TRANSFERS[line].feed(Emitters::level_register(line), table);
             }
         }
@@ -234,12 +232,16 @@ impl Acquisition {
         });
         // Nothing may come between the start of the timer and the look at the clock. The
         // supply may have gone meanwhile, and with it the right to light anything.
-        cortex_m::interrupt::free(|_| {
-            if !supply::is_low() {
-                timer.cr1().modify(|w| w.set_cen(true));
-            }
+        let is_supplied = cortex_m::interrupt::free(|_| {
+            let is_supplied = !supply::is_low();
+            timer.cr1().modify(|w| w.set_cen(is_supplied));
             run.tick = clock.now();
+            is_supplied
         });
+        if !is_supplied {
+            self.halt(emitters)?;
+            return Err(HardwareFault::Supply);
+        }
         self.run = Some(run);
         Ok(())
     }
@@ -279,36 +281,37 @@ impl Run {
     }
 
     /// Whether the transfers are where they must be at `now`, which lies in the frame that
-    /// is handed out next.
+    /// is handed out next, or in the idle rest before it.
     fn is_in_step(&self, now: u64, emitters: &Emitters) -> bool {
         if emitters.has_failed() || WORD_TRANSFERS.iter().any(|channel| channel.has_failed()) {
             return false;
         }
-        let words = self.plan.words() as u32;
+        let (words, ranks) = (self.plan.words() as u32, u32::from(self.plan.ranks));
         let ring = self.frames_in_ring * words;
-        // Read last to first, so that time passing in between cannot look like a lag.
         let written = WORD_TRANSFERS.map(|channel| ring - u32::from(channel.remaining()));
-        let in_frame = written.map(|at| (at + ring - self.place * words) % ring);
-        if in_frame.iter().any(|&at| at > words) || in_frame[0].abs_diff(in_frame[1]) > 1 {
-            return false;
-        }
-        self.are_gates_in_step(now, emitters)
+        let [first, second] = written.map(|at| (at + ring - self.place * words) % ring);
+        let Some((slot, is_at_edge)) = self.slot_at(now) else {
+            return first == 0 && second == 0;
+        };
+        // Within a slot its words come in; at its edges it may be the one before or after.
+        let slack = if is_at_edge { ranks } else { 0 };
+        let least = (slot * ranks).saturating_sub(slack);
+        let most = (slot + 1) * ranks + slack;
+        let are_words_in_step = first.abs_diff(second) <= 1 && (least..=most).contains(&first);
+        let slots = self.plan.periods.len();
+        are_words_in_step && (is_at_edge || emitters.next_slot(slots) == (slot as usize + 1) % slots)
     }
 
-    fn are_gates_in_step(&self, now: u64, emitters: &Emitters) -> bool {
-        // The next frame may have begun: its first slots come ahead of the last one's words.
-        let Some(into_frame) = now.checked_sub(self.tick) else {
-            return true;
-        };
-        let into_frame = into_frame as u32 % self.plan.frame_ticks;
-        let slots = self.plan.periods.len();
+    /// The slot that `now` lies in, and whether near one of its ends; `None` before the
+    /// frame begins.
+    fn slot_at(&self, now: u64) -> Option<(u32, bool)> {
+        let into_frame = now.checked_sub(self.tick)? as u32;
+        let last = self.plan.periods.len() as u32 - 1;
         let period = self.plan.periods[0];
-        let slot = (into_frame / period).min(slots as u32 - 1);
+        // All slots but the last are as long as the first.
+        let slot = if last == 0 { 0 } else { (into_frame / period).min(last) };
         let into_slot = into_frame - slot * period;
-        let to_next = self.plan.periods[slot as usize] - into_slot.min(self.plan.periods[slot as usize]);
-        if into_slot < SLOT_EDGE_TICKS || to_next < SLOT_EDGE_TICKS {
-            return true;
-        }
-        emitters.next_slot(slots) == (slot as usize + 1) % slots
+        let to_next = self.plan.periods[slot as usize].saturating_sub(into_slot);
+        Some((slot, into_slot < SLOT_EDGE_TICKS || to_next < SLOT_EDGE_TICKS))
     }
 }

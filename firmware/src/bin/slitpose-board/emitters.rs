@@ -45,6 +45,8 @@ impl Emitters {
         rcc::enable_and_reset::<DAC1>();
         rcc::enable_and_reset::<DAC2>();
         for dac in lines() {
+            // For a bus of more than 160 MHz (RM0440, DAC_MCR, HFSEL).
+            dac.mcr().modify(|w| w.set_hfsel(2));
             dac.dhr12r(0).write(|w| w.set_dhr(0));
             dac.cr().write(|w| w.set_en(0, true));
         }

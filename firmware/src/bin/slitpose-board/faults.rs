@@ -45,6 +45,9 @@ pub fn reset_cause() -> ResetCause {
 
 /// From now on the board counts as running.
 pub fn running() {
+    // A debugger that halts the core halts the watchdog, too.
+    #[cfg(feature = "defmt")]
+    pac::DBGMCU.apb1lfzr().modify(|w| w.set_iwdg(true));
     remember(RUNNING);
 }
 

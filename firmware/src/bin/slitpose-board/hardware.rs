@@ -3,6 +3,7 @@
 use cortex_m::peripheral::{DCB, DWT, Peripherals as Core};
 use embassy_stm32::gpio::Output;
 use slitpose_firmware::settings::Settings;
+use slitpose_firmware::timing::FramePlan;
 use slitpose_firmware::{Hardware, Health, Indicator, ScanError, StorageError};
 use slitpose_protocol::{BootTarget, Configuration, HardwareFault, RawScan};
 
@@ -55,6 +56,10 @@ impl BoardHardware {
 impl Hardware for BoardHardware {
     fn now_ticks(&mut self) -> u64 {
         self.clock.now()
+    }
+
+    fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
+        FramePlan::new(configuration).map(|_| ())
     }
 
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {

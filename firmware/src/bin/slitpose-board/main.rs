@@ -36,7 +36,7 @@ use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Timer};
-use slitpose_firmware::{Board, Identity, default_configuration, default_scaling};
+use slitpose_firmware::{Board, Identity, can_run, default_configuration, default_scaling};
 use slitpose_protocol::{BoardKind, Hashes};
 use static_cell::StaticCell;
 
@@ -105,8 +105,8 @@ async fn main(spawner: Spawner) {
         hashes: settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes),
         scaling: default_scaling(),
     };
-    // Settings of another board's clock or cells are refused; the defaults are not.
-    let configuration = settings.map(|settings| settings.configuration).filter(Acquisition::can_run);
+    // Settings that this board cannot run, if another firmware left them, are passed over.
+    let configuration = settings.map(|settings| settings.configuration).filter(|stored| can_run(stored));
     let configuration = configuration.unwrap_or_else(default_configuration);
     let Ok(board) = Board::new(hardware, identity, configuration) else {
         faults::give_up();

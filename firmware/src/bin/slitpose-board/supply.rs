@@ -32,9 +32,14 @@ pub fn watch() {
     }
 }
 
-/// Whether the supply is too low, or was since this was last asked.
+/// Whether the supply is too low, or was since [`forgive`].
 pub fn is_low() -> bool {
-    pac::PWR.sr2().read().pvdo() || FELL.swap(false, Ordering::Relaxed)
+    pac::PWR.sr2().read().pvdo() || FELL.load(Ordering::Relaxed)
+}
+
+/// What is past does not count any more.
+pub fn forgive() {
+    FELL.store(false, Ordering::Relaxed);
 }
 
 #[interrupt]
