@@ -11,7 +11,6 @@ use slitpose_protocol::{
 
 use crate::collector::Collector;
 use crate::commands::check;
-use crate::defaults::DEFAULT_QUEUE_BYTES;
 use crate::exposure::AutomaticExposure;
 use crate::hardware::{Hardware, Health, Indicator};
 use crate::outbox::Outbox;
@@ -74,19 +73,19 @@ pub(crate) enum Emitters {
     Unconfirmed,
 }
 
-/// A board over its hardware. `QUEUE` bytes hold packets that the link has not taken yet.
+/// A board over its hardware. Its memory `M` holds packets that the link has not taken yet.
 ///
 /// The owner calls [`poll`](Self::poll) at least once a millisecond,
 /// [`receive`](Self::receive) when bytes come in, and [`transmit`](Self::transmit) when
 /// the transport can take more. Nothing here waits.
 #[derive(Debug)]
-pub struct Board<H, const QUEUE: usize = DEFAULT_QUEUE_BYTES> {
+pub struct Board<H, M> {
     pub(crate) hardware: H,
     pub(crate) identity: Identity,
     pub(crate) configuration: Configuration,
     pub(crate) configuration_number: u16,
     pub(crate) collector: Collector,
-    pub(crate) outbox: Outbox<QUEUE>,
+    pub(crate) outbox: Outbox<M>,
     pub(crate) decoder: Decoder<MAX_REQUEST_BYTES>,
     pub(crate) acquiring: bool,
     pub(crate) emitters: Emitters,
@@ -124,16 +123,22 @@ pub(crate) struct Reboot {
     pub latest: u64,
 }
 
-// Less than a quarter of the controller's 128 KB.
-const _: () = assert!(size_of::<Board<()>>() <= 30 * 1024);
+// The memory comes on top.
+const _: () = assert!(size_of::<Board<(), &mut [u8]>>() <= 5 * 1024);
 
-impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
+impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// An idle board with its link closed. `configuration` is in force until the host
-    /// sends another, and fixes the tick rate for good.
+    /// sends another, and fixes the tick rate for good. `memory` has
+    /// [`DEFAULT_QUEUE_BYTES`](crate::DEFAULT_QUEUE_BYTES), or what the board can spare.
     ///
     /// # Errors
     /// If the configuration cannot be run.
-    pub fn new(mut hardware: H, identity: Identity, configuration: Configuration) -> Result<Self, Rejection> {
+    pub fn new(
+        mut hardware: H,
+        identity: Identity,
+        configuration: Configuration,
+        memory: M,
+    ) -> Result<Self, Rejection> {
         check(&configuration, configuration.schedule.tick_hz)?;
         let now = hardware.now_ticks();
         let health = hardware.housekeeping(Indicator::Idle);
@@ -143,7 +148,7 @@ impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
             collector: Collector::new(0, &configuration.schedule),
             configuration,
             configuration_number: 0,
-            outbox: Outbox::new(),
+            outbox: Outbox::new(memory),
             decoder: Decoder::new(),
             acquiring: false,
             // The first poll makes sure.

@@ -55,10 +55,10 @@ impl Collector {
     /// # Errors
     /// If the hardware cannot go on, or its counters contradict themselves; nothing it
     /// says can then be given a time.
-    pub fn collect<const QUEUE: usize>(
+    pub fn collect<M: AsRef<[u8]> + AsMut<[u8]>>(
         &mut self,
         hardware: &mut impl Hardware,
-        outbox: &mut Outbox<QUEUE>,
+        outbox: &mut Outbox<M>,
         mut exposure: Option<&mut AutomaticExposure>,
     ) -> Result<(), HardwareFault> {
         for _ in 0..SCANS_PER_CALL {
@@ -81,7 +81,7 @@ impl Collector {
     }
 
     /// Sends the open batch, full or not.
-    pub fn flush<const QUEUE: usize>(&mut self, outbox: &mut Outbox<QUEUE>) {
+    pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
         if let Some(batch) = self.batch.batch() {
             outbox.push_batch(batch, self.batch.len());
         }
@@ -109,7 +109,7 @@ impl Collector {
     }
 
     /// Takes over the scan just read.
-    fn take<const QUEUE: usize>(&mut self, outbox: &mut Outbox<QUEUE>) -> Result<(), HardwareFault> {
+    fn take<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) -> Result<(), HardwareFault> {
         let missed = self.scan.sequence.checked_sub(self.taken);
         let taken = self.scan.sequence.checked_add(1);
         let (Some(missed), Some(taken)) = (missed, taken) else {

@@ -29,7 +29,7 @@ use crate::timing::FramePlan;
 /// A reboot waits this long for its reply to be taken.
 const REBOOT_MS: u64 = 100;
 
-impl<H: Hardware, const QUEUE: usize> Board<H, QUEUE> {
+impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// Takes bytes from the host, cut anywhere, and carries out the commands that are
     /// complete. A command is a sign of life, whatever the link is said to be.
     pub fn receive(&mut self, mut bytes: &[u8]) {

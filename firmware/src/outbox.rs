@@ -20,11 +20,11 @@ const LARGEST_ENTRY: usize = MAX_MESSAGE_BYTES + HEADER_BYTES;
 const _: () = assert!(ANSWER_BYTES >= LARGEST_ENTRY);
 
 #[derive(Debug)]
-pub(crate) struct Outbox<const QUEUE: usize> {
+pub(crate) struct Outbox<M> {
     /// Tag: scans in the packet.
-    batches: PacketQueue<QUEUE>,
+    batches: PacketQueue<M>,
     /// Tag: `arrived` when the packet was queued.
-    answers: PacketQueue<ANSWER_BYTES>,
+    answers: PacketQueue<[u8; ANSWER_BYTES]>,
     /// Batches ever queued, and batches that have left, one way or the other.
     arrived: u32,
     left: u32,
@@ -42,15 +42,12 @@ pub(crate) struct Dropped {
     pub answers: u32,
 }
 
-impl<const QUEUE: usize> Outbox<QUEUE> {
-    const ROOM_FOR_ONE: () = assert!(QUEUE >= LARGEST_ENTRY, "a queue takes any packet when empty");
-
-    /// An empty outbox of a closed link.
-    pub fn new() -> Self {
-        let () = Self::ROOM_FOR_ONE;
+impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
+    /// An empty outbox of a closed link; `memory` holds batches.
+    pub fn new(memory: M) -> Self {
         Self {
-            batches: PacketQueue::new(),
-            answers: PacketQueue::new(),
+            batches: PacketQueue::new(memory),
+            answers: PacketQueue::new([0; ANSWER_BYTES]),
             arrived: 0,
             left: 0,
             open: false,
@@ -84,9 +81,11 @@ impl<const QUEUE: usize> Outbox<QUEUE> {
         let Ok(packet) = encode(&Message::Batch(batch), &mut buffer) else {
             return self.count_dropped(scans);
         };
-        // Ends because an empty queue takes any packet.
         while !self.batches.push(packet, scans) {
-            self.drop_batch();
+            // A memory too small for even one packet keeps none.
+            if !self.drop_batch() {
+                return self.count_dropped(scans);
+            }
         }
         self.arrived = self.arrived.wrapping_add(1);
     }

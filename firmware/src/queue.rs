@@ -7,10 +7,10 @@
 /// Bytes a packet takes in the ring besides its own.
 pub(crate) const HEADER_BYTES: usize = 6;
 
-/// The ring; `N` bytes hold packets and headers.
+/// The ring; its bytes hold packets and headers.
 #[derive(Debug)]
-pub(crate) struct PacketQueue<const N: usize> {
-    ring: [u8; N],
+pub(crate) struct PacketQueue<M> {
+    ring: M,
     /// Where the oldest header starts.
     head: usize,
     /// Bytes in use from there on.
@@ -26,10 +26,14 @@ pub(crate) struct Front {
     pub tag: u32,
 }
 
-impl<const N: usize> PacketQueue<N> {
-    /// An empty queue.
-    pub const fn new() -> Self {
-        Self { ring: [0; N], head: 0, used: 0 }
+impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
+    /// An empty queue in `ring`, whatever that holds.
+    pub fn new(ring: M) -> Self {
+        Self { ring, head: 0, used: 0 }
+    }
+
+    fn size(&self) -> usize {
+        self.ring.as_ref().len()
     }
 
     /// Appends a packet; `false`, and nothing done, if there is no room for it.
@@ -38,7 +42,7 @@ impl<const N: usize> PacketQueue<N> {
         let Ok(length) = u16::try_from(packet.len()) else {
             return false;
         };
-        if HEADER_BYTES + packet.len() > N - self.used {
+        if HEADER_BYTES + packet.len() > self.size() - self.used {
             return false;
         }
         self.append(&length.to_le_bytes());
@@ -70,7 +74,7 @@ impl<const N: usize> PacketQueue<N> {
     /// Forgets the oldest packet and gives its tag.
     pub fn discard(&mut self) -> Option<u32> {
         let Front { length, tag } = self.front()?;
-        self.head = (self.head + HEADER_BYTES + length) % N;
+        self.head = (self.head + HEADER_BYTES + length) % self.size();
         self.used -= HEADER_BYTES + length;
         Some(tag)
     }
@@ -82,18 +86,20 @@ impl<const N: usize> PacketQueue<N> {
 
     /// The caller has seen to it that `bytes` fit.
     fn append(&mut self, bytes: &[u8]) {
-        let at = (self.head + self.used) % N;
-        let (until_end, rest) = bytes.split_at(bytes.len().min(N - at));
-        self.ring[at..at + until_end.len()].copy_from_slice(until_end);
-        self.ring[..rest.len()].copy_from_slice(rest);
+        let at = (self.head + self.used) % self.size();
+        let (until_end, rest) = bytes.split_at(bytes.len().min(self.size() - at));
+        let ring = self.ring.as_mut();
+        ring[at..at + until_end.len()].copy_from_slice(until_end);
+        ring[..rest.len()].copy_from_slice(rest);
         self.used += bytes.len();
     }
 
     fn copy_out(&self, offset: usize, out: &mut [u8]) {
-        let at = (self.head + offset) % N;
-        let (until_end, rest) = out.split_at_mut(out.len().min(N - at));
-        until_end.copy_from_slice(&self.ring[at..at + until_end.len()]);
-        rest.copy_from_slice(&self.ring[..rest.len()]);
+        let at = (self.head + offset) % self.size();
+        let (until_end, rest) = out.split_at_mut(out.len().min(self.size() - at));
+        let ring = self.ring.as_ref();
+        until_end.copy_from_slice(&ring[at..at + until_end.len()]);
+        rest.copy_from_slice(&ring[..rest.len()]);
     }
 }
 
@@ -127,7 +133,7 @@ mod tests {
     proptest! {
         #[test]
         fn behaves_like_a_deque_with_a_budget(steps in vec(step(), 1..200)) {
-            let mut queue = PacketQueue::<ROOM>::new();
+            let mut queue = PacketQueue::new([0; ROOM]);
             let mut model = VecDeque::<(Vec<u8>, u32)>::new();
             for step in steps {
                 match step {

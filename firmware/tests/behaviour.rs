@@ -15,7 +15,7 @@ use slitpose_protocol::{
 const MS: u64 = TICK_HZ as u64 / 1_000;
 
 /// A board whose link has just been opened and whose first words have been heard.
-fn opened() -> (Board<Fake, 2_048>, Listener) {
+fn opened() -> (Board<Fake, [u8; 2_048]>, Listener) {
     let (mut board, mut listener) = (board(Fake::default()), Listener::default());
     let heard = turn(&mut board, &mut listener);
     assert_eq!(heard, [hello(0, configuration())]);
@@ -38,7 +38,7 @@ fn is_event(heard: &Heard, text: &str) -> bool {
     matches!(heard, Heard::Event { text: found, .. } if found.contains(text))
 }
 
-fn status<const QUEUE: usize>(board: &mut Board<Fake, QUEUE>, listener: &mut Listener) -> (Vec<Heard>, Status) {
+fn status<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &mut Listener) -> (Vec<Heard>, Status) {
     board.hardware_mut().now += STATUS_MS * MS;
     let mut heard = turn(board, listener);
     match heard.pop() {
@@ -309,7 +309,7 @@ fn a_host_that_never_reads_loses_replies_and_is_told_how_many() {
 #[test]
 fn the_default_queue_holds_a_tenth_of_a_second() {
     let fake = Fake { sampled: 1 << 40, now: 1 << 60, ..Fake::default() };
-    let mut board = Board::<_, DEFAULT_QUEUE_BYTES>::new(fake, identity(), default_configuration()).unwrap();
+    let mut board = Board::new(fake, identity(), default_configuration(), [0; DEFAULT_QUEUE_BYTES]).unwrap();
     board.poll(Link::Open);
     board.receive(&request(1, Command::Start));
     board.receive(&request(2, Command::Hello));

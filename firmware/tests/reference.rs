@@ -109,7 +109,7 @@ impl Reference {
 
 /// A board, its listener, and the reference beside it.
 struct Life {
-    board: Board<Fake, 2_048>,
+    board: Board<Fake, [u8; 2_048]>,
     listener: Listener,
     reference: Reference,
     next_number: u16,

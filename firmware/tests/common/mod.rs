@@ -191,8 +191,8 @@ pub fn identity() -> Identity {
 }
 
 /// A board with room for some twenty batches, so that it fills soon.
-pub fn board(fake: Fake) -> Board<Fake, 2_048> {
-    Board::new(fake, identity(), configuration()).expect("the configuration is valid")
+pub fn board(fake: Fake) -> Board<Fake, [u8; 2_048]> {
+    Board::new(fake, identity(), configuration(), [0; 2_048]).expect("the configuration is valid")
 }
 
 /// Bytes of a command.
@@ -228,7 +228,7 @@ impl Default for Listener {
 
 impl Listener {
     /// Everything the board has to say now.
-    pub fn listen<const QUEUE: usize>(&mut self, board: &mut Board<Fake, QUEUE>) -> Vec<Heard> {
+    pub fn listen<const QUEUE: usize>(&mut self, board: &mut Board<Fake, [u8; QUEUE]>) -> Vec<Heard> {
         let mut heard = Vec::new();
         let mut transfer = [0; TRANSFER_BYTES];
         loop {
@@ -267,7 +267,7 @@ fn scans(batch: &Batch, schedule: &Schedule) -> Vec<Heard> {
 }
 
 /// Polls and listens.
-pub fn turn<const QUEUE: usize>(board: &mut Board<Fake, QUEUE>, listener: &mut Listener) -> Vec<Heard> {
+pub fn turn<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &mut Listener) -> Vec<Heard> {
     board.poll(Link::Open);
     listener.listen(board)
 }

@@ -1,6 +1,6 @@
 //! A simulated board as its host sees it: bytes in, bytes out, and time.
 
-use slitpose_firmware::{Board, Identity, Link, TRANSFER_BYTES, Transfer};
+use slitpose_firmware::{Board, DEFAULT_QUEUE_BYTES, Identity, Link, TRANSFER_BYTES, Transfer};
 use slitpose_model::{Plan, SceneError, Tier};
 use slitpose_protocol::{BoardKind, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, encode};
 use thiserror::Error;
@@ -14,7 +14,7 @@ use crate::scene_file::SceneFile;
 /// The firmware's core over simulated hardware.
 #[derive(Debug)]
 pub struct SimulatedBoard {
-    board: Box<Board<SimulatedHardware>>,
+    board: Box<Board<SimulatedHardware, Box<[u8]>>>,
     frame_ticks: u64,
 }
 
@@ -53,7 +53,8 @@ impl SimulatedBoard {
         let plan = Plan::compile(&file.scene, tier)?;
         let hardware = SimulatedHardware::new(plan, trajectory, electronics, configuration.schedule.tick_hz, seed);
         let frame_ticks = u64::from(configuration.schedule.frame_ticks);
-        let board = Board::new(hardware, identity, configuration).map_err(SimulatorError::Refused)?;
+        let memory = vec![0; DEFAULT_QUEUE_BYTES].into_boxed_slice();
+        let board = Board::new(hardware, identity, configuration, memory).map_err(SimulatorError::Refused)?;
         Ok(Self { board: Box::new(board), frame_ticks })
     }
 

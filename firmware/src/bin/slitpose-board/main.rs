@@ -36,9 +36,9 @@ use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Timer};
-use slitpose_firmware::{Board, Identity, can_run, default_configuration, default_scaling};
+use slitpose_firmware::{Board, DEFAULT_QUEUE_BYTES, Identity, can_run, default_configuration, default_scaling};
 use slitpose_protocol::{BoardKind, Hashes};
-use static_cell::StaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::acquisition::Acquisition;
 use crate::hardware::BoardHardware;
@@ -61,7 +61,7 @@ bind_interrupts!(struct Interrupts {
 });
 
 /// The board's core, shared by the tasks.
-type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware>>>;
+type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut [u8]>>>;
 
 /// The watchdog resets the board when it has not been polled for this long.
 const WATCHDOG_US: u32 = 100_000;
@@ -108,7 +108,9 @@ async fn main(spawner: Spawner) {
     // Settings that this board cannot run, if another firmware left them, are passed over.
     let configuration = settings.map(|settings| settings.configuration).filter(|stored| can_run(stored));
     let configuration = configuration.unwrap_or_else(default_configuration);
-    let Ok(board) = Board::new(hardware, identity, configuration) else {
+    static QUEUE: ConstStaticCell<[u8; DEFAULT_QUEUE_BYTES]> = ConstStaticCell::new([0; DEFAULT_QUEUE_BYTES]);
+    let queue: &'static mut [u8] = QUEUE.take();
+    let Ok(board) = Board::new(hardware, identity, configuration, queue) else {
         faults::give_up();
     };
     static CORE: StaticCell<Core> = StaticCell::new();
