@@ -1,0 +1,237 @@
+//! From halfwords to [`Instruction`]: the 16-bit encodings (DDI0403, A5.2) and what both widths share.
+
+use super::Size;
+use super::decode_wide;
+use super::instruction::{
+    Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, Shift, ShiftKind, UnaryOp,
+};
+
+/// Whether `first` is the first half of a 32-bit instruction (DDI0403, A5.1).
+pub fn is_wide(first: u16) -> bool {
+    first >> 11 >= 0b11101
+}
+
+/// Decodes a 32-bit instruction, or a 16-bit one (`second` is then ignored).
+pub fn decode(first: u16, second: u16) -> Instruction {
+    if is_wide(first) {
+        decode_wide::decode_wide(u32::from(first) << 16 | u32::from(second))
+    } else {
+        decode_narrow(u32::from(first))
+    }
+}
+
+/// Bit `n` of `word`.
+pub(super) fn bit(word: u32, n: u32) -> bool {
+    word >> n & 1 != 0
+}
+
+/// The low `bits` bits of `value` as a two's complement number.
+pub(super) fn sign_extend(value: u32, bits: u32) -> i32 {
+    (value << (32 - bits)) as i32 >> (32 - bits)
+}
+
+/// DecodeImmShift.
+pub(super) fn immediate_shift(kind: u32, amount: u32) -> Shift {
+    let or_32 = if amount == 0 { 32 } else { amount as u8 };
+    match (kind & 3, amount) {
+        (0, _) => Shift { kind: ShiftKind::Lsl, amount: amount as u8 },
+        (1, _) => Shift { kind: ShiftKind::Lsr, amount: or_32 },
+        (2, _) => Shift { kind: ShiftKind::Asr, amount: or_32 },
+        (_, 0) => Shift { kind: ShiftKind::Rrx, amount: 1 },
+        _ => Shift { kind: ShiftKind::Ror, amount: amount as u8 },
+    }
+}
+
+/// A register number of three bits.
+fn low(word: u32, position: u32) -> Reg {
+    Reg((word >> position & 7) as u8)
+}
+
+fn immediate(op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, value: u32) -> Instruction {
+    Instruction::AluImmediate { op, flags, rd, rn, carry: ImmediateCarry::Keep, value }
+}
+
+fn decode_narrow(h: u32) -> Instruction {
+    match h >> 11 {
+        0..=2 => Instruction::AluRegister {
+            op: AluOp::Mov,
+            flags: SetFlags::OutsideIt,
+            rd: low(h, 0),
+            rn: low(h, 0),
+            rm: low(h, 3),
+            shift: immediate_shift(h >> 11, h >> 6 & 31),
+        },
+        3 => add_subtract(h),
+        4 => immediate(AluOp::Mov, SetFlags::OutsideIt, low(h, 8), low(h, 8), h & 255),
+        5 => immediate(AluOp::Cmp, SetFlags::Yes, low(h, 8), low(h, 8), h & 255),
+        6 => immediate(AluOp::Add, SetFlags::OutsideIt, low(h, 8), low(h, 8), h & 255),
+        7 => immediate(AluOp::Sub, SetFlags::OutsideIt, low(h, 8), low(h, 8), h & 255),
+        8 if !bit(h, 10) => data_processing(h),
+        8 => special_data(h),
+        9 => load(LoadKind::Word, low(h, 8), offset(Reg::PC, (h & 255) << 2)),
+        10 | 11 => load_store_register(h),
+        12 => store(Size::Word, low(h, 0), offset(low(h, 3), h >> 4 & 0x7c)),
+        13 => load(LoadKind::Word, low(h, 0), offset(low(h, 3), h >> 4 & 0x7c)),
+        14 => store(Size::Byte, low(h, 0), offset(low(h, 3), h >> 6 & 31)),
+        15 => load(LoadKind::Byte, low(h, 0), offset(low(h, 3), h >> 6 & 31)),
+        16 => store(Size::Half, low(h, 0), offset(low(h, 3), h >> 5 & 0x3e)),
+        17 => load(LoadKind::Half, low(h, 0), offset(low(h, 3), h >> 5 & 0x3e)),
+        18 => store(Size::Word, low(h, 8), offset(Reg::SP, (h & 255) << 2)),
+        19 => load(LoadKind::Word, low(h, 8), offset(Reg::SP, (h & 255) << 2)),
+        20 => Instruction::PcRelative { rd: low(h, 8), offset: ((h & 255) << 2) as i16 },
+        21 => immediate(AluOp::Add, SetFlags::No, low(h, 8), Reg::SP, (h & 255) << 2),
+        22 | 23 => miscellaneous(h),
+        24 => multiple(h, false),
+        25 => multiple(h, true),
+        26 | 27 => conditional_branch(h),
+        28 => Instruction::Branch { offset: sign_extend(h << 1, 12) },
+        _ => Instruction::Undefined,
+    }
+}
+
+fn load(kind: LoadKind, rt: Reg, address: Address) -> Instruction {
+    Instruction::Load { kind, rt, address }
+}
+
+fn store(size: Size, rt: Reg, address: Address) -> Instruction {
+    Instruction::Store { size, rt, address }
+}
+
+fn offset(rn: Reg, bytes: u32) -> Address {
+    Address::Offset { rn, offset: bytes as i16 }
+}
+
+fn add_subtract(h: u32) -> Instruction {
+    let op = if bit(h, 9) { AluOp::Sub } else { AluOp::Add };
+    let (rd, rn, flags) = (low(h, 0), low(h, 3), SetFlags::OutsideIt);
+    if bit(h, 10) {
+        immediate(op, flags, rd, rn, h >> 6 & 7)
+    } else {
+        Instruction::AluRegister { op, flags, rd, rn, rm: low(h, 6), shift: Shift::NONE }
+    }
+}
+
+fn data_processing(h: u32) -> Instruction {
+    let (rd, rm, flags) = (low(h, 0), low(h, 3), SetFlags::OutsideIt);
+    let alu = |op, flags| Instruction::AluRegister { op, flags, rd, rn: rd, rm, shift: Shift::NONE };
+    let shift = |kind| Instruction::ShiftRegister { kind, flags, rd, rn: rd, rm };
+    match h >> 6 & 15 {
+        0 => alu(AluOp::And, flags),
+        1 => alu(AluOp::Eor, flags),
+        2 => shift(ShiftKind::Lsl),
+        3 => shift(ShiftKind::Lsr),
+        4 => shift(ShiftKind::Asr),
+        5 => alu(AluOp::Adc, flags),
+        6 => alu(AluOp::Sbc, flags),
+        7 => shift(ShiftKind::Ror),
+        8 => alu(AluOp::Tst, SetFlags::Yes),
+        9 => immediate(AluOp::Rsb, flags, rd, rm, 0),
+        10 => alu(AluOp::Cmp, SetFlags::Yes),
+        11 => alu(AluOp::Cmn, SetFlags::Yes),
+        12 => alu(AluOp::Orr, flags),
+        13 => Instruction::Multiply { flags, rd, rn: rm, rm: rd },
+        14 => alu(AluOp::Bic, flags),
+        _ => alu(AluOp::Mvn, flags),
+    }
+}
+
+/// Operations on any register, and branches to a register.
+fn special_data(h: u32) -> Instruction {
+    let rd = Reg((h >> 4 & 8 | h & 7) as u8);
+    let rm = Reg::at(h, 3);
+    let alu = |op, flags| Instruction::AluRegister { op, flags, rd, rn: rd, rm, shift: Shift::NONE };
+    match h >> 8 & 3 {
+        0 => alu(AluOp::Add, SetFlags::No),
+        1 => alu(AluOp::Cmp, SetFlags::Yes),
+        2 => alu(AluOp::Mov, SetFlags::No),
+        _ if bit(h, 7) => Instruction::BranchLinkExchange { rm },
+        _ => Instruction::BranchExchange { rm },
+    }
+}
+
+fn load_store_register(h: u32) -> Instruction {
+    let (rt, address) = (low(h, 0), Address::Register { rn: low(h, 3), rm: low(h, 6), shift: 0 });
+    match h >> 9 & 7 {
+        0 => store(Size::Word, rt, address),
+        1 => store(Size::Half, rt, address),
+        2 => store(Size::Byte, rt, address),
+        3 => load(LoadKind::SignedByte, rt, address),
+        4 => load(LoadKind::Word, rt, address),
+        5 => load(LoadKind::Half, rt, address),
+        6 => load(LoadKind::Byte, rt, address),
+        _ => load(LoadKind::SignedHalf, rt, address),
+    }
+}
+
+/// DDI0403, A5.2.5.
+fn miscellaneous(h: u32) -> Instruction {
+    let extend = |extension| Instruction::Extend { extension, rd: low(h, 0), rn: None, rm: low(h, 3), rotate: 0 };
+    let unary = |op| Instruction::Unary { op, rd: low(h, 0), rm: low(h, 3) };
+    match h >> 6 & 0x3f {
+        0b000000 | 0b000001 => immediate(AluOp::Add, SetFlags::No, Reg::SP, Reg::SP, (h & 0x7f) << 2),
+        0b000010 | 0b000011 => immediate(AluOp::Sub, SetFlags::No, Reg::SP, Reg::SP, (h & 0x7f) << 2),
+        0b001000 => extend(Extension::SignedHalf),
+        0b001001 => extend(Extension::SignedByte),
+        0b001010 => extend(Extension::Half),
+        0b001011 => extend(Extension::Byte),
+        0b101000 => unary(UnaryOp::Rev),
+        0b101001 => unary(UnaryOp::Rev16),
+        0b101011 => unary(UnaryOp::Revsh),
+        0b011001 if bit(h, 5) => {
+            Instruction::ChangeMasks { disable: bit(h, 4), primask: bit(h, 1), faultmask: bit(h, 0) }
+        }
+        op if op & 0b010100 == 0b000100 => Instruction::CompareBranch {
+            nonzero: bit(h, 11),
+            rn: low(h, 0),
+            offset: (h >> 3 & 0x40 | h >> 2 & 0x3e) as u8,
+        },
+        op if op & 0b111000 == 0b010000 => Instruction::StoreMultiple {
+            rn: Reg::SP,
+            registers: (h & 255 | h << 6 & 1 << 14) as u16,
+            decrement: true,
+            writeback: true,
+        },
+        op if op & 0b111000 == 0b110000 => Instruction::LoadMultiple {
+            rn: Reg::SP,
+            registers: (h & 255 | h << 7 & 1 << 15) as u16,
+            decrement: false,
+            writeback: true,
+        },
+        op if op & 0b111100 == 0b111000 => Instruction::Breakpoint,
+        op if op & 0b111100 == 0b111100 => if_then_or_hint(h),
+        _ => Instruction::Undefined,
+    }
+}
+
+fn if_then_or_hint(h: u32) -> Instruction {
+    if h & 15 != 0 { Instruction::IfThen { state: h as u8 } } else { hint(h >> 4 & 15) }
+}
+
+/// The hints of both widths by number.
+pub(super) fn hint(number: u32) -> Instruction {
+    match number {
+        2 => Instruction::Wfe,
+        3 => Instruction::Wfi,
+        4 => Instruction::Sev,
+        _ => Instruction::Nop,
+    }
+}
+
+fn multiple(h: u32, is_load: bool) -> Instruction {
+    let (rn, registers) = (low(h, 8), (h & 255) as u16);
+    if is_load {
+        // A loaded base register keeps what was loaded.
+        let writeback = registers & rn.bit() == 0;
+        Instruction::LoadMultiple { rn, registers, decrement: false, writeback }
+    } else {
+        Instruction::StoreMultiple { rn, registers, decrement: false, writeback: true }
+    }
+}
+
+fn conditional_branch(h: u32) -> Instruction {
+    match h >> 8 & 15 {
+        14 => Instruction::Undefined,
+        15 => Instruction::SupervisorCall,
+        condition => Instruction::BranchIf { condition: condition as u8, offset: sign_extend(h << 1, 9) },
+    }
+}

@@ -1,0 +1,318 @@
+//! Exception entry and return, faults, sleep (DDI0403, B1.5).
+//!
+//! Simplified: a fault while stacking or while reading a vector becomes HardFault at once instead of competing
+//! as a derived exception, and late arrival is not modelled.
+
+use super::cycles::{ENTRY, FLOAT_FRAME, NOTHING_IN_FLIGHT, RETURN, TAIL_CHAIN};
+use super::nvic::{HARD_FAULT, NMI, SV_CALL, SYS_TICK};
+use super::{Bus, Cpu, Fault, FaultReport, Size, Step, Waiting};
+
+/// R0–R3, R12, LR, return address, xPSR.
+const BASIC_FRAME: u32 = 0x20;
+/// The basic frame, S0–S15, FPSCR and a reserved word.
+const FLOAT_FRAME_BYTES: u32 = 0x68;
+
+/// HFSR bits.
+const VECTTBL: u32 = 1 << 1;
+const FORCED: u32 = 1 << 30;
+const DEBUGEVT: u32 = 1 << 31;
+
+impl Cpu {
+    /// What may have to happen before the next instruction: reset, lockup, an exception, sleep. `None`: execute.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn attend<B: Bus>(&mut self, bus: &mut B) -> Option<Step> {
+        if self.system.reset_requested {
+            return Some(Step::ResetRequested);
+        }
+        if let Some(report) = self.lockup {
+            return Some(Step::Lockup(report));
+        }
+        if self.system.systick.advance(self.time()) {
+            self.nvic.pend(SYS_TICK);
+        }
+        if std::mem::take(&mut self.nvic.newly_pending) && self.system.event_on_pending() {
+            self.event = true;
+        }
+        if let Some(exception) = self.nvic.preempting(self.execution_priority()) {
+            self.waiting = Waiting::No;
+            self.cycles = 0;
+            return Some(self.enter_exception(bus, exception, self.pc));
+        }
+        if self.still_waiting() {
+            return Some(Step::Asleep);
+        }
+        self.waiting = Waiting::No;
+        self.attention = false;
+        if !self.registers.thumb {
+            self.cycles = 0;
+            return Some(self.take_fault(bus, Fault::InvalidState, self.pc));
+        }
+        None
+    }
+
+    /// Whether WFE or WFI goes on waiting. WFI also ends for an interrupt that only PRIMASK holds back.
+    fn still_waiting(&mut self) -> bool {
+        match self.waiting {
+            Waiting::No => false,
+            Waiting::Event => !std::mem::take(&mut self.event),
+            Waiting::Interrupt => {
+                let primask = std::mem::take(&mut self.registers.primask);
+                let wakes = self.nvic.preempting(self.execution_priority()).is_some();
+                self.registers.primask = primask;
+                !wakes
+            }
+        }
+    }
+
+    /// Urgency of what is being executed.
+    pub(super) fn execution_priority(&self) -> i16 {
+        self.nvic.execution_priority(&self.registers)
+    }
+
+    /// ExceptionEntry.
+    fn enter_exception<B: Bus>(&mut self, bus: &mut B, exception: u8, return_address: u32) -> Step {
+        self.cycles += ENTRY;
+        match self.push_frame(bus, return_address) {
+            Ok(()) => self.take_exception(bus, exception),
+            Err(fault) if exception <= HARD_FAULT => self.lock_up(fault, return_address),
+            Err(fault) => {
+                self.report(fault, return_address);
+                self.system.hfsr |= FORCED;
+                self.take_exception(bus, HARD_FAULT)
+            }
+        }
+    }
+
+    /// PushStack: the frame, and EXC_RETURN in LR.
+    fn push_frame<B: Bus>(&mut self, bus: &mut B, return_address: u32) -> Result<(), Fault> {
+        let float = self.registers.float_active;
+        let (bytes, align) = if float { (FLOAT_FRAME_BYTES, true) } else { (BASIC_FRAME, self.system.aligns_stack()) };
+        let old = self.registers.sp();
+        let padded = align && old & 4 != 0;
+        let base = old.wrapping_sub(bytes) & if align { !7 } else { !3 };
+        let xpsr = self.registers.xpsr() | u32::from(padded) << 9;
+        let from_psp = self.registers.ipsr == 0 && self.registers.psp_selected;
+        self.registers.set_sp(base);
+        let r = &self.registers.r;
+        let frame = [r[0], r[1], r[2], r[3], r[12], r[14], return_address, xpsr];
+        self.store_frame(bus, base, &frame)?;
+        if float {
+            let (low, status) = (self.float.s, self.float.fpscr());
+            self.store_frame(bus, base.wrapping_add(BASIC_FRAME), &low[..16])?;
+            self.store_frame(bus, base.wrapping_add(BASIC_FRAME + 64), &[status])?;
+            self.charge_float_frame();
+        }
+        let mode = match (self.registers.ipsr != 0, from_psp) {
+            (true, _) => 0xffff_fff1,
+            (false, false) => 0xffff_fff9,
+            (false, true) => 0xffff_fffd,
+        };
+        self.registers.r[14] = mode & !(u32::from(float) << 4);
+        Ok(())
+    }
+
+    /// Lazy stacking pays when the floating-point unit is used, eager stacking at once.
+    fn charge_float_frame(&mut self) {
+        if self.system.lazy_stacking() {
+            self.float.stacking_unpaid = true;
+        } else {
+            self.cycles += FLOAT_FRAME;
+        }
+    }
+
+    fn store_frame<B: Bus>(&mut self, bus: &mut B, base: u32, words: &[u32]) -> Result<(), Fault> {
+        for (address, &word) in (base..).step_by(4).zip(words) {
+            bus.write(address, Size::Word, word).map_err(|_| Fault::Stacking { address })?;
+        }
+        Ok(())
+    }
+
+    /// ExceptionTaken: the handler starts with the registers as they are.
+    fn take_exception<B: Bus>(&mut self, bus: &mut B, exception: u8) -> Step {
+        self.nvic.activate(exception);
+        self.registers.ipsr = exception.into();
+        self.registers.float_active = false;
+        self.registers.psp_selected = false;
+        self.registers.select_stack();
+        self.registers.it = 0;
+        self.exclusive = false;
+        self.event = true;
+        self.attention = true;
+        self.in_flight = NOTHING_IN_FLIGHT;
+        let address = self.system.vtor.wrapping_add(4 * u32::from(exception));
+        match bus.read(address, Size::Word) {
+            Ok(vector) => {
+                self.registers.thumb = vector & 1 != 0;
+                self.pc = vector & !1;
+                self.ran()
+            }
+            Err(_) if exception <= HARD_FAULT => self.lock_up(Fault::VectorTable { address }, self.pc),
+            Err(_) => {
+                self.report(Fault::VectorTable { address }, self.pc);
+                self.system.hfsr |= VECTTBL;
+                self.take_exception(bus, HARD_FAULT)
+            }
+        }
+    }
+
+    /// ExceptionReturn with the EXC_RETURN `value`.
+    pub(super) fn exception_return<B: Bus>(&mut self, bus: &mut B, value: u32) -> Step {
+        let returning = (self.registers.ipsr & 127) as u8;
+        if let Err(fault) = self.check_return(value, returning) {
+            return self.refuse_return(bus, fault, value);
+        }
+        self.nvic.deactivate(returning);
+        if returning != NMI {
+            self.registers.faultmask = false;
+        }
+        self.attention = true;
+        self.exclusive = false;
+        self.event = true;
+        self.in_flight = NOTHING_IN_FLIGHT;
+        if let Some(next) = self.nvic.preempting(self.execution_priority()) {
+            self.cycles += TAIL_CHAIN;
+            self.registers.r[14] = value;
+            return self.take_exception(bus, next);
+        }
+        self.cycles += RETURN;
+        if let Err(fault) = self.pop_frame(bus, value) {
+            return self.refuse_return(bus, fault, value);
+        }
+        if self.registers.ipsr == 0 && self.system.sleeps_on_exit() {
+            self.waiting = Waiting::Interrupt;
+        }
+        self.ran()
+    }
+
+    /// The integrity checks of B1.5.8.
+    fn check_return(&self, value: u32, returning: u8) -> Result<(), Fault> {
+        let to_thread = self.nvic.active.count_ones() == 1 || self.system.thread_from_any_level();
+        let fits = match value & !0x10 {
+            0xffff_ffe1 => self.nvic.active.count_ones() > 1,
+            0xffff_ffe9 | 0xffff_ffed => to_thread,
+            _ => false,
+        };
+        if fits && self.nvic.is_active(returning) { Ok(()) } else { Err(Fault::InvalidReturn { value }) }
+    }
+
+    /// A return that cannot be made becomes a fault in the returning handler's place, without a new frame.
+    fn refuse_return<B: Bus>(&mut self, bus: &mut B, fault: Fault, value: u32) -> Step {
+        let returning = (self.registers.ipsr & 127) as u8;
+        if self.nvic.is_active(returning) {
+            self.nvic.deactivate(returning);
+        }
+        self.report(fault, self.pc);
+        match self.fault_handler(fault) {
+            Some(handler) => {
+                self.registers.r[14] = value;
+                self.take_exception(bus, handler)
+            }
+            None => self.lock_up(fault, self.pc),
+        }
+    }
+
+    /// PopStack.
+    fn pop_frame<B: Bus>(&mut self, bus: &mut B, value: u32) -> Result<(), Fault> {
+        let to_psp = value & 15 == 13;
+        let float = value & 0x10 == 0;
+        let base = if to_psp { self.registers.psp() } else { self.registers.msp() };
+        let mut frame = [0; 8];
+        load_frame(bus, base, &mut frame)?;
+        let [r0, r1, r2, r3, r12, lr, pc, xpsr] = frame;
+        let to_thread = value & 8 != 0;
+        if (xpsr & 0x1ff == 0) != to_thread {
+            return Err(Fault::InvalidReturn { value });
+        }
+        if float {
+            self.pop_float(bus, base.wrapping_add(BASIC_FRAME))?;
+        }
+        self.registers.float_active = float;
+        self.registers.r[..4].copy_from_slice(&[r0, r1, r2, r3]);
+        self.registers.r[12] = r12;
+        self.registers.r[14] = lr;
+        self.registers.set_xpsr(xpsr);
+        self.registers.psp_selected = to_psp;
+        self.registers.select_stack();
+        let bytes = if float { FLOAT_FRAME_BYTES } else { BASIC_FRAME };
+        let padding = if xpsr >> 9 & 1 != 0 { 4 } else { 0 };
+        self.registers.set_sp(base.wrapping_add(bytes + padding));
+        self.pc = pc & !1;
+        Ok(())
+    }
+
+    fn pop_float<B: Bus>(&mut self, bus: &mut B, base: u32) -> Result<(), Fault> {
+        let mut words = [0; 17];
+        load_frame(bus, base, &mut words)?;
+        self.float.s[..16].copy_from_slice(&words[..16]);
+        self.float.set_fpscr(words[16]);
+        if !std::mem::take(&mut self.float.stacking_unpaid) {
+            self.cycles += FLOAT_FRAME;
+        }
+        Ok(())
+    }
+
+    /// SVC: its handler, or HardFault where it cannot preempt.
+    pub(super) fn supervisor_call<B: Bus>(&mut self, bus: &mut B, address: u32) -> Step {
+        if self.nvic.urgency(SV_CALL) < self.execution_priority() {
+            self.enter_exception(bus, SV_CALL, self.pc)
+        } else {
+            self.take_fault(bus, Fault::SupervisorCall, address)
+        }
+    }
+
+    /// Takes a fault of the instruction at `address`.
+    #[cold]
+    pub(super) fn take_fault<B: Bus>(&mut self, bus: &mut B, fault: Fault, address: u32) -> Step {
+        self.report(fault, address);
+        match self.fault_handler(fault) {
+            Some(handler) => self.enter_exception(bus, handler, address),
+            None => self.lock_up(fault, address),
+        }
+    }
+
+    /// The exception that handles `fault`: its own, or HardFault by escalation; `None` leaves lockup.
+    fn fault_handler(&mut self, fault: Fault) -> Option<u8> {
+        let (exception, _) = fault.class();
+        let priority = self.execution_priority();
+        if exception != HARD_FAULT && self.nvic.is_enabled(exception) && self.nvic.urgency(exception) < priority {
+            return Some(exception);
+        }
+        self.system.hfsr |= match fault {
+            Fault::Breakpoint => DEBUGEVT,
+            Fault::VectorTable { .. } => VECTTBL,
+            _ => FORCED,
+        };
+        (priority > -1).then_some(HARD_FAULT)
+    }
+
+    /// Writes the fault status registers and keeps a report.
+    fn report(&mut self, fault: Fault, pc: u32) -> FaultReport {
+        self.system.record_fault(fault);
+        let report = FaultReport {
+            fault,
+            pc,
+            lr: self.registers.r[14],
+            sp: self.registers.sp(),
+            xpsr: self.registers.xpsr(),
+            cfsr: self.system.cfsr,
+            hfsr: self.system.hfsr,
+        };
+        self.last_fault = Some(report);
+        report
+    }
+
+    fn lock_up(&mut self, fault: Fault, pc: u32) -> Step {
+        let report = self.report(fault, pc);
+        self.lockup = Some(report);
+        self.attention = true;
+        Step::Lockup(report)
+    }
+}
+
+fn load_frame<B: Bus>(bus: &mut B, base: u32, words: &mut [u32]) -> Result<(), Fault> {
+    for (address, word) in (base..).step_by(4).zip(words) {
+        *word = bus.read(address, Size::Word).map_err(|_| Fault::Unstacking { address })?;
+    }
+    Ok(())
+}

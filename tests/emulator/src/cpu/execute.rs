@@ -1,0 +1,278 @@
+//! Execution: data processing, branches and system instructions. Operands are read, one function of the
+//! pseudocode is applied, results are written.
+
+use super::arithmetic::{
+    add_with_carry, extract, field_mask, saturate_signed, saturate_unsigned, shift, shift_by, unary,
+};
+use super::cycles::REFILL;
+use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
+use super::{Bus, Cpu, Fault, Size, Trap, Waiting, dsp};
+
+impl Cpu {
+    /// Executes `instruction`; PC is already past it.
+    #[inline(always)]
+    pub(super) fn execute<B: Bus>(&mut self, bus: &mut B, instruction: Instruction) -> Result<(), Trap> {
+        match instruction {
+            Instruction::AluImmediate { op, flags, rd, rn, carry, value } => {
+                let carry = match carry {
+                    ImmediateCarry::Keep => self.registers.flags.c,
+                    ImmediateCarry::Bit31 => value >> 31 != 0,
+                };
+                self.alu(op, flags, rd, self.get(rn), value, carry);
+            }
+            Instruction::AluRegister { op, flags, rd, rn, rm, shift: by } => {
+                let (value, carry) = shift(self.get(rm), by, self.registers.flags.c);
+                self.alu(op, flags, rd, self.get(rn), value, carry);
+            }
+            Instruction::ShiftRegister { kind, flags, rd, rn, rm } => self.shift_register(kind, flags, rd, rn, rm),
+            Instruction::PcRelative { rd, offset } => {
+                let base = self.get(Reg::PC) & !3;
+                self.set(rd, base.wrapping_add_signed(offset.into()));
+            }
+            Instruction::MoveTop { rd, value } => self.set(rd, self.get(rd) & 0xffff | u32::from(value) << 16),
+            Instruction::BitfieldExtract { signed, rd, rn, lsb, width } => {
+                self.set(rd, extract(self.get(rn), lsb, width, signed));
+            }
+            Instruction::BitfieldInsert { rd, rn, lsb, width } => {
+                let mask = field_mask(lsb, width);
+                let field = rn.map_or(0, |rn| self.get(rn) << lsb);
+                self.set(rd, self.get(rd) & !mask | field & mask);
+            }
+            Instruction::Extend { extension, rd, rn, rm, rotate } => {
+                let base = rn.map_or(0, |rn| self.get(rn));
+                self.set(rd, dsp::extend(extension, self.get(rm).rotate_right(rotate.into()), base));
+            }
+            Instruction::Unary { op, rd, rm } => self.set(rd, unary(op, self.get(rm))),
+            Instruction::Multiply { flags, rd, rn, rm } => {
+                let result = self.get(rn).wrapping_mul(self.get(rm));
+                self.set(rd, result);
+                if self.sets(flags) {
+                    self.registers.flags.set_nz(result);
+                }
+            }
+            Instruction::Divide { signed, rd, rn, rm } => self.divide(signed, rd, rn, rm)?,
+
+            Instruction::Load { kind, rt, address } => self.load(bus, kind, rt, address)?,
+            Instruction::Store { size, rt, address } => self.store(bus, size, rt, address)?,
+            Instruction::LoadPair { rt, rt2, address } => self.load_pair(bus, rt, rt2, address)?,
+            Instruction::StorePair { rt, rt2, address } => self.store_pair(bus, rt, rt2, address)?,
+            Instruction::LoadMultiple { rn, registers, decrement, writeback } => {
+                self.load_multiple(bus, rn, registers, decrement, writeback)?;
+            }
+            Instruction::StoreMultiple { rn, registers, decrement, writeback } => {
+                self.store_multiple(bus, rn, registers, decrement, writeback)?;
+            }
+
+            Instruction::Branch { offset } => self.branch_by(offset),
+            Instruction::BranchIf { condition, offset } => {
+                if self.registers.flags.pass(condition) {
+                    self.branch_by(offset);
+                }
+            }
+            Instruction::BranchLink { offset } => {
+                self.registers.r[14] = self.pc | 1;
+                self.branch_by(offset);
+            }
+            Instruction::BranchExchange { rm } => self.branch_exchange(self.get(rm))?,
+            Instruction::BranchLinkExchange { rm } => {
+                let target = self.get(rm);
+                self.registers.r[14] = self.pc | 1;
+                self.interwork(target);
+            }
+            Instruction::CompareBranch { nonzero, rn, offset } => {
+                if (self.get(rn) != 0) == nonzero {
+                    self.branch_by(offset.into());
+                }
+            }
+            Instruction::IfThen { state } => self.registers.it = state,
+            Instruction::Nop | Instruction::Barrier => {}
+            Instruction::Float(float) => self.execute_float(bus, float)?,
+            _ => return self.execute_rare(bus, instruction),
+        }
+        Ok(())
+    }
+
+    /// Instructions too rare to be worth a place in the first table.
+    #[inline(never)]
+    fn execute_rare<B: Bus>(&mut self, bus: &mut B, instruction: Instruction) -> Result<(), Trap> {
+        match instruction {
+            Instruction::Saturate { signed, rd, rn, bits, shift: by } => {
+                let (value, _) = shift(self.get(rn), by, false);
+                let value = i64::from(value as i32);
+                let (result, saturated) =
+                    if signed { saturate_signed(value, bits) } else { saturate_unsigned(value, bits) };
+                self.set(rd, result);
+                self.registers.flags.q |= saturated;
+            }
+            Instruction::TableBranch { half, rn, rm } => self.table_branch(bus, half, rn, rm)?,
+            Instruction::LoadExclusive { size, rt, rn, offset } => self.load_exclusive(bus, size, rt, rn, offset)?,
+            Instruction::StoreExclusive { size, rd, rt, rn, offset } => {
+                self.store_exclusive(bus, size, rd, rt, rn, offset)?;
+            }
+            Instruction::ClearExclusive => self.exclusive = false,
+            Instruction::Wfe => {
+                if self.event {
+                    self.event = false;
+                } else {
+                    self.wait_for(Waiting::Event);
+                }
+            }
+            Instruction::Wfi => self.wait_for(Waiting::Interrupt),
+            Instruction::Sev => self.event = true,
+            Instruction::Breakpoint => return Err(Fault::Breakpoint.into()),
+            Instruction::SupervisorCall => return Err(Trap::SupervisorCall),
+            Instruction::ChangeMasks { disable, primask, faultmask } => self.change_masks(disable, primask, faultmask),
+            Instruction::ReadSpecial { rd, special } => self.set(rd, self.registers.read_special(special)),
+            Instruction::WriteSpecial { special, rn, mask } => self.write_special(special, self.get(rn), mask),
+            Instruction::Undefined => return Err(self.undefined(bus).into()),
+            Instruction::NoCoprocessor => return Err(Fault::NoCoprocessor.into()),
+            dsp => self.execute_dsp(dsp),
+        }
+        Ok(())
+    }
+
+    /// Whether flags are to be written now.
+    #[inline(always)]
+    pub(super) fn sets(&self, flags: SetFlags) -> bool {
+        match flags {
+            SetFlags::No => false,
+            SetFlags::Yes => true,
+            SetFlags::OutsideIt => !self.in_it_block,
+        }
+    }
+
+    /// `rd = x op y`; `carry` is the carry out of making `y`.
+    #[inline(always)]
+    fn alu(&mut self, op: AluOp, flags: SetFlags, rd: Reg, x: u32, y: u32, carry: bool) {
+        let carry_in = self.registers.flags.c;
+        let keep = self.registers.flags.v;
+        let (result, carry, overflow) = match op {
+            AluOp::And | AluOp::Tst => (x & y, carry, keep),
+            AluOp::Bic => (x & !y, carry, keep),
+            AluOp::Orr => (x | y, carry, keep),
+            AluOp::Orn => (x | !y, carry, keep),
+            AluOp::Eor | AluOp::Teq => (x ^ y, carry, keep),
+            AluOp::Mov => (y, carry, keep),
+            AluOp::Mvn => (!y, carry, keep),
+            AluOp::Add | AluOp::Cmn => add_with_carry(x, y, false),
+            AluOp::Adc => add_with_carry(x, y, carry_in),
+            AluOp::Sub | AluOp::Cmp => add_with_carry(x, !y, true),
+            AluOp::Sbc => add_with_carry(x, !y, carry_in),
+            AluOp::Rsb => add_with_carry(!x, y, true),
+        };
+        if self.sets(flags) {
+            self.registers.flags.set_nz(result);
+            self.registers.flags.c = carry;
+            self.registers.flags.v = overflow;
+        }
+        match op {
+            AluOp::Tst | AluOp::Teq | AluOp::Cmp | AluOp::Cmn => {}
+            // Only ADD and MOV can name PC; both branch without a change of state.
+            _ if rd == Reg::PC => self.branch_to(result),
+            _ => self.set(rd, result),
+        }
+    }
+
+    fn shift_register(&mut self, kind: ShiftKind, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg) {
+        let (result, carry) = shift_by(self.get(rn), kind, self.get(rm) & 255, self.registers.flags.c);
+        self.set(rd, result);
+        if self.sets(flags) {
+            self.registers.flags.set_nz(result);
+            self.registers.flags.c = carry;
+        }
+    }
+
+    fn divide(&mut self, signed: bool, rd: Reg, rn: Reg, rm: Reg) -> Result<(), Trap> {
+        let (x, y) = (self.get(rn), self.get(rm));
+        if y == 0 && self.system.traps_division_by_zero() {
+            return Err(Fault::DivideByZero.into());
+        }
+        let quotient = match (y, signed) {
+            (0, _) => 0,
+            (_, true) => (x as i32).wrapping_div(y as i32) as u32,
+            (_, false) => x / y,
+        };
+        self.cycles += if signed {
+            super::cycles::division((x as i32).unsigned_abs(), (y as i32).unsigned_abs())
+        } else {
+            super::cycles::division(x, y)
+        };
+        self.set(rd, quotient);
+        Ok(())
+    }
+
+    /// BranchTo, with the refill of the pipeline.
+    #[inline(always)]
+    fn branch_to(&mut self, address: u32) {
+        self.pc = address & !1;
+        self.cycles += REFILL;
+    }
+
+    #[inline(always)]
+    fn branch_by(&mut self, offset: i32) {
+        self.branch_to(self.get(Reg::PC).wrapping_add_signed(offset));
+    }
+
+    /// BLXWritePC: bit 0 becomes EPSR.T; the fault of a cleared one belongs to the next instruction.
+    #[inline(always)]
+    fn interwork(&mut self, target: u32) {
+        self.branch_to(target);
+        if target & 1 == 0 {
+            self.registers.thumb = false;
+            self.attention = true;
+        }
+    }
+
+    /// BXWritePC, LoadWritePC: a branch, or in an exception handler its end.
+    #[inline(always)]
+    pub(super) fn branch_exchange(&mut self, target: u32) -> Result<(), Trap> {
+        if self.registers.ipsr != 0 && target >= 0xf000_0000 {
+            return Err(Trap::ExceptionReturn(target));
+        }
+        self.interwork(target);
+        Ok(())
+    }
+
+    fn table_branch<B: Bus>(&mut self, bus: &mut B, half: bool, rn: Reg, rm: Reg) -> Result<(), Trap> {
+        let (base, index) = (self.get(rn), self.get(rm));
+        let entry = if half {
+            self.read(bus, base.wrapping_add(index << 1), Size::Half)?
+        } else {
+            self.read(bus, base.wrapping_add(index), Size::Byte)?
+        };
+        self.branch_by((entry * 2) as i32);
+        Ok(())
+    }
+
+    fn wait_for(&mut self, waiting: Waiting) {
+        self.waiting = waiting;
+        self.attention = true;
+    }
+
+    fn change_masks(&mut self, disable: bool, primask: bool, faultmask: bool) {
+        if !self.registers.privileged() {
+            return;
+        }
+        if primask {
+            self.registers.primask = disable;
+        }
+        if faultmask && !(disable && self.execution_priority() <= -1) {
+            self.registers.faultmask = disable;
+        }
+        self.attention = true;
+    }
+
+    fn write_special(&mut self, special: Special, value: u32, mask: u8) {
+        let below_hardfault = self.execution_priority() > -1;
+        self.registers.write_special(special, value, mask, below_hardfault);
+        self.attention = true;
+    }
+
+    /// The fault of the instruction being executed, with its halfwords.
+    fn undefined<B: Bus>(&self, bus: &mut B) -> Fault {
+        let address = self.get(Reg::PC).wrapping_sub(4);
+        let wide = self.pc.wrapping_sub(address) == 4;
+        let mut fetch = |address| bus.fetch(address).unwrap_or(0);
+        Fault::Undefined { first: fetch(address), second: if wide { fetch(address.wrapping_add(2)) } else { 0 } }
+    }
+}

@@ -1,0 +1,283 @@
+//! Execution: loads and stores, and the way of an access to the bus or to the private peripherals.
+
+use super::instruction::{Address, LoadKind, Reg};
+use super::{Bus, Cpu, Fault, Size, Trap};
+
+/// Address, and what write-back puts into the base register.
+type Located = (u32, Option<(Reg, u32)>);
+
+impl Cpu {
+    /// A data read by an instruction that allows unaligned addresses.
+    #[inline(always)]
+    pub(super) fn read<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
+        if address & (size.bytes() - 1) != 0 {
+            return self.read_unaligned(bus, address, size);
+        }
+        self.read_aligned(bus, address, size)
+    }
+
+    /// A data read at an address aligned to `size`.
+    #[inline(always)]
+    fn read_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
+        if is_private(address) {
+            return self.read_private(address, size);
+        }
+        self.wait(bus, address);
+        bus.read(address, size).map_err(|_| Fault::DataBus { address })
+    }
+
+    /// A data write by an instruction that allows unaligned addresses.
+    #[inline(always)]
+    pub(super) fn write<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
+        if address & (size.bytes() - 1) != 0 {
+            return self.write_unaligned(bus, address, size, value);
+        }
+        self.write_aligned(bus, address, size, value)
+    }
+
+    #[inline(always)]
+    fn write_aligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
+        if is_private(address) {
+            return self.write_private(address, size, value);
+        }
+        self.wait(bus, address);
+        bus.write(address, size, value).map_err(|_| Fault::DataBus { address })
+    }
+
+    /// Wait states of a data access; flash has a cache.
+    #[inline(always)]
+    fn wait<B: Bus>(&mut self, bus: &mut B, address: u32) {
+        if address >= 0x2000_0000 || self.accelerator.misses_data(address) {
+            self.cycles += bus.wait_states(address);
+        }
+    }
+
+    /// Aligned accesses one byte each, lowest address first.
+    #[cold]
+    #[inline(never)]
+    fn read_unaligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size) -> Result<u32, Fault> {
+        self.check_unaligned(address)?;
+        let mut value = 0;
+        for byte in 0..size.bytes() {
+            value |= self.read_aligned(bus, address.wrapping_add(byte), Size::Byte)? << (8 * byte);
+        }
+        Ok(value)
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn write_unaligned<B: Bus>(&mut self, bus: &mut B, address: u32, size: Size, value: u32) -> Result<(), Fault> {
+        self.check_unaligned(address)?;
+        for byte in 0..size.bytes() {
+            self.write_aligned(bus, address.wrapping_add(byte), Size::Byte, value >> (8 * byte) & 255)?;
+        }
+        Ok(())
+    }
+
+    /// Unaligned accesses cost a cycle more, and fault on device memory or with CCR.UNALIGN_TRP.
+    fn check_unaligned(&mut self, address: u32) -> Result<(), Fault> {
+        let device = matches!(address, 0x4000_0000..0x6000_0000 | 0xa000_0000..);
+        if device || self.system.traps_unaligned() {
+            return Err(Fault::Unaligned { address });
+        }
+        self.cycles += 1;
+        Ok(())
+    }
+
+    /// A word of a multiple, dual or exclusive access, which must be aligned.
+    #[inline(always)]
+    pub(super) fn read_word<B: Bus>(&mut self, bus: &mut B, address: u32) -> Result<u32, Fault> {
+        must_be_aligned(address, Size::Word)?;
+        self.read_aligned(bus, address, Size::Word)
+    }
+
+    /// See [`Self::read_word`].
+    #[inline(always)]
+    pub(super) fn write_word<B: Bus>(&mut self, bus: &mut B, address: u32, value: u32) -> Result<(), Fault> {
+        must_be_aligned(address, Size::Word)?;
+        self.write_aligned(bus, address, Size::Word, value)
+    }
+
+    #[inline(always)]
+    fn locate(&self, address: Address) -> Located {
+        match address {
+            Address::Offset { rn, offset } => {
+                let base = if rn == Reg::PC { self.get(rn) & !3 } else { self.get(rn) };
+                (base.wrapping_add_signed(offset.into()), None)
+            }
+            Address::PreIndexed { rn, offset } => {
+                let moved = self.get(rn).wrapping_add_signed(offset.into());
+                (moved, Some((rn, moved)))
+            }
+            Address::PostIndexed { rn, offset } => {
+                let base = self.get(rn);
+                (base, Some((rn, base.wrapping_add_signed(offset.into()))))
+            }
+            Address::Register { rn, rm, shift } => (self.get(rn).wrapping_add(self.get(rm) << shift), None),
+        }
+    }
+
+    #[inline(always)]
+    fn write_back(&mut self, moved: Option<(Reg, u32)>) {
+        if let Some((rn, value)) = moved {
+            self.set(rn, value);
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn load<B: Bus>(&mut self, bus: &mut B, kind: LoadKind, rt: Reg, address: Address) -> Result<(), Trap> {
+        let (address, moved) = self.locate(address);
+        let raw = self.read(bus, address, kind.size())?;
+        let value = match kind {
+            LoadKind::Word | LoadKind::Half | LoadKind::Byte => raw,
+            LoadKind::SignedHalf => raw as i16 as u32,
+            LoadKind::SignedByte => raw as i8 as u32,
+        };
+        self.write_back(moved);
+        if rt == Reg::PC {
+            return self.branch_exchange(value);
+        }
+        self.set(rt, value);
+        Ok(())
+    }
+
+    #[inline(always)]
+    pub(super) fn store<B: Bus>(&mut self, bus: &mut B, size: Size, rt: Reg, address: Address) -> Result<(), Trap> {
+        let (address, moved) = self.locate(address);
+        let value = self.get(rt);
+        let value = match size {
+            Size::Byte => value & 0xff,
+            Size::Half => value & 0xffff,
+            Size::Word => value,
+        };
+        self.write(bus, address, size, value)?;
+        self.write_back(moved);
+        Ok(())
+    }
+
+    pub(super) fn load_pair<B: Bus>(&mut self, bus: &mut B, rt: Reg, rt2: Reg, address: Address) -> Result<(), Trap> {
+        let (address, moved) = self.locate(address);
+        let low = self.read_word(bus, address)?;
+        let high = self.read_word(bus, address.wrapping_add(4))?;
+        self.write_back(moved);
+        self.set(rt, low);
+        self.set(rt2, high);
+        Ok(())
+    }
+
+    pub(super) fn store_pair<B: Bus>(&mut self, bus: &mut B, rt: Reg, rt2: Reg, address: Address) -> Result<(), Trap> {
+        let (address, moved) = self.locate(address);
+        self.write_word(bus, address, self.get(rt))?;
+        self.write_word(bus, address.wrapping_add(4), self.get(rt2))?;
+        self.write_back(moved);
+        Ok(())
+    }
+
+    /// Lowest address of a multiple access and the base register after it.
+    fn block(&self, rn: Reg, registers: u16, decrement: bool) -> (u32, u32) {
+        let (base, bytes) = (self.get(rn), 4 * registers.count_ones());
+        if decrement {
+            let lowest = base.wrapping_sub(bytes);
+            (lowest, lowest)
+        } else {
+            (base, base.wrapping_add(bytes))
+        }
+    }
+
+    pub(super) fn load_multiple<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        rn: Reg,
+        registers: u16,
+        decrement: bool,
+        writeback: bool,
+    ) -> Result<(), Trap> {
+        let (mut address, moved) = self.block(rn, registers, decrement);
+        let mut loaded = [0; 16];
+        for (number, value) in loaded.iter_mut().enumerate() {
+            if registers >> number & 1 != 0 {
+                *value = self.read_word(bus, address)?;
+                address = address.wrapping_add(4);
+            }
+        }
+        if writeback {
+            self.set(rn, moved);
+        }
+        for number in 0..15 {
+            if registers >> number & 1 != 0 {
+                self.set(Reg(number), loaded[usize::from(number)]);
+            }
+        }
+        if registers & Reg::PC.bit() != 0 {
+            return self.branch_exchange(loaded[15]);
+        }
+        Ok(())
+    }
+
+    pub(super) fn store_multiple<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        rn: Reg,
+        registers: u16,
+        decrement: bool,
+        writeback: bool,
+    ) -> Result<(), Trap> {
+        let (mut address, moved) = self.block(rn, registers, decrement);
+        for number in 0..15 {
+            if registers >> number & 1 != 0 {
+                self.write_word(bus, address, self.get(Reg(number)))?;
+                address = address.wrapping_add(4);
+            }
+        }
+        if writeback {
+            self.set(rn, moved);
+        }
+        Ok(())
+    }
+
+    pub(super) fn load_exclusive<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        size: Size,
+        rt: Reg,
+        rn: Reg,
+        offset: u16,
+    ) -> Result<(), Trap> {
+        let address = self.get(rn).wrapping_add(offset.into());
+        must_be_aligned(address, size)?;
+        let value = self.read_aligned(bus, address, size)?;
+        self.exclusive = true;
+        self.set(rt, value);
+        Ok(())
+    }
+
+    pub(super) fn store_exclusive<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        size: Size,
+        rd: Reg,
+        rt: Reg,
+        rn: Reg,
+        offset: u16,
+    ) -> Result<(), Trap> {
+        let address = self.get(rn).wrapping_add(offset.into());
+        must_be_aligned(address, size)?;
+        let allowed = std::mem::replace(&mut self.exclusive, false);
+        if allowed {
+            let mask = u32::MAX >> (32 - 8 * size.bytes());
+            self.write_aligned(bus, address, size, self.get(rt) & mask)?;
+        }
+        self.set(rd, (!allowed).into());
+        Ok(())
+    }
+}
+
+/// The private peripheral bus.
+#[inline(always)]
+fn is_private(address: u32) -> bool {
+    address >> 20 == 0xe00
+}
+
+fn must_be_aligned(address: u32, size: Size) -> Result<(), Fault> {
+    if address & (size.bytes() - 1) == 0 { Ok(()) } else { Err(Fault::Unaligned { address }) }
+}

@@ -1,0 +1,405 @@
+//! The processor core: a Cortex-M4F (ARMv7E-M, FPv4-SP) with its NVIC, SysTick, cycle counter and system control
+//! block.
+//!
+//! Halfwords become [`instruction::Instruction`]s ([`decode`]), once per address of flash; `execute` and its
+//! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
+//! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
+//!
+//! Not modelled: the MPU (MPU_TYPE reads 0), debug halting, and the imprecision of bus faults on buffered
+//! writes (they are all precise here). Floating-point registers are stacked at once; with lazy stacking enabled
+//! (FPCCR.LSPEN) its cycles are charged when the handler first uses the floating-point unit, as lazy stacking
+//! would.
+
+mod arithmetic;
+mod code;
+mod cycles;
+pub mod decode;
+mod decode_float;
+mod decode_wide;
+mod dsp;
+mod exceptions;
+mod execute;
+mod execute_dsp;
+mod execute_float;
+mod execute_memory;
+mod fault;
+mod float;
+pub mod instruction;
+mod nvic;
+mod registers;
+mod softfloat;
+mod system;
+#[cfg(test)]
+mod tests;
+
+use code::Code;
+use cycles::{Accelerator, NOTHING_IN_FLIGHT};
+pub use fault::{Fault, FaultReport};
+use float::FloatUnit;
+use instruction::{Instruction, Reg};
+use nvic::Nvic;
+use registers::Registers;
+use system::System;
+
+/// Width of an access.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Size {
+    /// 8 bits.
+    Byte,
+    /// 16 bits.
+    Half,
+    /// 32 bits.
+    Word,
+}
+
+impl Size {
+    /// Width in bytes.
+    pub fn bytes(self) -> u32 {
+        match self {
+            Self::Byte => 1,
+            Self::Half => 2,
+            Self::Word => 4,
+        }
+    }
+}
+
+/// The address answers nothing, or refuses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BusFault;
+
+/// Memory and peripherals. Every access is aligned to its size; values are in the low bits.
+pub trait Bus {
+    /// The halfword of code at `address`.
+    fn fetch(&mut self, address: u32) -> Result<u16, BusFault>;
+    /// A data read.
+    fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault>;
+    /// A data write.
+    fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault>;
+    /// Extra cycles of one access to `address`: of flash when its line is in no cache, of peripherals always.
+    fn wait_states(&self, address: u32) -> u32 {
+        let _ = address;
+        0
+    }
+}
+
+/// Outcome of [`Cpu::step`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// One instruction was executed or one exception entered.
+    Ran {
+        /// Core cycles it took.
+        cycles: u32,
+    },
+    /// WFE or WFI waits and nothing wakes the core.
+    Asleep,
+    /// AIRCR.SYSRESETREQ was written; the core stands still until [`Cpu::reset`].
+    ResetRequested,
+    /// A fault with no handler left to take it; the core stands still until [`Cpu::reset`].
+    Lockup(FaultReport),
+}
+
+/// Registers as the programmer sees them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct State {
+    /// R0–R12, stack pointer in use, LR, address of the next instruction.
+    pub r: [u32; 16],
+    /// Flags, IT state and exception number.
+    pub xpsr: u32,
+    /// Bits of S0–S31.
+    pub s: [u32; 32],
+    /// Floating-point status and control.
+    pub fpscr: u32,
+}
+
+/// Why an instruction does not simply end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trap {
+    Fault(Fault),
+    SupervisorCall,
+    ExceptionReturn(u32),
+}
+
+impl From<Fault> for Trap {
+    fn from(fault: Fault) -> Self {
+        Self::Fault(fault)
+    }
+}
+
+/// What the core waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Waiting {
+    No,
+    Event,
+    Interrupt,
+}
+
+/// The core. It starts unreset: call [`Cpu::reset`] first.
+#[derive(Clone, Debug)]
+pub struct Cpu {
+    registers: Registers,
+    /// Address of the next instruction.
+    pc: u32,
+    float: FloatUnit,
+    nvic: Nvic,
+    system: System,
+    code: Code,
+    accelerator: Accelerator,
+    /// Levels of the interrupt lines, as last told.
+    lines: [u32; 4],
+    /// Something may have to happen before the next instruction: see `attend`.
+    attention: bool,
+    waiting: Waiting,
+    /// The event register of WFE.
+    event: bool,
+    /// The local exclusive monitor; that of the Cortex-M4 keeps no address (DDI0439, 3.7).
+    exclusive: bool,
+    /// Registers the next access's address cannot use at once: see `cycles::Timing`.
+    in_flight: u16,
+    /// Whether the instruction being executed stands in an IT block.
+    in_it_block: bool,
+    /// Cycles of the current step.
+    cycles: u32,
+    /// Cycles executed since the first reset, without sleep.
+    executed: u64,
+    /// Cycles slept since the first reset.
+    slept: u64,
+    instructions: u64,
+    last_fault: Option<FaultReport>,
+    lockup: Option<FaultReport>,
+}
+
+impl Default for Cpu {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Where the vector table is found at reset; the STM32G474 shows its flash at 0 and at 0x0800_0000.
+const RESET_VECTORS: u32 = 0x0800_0000;
+
+impl Cpu {
+    /// A core before its first reset.
+    pub fn new() -> Self {
+        Self {
+            registers: Registers::at_reset(0),
+            pc: 0,
+            float: FloatUnit::new(),
+            nvic: Nvic::new(),
+            system: System::new(),
+            code: Code::new(),
+            accelerator: Accelerator::new(),
+            lines: [0; 4],
+            attention: false,
+            waiting: Waiting::No,
+            event: false,
+            exclusive: false,
+            in_flight: NOTHING_IN_FLIGHT,
+            in_it_block: false,
+            cycles: 0,
+            executed: 0,
+            slept: 0,
+            instructions: 0,
+            last_fault: None,
+            lockup: None,
+        }
+    }
+
+    /// Resets the core: stack pointer and program counter from the vector table at 0x0800_0000. Counters of
+    /// instructions and cycles, the report of the last fault and decoded code stay.
+    pub fn reset(&mut self, bus: &mut impl Bus) {
+        // A vector that cannot be read is all ones: the first fetch will fault and, without a handler, lock up.
+        let mut vector = |address| bus.read(address, Size::Word).unwrap_or(0xffff_ffff);
+        self.registers = Registers::at_reset(vector(RESET_VECTORS));
+        let start = vector(RESET_VECTORS + 4);
+        self.registers.thumb = start & 1 != 0;
+        self.pc = start & !1;
+        self.float = FloatUnit::new();
+        self.nvic = Nvic::new();
+        self.nvic.set_lines(&self.lines);
+        self.system = System::new();
+        self.accelerator = Accelerator::new();
+        self.attention = true;
+        self.waiting = Waiting::No;
+        self.event = false;
+        self.exclusive = false;
+        self.in_flight = NOTHING_IN_FLIGHT;
+        self.lockup = None;
+    }
+
+    /// Tells the levels of interrupt lines 0–127; 112 and up do not exist and are ignored.
+    #[inline]
+    pub fn set_lines(&mut self, lines: &[u32; 4]) {
+        if self.lines != *lines {
+            self.lines = *lines;
+            self.attention |= self.nvic.set_lines(lines);
+        }
+    }
+
+    /// Makes the non-maskable interrupt pending.
+    pub fn raise_nmi(&mut self) {
+        self.nvic.pend(nvic::NMI);
+        self.attention = true;
+    }
+
+    /// Forgets decoded instructions: flash has changed.
+    pub fn invalidate_code(&mut self) {
+        self.code = Code::new();
+    }
+
+    /// Tells that the core slept for `cycles`: SysTick counts on, the cycle counter does not.
+    pub fn sleep_for(&mut self, cycles: u64) {
+        self.slept += cycles;
+    }
+
+    /// Cycles until SysTick reaches zero, which may wake the core; `None` while it is off.
+    pub fn next_tick(&self) -> Option<u64> {
+        self.system.systick.due().map(|due| due.saturating_sub(self.time()))
+    }
+
+    /// Address of the next instruction.
+    pub fn pc(&self) -> u32 {
+        self.pc
+    }
+
+    /// Stack pointer in use.
+    pub fn sp(&self) -> u32 {
+        self.registers.sp()
+    }
+
+    /// Lowest value of the main stack pointer since reset.
+    pub fn min_sp(&self) -> u32 {
+        self.registers.min_msp
+    }
+
+    /// The registers a debugger would show.
+    pub fn state(&self) -> State {
+        let mut r = self.registers.r;
+        r[15] = self.pc;
+        State { r, xpsr: self.registers.xpsr(), s: self.float.s, fpscr: self.float.fpscr() }
+    }
+
+    /// Sets the registers, as a debugger would.
+    pub fn set_state(&mut self, state: &State) {
+        self.registers.r = state.r;
+        self.registers.set_xpsr(state.xpsr);
+        self.registers.select_stack();
+        self.pc = state.r[15] & !1;
+        self.float.s = state.s;
+        self.float.set_fpscr(state.fpscr);
+        self.attention = true;
+    }
+
+    /// Number of the exception being handled, 0 in thread mode.
+    pub fn exception(&self) -> u16 {
+        self.registers.ipsr
+    }
+
+    /// Instructions executed since the first reset.
+    pub fn instructions(&self) -> u64 {
+        self.instructions
+    }
+
+    /// The last fault taken, also if its handler returned.
+    pub fn last_fault(&self) -> Option<&FaultReport> {
+        self.last_fault.as_ref()
+    }
+
+    /// Takes a pending exception or executes one instruction.
+    #[inline]
+    pub fn step<B: Bus>(&mut self, bus: &mut B) -> Step {
+        if self.attention || self.time() >= self.system.systick.deadline() {
+            if let Some(step) = self.attend(bus) {
+                return step;
+            }
+        }
+        self.execute_next(bus)
+    }
+
+    /// Core cycles since the first reset, asleep or not.
+    fn time(&self) -> u64 {
+        self.executed + self.slept
+    }
+
+    fn execute_next<B: Bus>(&mut self, bus: &mut B) -> Step {
+        let address = self.pc;
+        self.cycles = 0;
+        let decoded = match self.code.get(address) {
+            Some(decoded) => decoded,
+            None => match self.code.load(bus, address) {
+                Ok(decoded) => decoded,
+                Err(fault) => return self.take_fault(bus, fault, address),
+            },
+        };
+        if self.accelerator.misses_instruction(address) {
+            self.cycles += bus.wait_states(address);
+        }
+        self.cycles += u32::from(decoded.timing.cycles);
+        if decoded.timing.needs & self.in_flight == 0 {
+            self.cycles -= 1;
+        }
+        self.in_flight = decoded.timing.busy;
+        self.registers.r[15] = address.wrapping_add(4);
+        self.pc = address.wrapping_add(u32::from(decoded.bytes));
+        self.instructions += 1;
+        let outcome = if self.registers.it == 0 {
+            self.in_it_block = false;
+            self.execute(bus, decoded.instruction)
+        } else {
+            return self.execute_in_it_block(bus, address, decoded.instruction);
+        };
+        match outcome {
+            Ok(()) => self.ran(),
+            Err(trap) => self.take_trap(bus, trap, address),
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn execute_in_it_block<B: Bus>(&mut self, bus: &mut B, address: u32, instruction: Instruction) -> Step {
+        let state = self.registers.it;
+        // ITAdvance.
+        self.registers.it = if state & 7 == 0 { 0 } else { state & 0xe0 | state << 1 & 0x1f };
+        if !self.registers.flags.pass(state >> 4) && instruction != Instruction::Breakpoint {
+            self.cycles = self.cycles.min(1);
+            self.in_flight = NOTHING_IN_FLIGHT;
+            return self.ran();
+        }
+        self.in_it_block = true;
+        match self.execute(bus, instruction) {
+            Ok(()) => self.ran(),
+            Err(trap) => {
+                if matches!(trap, Trap::Fault(_)) {
+                    self.registers.it = state;
+                }
+                self.take_trap(bus, trap, address)
+            }
+        }
+    }
+
+    /// Ends a step.
+    #[inline(always)]
+    fn ran(&mut self) -> Step {
+        self.executed += u64::from(self.cycles);
+        Step::Ran { cycles: self.cycles }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn take_trap<B: Bus>(&mut self, bus: &mut B, trap: Trap, address: u32) -> Step {
+        match trap {
+            Trap::Fault(fault) => self.take_fault(bus, fault, address),
+            Trap::SupervisorCall => self.supervisor_call(bus, address),
+            Trap::ExceptionReturn(value) => self.exception_return(bus, value),
+        }
+    }
+
+    #[inline(always)]
+    fn get(&self, register: Reg) -> u32 {
+        self.registers.get(register)
+    }
+
+    #[inline(always)]
+    fn set(&mut self, register: Reg, value: u32) {
+        self.registers.set(register, value);
+    }
+}

@@ -1,0 +1,212 @@
+//! Exceptions waiting, enabled and active, and which of them comes next (DDI0403, B1.5 and B3.4).
+//!
+//! One bit per exception number: 16 system exceptions and interrupts 0–111 (the STM32G474 has 102).
+
+use super::registers::Registers;
+
+/// Exception numbers (DDI0403, B1.5.2).
+pub(super) const NMI: u8 = 2;
+pub(super) const HARD_FAULT: u8 = 3;
+pub(super) const MEM_MANAGE: u8 = 4;
+pub(super) const BUS_FAULT: u8 = 5;
+pub(super) const USAGE_FAULT: u8 = 6;
+pub(super) const SV_CALL: u8 = 11;
+pub(super) const PEND_SV: u8 = 14;
+pub(super) const SYS_TICK: u8 = 15;
+/// Number of interrupt 0.
+pub(super) const FIRST_INTERRUPT: u8 = 16;
+
+/// Lower in urgency than every exception.
+const THREAD_PRIORITY: i16 = 256;
+
+#[derive(Clone, Debug)]
+pub(super) struct Nvic {
+    pub pending: u128,
+    pub enabled: u128,
+    pub active: u128,
+    /// Levels of the interrupt lines, at the bit of their exception.
+    lines: u128,
+    /// Priorities by exception number; the STM32 has the upper four bits.
+    priority: [u8; 128],
+    /// AIRCR.PRIGROUP.
+    pub group_position: u8,
+    /// An exception became pending since this was last cleared.
+    pub newly_pending: bool,
+}
+
+/// Exceptions that cannot be disabled.
+const ALWAYS_ENABLED: u128 = 1 << NMI | 1 << HARD_FAULT | 1 << SV_CALL | 1 << PEND_SV | 1 << SYS_TICK;
+
+impl Nvic {
+    pub fn new() -> Self {
+        Self {
+            pending: 0,
+            enabled: ALWAYS_ENABLED,
+            active: 0,
+            lines: 0,
+            priority: [0; 128],
+            group_position: 0,
+            newly_pending: false,
+        }
+    }
+
+    /// Takes the levels of the interrupt lines; a rising one becomes pending. Returns whether one did.
+    pub fn set_lines(&mut self, lines: &[u32; 4]) -> bool {
+        let lines = lines.iter().rev().fold(0u128, |all, &word| all << 32 | u128::from(word)) << FIRST_INTERRUPT;
+        let rising = lines & !self.lines;
+        self.lines = lines;
+        self.pend_all(rising);
+        rising != 0
+    }
+
+    pub fn pend(&mut self, exception: u8) {
+        self.pend_all(1 << exception);
+    }
+
+    pub fn pend_all(&mut self, exceptions: u128) {
+        self.newly_pending |= exceptions & !self.pending != 0;
+        self.pending |= exceptions;
+    }
+
+    /// Clears pending bits; an interrupt whose line is high and which is not active stays.
+    pub fn unpend_all(&mut self, exceptions: u128) {
+        self.pending &= !exceptions | self.lines & !self.active;
+    }
+
+    pub fn is_active(&self, exception: u8) -> bool {
+        self.active >> exception & 1 != 0
+    }
+
+    pub fn is_enabled(&self, exception: u8) -> bool {
+        self.enabled >> exception & 1 != 0
+    }
+
+    /// The handler starts.
+    pub fn activate(&mut self, exception: u8) {
+        self.pending &= !(1 << exception);
+        self.active |= 1 << exception;
+    }
+
+    /// The handler ends; a line that is still high makes its interrupt pending again.
+    pub fn deactivate(&mut self, exception: u8) {
+        self.active &= !(1 << exception);
+        self.pend_all(self.lines & 1 << exception);
+    }
+
+    pub fn priority(&self, exception: u8) -> u8 {
+        self.priority[usize::from(exception & 127)]
+    }
+
+    pub fn set_priority(&mut self, exception: u8, priority: u8) {
+        self.priority[usize::from(exception & 127)] = priority & 0xf0;
+    }
+
+    /// Priority for preemption: without the sub-priority bits.
+    fn group(&self, priority: u8) -> i16 {
+        i16::from(priority) & !((2 << self.group_position) - 1)
+    }
+
+    /// Preemption priority of an exception; smaller is more urgent.
+    pub fn urgency(&self, exception: u8) -> i16 {
+        match exception {
+            0..=NMI => -2,
+            HARD_FAULT => -1,
+            _ => self.group(self.priority(exception)),
+        }
+    }
+
+    /// ExecutionPriority: of the active exceptions and the masks.
+    pub fn execution_priority(&self, registers: &Registers) -> i16 {
+        let mut priority = numbers(self.active).map(|n| self.urgency(n)).min().unwrap_or(THREAD_PRIORITY);
+        if registers.basepri != 0 {
+            priority = priority.min(self.group(registers.basepri));
+        }
+        if registers.primask {
+            priority = priority.min(0);
+        }
+        if registers.faultmask {
+            priority = priority.min(-1);
+        }
+        priority
+    }
+
+    /// The most urgent exception that is pending and enabled; the lowest number among equals.
+    pub fn most_urgent(&self) -> Option<u8> {
+        let full = |n: u8| if n <= HARD_FAULT { self.urgency(n) } else { self.priority(n).into() };
+        numbers(self.pending & self.enabled).min_by_key(|&n| full(n))
+    }
+
+    /// The pending exception that preempts execution at `priority`.
+    pub fn preempting(&self, priority: i16) -> Option<u8> {
+        self.most_urgent().filter(|&n| self.urgency(n) < priority)
+    }
+}
+
+/// Numbers of the bits that are set, ascending.
+fn numbers(mut bits: u128) -> impl Iterator<Item = u8> {
+    std::iter::from_fn(move || {
+        let number = bits.trailing_zeros() as u8;
+        bits &= bits.wrapping_sub(1);
+        (number < 128).then_some(number)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_pending(exceptions: &[(u8, u8)]) -> Nvic {
+        let mut nvic = Nvic::new();
+        for &(exception, priority) in exceptions {
+            nvic.enabled |= 1 << exception;
+            nvic.set_priority(exception, priority);
+            nvic.pend(exception);
+        }
+        nvic
+    }
+
+    #[test]
+    fn the_most_urgent_comes_first_then_the_lowest_number() {
+        assert_eq!(with_pending(&[(20, 0x40), (30, 0x30), (40, 0x30)]).most_urgent(), Some(30));
+        assert_eq!(with_pending(&[(20, 0), (NMI, 0)]).most_urgent(), Some(NMI));
+    }
+
+    #[test]
+    fn preemption_needs_a_more_urgent_group() {
+        let mut nvic = with_pending(&[(20, 0x40), (30, 0x50)]);
+        nvic.activate(30);
+        let registers = Registers::at_reset(0);
+        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), Some(20));
+        nvic.group_position = 4; // Three bits of group priority: 0x40 and 0x50 are one group.
+        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
+    }
+
+    #[test]
+    fn masks_hold_back() {
+        let nvic = with_pending(&[(20, 0x40)]);
+        let mut registers = Registers::at_reset(0);
+        registers.basepri = 0x40;
+        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
+        registers.basepri = 0x50;
+        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), Some(20));
+        registers.primask = true;
+        assert_eq!(nvic.preempting(nvic.execution_priority(&registers)), None);
+    }
+
+    #[test]
+    fn a_level_stays_pending_until_it_falls() {
+        let mut nvic = Nvic::new();
+        assert!(nvic.set_lines(&[1 << 4, 0, 0, 0]));
+        nvic.activate(20);
+        nvic.deactivate(20);
+        assert_eq!(nvic.pending, 1 << 20);
+        nvic.unpend_all(1 << 20);
+        assert_eq!(nvic.pending, 1 << 20);
+        nvic.set_lines(&[0; 4]);
+        nvic.unpend_all(1 << 20);
+        assert_eq!(nvic.pending, 0);
+        // Interrupt 101 is the last of the STM32G474.
+        assert!(nvic.set_lines(&[0, 0, 0, 1 << 5]));
+        assert_eq!(nvic.pending, 1 << 117);
+    }
+}

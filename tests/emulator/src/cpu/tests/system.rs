@@ -1,0 +1,96 @@
+//! Registers of the private peripheral bus.
+
+use super::*;
+
+impl Board {
+    fn poke(&mut self, address: u32, value: u32) {
+        self.cpu.write_private(address, Size::Word, value).unwrap();
+    }
+
+    fn peek(&mut self, address: u32) -> u32 {
+        self.cpu.read_private(address, Size::Word).unwrap()
+    }
+}
+
+#[test]
+fn interrupts_are_enabled_pended_and_given_priorities() {
+    let mut board = Board::new(&[0xe7fe]);
+    board.poke(0xe000_e108, 1 << 3); // ISER2: interrupt 67
+    board.cpu.write_private(0xe000_e400 + 67, Size::Byte, 0x5f).unwrap();
+    assert_eq!(board.peek(0xe000_e108), 1 << 3);
+    assert_eq!(board.peek(0xe000_e400 + 64), 0x5000_0000, "four bits of priority");
+    board.poke(0xe000_ef00, 67); // STIR
+    assert_eq!(board.peek(0xe000_e208), 1 << 3);
+    assert_eq!(board.peek(0xe000_ed04), 1 << 22 | 83 << 12 | 1 << 11); // ICSR
+    board.poke(0xe000_e288, 1 << 3);
+    board.poke(0xe000_e188, 1 << 3);
+    assert_eq!((board.peek(0xe000_e208), board.peek(0xe000_e108)), (0, 0));
+}
+
+#[test]
+fn pendsv_comes_when_nothing_is_more_urgent() {
+    let mut board = Board::new(&[0xbf00, 0xbf00]);
+    board.poke(0xe000_ed20, 0xf0 << 16);
+    board.poke(0xe000_ed04, 1 << 28);
+    board.run(1);
+    assert_eq!((board.cpu.exception(), board.peek(0xe000_ed04) & 0x1ff), (14, 14));
+}
+
+#[test]
+fn reset_needs_its_key() {
+    let mut board = Board::new(&[0xe7fe]);
+    board.poke(0xe000_ed0c, 4);
+    board.run(1);
+    board.poke(0xe000_ed0c, 0x05fa_0004);
+    assert_eq!([board.step(), board.step()], [Step::ResetRequested; 2]);
+    board.cpu.reset(&mut board.memory);
+    board.run(1);
+}
+
+#[test]
+fn the_cycle_counter_counts_executed_cycles() {
+    let mut board = Board::new(&[0xbf00, 0xe7fd]); // nop; b back: four cycles
+    board.poke(0xe000_edfc, 1 << 24);
+    board.poke(0xe000_1004, 100);
+    board.poke(0xe000_1000, 1);
+    board.run(20);
+    board.cpu.sleep_for(1000);
+    assert_eq!(board.peek(0xe000_1004), 140);
+    board.poke(0xe000_1000, 0);
+    board.run(20);
+    assert_eq!(board.peek(0xe000_1004), 140);
+}
+
+#[test]
+fn systick_counts_down_asleep_or_not() {
+    let mut board = Board::new(&[0xbf30, 0xbf00]); // wfi
+    board.poke(0xe000_e014, 99);
+    board.poke(0xe000_e010, 0b111);
+    assert_eq!(board.cpu.next_tick(), Some(100));
+    board.run(1);
+    assert_eq!(board.step(), Step::Asleep);
+    board.cpu.sleep_for(98);
+    assert_eq!((board.step(), board.peek(0xe000_e018)), (Step::Asleep, 1));
+    board.cpu.sleep_for(1);
+    board.run(1);
+    assert_eq!(board.cpu.exception(), 15);
+    assert_eq!(board.peek(0xe000_e010), 1 << 16 | 7);
+    assert_eq!(board.peek(0xe000_e010), 7, "the flag is cleared by reading");
+}
+
+#[test]
+fn unprivileged_code_has_no_access() {
+    // msr control, r0 (nPRIV); ldr r0, [r1]
+    let board = after(&[0xf380, 0x8814, 0x6808], [1, 0xe000_ed00, 0, 0, 0], 2);
+    assert_eq!(board.fault(), Some(Fault::DataBus { address: 0xe000_ed00 }));
+}
+
+#[test]
+fn identification_and_unmodelled_registers() {
+    let mut board = Board::new(&[0xe7fe]);
+    assert_eq!(board.peek(0xe000_ed00), 0x410f_c241);
+    assert_eq!(board.peek(0xe000_ed90), 0, "no MPU");
+    assert_eq!(board.peek(0xe00f_f000), 0);
+    board.poke(0xe000_0e80, 1);
+    assert_eq!(board.cpu.read_private(0xe000_ed02, Size::Half).unwrap(), 0x410f);
+}

@@ -1,0 +1,227 @@
+//! Flash and RAM of an STM32G474RE, and the constants in its system memory (RM0440, "Memory
+//! organization" and "Embedded flash memory").
+
+use std::collections::BTreeSet;
+
+/// Where flash lies; also seen at address 0.
+pub const FLASH_BASE: u32 = 0x0800_0000;
+/// Flash in bytes: two banks of 256 KiB.
+pub const FLASH_BYTES: usize = 512 * 1024;
+/// One bank in bytes (option bit DBANK set, as delivered).
+pub const BANK_BYTES: usize = FLASH_BYTES / 2;
+/// One page in bytes.
+pub const PAGE_BYTES: usize = 2_048;
+/// Flash is programmed and protected (ECC) in double words of this many bytes.
+pub const DOUBLE_WORD_BYTES: usize = 8;
+
+/// SRAM1, SRAM2 and the upper alias of CCM SRAM, one after another.
+pub const RAM_BASE: u32 = 0x2000_0000;
+/// RAM in bytes.
+pub const RAM_BYTES: usize = 128 * 1024;
+/// CCM SRAM, the last 32 KiB of RAM, at its own address.
+pub const CCM_BASE: u32 = 0x1000_0000;
+/// CCM SRAM in bytes.
+pub const CCM_BYTES: usize = 32 * 1024;
+
+/// System memory with the factory's boot loader.
+pub const BOOT_LOADER_BASE: u32 = 0x1FFF_0000;
+/// End of the boot loader.
+pub const BOOT_LOADER_END: u32 = 0x1FFF_7000;
+
+/// The 96-bit device identifier, as three words.
+pub const UNIQUE_ID: [u32; 3] = [0x0032_0045, 0x5848_500B, 0x2036_3152];
+const UNIQUE_ID_ADDRESS: u32 = 0x1FFF_7590;
+const PACKAGE_ADDRESS: u32 = 0x1FFF_7500;
+const FLASH_SIZE_ADDRESS: u32 = 0x1FFF_75E0;
+
+/// Code of the temperature sensor at 30 °C and 3.0 V (data sheet, TS_CAL1; a typical device).
+pub const TS_CAL1: u16 = 1_037;
+/// Code of the temperature sensor at 130 °C and 3.0 V (TS_CAL2).
+pub const TS_CAL2: u16 = 1_379;
+/// Code of the internal reference of 1.212 V at 3.0 V (VREFINT_CAL).
+pub const VREFINT_CAL: u16 = 1_654;
+const TS_CAL1_ADDRESS: u32 = 0x1FFF_75A8;
+const VREFINT_CAL_ADDRESS: u32 = 0x1FFF_75AA;
+const TS_CAL2_ADDRESS: u32 = 0x1FFF_75CA;
+
+/// The aligned word of system memory at `address`; erased where nothing is known.
+pub fn system_word(address: u32) -> u32 {
+    let halves = [address & !3, (address & !3) + 2].map(system_half);
+    u32::from(halves[0]) | u32::from(halves[1]) << 16
+}
+
+fn system_half(address: u32) -> u16 {
+    match address {
+        // Vector table of the boot loader: a stack and an entry in system memory.
+        BOOT_LOADER_BASE..=0x1FFF_0007 => [0x3000, 0x2000, 0x0101, 0x1FFF][(address % 8 / 2) as usize],
+        UNIQUE_ID_ADDRESS..=0x1FFF_759B => {
+            let offset = address - UNIQUE_ID_ADDRESS;
+            (UNIQUE_ID[(offset / 4) as usize] >> (8 * (offset % 4))) as u16
+        }
+        // LQFP64.
+        PACKAGE_ADDRESS => 0b00010,
+        FLASH_SIZE_ADDRESS => (FLASH_BYTES / 1024) as u16,
+        TS_CAL1_ADDRESS => TS_CAL1,
+        VREFINT_CAL_ADDRESS => VREFINT_CAL,
+        TS_CAL2_ADDRESS => TS_CAL2,
+        _ => 0xFFFF,
+    }
+}
+
+/// Reads 1, 2 or 4 bytes of `bytes`, little-endian, low byte first.
+#[inline]
+pub(crate) fn load(bytes: &[u8], offset: usize, width: u32) -> Option<u32> {
+    match width {
+        4 => bytes.get(offset..offset + 4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])),
+        2 => bytes.get(offset..offset + 2).map(|half| u32::from(u16::from_le_bytes([half[0], half[1]]))),
+        _ => bytes.get(offset).map(|&byte| u32::from(byte)),
+    }
+}
+
+/// Writes the low 1, 2 or 4 bytes of `value` into `bytes`.
+#[inline]
+pub(crate) fn store(bytes: &mut [u8], offset: usize, width: u32, value: u32) -> Option<()> {
+    let target = bytes.get_mut(offset..offset + width as usize)?;
+    match width {
+        4 => target.copy_from_slice(&value.to_le_bytes()),
+        2 => target.copy_from_slice(&(value as u16).to_le_bytes()),
+        _ => target[0] = value as u8,
+    }
+    Some(())
+}
+
+/// The cells of the flash memory. They outlive every reset and power cycle.
+#[derive(Clone, Debug)]
+pub struct FlashArray {
+    bytes: Box<[u8]>,
+    /// Offsets of double words whose ECC does not fit: a program or erase was cut short.
+    torn: BTreeSet<usize>,
+}
+
+impl FlashArray {
+    /// Erased flash.
+    pub fn erased() -> Self {
+        Self { bytes: vec![0xFF; FLASH_BYTES].into_boxed_slice(), torn: BTreeSet::new() }
+    }
+
+    /// All bytes.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Puts `data` at `offset`, as a programmer's tool does.
+    ///
+    /// # Panics
+    /// If `data` goes beyond the flash.
+    pub fn load(&mut self, offset: usize, data: &[u8]) {
+        self.bytes[offset..offset + data.len()].copy_from_slice(data);
+        self.torn.retain(|torn| !(offset..offset + data.len()).contains(torn));
+    }
+
+    /// Whether any double word is torn.
+    #[inline]
+    pub fn has_torn(&self) -> bool {
+        !self.torn.is_empty()
+    }
+
+    /// Whether the double word around `offset` is torn.
+    pub fn is_torn(&self, offset: usize) -> bool {
+        self.torn.contains(&(offset & !(DOUBLE_WORD_BYTES - 1)))
+    }
+
+    /// The double word at `offset` (a multiple of 8).
+    pub fn double_word(&self, offset: usize) -> u64 {
+        let bytes: [u8; 8] = self.bytes[offset..offset + DOUBLE_WORD_BYTES].try_into().expect("a slice of eight bytes");
+        u64::from_le_bytes(bytes)
+    }
+
+    /// Programs a double word: zeros are written, ones leave a bit as it is. `complete`: how
+    /// much of the programming time was granted, 1 for all; less leaves the word torn.
+    pub fn program(&mut self, offset: usize, data: u64, complete: f64) {
+        let before = self.double_word(offset);
+        let mut bits = Bits::seeded(offset as u64 ^ data);
+        let unreached = if complete >= 1.0 { 0 } else { bits.with_density(1.0 - complete) };
+        let after = before & (data | unreached);
+        self.bytes[offset..offset + DOUBLE_WORD_BYTES].copy_from_slice(&after.to_le_bytes());
+        if complete < 1.0 {
+            self.torn.insert(offset);
+        } else {
+            self.torn.remove(&offset);
+        }
+    }
+
+    /// Erases `length` bytes from `offset` on. `complete` as in [`FlashArray::program`]: cells
+    /// cut short read as a mixture of old and erased bits.
+    pub fn erase(&mut self, offset: usize, length: usize, complete: f64) {
+        if complete >= 1.0 {
+            self.bytes[offset..offset + length].fill(0xFF);
+            self.torn.retain(|torn| !(offset..offset + length).contains(torn));
+            return;
+        }
+        for at in (offset..offset + length).step_by(DOUBLE_WORD_BYTES) {
+            let after = self.double_word(at) | Bits::seeded(at as u64).with_density(complete);
+            self.bytes[at..at + DOUBLE_WORD_BYTES].copy_from_slice(&after.to_le_bytes());
+            self.torn.insert(at);
+        }
+    }
+}
+
+/// Reproducible random bits (xorshift; Marsaglia, 2003, "Xorshift RNGs", triple 13, 7, 17), to
+/// decide which cells a cut operation has reached, and what RAM holds after power-on.
+pub(crate) struct Bits(u64);
+
+impl Bits {
+    pub(crate) fn seeded(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
+    }
+
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    /// 64 bits of which a fraction `density` is set on average.
+    fn with_density(&mut self, density: f64) -> u64 {
+        let threshold = (density.clamp(0.0, 1.0) * 65_536.0) as u64;
+        (0..64).fold(0, |word, bit| word | u64::from(self.next() >> 32 & 0xFFFF < threshold) << bit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn programming_only_clears_bits() {
+        let mut flash = FlashArray::erased();
+        flash.program(64, 0x00FF, 1.0);
+        assert_eq!(flash.double_word(64), 0x00FF);
+        flash.program(64, 0, 1.0);
+        assert_eq!(flash.double_word(64), 0);
+        assert!(!flash.has_torn());
+    }
+
+    #[test]
+    fn cut_operations_leave_torn_mixtures() {
+        let mut flash = FlashArray::erased();
+        flash.program(8, 0, 0.5);
+        let word = flash.double_word(8);
+        assert!(flash.is_torn(12) && !flash.is_torn(16));
+        assert!(word != 0 && word != u64::MAX, "{word:#x}");
+        flash.erase(0, PAGE_BYTES, 0.5);
+        assert!(flash.is_torn(0) && flash.is_torn(PAGE_BYTES - 8) && !flash.is_torn(PAGE_BYTES));
+        flash.erase(0, PAGE_BYTES, 1.0);
+        assert!(!flash.has_torn());
+        assert_eq!(flash.double_word(8), u64::MAX);
+    }
+
+    #[test]
+    fn system_memory_holds_the_factory_constants() {
+        assert_eq!([0, 4, 8].map(|offset| system_word(UNIQUE_ID_ADDRESS + offset)), UNIQUE_ID);
+        assert_eq!(system_word(FLASH_SIZE_ADDRESS) & 0xFFFF, 512);
+        assert_eq!(system_word(0x1FFF_75A8), u32::from(VREFINT_CAL) << 16 | u32::from(TS_CAL1));
+        assert_eq!(system_word(0x1FFF_75C8) >> 16, u32::from(TS_CAL2));
+    }
+}

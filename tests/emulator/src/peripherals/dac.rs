@@ -1,0 +1,144 @@
+//! Digital-to-analog converters, without trigger, wave and sample-and-hold modes (RM0440,
+//! "Digital-to-analog converter").
+//!
+//! A code written to a holding register is at the output in the same tick; the hardware takes
+//! up to three bus cycles, and the analog stage about a microsecond, which belongs to the optics.
+
+use super::Effects;
+
+const CR: u32 = 0x00;
+const DHR12R1: u32 = 0x08;
+const DHR12L1: u32 = 0x0C;
+const DHR8R1: u32 = 0x10;
+const DHR12R2: u32 = 0x14;
+const DHR12L2: u32 = 0x18;
+const DHR8R2: u32 = 0x1C;
+const DHR12RD: u32 = 0x20;
+const DOR1: u32 = 0x2C;
+const DOR2: u32 = 0x30;
+const SR: u32 = 0x34;
+const CCR: u32 = 0x38;
+const MCR: u32 = 0x3C;
+
+const CR_EN: [u32; 2] = [1, 1 << 16];
+const CR_MODELLED: u32 = 1 | 1 << 16;
+/// DAC channel ready flags.
+const SR_RDY: [u32; 2] = [1 << 11, 1 << 27];
+/// MODE of a channel other than "external pin with buffer", and bits of sample-and-hold.
+const MCR_MODES: u32 = 0x0007_0007;
+/// High-frequency interface mode selection.
+const MCR_HFSEL: u32 = 0b11 << 14;
+
+/// One converter of two channels.
+#[derive(Debug, Default)]
+pub struct Dac {
+    cr: u32,
+    ccr: u32,
+    mcr: u32,
+    codes: [u16; 2],
+}
+
+impl Dac {
+    /// State after power-on.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// State after reset.
+    pub fn reset(&mut self) {
+        *self = Self::new();
+    }
+
+    /// Value of a register.
+    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+        match offset {
+            CR => self.cr,
+            DHR12R1 | DOR1 => u32::from(self.codes[0]),
+            DHR12R2 | DOR2 => u32::from(self.codes[1]),
+            SR => (0..2).filter(|&channel| self.enabled(channel)).map(|channel| SR_RDY[channel]).sum(),
+            CCR => self.ccr,
+            MCR => self.mcr,
+            _ => {
+                effects.unmodelled();
+                0
+            }
+        }
+    }
+
+    /// Writes a register.
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        match offset {
+            DHR12R1 => self.set(0, value),
+            DHR12L1 => self.set(0, value >> 4),
+            DHR8R1 => self.set(0, (value & 0xFF) << 4),
+            DHR12R2 => self.set(1, value),
+            DHR12L2 => self.set(1, value >> 4),
+            DHR8R2 => self.set(1, (value & 0xFF) << 4),
+            DHR12RD => {
+                self.set(0, value);
+                self.set(1, value >> 16);
+            }
+            CR => {
+                if value & !CR_MODELLED != 0 {
+                    effects.unmodelled();
+                }
+                self.cr = value & CR_MODELLED;
+            }
+            CCR => self.ccr = value,
+            MCR => self.write_mcr(value, effects),
+            SR => {}
+            _ => effects.unmodelled(),
+        }
+    }
+
+    /// 12-bit code at the output of channel 1; 0 while it is off.
+    #[inline]
+    pub fn output(&self) -> u16 {
+        if self.enabled(0) { self.codes[0] } else { 0 }
+    }
+
+    fn enabled(&self, channel: usize) -> bool {
+        self.cr & CR_EN[channel] != 0
+    }
+
+    fn set(&mut self, channel: usize, value: u32) {
+        self.codes[channel] = (value & 0xFFF) as u16;
+    }
+
+    fn write_mcr(&mut self, value: u32, effects: &mut Effects) {
+        for channel in 0..2 {
+            if self.enabled(channel) && (value ^ self.mcr) & (7 << (16 * channel)) != 0 {
+                effects.violation(value, "DAC_MCR.MODE is written only while ENx = 0");
+            }
+        }
+        if value & (MCR_MODES | !(MCR_MODES | MCR_HFSEL)) != 0 {
+            effects.unmodelled();
+        }
+        self.mcr = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn code_is_out_only_while_enabled() {
+        let (mut dac, mut effects) = (Dac::new(), Effects::default());
+        dac.write(DHR12R1, 0x1ABC, &mut effects);
+        assert_eq!(dac.output(), 0);
+        dac.write(CR, 1, &mut effects);
+        assert_eq!(dac.output(), 0xABC);
+        assert_eq!(dac.read(SR, &mut effects), SR_RDY[0]);
+    }
+
+    #[test]
+    fn mode_is_fixed_while_enabled() {
+        let (mut dac, mut effects) = (Dac::new(), Effects::default());
+        dac.write(MCR, MCR_HFSEL, &mut effects);
+        dac.write(CR, 1, &mut effects);
+        assert_eq!(effects.violation_count(), 0);
+        dac.write(MCR, MCR_HFSEL | 2, &mut effects);
+        assert_eq!(effects.violation_count(), 1);
+    }
+}

@@ -1,0 +1,450 @@
+//! DMA1 and DMA2 with the request multiplexer before them (RM0440, "Direct memory access
+//! controller" and "DMA request multiplexer").
+//!
+//! A request is served in the tick in which it arises; where several wait, by priority level,
+//! then DMA1 before DMA2, then by channel number. The hardware takes about five bus cycles for
+//! each transfer. Memory-to-memory transfers, synchronisation and request generators are not
+//! modelled. The data move through the board, which owns the bus.
+
+use super::{Effects, Request, interrupt};
+
+/// Channels of both controllers: DMA1 has 0 to 7, DMA2 has 8 to 15. DMAMUX counts the same way.
+pub const CHANNELS: usize = 16;
+
+const ISR: u32 = 0x00;
+const IFCR: u32 = 0x04;
+const FIRST_CHANNEL: u32 = 0x08;
+const CHANNEL_SPAN: u32 = 20;
+/// Registers of a channel.
+const CCR: u32 = 0;
+const CNDTR: u32 = 4;
+const CPAR: u32 = 8;
+const CMAR: u32 = 12;
+
+const MUX_LAST_CHANNEL: u32 = 0x3C;
+const MUX_CSR: u32 = 0x80;
+const MUX_CFR: u32 = 0x84;
+const MUX_RGSR: u32 = 0x140;
+const MUX_RGCFR: u32 = 0x144;
+const MUX_REQUEST: u32 = 0x7F;
+
+const EN: u32 = 1;
+const TCIE: u32 = 1 << 1;
+const HTIE: u32 = 1 << 2;
+const TEIE: u32 = 1 << 3;
+const DIR: u32 = 1 << 4;
+const CIRC: u32 = 1 << 5;
+const PINC: u32 = 1 << 6;
+const MINC: u32 = 1 << 7;
+const MEM2MEM: u32 = 1 << 14;
+
+const GIF: u32 = 1;
+const TCIF: u32 = 1 << 1;
+const HTIF: u32 = 1 << 2;
+const TEIF: u32 = 1 << 3;
+
+/// Width of one side of a transfer, in bytes: 1, 2 or 4.
+pub type Width = u32;
+
+/// One data item to move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transfer {
+    /// Where it is read.
+    pub source: u32,
+    /// How wide it is read.
+    pub source_width: Width,
+    /// Where it is written.
+    pub destination: u32,
+    /// How wide it is written: the value is cut or extended with zeros.
+    pub destination_width: Width,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Channel {
+    ccr: u32,
+    cndtr: u32,
+    cpar: u32,
+    cmar: u32,
+    /// Flags GIF, TCIF, HTIF, TEIF.
+    flags: u32,
+    /// CNDTR as it was when the channel was enabled.
+    total: u32,
+    /// Items moved since the channel was enabled or has wrapped.
+    moved: u32,
+    /// DMAMUX_CxCR.
+    mux: u32,
+    fail_next: bool,
+}
+
+impl Channel {
+    fn enabled(&self) -> bool {
+        self.ccr & EN != 0
+    }
+
+    /// The request that this channel would serve now; 0: none.
+    fn listens_to(&self) -> u8 {
+        if self.enabled() && self.cndtr != 0 { (self.mux & MUX_REQUEST) as u8 } else { 0 }
+    }
+
+    fn priority(&self) -> u32 {
+        self.ccr >> 12 & 3
+    }
+
+    fn interrupt(&self) -> bool {
+        self.flags & self.ccr & (TCIE | HTIE | TEIE) != 0
+    }
+
+    fn transfer(&self) -> Transfer {
+        let peripheral_width = 1 << (self.ccr >> 8 & 3).min(2);
+        let memory_width = 1 << (self.ccr >> 10 & 3).min(2);
+        let step = |increment: u32, width: Width| if self.ccr & increment != 0 { self.moved * width } else { 0 };
+        let peripheral = self.cpar.wrapping_add(step(PINC, peripheral_width));
+        let memory = self.cmar.wrapping_add(step(MINC, memory_width));
+        if self.ccr & DIR != 0 {
+            Transfer {
+                source: memory,
+                source_width: memory_width,
+                destination: peripheral,
+                destination_width: peripheral_width,
+            }
+        } else {
+            Transfer {
+                source: peripheral,
+                source_width: peripheral_width,
+                destination: memory,
+                destination_width: memory_width,
+            }
+        }
+    }
+}
+
+/// Both controllers and the multiplexer.
+#[derive(Debug, Default)]
+pub struct Dma {
+    channels: [Channel; CHANNELS],
+    /// Requests that an enabled channel waits for, bit n for request n.
+    wanted: u128,
+}
+
+impl Dma {
+    /// State after power-on.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Resets controller 0 (DMA1) or 1 (DMA2); the multiplexer has a reset of its own.
+    pub fn reset_controller(&mut self, controller: usize, effects: &mut Effects) {
+        for index in 8 * controller..8 * controller + 8 {
+            self.channels[index] = Channel { mux: self.channels[index].mux, ..Channel::default() };
+            self.update_line(index, effects);
+        }
+        self.find_wanted();
+    }
+
+    /// Resets the multiplexer.
+    pub fn reset_multiplexer(&mut self) {
+        for channel in &mut self.channels {
+            channel.mux = 0;
+        }
+        self.find_wanted();
+    }
+
+    /// Value of a register of controller 0 or 1.
+    pub fn read(&mut self, controller: usize, offset: u32, effects: &mut Effects) -> u32 {
+        let first = 8 * controller;
+        match offset {
+            ISR => (0..8).map(|index| self.channels[first + index].flags << (4 * index)).sum(),
+            IFCR => 0,
+            _ => match channel_register(offset) {
+                Some((index, register)) => {
+                    let channel = &self.channels[first + index];
+                    match register {
+                        CCR => channel.ccr,
+                        CNDTR => channel.cndtr,
+                        CPAR => channel.cpar,
+                        _ => channel.cmar,
+                    }
+                }
+                None => {
+                    effects.unmodelled();
+                    0
+                }
+            },
+        }
+    }
+
+    /// Writes a register of controller 0 or 1.
+    pub fn write(&mut self, controller: usize, offset: u32, value: u32, effects: &mut Effects) {
+        let first = 8 * controller;
+        match offset {
+            IFCR => {
+                for index in 0..8 {
+                    self.clear_flags(first + index, value >> (4 * index) & 0xF, effects);
+                }
+            }
+            ISR => effects.violation(value, "DMA_ISR is read-only"),
+            _ => match channel_register(offset) {
+                Some((index, register)) => self.write_channel(first + index, register, value, effects),
+                None => effects.unmodelled(),
+            },
+        }
+    }
+
+    /// Value of a multiplexer register.
+    pub fn read_multiplexer(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+        match offset {
+            0..=MUX_LAST_CHANNEL => self.channels[(offset / 4) as usize].mux,
+            MUX_CSR | MUX_CFR | MUX_RGSR | MUX_RGCFR => 0,
+            _ => {
+                effects.unmodelled();
+                0
+            }
+        }
+    }
+
+    /// Writes a multiplexer register.
+    pub fn write_multiplexer(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        match offset {
+            0..=MUX_LAST_CHANNEL => {
+                let channel = &mut self.channels[(offset / 4) as usize];
+                if channel.enabled() && channel.mux != value {
+                    effects.violation(value, "DMAMUX_CxCR is written only while its DMA channel is disabled");
+                }
+                if value & !MUX_REQUEST != 0 {
+                    effects.unmodelled();
+                }
+                channel.mux = value & MUX_REQUEST;
+                self.find_wanted();
+                self.watch_sharing(value, effects);
+            }
+            MUX_CFR | MUX_RGCFR => {}
+            _ => effects.unmodelled(),
+        }
+    }
+
+    /// Requests that some channel waits for, bit n for request n.
+    #[inline]
+    pub fn wanted(&self) -> u128 {
+        self.wanted
+    }
+
+    /// The channel to serve next among the waiting requests `ready` (all of them wanted).
+    pub fn select(&self, ready: u128) -> Option<(usize, Request)> {
+        let serves = |channel: &Channel| {
+            let request = channel.listens_to();
+            request != 0 && ready >> request & 1 != 0
+        };
+        let candidates = self.channels.iter().enumerate().filter(|(_, channel)| serves(channel));
+        let best = candidates.min_by_key(|(index, channel)| (3 - channel.priority(), *index));
+        best.map(|(index, channel)| (index, Request(channel.listens_to())))
+    }
+
+    /// What `channel` moves next; an error if a fault was injected.
+    pub fn transfer(&mut self, channel: usize) -> Option<Transfer> {
+        let channel = &mut self.channels[channel];
+        if std::mem::take(&mut channel.fail_next) { None } else { Some(channel.transfer()) }
+    }
+
+    /// Accounts for a transfer that was made (`true`) or refused by the bus (`false`).
+    pub fn finish(&mut self, index: usize, moved: bool, effects: &mut Effects) {
+        let channel = &mut self.channels[index];
+        if !moved {
+            // RM0440, "DMA error management": the channel is disabled by hardware.
+            channel.flags |= TEIF | GIF;
+            channel.ccr &= !EN;
+            self.find_wanted();
+            self.update_line(index, effects);
+            return;
+        }
+        channel.moved += 1;
+        channel.cndtr -= 1;
+        if channel.cndtr == channel.total / 2 {
+            channel.flags |= HTIF | GIF;
+        }
+        if channel.cndtr == 0 {
+            channel.flags |= TCIF | GIF;
+            if channel.ccr & CIRC != 0 {
+                channel.cndtr = channel.total;
+                channel.moved = 0;
+            } else {
+                self.find_wanted();
+            }
+        }
+        self.update_line(index, effects);
+    }
+
+    /// Fault injection: the next transfer of `channel` (0 to 15) meets a bus error.
+    pub fn fail_next(&mut self, channel: usize) {
+        self.channels[channel].fail_next = true;
+    }
+
+    fn write_channel(&mut self, index: usize, register: u32, value: u32, effects: &mut Effects) {
+        let channel = &mut self.channels[index];
+        let before = match register {
+            CCR => channel.ccr,
+            CNDTR => channel.cndtr,
+            CPAR => channel.cpar,
+            _ => channel.cmar,
+        };
+        if channel.enabled() && value != before && !(register == CCR && value & EN == 0) {
+            effects.violation(value, "registers of a DMA channel are written only while EN = 0");
+        }
+        match register {
+            CCR => self.write_ccr(index, value, effects),
+            CNDTR => channel.cndtr = value & 0xFFFF,
+            CPAR => channel.cpar = value,
+            _ => channel.cmar = value,
+        }
+        self.find_wanted();
+        self.update_line(index, effects);
+    }
+
+    fn write_ccr(&mut self, index: usize, value: u32, effects: &mut Effects) {
+        let channel = &mut self.channels[index];
+        if value & EN != 0 && !channel.enabled() {
+            if value & MEM2MEM != 0 {
+                effects.unmodelled();
+            }
+            if channel.flags & TEIF != 0 {
+                effects.violation(value, "a DMA channel is enabled again only after TEIF is cleared");
+            }
+            channel.total = channel.cndtr;
+            channel.moved = 0;
+        }
+        channel.ccr = value & 0x7FFF;
+        self.find_wanted();
+        self.watch_sharing(value, effects);
+    }
+
+    fn clear_flags(&mut self, index: usize, clear: u32, effects: &mut Effects) {
+        if clear == 0 {
+            return;
+        }
+        let flags = &mut self.channels[index].flags;
+        *flags &= if clear & GIF != 0 { 0 } else { !clear };
+        if *flags & (TCIF | HTIF | TEIF) == 0 {
+            *flags = 0;
+        }
+        self.update_line(index, effects);
+    }
+
+    fn find_wanted(&mut self) {
+        self.wanted = self.channels.iter().fold(0, |wanted, channel| wanted | 1 << channel.listens_to()) & !1;
+    }
+
+    /// RM0440, "DMAMUX channels": a request may be selected by one channel only.
+    fn watch_sharing(&self, value: u32, effects: &mut Effects) {
+        let listening = self.channels.iter().filter(|channel| channel.listens_to() != 0).count();
+        if listening != self.wanted.count_ones() as usize {
+            effects.violation(value, "a DMA request is selected by one channel only");
+        }
+    }
+
+    fn update_line(&self, index: usize, effects: &mut Effects) {
+        let line = match index {
+            0..=6 => interrupt::DMA1_CHANNEL1 + index as u8,
+            7 => interrupt::DMA1_CHANNEL8,
+            8..=12 => interrupt::DMA2_CHANNEL1 + (index - 8) as u8,
+            _ => interrupt::DMA2_CHANNEL6 + (index - 13) as u8,
+        };
+        effects.set_line(line, self.channels[index].interrupt());
+    }
+}
+
+/// (channel 0 to 7, register) at `offset`.
+fn channel_register(offset: u32) -> Option<(usize, u32)> {
+    let from_first = offset.checked_sub(FIRST_CHANNEL)?;
+    let (index, register) = (from_first / CHANNEL_SPAN, from_first % CHANNEL_SPAN);
+    (index < 8 && register <= CMAR).then_some((index as usize, register))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
+
+    /// DMA1 channel 3 on request 5: 4 halfwords from 0x5000_0040 to 0x2000_0000.
+    fn ring(flags: u32) -> (Dma, Effects) {
+        let (mut dma, mut effects) = (Dma::new(), Effects::default());
+        dma.write_multiplexer(8, 5, &mut effects);
+        dma.write(0, CH3 + CNDTR, 4, &mut effects);
+        dma.write(0, CH3 + CPAR, 0x5000_0040, &mut effects);
+        dma.write(0, CH3 + CMAR, 0x2000_0000, &mut effects);
+        dma.write(0, CH3 + CCR, 1 << 8 | 1 << 10 | MINC | EN | flags, &mut effects);
+        (dma, effects)
+    }
+
+    fn serve(dma: &mut Dma, effects: &mut Effects) -> Transfer {
+        let (channel, request) = dma.select(1 << 5).expect("the channel listens");
+        assert_eq!((channel, request), (2, Request::ADC1));
+        let transfer = dma.transfer(channel).expect("no fault injected");
+        dma.finish(channel, true, effects);
+        transfer
+    }
+
+    #[test]
+    fn circular_ring_sets_half_and_full_flags_and_wraps() {
+        let (mut dma, mut effects) = ring(CIRC | HTIE);
+        let mut seen = Vec::new();
+        for _ in 0..5 {
+            let destination = serve(&mut dma, &mut effects).destination;
+            let (isr, line) = (dma.read(0, ISR, &mut effects), effects.lines()[0]);
+            seen.push((destination & 0xF, isr >> 8, line >> 13));
+            dma.write(0, IFCR, 0xF00, &mut effects);
+        }
+        let half = HTIF | GIF;
+        assert_eq!(seen, [(0, 0, 0), (2, half, 1), (4, 0, 0), (6, TCIF | GIF, 0), (0, 0, 0)]);
+        assert_eq!(dma.read(0, CH3 + CNDTR, &mut effects), 3);
+    }
+
+    #[test]
+    fn normal_channel_stops_at_the_end() {
+        let (mut dma, mut effects) = ring(TCIE);
+        for _ in 0..4 {
+            serve(&mut dma, &mut effects);
+        }
+        assert_eq!(dma.wanted(), 0);
+        assert_eq!(dma.select(1 << 5), None);
+        assert_eq!(effects.lines()[0], 1 << 13);
+        dma.write(0, IFCR, TCIF << 8, &mut effects);
+        assert_eq!((effects.lines()[0], dma.read(0, ISR, &mut effects)), (0, HTIF << 8 | GIF << 8));
+    }
+
+    #[test]
+    fn a_refused_transfer_disables_the_channel() {
+        let (mut dma, mut effects) = ring(CIRC | TEIE);
+        dma.fail_next(2);
+        assert_eq!(dma.transfer(2), None);
+        dma.finish(2, false, &mut effects);
+        assert_eq!(dma.read(0, ISR, &mut effects), (TEIF | GIF) << 8);
+        assert_eq!(dma.read(0, CH3 + CCR, &mut effects) & EN, 0);
+        assert_eq!((effects.lines()[0], dma.wanted()), (1 << 13, 0));
+    }
+
+    #[test]
+    fn priority_then_number_decides() {
+        let (mut dma, mut effects) = ring(CIRC);
+        dma.write_multiplexer(0, 36, &mut effects);
+        dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
+        dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
+        assert_eq!(dma.select(1 << 5 | 1 << 36), Some((0, Request::ADC2)));
+        dma.write(0, CH3 + CCR, 0, &mut effects);
+        dma.write(0, CH3 + CCR, EN | 2 << 12, &mut effects);
+        assert_eq!(dma.select(1 << 5 | 1 << 36), Some((2, Request::ADC1)));
+    }
+
+    #[test]
+    fn write_rules_are_watched() {
+        let (mut dma, mut effects) = ring(CIRC);
+        dma.write(0, CH3 + CMAR, 0x2000_0000, &mut effects);
+        assert_eq!(effects.violation_count(), 0, "nothing was changed");
+        dma.write(0, CH3 + CMAR, 0x2000_0010, &mut effects);
+        dma.write_multiplexer(8, 36, &mut effects);
+        assert_eq!(effects.violation_count(), 2);
+        dma.write_multiplexer(0, 36, &mut effects);
+        dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
+        dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
+        assert_eq!(effects.violation_count(), 3, "two channels share a request");
+    }
+}

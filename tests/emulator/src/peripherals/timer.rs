@@ -1,0 +1,605 @@
+//! General-purpose timers TIM2 to TIM5 (RM0440, "General-purpose timers").
+//!
+//! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
+//! preload, update and compare flags, interrupts and DMA requests, the reference signals
+//! OC1REF–OC4REF and the trigger output TRGO. Not modelled: capture, other counting modes,
+//! slave modes, one-pulse mode, dithering, and the output pins.
+//!
+//! The counter is not stepped. It follows from the tick at which it was zero:
+//! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
+//! or overflow, so flags, requests and triggers come at their exact ticks.
+
+use super::{Edge, Effects, Request, Ticks, Trigger, interrupt};
+
+const CR1: u32 = 0x00;
+const CR2: u32 = 0x04;
+const SMCR: u32 = 0x08;
+const DIER: u32 = 0x0C;
+const SR: u32 = 0x10;
+const EGR: u32 = 0x14;
+const CCMR1: u32 = 0x18;
+const CCMR2: u32 = 0x1C;
+const CCER: u32 = 0x20;
+const CNT: u32 = 0x24;
+const PSC: u32 = 0x28;
+const ARR: u32 = 0x2C;
+const CCR1: u32 = 0x34;
+const CCR4: u32 = 0x40;
+
+const CR1_CEN: u32 = 1;
+const CR1_UDIS: u32 = 1 << 1;
+const CR1_URS: u32 = 1 << 2;
+const CR1_ARPE: u32 = 1 << 7;
+const CR1_UIFREMAP: u32 = 1 << 11;
+const CR1_MODELLED: u32 = CR1_CEN | CR1_UDIS | CR1_URS | CR1_ARPE | CR1_UIFREMAP;
+const CR2_CCDS: u32 = 1 << 3;
+const CR2_MMS: u32 = 0b111 << 4;
+const UIF: u32 = 1;
+const UDE: u32 = 1 << 8;
+/// UIF and CC1IF to CC4IF.
+const FLAGS: u32 = 0x1F;
+/// Enable bits of the five interrupts and five DMA requests.
+const DIER_MODELLED: u32 = FLAGS | FLAGS << 8;
+const EGR_MODELLED: u32 = FLAGS;
+
+/// Where a timer is connected.
+#[derive(Clone, Copy, Debug)]
+struct Wiring {
+    interrupt: u8,
+    /// DMA request of compare channel 1; channels 2 to 4 and the update follow.
+    first_request: Request,
+    trigger: Trigger,
+    /// Largest count: 16 or 32 bits.
+    maximum: u32,
+}
+
+/// One general-purpose timer.
+#[derive(Debug)]
+pub struct Timer {
+    wiring: Wiring,
+    cr1: u32,
+    cr2: u32,
+    dier: u32,
+    sr: u32,
+    ccmr: [u32; 2],
+    ccer: u32,
+    psc: u32,
+    psc_active: u32,
+    arr: u32,
+    arr_active: u32,
+    ccr: [u32; 4],
+    ccr_active: [u32; 4],
+    /// OC1REF to OC4REF.
+    reference: [bool; 4],
+    /// Tick at which the running counter was zero (modulo 2⁶⁴).
+    zero_at: Ticks,
+    /// The counter while it stands.
+    held: u32,
+    /// Compare matches up to this count of the present period are done.
+    done: u32,
+    /// Last count of the present period: ARR, or the maximum if ARR was passed already.
+    top: u32,
+    /// Tick at which the counter, never wrapping, would have been zero.
+    origin: Option<Ticks>,
+    next: Ticks,
+}
+
+impl Timer {
+    /// TIM2: 32 bits.
+    pub fn tim2() -> Self {
+        Self::new(Wiring {
+            interrupt: interrupt::TIM2,
+            first_request: Request::TIM2_CH1,
+            trigger: Trigger::Tim2,
+            maximum: u32::MAX,
+        })
+    }
+
+    /// TIM3: 16 bits.
+    pub fn tim3() -> Self {
+        Self::new(Wiring {
+            interrupt: interrupt::TIM3,
+            first_request: Request::TIM3_CH1,
+            trigger: Trigger::Tim3,
+            maximum: 0xFFFF,
+        })
+    }
+
+    /// TIM4: 16 bits.
+    pub fn tim4() -> Self {
+        Self::new(Wiring {
+            interrupt: interrupt::TIM4,
+            first_request: Request::TIM4_CH1,
+            trigger: Trigger::Tim4,
+            maximum: 0xFFFF,
+        })
+    }
+
+    /// TIM5: 32 bits.
+    pub fn tim5() -> Self {
+        Self::new(Wiring {
+            interrupt: interrupt::TIM5,
+            first_request: Request::TIM5_CH1,
+            trigger: Trigger::Tim5,
+            maximum: u32::MAX,
+        })
+    }
+
+    fn new(wiring: Wiring) -> Self {
+        Self {
+            wiring,
+            cr1: 0,
+            cr2: 0,
+            dier: 0,
+            sr: 0,
+            ccmr: [0; 2],
+            ccer: 0,
+            psc: 0,
+            psc_active: 0,
+            arr: wiring.maximum,
+            arr_active: wiring.maximum,
+            ccr: [0; 4],
+            ccr_active: [0; 4],
+            reference: [false; 4],
+            zero_at: 0,
+            held: 0,
+            done: 0,
+            top: wiring.maximum,
+            origin: None,
+            next: Ticks::MAX,
+        }
+    }
+
+    /// State after reset.
+    pub fn reset(&mut self, effects: &mut Effects) {
+        self.withdraw(self.dier, effects);
+        *self = Self::new(self.wiring);
+        self.update_line(effects);
+    }
+
+    /// Value of a register.
+    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+        match offset {
+            CR1 => self.cr1,
+            CR2 => self.cr2,
+            DIER => self.dier,
+            SR => self.sr,
+            CCMR1 => self.ccmr[0],
+            CCMR2 => self.ccmr[1],
+            CCER => self.ccer,
+            CNT => self.count(effects.now()) | self.remapped_flag(),
+            PSC => self.psc,
+            ARR => self.arr,
+            CCR1..=CCR4 => self.ccr[channel_of(offset)],
+            SMCR | EGR => 0,
+            _ => {
+                effects.unmodelled();
+                0
+            }
+        }
+    }
+
+    /// Writes a register.
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        self.done = self.count(effects.now());
+        match offset {
+            CR1 => self.write_cr1(value, effects),
+            CR2 => {
+                note_unmodelled(value & !(CR2_CCDS | CR2_MMS), effects);
+                self.cr2 = value & (CR2_CCDS | CR2_MMS);
+            }
+            DIER => self.write_dier(value, effects),
+            SR => self.sr &= value,
+            EGR => self.generate(value, effects),
+            CCMR1 | CCMR2 => self.write_ccmr(usize::from(offset == CCMR2), value, effects),
+            CCER => self.ccer = value,
+            CNT => self.preset(value & self.wiring.maximum, effects),
+            PSC => self.psc = value & 0xFFFF,
+            ARR => self.write_arr(value & self.wiring.maximum),
+            CCR1..=CCR4 => self.write_ccr(channel_of(offset), value & self.wiring.maximum, effects),
+            _ => note_unmodelled(value, effects),
+        }
+        self.update_line(effects);
+        self.schedule();
+    }
+
+    /// Tick of the next match or overflow.
+    #[inline]
+    pub fn next_event(&self) -> Ticks {
+        self.next
+    }
+
+    /// Does what is due now.
+    pub fn advance(&mut self, effects: &mut Effects) {
+        let elapsed = effects.now().wrapping_sub(self.zero_at) / self.period();
+        let reached = elapsed.min(u64::from(self.top)) as u32;
+        let before = std::mem::replace(&mut self.done, reached);
+        for channel in 0..4 {
+            let compare = self.ccr_active[channel];
+            if before < compare && compare <= reached {
+                self.compare_match(channel, effects);
+            }
+        }
+        if elapsed > u64::from(self.top) {
+            self.overflow(effects);
+        }
+        self.update_line(effects);
+        self.schedule();
+    }
+
+    /// The counter at tick `now`.
+    pub fn count(&self, now: Ticks) -> u32 {
+        if self.running() { (now.wrapping_sub(self.zero_at) / self.period()) as u32 } else { self.held }
+    }
+
+    /// Sets the counter, as a write to CNT does. A running device clock can so be brought
+    /// close to its wrap.
+    pub fn preset(&mut self, count: u32, effects: &Effects) {
+        self.restart(count, effects.now());
+        self.schedule();
+    }
+
+    /// Tick at which the running counter was zero for the first time, counted back from where
+    /// it was started or preset (modulo 2⁶⁴); `None` while it stands.
+    pub fn origin(&self) -> Option<Ticks> {
+        self.origin
+    }
+
+    fn running(&self) -> bool {
+        self.cr1 & CR1_CEN != 0
+    }
+
+    /// Ticks per count.
+    fn period(&self) -> u64 {
+        u64::from(self.psc_active) + 1
+    }
+
+    fn remapped_flag(&self) -> u32 {
+        if self.cr1 & CR1_UIFREMAP != 0 { (self.sr & UIF) << 31 } else { 0 }
+    }
+
+    /// Lets the counter go on from `count`.
+    fn restart(&mut self, count: u32, now: Ticks) {
+        self.held = count;
+        self.zero_at = now.wrapping_sub(u64::from(count) * self.period());
+        self.origin = self.running().then_some(self.zero_at);
+        self.done = count;
+        self.find_top(count);
+    }
+
+    /// A counter beyond ARR does not meet it any more: it runs to its maximum.
+    fn find_top(&mut self, count: u32) {
+        self.top = if count > self.arr_active { self.wiring.maximum } else { self.arr_active };
+    }
+
+    fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
+        note_unmodelled(value & !CR1_MODELLED, effects);
+        let (was_running, count) = (self.running(), self.done);
+        self.cr1 = value & CR1_MODELLED;
+        if self.running() != was_running {
+            self.restart(count, effects.now());
+            if self.master_mode() == 1 {
+                let edge = if was_running { Edge::Falling } else { Edge::Rising };
+                effects.trigger(self.wiring.trigger, edge);
+            }
+        }
+    }
+
+    fn write_dier(&mut self, value: u32, effects: &mut Effects) {
+        note_unmodelled(value & !DIER_MODELLED, effects);
+        self.withdraw(self.dier & !value, effects);
+        self.dier = value & DIER_MODELLED;
+    }
+
+    /// Takes back the requests whose enable bits are in `cleared`.
+    fn withdraw(&self, cleared: u32, effects: &mut Effects) {
+        for event in 0..5 {
+            if cleared & UDE << event != 0 {
+                effects.withdraw(self.request_of(event));
+            }
+        }
+    }
+
+    fn write_ccmr(&mut self, half: usize, value: u32, effects: &mut Effects) {
+        // CCxS ≠ 0 is capture, OCxCE and OCxFE need pins; OCxM bit 3 selects modes beyond PWM 2.
+        note_unmodelled(value & !0x7878, effects);
+        self.ccmr[half] = value & 0x7878;
+        for channel in [2 * half, 2 * half + 1] {
+            if !self.preloaded(channel) {
+                self.ccr_active[channel] = self.ccr[channel];
+            }
+            self.settle_reference(channel, effects);
+        }
+    }
+
+    fn write_arr(&mut self, value: u32) {
+        self.arr = value;
+        if self.cr1 & CR1_ARPE == 0 {
+            self.arr_active = value;
+            self.find_top(self.done);
+        }
+    }
+
+    fn write_ccr(&mut self, channel: usize, value: u32, effects: &mut Effects) {
+        self.ccr[channel] = value;
+        if !self.preloaded(channel) {
+            self.ccr_active[channel] = value;
+            self.settle_reference(channel, effects);
+        }
+    }
+
+    fn preloaded(&self, channel: usize) -> bool {
+        self.ccmr[channel / 2] >> (8 * (channel % 2)) & 0b1000 != 0
+    }
+
+    /// OCxM.
+    fn mode(&self, channel: usize) -> u32 {
+        self.ccmr[channel / 2] >> (8 * (channel % 2) + 4) & 0b111
+    }
+
+    fn master_mode(&self) -> u32 {
+        (self.cr2 & CR2_MMS) >> 4
+    }
+
+    /// EGR: events by software.
+    fn generate(&mut self, value: u32, effects: &mut Effects) {
+        note_unmodelled(value & !EGR_MODELLED, effects);
+        if value & UIF != 0 {
+            if self.cr1 & CR1_UDIS == 0 {
+                self.load_preloads();
+            }
+            self.restart(0, effects.now());
+            self.settle_references(effects);
+            if self.cr1 & (CR1_URS | CR1_UDIS) == 0 {
+                self.raise(0, effects);
+            }
+            if matches!(self.master_mode(), 0 | 2) {
+                self.pulse(effects);
+            }
+        }
+        for channel in 0..4 {
+            if value & 2 << channel != 0 {
+                self.raise(channel + 1, effects);
+            }
+        }
+    }
+
+    fn load_preloads(&mut self) {
+        self.psc_active = self.psc;
+        self.arr_active = self.arr;
+        self.ccr_active = self.ccr;
+    }
+
+    fn overflow(&mut self, effects: &mut Effects) {
+        let regular = self.top == self.arr_active;
+        if regular {
+            for channel in 0..4 {
+                // RM0440, "TIMx status register": CCRx > ARR matches at the overflow.
+                if self.ccr_active[channel] > self.arr_active {
+                    self.raise(channel + 1, effects);
+                }
+            }
+            self.update_event(effects);
+        }
+        self.zero_at = effects.now();
+        self.done = 0;
+        self.top = self.arr_active;
+        for channel in 0..4 {
+            if self.ccr_active[channel] == 0 {
+                self.compare_match(channel, effects);
+            }
+        }
+        self.settle_references(effects);
+    }
+
+    fn update_event(&mut self, effects: &mut Effects) {
+        if self.cr1 & CR1_UDIS != 0 {
+            return;
+        }
+        self.load_preloads();
+        self.raise(0, effects);
+        if self.cr2 & CR2_CCDS != 0 {
+            for channel in 1..5 {
+                self.request(channel, effects);
+            }
+        }
+        if self.master_mode() == 2 {
+            self.pulse(effects);
+        }
+    }
+
+    fn compare_match(&mut self, channel: usize, effects: &mut Effects) {
+        self.raise(channel + 1, effects);
+        if channel == 0 && self.master_mode() == 3 {
+            self.pulse(effects);
+        }
+        match self.mode(channel) {
+            1 => self.set_reference(channel, true, effects),
+            2 => self.set_reference(channel, false, effects),
+            3 => self.set_reference(channel, !self.reference[channel], effects),
+            _ => self.settle_reference(channel, effects),
+        }
+    }
+
+    /// Sets flag `event` (0: update, 1 to 4: compare channel) and raises its request.
+    fn raise(&mut self, event: usize, effects: &mut Effects) {
+        self.sr |= 1 << event;
+        if event == 0 || self.cr2 & CR2_CCDS == 0 {
+            self.request(event, effects);
+        }
+    }
+
+    fn request(&self, event: usize, effects: &mut Effects) {
+        if self.dier & UDE << event != 0 {
+            effects.request(self.request_of(event));
+        }
+    }
+
+    fn request_of(&self, event: usize) -> Request {
+        let first = self.wiring.first_request.0;
+        Request(if event == 0 { first + 4 } else { first + event as u8 - 1 })
+    }
+
+    fn settle_references(&mut self, effects: &mut Effects) {
+        for channel in 0..4 {
+            self.settle_reference(channel, effects);
+        }
+    }
+
+    /// Reference signal of the modes in which it follows from the count.
+    fn settle_reference(&mut self, channel: usize, effects: &mut Effects) {
+        let below = self.done < self.ccr_active[channel];
+        match self.mode(channel) {
+            4 => self.set_reference(channel, false, effects),
+            5 => self.set_reference(channel, true, effects),
+            6 => self.set_reference(channel, below, effects),
+            7 => self.set_reference(channel, !below, effects),
+            _ => {}
+        }
+    }
+
+    fn set_reference(&mut self, channel: usize, level: bool, effects: &mut Effects) {
+        if std::mem::replace(&mut self.reference[channel], level) != level
+            && self.master_mode() == 4 + channel as u32
+        {
+            effects.trigger(self.wiring.trigger, if level { Edge::Rising } else { Edge::Falling });
+        }
+    }
+
+    /// A trigger of one clock: both edges within a tick.
+    fn pulse(&self, effects: &mut Effects) {
+        effects.trigger(self.wiring.trigger, Edge::Rising);
+        effects.trigger(self.wiring.trigger, Edge::Falling);
+    }
+
+    fn update_line(&self, effects: &mut Effects) {
+        effects.set_line(self.wiring.interrupt, self.sr & self.dier & FLAGS != 0);
+    }
+
+    fn schedule(&mut self) {
+        if !self.running() {
+            self.next = Ticks::MAX;
+            return;
+        }
+        let mut count = u64::from(self.top) + 1;
+        for compare in self.ccr_active {
+            if compare > self.done && compare <= self.top {
+                count = count.min(u64::from(compare));
+            }
+        }
+        self.next = self.zero_at.wrapping_add(count * self.period());
+    }
+}
+
+fn channel_of(offset: u32) -> usize {
+    ((offset - CCR1) / 4) as usize
+}
+
+fn note_unmodelled(bits: u32, effects: &mut Effects) {
+    if bits != 0 {
+        effects.unmodelled();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs `timer` to `end` and returns the ticks at which `seen` became true.
+    fn run(timer: &mut Timer, effects: &mut Effects, end: Ticks, mut seen: impl FnMut(&mut Effects) -> bool) -> Vec<Ticks> {
+        let mut at = Vec::new();
+        while timer.next_event() <= end {
+            effects.now = timer.next_event();
+            timer.advance(effects);
+            if seen(effects) {
+                at.push(effects.now);
+            }
+        }
+        effects.now = end;
+        at
+    }
+
+    fn take(request: Request) -> impl FnMut(&mut Effects) -> bool {
+        move |effects| {
+            let pending = effects.pending_requests() >> request.0 & 1 != 0;
+            effects.withdraw(request);
+            pending
+        }
+    }
+
+    fn start(timer: &mut Timer, effects: &mut Effects, registers: &[(u32, u32)]) {
+        for &(offset, value) in registers {
+            timer.write(offset, value, effects);
+        }
+    }
+
+    #[test]
+    fn updates_come_every_period_to_the_tick() {
+        let (mut timer, mut effects) = (Timer::tim2(), Effects { now: 7, ..Effects::default() });
+        start(&mut timer, &mut effects, &[(PSC, 2), (ARR, 9), (EGR, 1), (SR, 0), (DIER, UDE), (CR1, CR1_CEN)]);
+        let at = run(&mut timer, &mut effects, 100, take(Request::TIM2_UP));
+        assert_eq!(at, [37, 67, 97]);
+        assert_eq!(timer.count(100), 1);
+        assert_eq!(timer.sr, 0x1F);
+    }
+
+    #[test]
+    fn preloaded_arr_lengthens_only_the_next_period() {
+        let (mut timer, mut effects) = (Timer::tim2(), Effects::default());
+        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN | CR1_ARPE)]);
+        start(&mut timer, &mut effects, &[(EGR, 1), (ARR, 19)]);
+        effects.withdraw(Request::TIM2_UP);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(Request::TIM2_UP)), [10, 30, 50]);
+        let (mut timer, mut effects) = (Timer::tim2(), Effects::default());
+        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, UDE), (CR1, CR1_CEN), (ARR, 19)]);
+        assert_eq!(run(&mut timer, &mut effects, 50, take(Request::TIM2_UP)), [20, 40]);
+    }
+
+    #[test]
+    fn an_arr_below_the_count_is_met_after_the_wrap_only() {
+        let (mut timer, mut effects) = (Timer::tim3(), Effects::default());
+        start(&mut timer, &mut effects, &[(DIER, UDE), (CR1, CR1_CEN)]);
+        effects.now = 100;
+        timer.write(ARR, 49, &mut effects);
+        assert_eq!(run(&mut timer, &mut effects, 65_700, take(Request::TIM3_CH1)), []);
+        assert_eq!(timer.sr & UIF, UIF);
+        assert_eq!(run(&mut timer, &mut effects, 65_750, take(Request(Request::TIM3_CH1.0 + 4))), [65_736]);
+    }
+
+    #[test]
+    fn compare_requests_and_reference_edges_come_at_the_match() {
+        let (mut timer, mut effects) = (Timer::tim2(), Effects::default());
+        // CH2: PWM mode 2, OC2REF on TRGO; CH4 requests.
+        start(&mut timer, &mut effects, &[(ARR, 99), (CCMR1, 7 << 12), (CR2, 5 << 4), (DIER, UDE << 4)]);
+        start(&mut timer, &mut effects, &[(CCR1 + 4, 30), (CCR4, 80)]);
+        effects.take_triggers();
+        start(&mut timer, &mut effects, &[(CR1, CR1_CEN)]);
+        let rising = run(&mut timer, &mut effects, 250, |effects| effects.take_triggers() & 1 != 0);
+        assert_eq!(rising, [30, 130, 230]);
+        assert_eq!(timer.sr & 0b10100, 0b10100);
+        assert_ne!(effects.pending_requests() >> (Request::TIM2_CH1.0 + 3) & 1, 0);
+        timer.write(DIER, 0, &mut effects);
+        assert_eq!(effects.pending_requests(), 0);
+    }
+
+    #[test]
+    fn interrupt_line_follows_flag_and_enable() {
+        let (mut timer, mut effects) = (Timer::tim4(), Effects::default());
+        start(&mut timer, &mut effects, &[(ARR, 9), (DIER, 1), (CR1, CR1_CEN)]);
+        run(&mut timer, &mut effects, 10, |_| false);
+        assert_eq!(effects.lines()[0], 1 << interrupt::TIM4);
+        timer.write(SR, !UIF, &mut effects);
+        assert_eq!(effects.lines()[0], 0);
+    }
+
+    #[test]
+    fn a_preset_clock_wraps_when_it_should() {
+        let (mut timer, mut effects) = (Timer::tim5(), Effects { now: 1_000, ..Effects::default() });
+        start(&mut timer, &mut effects, &[(CR1, CR1_CEN)]);
+        assert_eq!(timer.origin(), Some(1_000));
+        timer.preset(u32::MAX - 9, &effects);
+        assert_eq!(timer.next_event(), 1_010);
+        run(&mut timer, &mut effects, 1_015, |_| false);
+        assert_eq!(timer.count(1_015), 5);
+    }
+}
