@@ -2,8 +2,10 @@
 //! the optics of [`slitpose_model`].
 //!
 //! * [`scene_file`] reads what describes a sensor head;
+//! * [`device`] carries bytes to boards and back, and speaks with them;
 //! * [`front_end`] stands between counts and currents;
 //! * [`identification`] finds an emitter's profile from currents;
+//! * [`pace`] holds a stream to a multiple of device time;
 //! * [`paper`] calculates the source paper's experiments;
 //! * [`pipeline`] turns bytes into poses;
 //! * [`plot`] draws;
@@ -19,8 +21,10 @@
 #![forbid(unsafe_code)]
 
 pub mod commands;
+pub mod device;
 pub mod front_end;
 pub mod identification;
+pub mod pace;
 pub mod paper;
 pub mod pipeline;
 pub mod plot;

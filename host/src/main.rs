@@ -13,10 +13,11 @@ fn main() -> ExitCode {
         Ok(outcome) => outcome.into(),
         Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
         Err(error) => {
+            let code = error.exit_code();
             let error = anyhow::Error::new(error);
             // Nobody is left to tell if even standard error is closed.
             let _ = writeln!(std::io::stderr(), "slitpose: {error:#}");
-            ExitCode::FAILURE
+            code
         }
     }
 }

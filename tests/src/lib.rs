@@ -1,6 +1,7 @@
 //! What several whole-chain tests share.
 //!
 //! * [`process`] runs the `slitpose` command;
+//! * [`terminal`] puts boards on pseudo-terminals;
 //! * [`scenes`] writes scene files, [`poses`] draws poses, [`capture`] records a simulated board;
 //! * [`table`] and [`ndjson`] read what commands print;
 //! * [`mod@reference`] holds independent numbers;
@@ -18,3 +19,4 @@ pub mod reference;
 pub mod scenes;
 pub mod statistics;
 pub mod table;
+pub mod terminal;

@@ -2,7 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::Write;
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 
 /// The command under test. Only a test knows where cargo put it: see [`slitpose!`](crate::slitpose).
 #[derive(Clone, Copy, Debug)]
@@ -55,11 +55,7 @@ impl Slitpose {
         });
         let output = child.wait_with_output().expect("slitpose ends");
         feeder.join().expect("feeder");
-        Finished {
-            code: output.status.code().expect("ends without a signal"),
-            stdout: output.stdout,
-            stderr: String::from_utf8(output.stderr).expect("talk is UTF-8"),
-        }
+        output.into()
     }
 
     /// The command itself, its outputs captured, for tests that wire it up otherwise.
@@ -67,6 +63,18 @@ impl Slitpose {
         let mut command = Command::new(self.path);
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
+    }
+}
+
+impl From<Output> for Finished {
+    /// # Panics
+    /// If the command ended by a signal.
+    fn from(output: Output) -> Self {
+        Self {
+            code: output.status.code().expect("ends without a signal"),
+            stdout: output.stdout,
+            stderr: String::from_utf8(output.stderr).expect("talk is UTF-8"),
+        }
     }
 }
 

@@ -105,6 +105,14 @@ pub enum CommandError {
     /// A motion of the tool.
     #[error(transparent)]
     Path(#[from] PathError),
+    /// An option that means nothing to a real board.
+    #[error("{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim")]
+    OnlySimulated {
+        /// The option.
+        option: &'static str,
+        /// The device asked for.
+        device: String,
+    },
     /// A stream of scans.
     #[error(transparent)]
     Stream(StreamError),
@@ -120,6 +128,14 @@ impl CommandError {
             Self::Output(error) => error.is_broken_pipe(),
             Self::Stream(error) => error.is_broken_pipe(),
             _ => false,
+        }
+    }
+
+    /// What the program ends with.
+    pub fn exit_code(&self) -> ExitCode {
+        match self {
+            Self::OnlySimulated { .. } => ExitCode::from(2),
+            _ => ExitCode::FAILURE,
         }
     }
 }

@@ -1,13 +1,14 @@
 //! `slitpose replay`: a capture through the live path.
 
 use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
-use super::stream::{Pace, PoseOptions, Speed, Stream, StreamError, open_scene, shipped_with_hash};
+use super::stream::{PoseOptions, Stream, StreamError, open_scene, shipped_with_hash, talk};
 use super::{CommandError, Outcome};
+use crate::pace::{Pace, Speed};
 use crate::pipeline::{Pipeline, SceneMatch};
 use crate::scene_file::SceneFile;
 
@@ -40,14 +41,16 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut capture = File::open(path).map_err(open_error)?;
     let recorded_with = scene_hash(path).map_err(open_error)?;
     let (file, scene_match) = choose_scene(args.scene.as_deref(), recorded_with)?;
-    let pipeline = Pipeline::new(file, args.poses.tier(), scene_match);
+    let pipeline = Pipeline::new(file, args.poses.tier(), scene_match).until(args.poses.duration);
     let mut stream = Stream::new(pipeline, &args.poses)?;
     let pace = Pace::new(args.speed);
     let mut chunk = [0; CHUNK_BYTES];
     while !stream.is_over() {
         match capture.read(&mut chunk) {
             Ok(0) => break,
-            Ok(count) => stream.push(&chunk[..count])?,
+            Ok(count) => {
+                stream.push(&chunk[..count])?;
+            }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             Err(source) => return Err(open_error(source).into()),
         }
@@ -82,16 +85,12 @@ fn scene_hash(path: &Path) -> io::Result<Option<u64>> {
 }
 
 fn choose_scene(argument: Option<&str>, recorded_with: Option<u64>) -> Result<(SceneFile, SceneMatch), CommandError> {
-    let talk = |text: String| {
-        // Nobody is left to tell if even standard error is closed.
-        let _ = writeln!(io::stderr(), "slitpose: {text}");
-    };
     let file = match (argument, recorded_with.and_then(shipped_with_hash)) {
         (None, Some(file)) => return Ok((file, SceneMatch::Required)),
         (argument, _) => open_scene(argument)?,
     };
     match recorded_with {
-        Some(hash) if hash != file.hash && argument.is_some() => talk(format!(
+        Some(hash) if hash != file.hash && argument.is_some() => talk(format_args!(
             "the capture was made with the scene of hash {hash:016x}; solving it with `{}` ({:016x}) as asked",
             file.name, file.hash
         )),

@@ -3,27 +3,27 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use slitpose_protocol::Command;
-
-use super::stream::{Pace, PoseOptions, Speed, Stream, StreamError, ToolOptions, open_scene, request};
+use super::stream::{PoseOptions, Stream, ToolOptions, open_scene, talk};
 use super::{CommandError, Outcome};
+use crate::device::{Conversation, Device, DeviceError, Keep, SerialDevice};
 use crate::front_end;
+use crate::pace::Speed;
 use crate::pipeline::{Pipeline, SceneMatch};
-use crate::simulator::SimulatedBoard;
 use crate::table::Output;
 
-/// Device time between two waits.
-const WAIT_EVERY_S: f64 = 2e-3;
+/// The name of the simulated board.
+const SIM: &str = "sim";
 
 /// Follows the tool in front of a board.
 ///
 /// Starts the board with the schedule of the scene and prints a pose for each scan: a summary on a
 /// terminal, one JSON object a line otherwise. Simulated poses are marked and come with the truth.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  slitpose run --device sim --duration 10s\n  \
-                        slitpose run --device sim --trajectory contact --record contact.capture > poses.ndjson")]
+#[command(after_help = "Examples:\n  slitpose run --device /dev/ttyACM0 --scene head.toml\n  \
+                  slitpose run --device sim --duration 10s\n  \
+                  slitpose run --device sim --trajectory contact --record contact.capture > poses.ndjson")]
 pub(super) struct Args {
-    /// `sim`: a simulated board
+    /// Path of the board's serial port, or `sim`: a simulated board
     #[arg(long, value_name = "DEVICE")]
     device: String,
     /// Scene file, or the name of a shipped scene [default: wide]
@@ -31,70 +31,113 @@ pub(super) struct Args {
     scene: Option<String>,
     #[command(flatten)]
     poses: PoseOptions,
-    /// Keep the bytes as received in this file
+    /// Keep the bytes as received, from the accepted schedule on, in this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Device seconds a second a simulated board runs at, or max
-    #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
-    speed: Speed,
+    /// Device seconds a second a simulated board runs at, or max [default: 1]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    speed: Option<Speed>,
     #[command(flatten)]
     tool: ToolOptions,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    if args.device != "sim" {
-        return Err(StreamError::Device(args.device.clone()).into());
-    }
     let file = open_scene(args.scene.as_deref())?;
     let tier = args.poses.tier();
     let configuration = front_end::configuration(&file)?;
-    let period_s = configuration.schedule.frame_rate_hz().recip();
-    let horizon_s = args.poses.duration.unwrap_or(f64::INFINITY);
-    let trajectory = args.tool.trajectory(horizon_s.min(LONGEST_PLAN_S))?;
-    let mut board = SimulatedBoard::new(&file, trajectory, tier, args.tool.seed)?;
-    let mut record = args.record.as_deref().map(Output::file).transpose()?;
-    let mut stream = Stream::new(Pipeline::new(file, tier, SceneMatch::Required), &args.poses)?;
-
-    let frames = (horizon_s / period_s - 1e-6).ceil();
-    let frames = if frames.is_finite() { frames as u64 } else { u64::MAX };
-    let frames_between_waits = (WAIT_EVERY_S / period_s).ceil() as u64;
-    let pace = Pace::new(args.speed);
-    let mut bytes = Vec::with_capacity(1 << 12);
-    let mut pass_on = |bytes: &mut Vec<u8>, stream: &mut Stream<'_>| -> Result<(), CommandError> {
-        if let Some(record) = &mut record {
-            record.write_all(bytes).map_err(|source| record.error(source))?;
+    let device: Box<dyn Device> = if args.device == SIM {
+        let duration_s = args.poses.duration.unwrap_or(f64::INFINITY);
+        Box::new(args.tool.device(&file, tier, duration_s, args.speed.unwrap_or(Speed::Times(1.0)))?)
+    } else {
+        if let Some(option) = args.tool.given().or(args.speed.map(|_| "--speed")) {
+            return Err(CommandError::OnlySimulated { option, device: args.device.clone() });
         }
-        stream.push(bytes)?;
-        bytes.clear();
-        Ok(())
+        Box::new(SerialDevice::open(&args.device)?)
     };
+    let record = args.record.as_deref().map(Output::file).transpose()?;
+    let name = file.name.clone();
+    let pipeline = Pipeline::new(file, tier, SceneMatch::Required).until(args.poses.duration);
 
-    board.write(&request(1, Command::Configure(configuration)));
-    board.write(&request(2, Command::Start));
-    let mut follow = || -> Result<(), CommandError> {
-        for frame in 1..=frames {
-            board.step(&mut bytes);
-            if frame % frames_between_waits == 0 || frame == frames {
-                pass_on(&mut bytes, &mut stream)?;
-                stream.tick()?;
-                pace.wait(frame as f64 * period_s);
-                if stream.is_over() {
-                    break;
-                }
-            }
-        }
-        board.write(&request(3, Command::Stop));
-        board.step(&mut bytes);
-        pass_on(&mut bytes, &mut stream)
-    };
-    let followed = follow();
-    // What has been recorded is kept even if nobody reads the poses any more.
-    if let Some(record) = record {
-        record.finish()?;
+    let mut board = Conversation::open(device)?;
+    let mut greeted = None;
+    board.greet(|hello| {
+        pipeline.check(hello)?;
+        greeted.get_or_insert_with(|| hello.hashes.scene.is_some());
+        Ok::<_, CommandError>(())
+    })?;
+    if greeted == Some(false) {
+        talk(format_args!(
+            "the board on {} has no scene stored; taking `{name}` for the scene of its head: give another with --scene",
+            args.device
+        ));
     }
-    followed?;
-    Ok(stream.finish()?.0)
+    board.configure(configuration)?;
+    let stream = Stream::new(pipeline, &args.poses)?;
+    board.start()?;
+    let mut session = Session { board, stream, record };
+    let followed = session.follow();
+    session.end(followed)
 }
 
-/// A motion that plans ahead does so for an hour.
-const LONGEST_PLAN_S: f64 = 3600.0;
+/// A board that has been started, and where its poses go.
+struct Session<'a> {
+    board: Conversation,
+    stream: Stream<'a>,
+    record: Option<Output>,
+}
+
+impl Session<'_> {
+    /// Until the end asked for, an interrupt, or an error.
+    fn follow(&mut self) -> Result<(), CommandError> {
+        self.pass_on()?;
+        // A status from before the start tells nothing.
+        let idle = self.stream.board_status().map(|status| status.tick);
+        while !self.stream.is_over() && self.board.listen()? {
+            self.pass_on()?;
+            if let Some(status) = self.stream.board_status()
+                && !status.acquiring
+                && Some(status.tick) != idle
+            {
+                let reason = self.stream.complaint().unwrap_or("it gives no reason; reset the board").to_owned();
+                return Err(DeviceError::Stopped { name: self.board.name(), reason }.into());
+            }
+        }
+        Ok(())
+    }
+
+    /// Stops the board, prints what was still under way, and closes everything.
+    fn end(mut self, followed: Result<(), CommandError>) -> Result<Outcome, CommandError> {
+        let keep = if self.stream.is_complete() { Keep::Replies } else { Keep::All };
+        let stopped = match self.board.stop(keep) {
+            Err(error @ DeviceError::NoReply { .. }) => {
+                talk(format_args!("{error}; its emitters may still be lit"));
+                Ok(())
+            }
+            stopped => stopped.map_err(CommandError::from),
+        };
+        let passed_on = self.pass_on();
+        // What has been recorded is kept even if nobody reads the poses any more.
+        if let Some(record) = self.record {
+            record.finish()?;
+        }
+        match followed.and(stopped).and(passed_on) {
+            Ok(()) => Ok(self.stream.finish()?.0),
+            Err(error @ CommandError::Output(_)) => Err(error),
+            Err(error) => {
+                self.stream.finish()?;
+                Err(error)
+            }
+        }
+    }
+
+    fn pass_on(&mut self) -> Result<(), CommandError> {
+        let bytes = self.board.inbox();
+        let pushed = self.stream.push(bytes);
+        if let Some(record) = &mut self.record {
+            let taken = pushed.as_ref().map_or(bytes.len(), |taken| *taken);
+            record.write_all(&bytes[..taken]).map_err(|source| record.error(source))?;
+        }
+        pushed?;
+        Ok(self.stream.tick()?)
+    }
+}

@@ -3,13 +3,13 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use slitpose_protocol::Command;
-
 use super::options::TierOptions;
-use super::stream::{DEFAULT_TOLERANCE, ToolOptions, open_scene, parse_duration, request};
+use super::stream::{DEFAULT_TOLERANCE, ToolOptions, open_scene, parse_duration};
 use super::{CommandError, Outcome};
+use crate::device::{Conversation, DeviceError, Keep};
 use crate::front_end;
-use crate::simulator::{SimulatedBoard, Trajectory};
+use crate::pace::Speed;
+use crate::simulator::Trajectory;
 use crate::table::{Output, POSE_COLUMNS, TableWriter};
 
 /// Writes what a simulated board would send: a capture for `replay`.
@@ -43,30 +43,29 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let configuration = front_end::configuration(&file)?;
     let schedule = configuration.schedule.clone();
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
-    let trajectory = args.tool.trajectory(args.duration)?;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
-    let mut board = SimulatedBoard::new(&file, trajectory.clone(), tier, args.tool.seed)?;
+    let device = args.tool.device(&file, tier, args.duration, Speed::Max)?;
     let mut output = Output::open(Some(&args.output))?;
     let truth = args.truth.as_deref().map(Output::file).transpose()?;
 
-    let mut bytes = Vec::with_capacity(1 << 12);
-    board.write(&request(1, Command::Configure(configuration)));
-    board.write(&request(2, Command::Start));
-    for frame in 1..=frames + 1 {
-        if frame > frames {
-            board.write(&request(3, Command::Stop));
-        }
-        board.step(&mut bytes);
-        output.write_all(&bytes).map_err(|source| output.error(source))?;
-        bytes.clear();
+    let mut board = Conversation::open(Box::new(device))?;
+    board.greet(|_| Ok::<_, DeviceError>(()))?;
+    board.configure(configuration)?;
+    board.start()?;
+    let mut write = |bytes: &[u8]| output.write_all(bytes).map_err(|source| output.error(source));
+    write(board.inbox())?;
+    while board.listen()? {
+        write(board.inbox())?;
     }
+    board.stop(Keep::All)?;
+    write(board.inbox())?;
     output.finish()?;
 
     if let Some(truth) = truth {
         let instants = (0..frames).map(|frame| {
             (frame as f64 * f64::from(schedule.frame_ticks) + schedule.reference_ticks()) / f64::from(schedule.tick_hz)
         });
-        write_truth(truth, &trajectory, instants)?;
+        write_truth(truth, &args.tool.trajectory(args.duration)?, instants)?;
     }
     Ok(Outcome::Done)
 }

@@ -5,17 +5,20 @@ use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use slitpose_model::Tier;
-use slitpose_protocol::{MAX_REQUEST_BYTES, Rejection, Reply, Request, encode};
+use slitpose_protocol::{Rejection, Reply, Severity, Status};
 use thiserror::Error;
 
 use super::options::TierOptions;
 use super::{CommandError, Outcome};
+use crate::device::{DeviceError, SimulatedDevice};
+use crate::front_end;
+use crate::pace::Speed;
 use crate::pipeline::{Counts, Item, Pipeline, PipelineError};
 use crate::scene_file::{SceneFile, SceneFileError, Shipped, WIDE};
-use crate::simulator::{Trajectory, TrajectoryKind};
+use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use crate::sink::{self, Format, Sink};
 use crate::table::OutputError;
 
@@ -55,46 +58,14 @@ pub enum StreamError {
         /// Packets in it.
         packets: u64,
     },
-    /// A device that this version cannot open.
-    #[error("device `{0}` cannot be opened: this version runs simulated boards only; give --device sim")]
-    Device(String),
+    /// A board that cannot be used, or no longer.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
 }
 
 impl StreamError {
     pub(super) fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::BrokenPipe)
-    }
-}
-
-/// How fast a stream goes, relative to device time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Speed {
-    /// As fast as it can be solved.
-    Max,
-    /// This many device seconds a second.
-    Times(f64),
-}
-
-impl std::str::FromStr for Speed {
-    type Err = &'static str;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        match text {
-            "max" => Ok(Self::Max),
-            _ => match text.parse::<f64>() {
-                Ok(times) if times > 0.0 && times.is_finite() => Ok(Self::Times(times)),
-                _ => Err("give `max`, or how many device seconds pass a second, such as 1 or 0.5"),
-            },
-        }
-    }
-}
-
-impl fmt::Display for Speed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Max => f.write_str("max"),
-            Self::Times(times) => write!(f, "{times}"),
-        }
     }
 }
 
@@ -131,19 +102,47 @@ impl PoseOptions {
 #[derive(clap::Args, Debug)]
 pub(super) struct ToolOptions {
     /// still, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
-    #[arg(long, value_name = "MOTION", default_value = "smooth")]
-    trajectory: String,
-    /// Seed of motion and noise
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) seed: u64,
+    /// [default: smooth]
+    #[arg(long, value_name = "MOTION")]
+    trajectory: Option<String>,
+    /// Seed of motion and noise [default: 1]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
 }
 
+/// A motion that plans ahead for no end in sight does so for an hour.
+const ENDLESS_PLAN_S: f64 = 3600.0;
+
 impl ToolOptions {
+    /// The first option that was given, if any.
+    pub(super) fn given(&self) -> Option<&'static str> {
+        self.trajectory.as_ref().map(|_| "--trajectory").or(self.seed.map(|_| "--seed"))
+    }
+
+    /// The simulated board with the head of `file` for `duration_s`, which may be infinite.
+    pub(super) fn device(
+        &self,
+        file: &SceneFile,
+        tier: Tier,
+        duration_s: f64,
+        speed: Speed,
+    ) -> Result<SimulatedDevice, CommandError> {
+        let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
+        let trajectory = self.trajectory(duration_s)?;
+        let board = SimulatedBoard::new(file, trajectory, tier, self.seed.unwrap_or(1))?;
+        Ok(SimulatedDevice::new(board, frame_s, duration_s, speed))
+    }
+
+    /// The motion of the tool over `duration_s`, which may be infinite.
     pub(super) fn trajectory(&self, duration_s: f64) -> Result<Trajectory, CommandError> {
         use clap::ValueEnum;
-        match TrajectoryKind::from_str(&self.trajectory, false) {
-            Ok(kind) => Ok(Trajectory::of_kind(kind, self.seed, duration_s)),
-            Err(_) => Ok(Trajectory::from_table(&self.trajectory)?),
+        let name = self.trajectory.as_deref().unwrap_or("smooth");
+        match TrajectoryKind::from_str(name, false) {
+            Ok(kind) => {
+                let plan_s = if duration_s.is_finite() { duration_s } else { ENDLESS_PLAN_S };
+                Ok(Trajectory::of_kind(kind, self.seed.unwrap_or(1), plan_s))
+            }
+            Err(_) => Ok(Trajectory::from_table(name)?),
         }
     }
 }
@@ -161,24 +160,22 @@ pub(super) fn shipped_with_hash(hash: u64) -> Option<SceneFile> {
     crate::scene_file::SHIPPED.iter().filter_map(|shipped: &Shipped| shipped.read().ok()).find(|file| file.hash == hash)
 }
 
-/// The bytes of a command.
-pub(super) fn request(number: u16, command: slitpose_protocol::Command) -> Vec<u8> {
-    let mut buffer = [0; MAX_REQUEST_BYTES];
-    encode(&Request { number, command }, &mut buffer).map(<[u8]>::to_vec).unwrap_or_default()
+/// Says something on standard error.
+pub(super) fn talk(text: fmt::Arguments<'_>) {
+    // Nobody is left to tell if even standard error is closed.
+    let _ = writeln!(io::stderr(), "slitpose: {text}");
 }
 
 /// Poses on their way from a pipeline to standard output.
 pub(super) struct Stream<'a> {
     pipeline: Pipeline,
     sink: Box<dyn Sink + 'a>,
-    until_s: Option<f64>,
-    first_s: Option<f64>,
-    last_s: f64,
     stop: Arc<AtomicBool>,
+    complaint: Option<String>,
 }
 
 impl Stream<'_> {
-    /// Ends after the duration of `options` (device time, from the first scan), or when the user interrupts.
+    /// Ends with the pipeline, or when the user interrupts.
     pub(super) fn new(pipeline: Pipeline, options: &PoseOptions) -> Result<Self, StreamError> {
         let live = io::stdout().is_terminal();
         let format = options.format.unwrap_or(if live { Format::Summary } else { Format::Ndjson });
@@ -189,30 +186,18 @@ impl Stream<'_> {
             signal_hook::flag::register(signal, Arc::clone(&stop))?;
         }
         let output = io::BufWriter::with_capacity(1 << 16, io::stdout().lock());
-        Ok(Self {
-            pipeline,
-            sink: sink::open(format, output, live),
-            until_s: options.duration,
-            first_s: None,
-            last_s: 0.0,
-            stop,
-        })
+        Ok(Self { pipeline, sink: sink::open(format, output, live), stop, complaint: None })
     }
 
-    /// Takes bytes as they came.
-    pub(super) fn push(&mut self, bytes: &[u8]) -> Result<(), StreamError> {
-        let Self { pipeline, sink, until_s, first_s, last_s, .. } = self;
+    /// Takes bytes as they came, and gives how many were taken: all, unless the end has come.
+    pub(super) fn push(&mut self, bytes: &[u8]) -> Result<usize, StreamError> {
+        let Self { pipeline, sink, complaint, .. } = self;
         pipeline.push(bytes, |item| {
             match &item {
-                Item::Pose(record) => {
-                    let first_s = *first_s.get_or_insert(record.device_time_s);
-                    *last_s = record.device_time_s - first_s;
-                    // Device times are exact to nanoseconds; frames are microseconds apart.
-                    if until_s.is_some_and(|until_s| *last_s >= until_s - 1e-9) {
-                        return Ok(());
-                    }
-                }
                 Item::Reply(Reply { outcome: Err(rejection), .. }) => return Err(StreamError::Refused(*rejection)),
+                Item::Event { severity, text, .. } if *severity != Severity::Info => {
+                    *complaint = Some((*text).to_owned());
+                }
                 _ => {}
             }
             Ok(sink.take(&item)?)
@@ -221,12 +206,27 @@ impl Stream<'_> {
 
     /// Device time since the first scan, seconds.
     pub(super) fn elapsed_s(&self) -> f64 {
-        self.last_s
+        self.pipeline.elapsed_s()
+    }
+
+    /// Whether all scans asked for have come.
+    pub(super) fn is_complete(&self) -> bool {
+        self.pipeline.is_complete()
     }
 
     /// Whether the end asked for has come, or the user has interrupted.
     pub(super) fn is_over(&self) -> bool {
-        self.stop.load(Ordering::Relaxed) || self.until_s.is_some_and(|until_s| self.last_s >= until_s - 1e-9)
+        self.stop.load(Ordering::Relaxed) || self.is_complete()
+    }
+
+    /// The board's latest account of itself.
+    pub(super) fn board_status(&self) -> Option<Status> {
+        self.pipeline.counts().board_status
+    }
+
+    /// The last warning or error of the board.
+    pub(super) fn complaint(&self) -> Option<&str> {
+        self.complaint.as_deref()
     }
 
     /// Shows what a live sink shows from time to time.
@@ -246,10 +246,8 @@ impl Stream<'_> {
             return Ok((Outcome::Done, counts));
         }
         let decoder = counts.decoder;
-        // Nobody is left to tell if even standard error is closed.
-        let _ = writeln!(
-            io::stderr(),
-            "slitpose: data were damaged or lost: {} scans missing, {} damaged and {} unreadable packets \
+        talk(format_args!(
+            "data were damaged or lost: {} scans missing, {} damaged and {} unreadable packets \
              ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello",
             counts.scans_lost,
             decoder.damaged(),
@@ -257,29 +255,20 @@ impl Stream<'_> {
             decoder.bytes_skipped,
             counts.pending_bytes,
             counts.batches_without_hello,
-        );
+        ));
         Ok((Outcome::DataLost, counts))
     }
 }
 
-/// Holds a stream to a multiple of device time.
-#[derive(Debug)]
-pub(super) struct Pace {
-    speed: Speed,
-    started: Instant,
+impl From<DeviceError> for CommandError {
+    fn from(error: DeviceError) -> Self {
+        Self::Stream(error.into())
+    }
 }
 
-impl Pace {
-    pub(super) fn new(speed: Speed) -> Self {
-        Self { speed, started: Instant::now() }
-    }
-
-    /// Sleeps until `device_s` may have passed.
-    pub(super) fn wait(&self, device_s: f64) {
-        if let Speed::Times(times) = self.speed {
-            let due = Duration::from_secs_f64(device_s / times);
-            std::thread::sleep(due.saturating_sub(self.started.elapsed()));
-        }
+impl From<PipelineError> for CommandError {
+    fn from(error: PipelineError) -> Self {
+        Self::Stream(error.into())
     }
 }
 
@@ -299,16 +288,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn durations_and_speeds_are_read_or_refused() {
+    fn durations_are_read_or_refused() {
         assert_eq!(parse_duration("10s"), Ok(10.0));
         assert_eq!(parse_duration("500ms"), Ok(0.5));
         for text in ["", "10", "0s", "-1s", "soon"] {
             assert!(parse_duration(text).is_err(), "{text}");
-        }
-        assert_eq!("max".parse(), Ok(Speed::Max));
-        assert_eq!("2.5".parse(), Ok(Speed::Times(2.5)));
-        for text in ["", "0", "-1", "inf", "nan", "fast"] {
-            assert!(text.parse::<Speed>().is_err(), "{text}");
         }
     }
 }

@@ -7,18 +7,22 @@
 mod counts;
 mod error;
 mod session;
+mod span;
 
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
 use slitpose_model::{Pose, Solution, Tier};
-use slitpose_protocol::{Batch, BoardKind, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth};
+use slitpose_protocol::{
+    Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
+};
 
 pub use counts::{Counts, OUTCOMES};
 pub use error::PipelineError;
 
 use crate::scene_file::SceneFile;
 use session::Session;
+use span::Span;
 
 /// True poses that may wait for their scans: more than a board queues.
 const MAX_TRUTHS: usize = 1024;
@@ -83,6 +87,7 @@ struct Flow {
     tier: Tier,
     scene_match: SceneMatch,
     session: Option<Session>,
+    span: Span,
     truths: VecDeque<Truth>,
     counts: Counts,
 }
@@ -97,13 +102,30 @@ impl Pipeline {
                 tier,
                 scene_match,
                 session: None,
+                span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
                 counts: Counts::default(),
             },
         }
     }
 
-    /// Takes `bytes`, cut anywhere, and hands on what they complete.
+    /// Ends `until_s` of device time after the first scan, if that is given.
+    #[must_use]
+    pub fn until(mut self, until_s: Option<f64>) -> Self {
+        self.flow.span = Span::until(until_s);
+        self
+    }
+
+    /// Whether a board that says `hello` can be used, as far as can be told before it is configured.
+    ///
+    /// # Errors
+    /// If it speaks otherwise, or belongs to another scene.
+    pub fn check(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
+        session::check(&self.flow.file, self.flow.scene_match, hello)
+    }
+
+    /// Takes `bytes`, cut anywhere, hands on what they complete, and gives how many were taken: all,
+    /// unless the end has come. Then nothing is taken from the first scan behind the end on.
     ///
     /// # Errors
     /// If the board cannot be used with this scene, or `sink` fails. Damaged bytes are no error:
@@ -112,14 +134,34 @@ impl Pipeline {
         &mut self,
         mut bytes: &[u8],
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
-    ) -> Result<(), E> {
-        while let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) {
+    ) -> Result<usize, E> {
+        let length = bytes.len();
+        // Behind the end only whole packets are taken: the rest of a cut one may not be wanted.
+        while !self.is_complete() || bytes.contains(&DELIMITER) {
+            let ahead = bytes.len();
+            let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) else {
+                break;
+            };
             // Damage is counted by the decoder.
-            if let Ok(message) = result {
-                self.flow.take(&message, &mut sink)?;
+            let Ok(message) = result else {
+                continue;
+            };
+            if self.flow.span.is_complete() && matches!(message, Message::Batch(_) | Message::Truth(_)) {
+                return Ok(length - ahead);
             }
+            self.flow.take(&message, &mut sink)?;
         }
-        Ok(())
+        Ok(length - bytes.len())
+    }
+
+    /// Device time between the first scan and the last, seconds.
+    pub fn elapsed_s(&self) -> f64 {
+        self.flow.span.elapsed_s()
+    }
+
+    /// Whether all has come that shall: see [`until`](Self::until).
+    pub fn is_complete(&self) -> bool {
+        self.flow.span.is_complete()
     }
 
     /// What has come through so far.
@@ -190,8 +232,12 @@ impl Flow {
             return Ok(());
         };
         for scan in scans {
+            let device_time_s = session.time_s(&scan);
+            if !self.span.admits(device_time_s, session.frame_s()) {
+                break;
+            }
             self.counts.count_scan(scan.sequence);
-            let (device_time_s, solution) = session.solve(&scan);
+            let solution = session.solve(&scan);
             self.counts.count_outcome(&solution.outcome);
             let record = Record {
                 sequence: scan.sequence,

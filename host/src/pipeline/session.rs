@@ -20,6 +20,20 @@ pub(super) struct Session {
     tracker: Tracker<f64>,
 }
 
+/// Checks what of `hello` does not depend on the schedule: the protocol and the scene.
+pub(super) fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
+    let board = || hello.board.to_owned();
+    hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), source })?;
+    if let Some(board_hash) = hello.hashes.scene
+        && board_hash != file.hash
+        && scene_match == SceneMatch::Required
+    {
+        let (scene, scene_hash) = (file.name.clone(), file.hash);
+        return Err(PipelineError::SceneHash { board: board(), board_hash, scene, scene_hash });
+    }
+    Ok(())
+}
+
 impl Session {
     /// Checks `hello` against the scene and prepares everything that does not change per scan.
     pub(super) fn open(
@@ -28,21 +42,14 @@ impl Session {
         scene_match: SceneMatch,
         hello: &Hello<'_>,
     ) -> Result<Self, PipelineError> {
+        check(file, scene_match, hello)?;
         let board = || hello.board.to_owned();
-        hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), source })?;
         hello.schedule.validate().map_err(|source| PipelineError::Schedule { board: board(), source })?;
         hello.scaling.validate().map_err(|source| PipelineError::Scaling { board: board(), source })?;
         let board_cells = usize::from(hello.schedule.cells);
         let scene_cells = file.scene.cells.len();
         if board_cells != scene_cells {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
-        }
-        if let Some(board_hash) = hello.hashes.scene
-            && board_hash != file.hash
-            && scene_match == SceneMatch::Required
-        {
-            let (scene, scene_hash) = (file.name.clone(), file.hash);
-            return Err(PipelineError::SceneHash { board: board(), board_hash, scene, scene_hash });
         }
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
@@ -83,9 +90,17 @@ impl Session {
         f64::from(self.schedule.tick_hz)
     }
 
-    /// The instant (device seconds) and the solution of a scan.
-    pub(super) fn solve(&mut self, scan: &RawScan) -> (f64, Solution) {
-        let device_time_s = (scan.tick as f64 + self.reference_ticks) / self.tick_hz();
-        (device_time_s, self.tracker.track(scan.sequence, &self.stage.photocurrents(scan)))
+    /// From one frame to the next, seconds.
+    pub(super) fn frame_s(&self) -> f64 {
+        self.schedule.frame_rate_hz().recip()
+    }
+
+    /// The instant that the pose of a scan refers to, device seconds.
+    pub(super) fn time_s(&self, scan: &RawScan) -> f64 {
+        (scan.tick as f64 + self.reference_ticks) / self.tick_hz()
+    }
+
+    pub(super) fn solve(&mut self, scan: &RawScan) -> Solution {
+        self.tracker.track(scan.sequence, &self.stage.photocurrents(scan))
     }
 }

@@ -63,10 +63,15 @@ impl SimulatedBoard {
         self.board.receive(bytes);
     }
 
-    /// Lets one frame period pass with the link open, and appends to `bytes` what the board sends:
-    /// packets as on a wire, with the true pose of each scan ahead of it.
+    /// Lets one frame period pass, then [`transmit`](Self::transmit)s.
     pub fn step(&mut self, bytes: &mut Vec<u8>) {
         self.board.hardware_mut().advance(self.frame_ticks);
+        self.transmit(bytes);
+    }
+
+    /// Appends to `bytes` what the board has to say over its open link: packets as on a wire, with
+    /// the true pose of each scan ahead of it.
+    pub fn transmit(&mut self, bytes: &mut Vec<u8>) {
         self.board.poll(Link::Open);
         let mut packet = [0; MAX_MESSAGE_BYTES];
         for truth in self.board.hardware_mut().take_truths() {

@@ -30,13 +30,45 @@ pub(super) fn scaling(front_end: &FrontEnd) -> AdcScaling {
 
 /// The front end of all cells: one low-pass state per electrode.
 #[derive(Clone, Debug)]
-pub(super) struct Electronics {
+pub struct Electronics {
     front_end: FrontEnd,
     scaling: AdcScaling,
     top_code: f64,
     cells: Vec<Channel>,
     /// exp(−t/τ) for one conversion.
     conversion_decay: f64,
+}
+
+/// The two electrodes of a cell's detector.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Electrode {
+    /// I_X1.
+    X1,
+    /// I_X2.
+    X2,
+}
+
+/// What the filtered noise of one cell is at an instant, in units of its standard deviation.
+/// Standing still at zero it is absent.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CellNoise {
+    johnson: f64,
+    shot: f64,
+}
+
+impl CellNoise {
+    /// As noise is found that nothing is known of. `draw` gives standard normal numbers.
+    pub fn unknown(mut draw: impl FnMut() -> f64) -> Self {
+        Self { johnson: draw(), shot: draw() }
+    }
+
+    /// What becomes of it while `keep` = exp(−t/τ) of it is left: filtered noise is correlated from
+    /// one conversion to the next, exactly like this.
+    pub fn pass(&mut self, keep: f64, mut draw: impl FnMut() -> f64) {
+        let renew = (1.0 - keep * keep).sqrt();
+        self.johnson = keep * self.johnson + renew * draw();
+        self.shot = keep * self.shot + renew * draw();
+    }
 }
 
 /// One cell's pair of electrodes.
@@ -52,7 +84,8 @@ struct Channel {
 }
 
 impl Electronics {
-    pub(super) fn new(scene: &Scene, front_end: &FrontEnd) -> Self {
+    /// The electronics of `front_end` behind the detectors of `scene`, in the dark for long.
+    pub fn new(scene: &Scene, front_end: &FrontEnd) -> Self {
         let temperature_k = scene.noise.map_or(ROOM_TEMPERATURE_K, |noise| noise.temperature_k);
         let tau = front_end.time_constant_s;
         // White noise through a first-order low-pass has the bandwidth 1/(4τ).
@@ -86,15 +119,24 @@ impl Electronics {
         }
     }
 
-    pub(super) fn scaling(&self) -> AdcScaling {
+    /// What a code of this front end means.
+    pub fn scaling(&self) -> AdcScaling {
         self.scaling
+    }
+
+    /// exp(−t/τ) for `duration_s`: how much is left of what was there before.
+    pub fn decay(&self, duration_s: f64) -> f64 {
+        decay(duration_s, self.front_end.time_constant_s)
     }
 
     /// Lets `duration_s` pass for `cell` with light that changes linearly from `from` to `to`.
     ///
     /// The low-pass τ·y' = u − y has for u = u₀ + s·t the exact solution
     /// y = u − s·τ + (y₀ − u₀ + s·τ)·exp(−t/τ), stable for any ratio of duration and τ.
-    pub(super) fn pass(&mut self, cell: usize, duration_s: f64, from: Pair<f64>, to: Pair<f64>) {
+    ///
+    /// # Panics
+    /// If there is no such cell.
+    pub fn pass(&mut self, cell: usize, duration_s: f64, from: Pair<f64>, to: Pair<f64>) {
         let tau = self.front_end.time_constant_s;
         let channel = &mut self.cells[cell];
         let rest = decay(duration_s, tau);
@@ -106,34 +148,41 @@ impl Electronics {
         }
     }
 
+    /// One conversion of `electrode` of `cell`, disturbed by `noise` and by the converter's own,
+    /// `converter_noise` in units of its standard deviation.
+    ///
+    /// # Panics
+    /// If there is no such cell.
+    pub fn convert(&self, cell: usize, electrode: Electrode, noise: &CellNoise, converter_noise: f64) -> u16 {
+        let channel = &self.cells[cell];
+        let total = (channel.state[0] + channel.state[1]).max(channel.dark_a).max(f64::MIN_POSITIVE);
+        // Shot noise of a point-like spot divides between the electrodes like the current.
+        let shot_a = noise.shot * (channel.shot_a * total).sqrt();
+        // Johnson current flows from one electrode to the other.
+        let (current, sign) = match electrode {
+            Electrode::X1 => (channel.state[0], 1.0),
+            Electrode::X2 => (channel.state[1], -1.0),
+        };
+        let noisy = current + shot_a * current / total + sign * noise.johnson * channel.johnson_a;
+        let code = self.scaling.zero_code
+            + noisy / self.scaling.amperes_per_code
+            + self.front_end.raw_noise_lsb * converter_noise;
+        code.round().clamp(0.0, self.top_code) as u16
+    }
+
     /// Samples `cell` into a word pair; `light` is what falls on it at each conversion. On return
     /// the front end is at the last conversion.
     pub(super) fn sample(&mut self, cell: usize, light: impl Fn(u32) -> Pair<f64>, rng: &mut ChaCha8Rng) -> WordPair {
-        let conversions = self.front_end.oversampling;
         let mut draw = || -> f64 { StandardNormal.sample(rng) };
-        // Filtered noise is correlated from one conversion to the next, exactly like this.
-        let keep = self.conversion_decay;
-        let renew = (1.0 - keep * keep).sqrt();
-        let (mut johnson, mut shot) = (draw(), draw());
+        let mut noise = CellNoise::unknown(&mut draw);
         let mut sums = [0_u32; 2];
-        for conversion in 0..conversions {
+        for conversion in 0..self.front_end.oversampling {
             if conversion > 0 {
                 self.pass(cell, self.front_end.conversion_s, light(conversion - 1), light(conversion));
-                johnson = keep * johnson + renew * draw();
-                shot = keep * shot + renew * draw();
+                noise.pass(self.conversion_decay, &mut draw);
             }
-            let channel = &self.cells[cell];
-            let total = (channel.state[0] + channel.state[1]).max(channel.dark_a).max(f64::MIN_POSITIVE);
-            // Shot noise of a point-like spot divides between the electrodes like the current.
-            let shot_a = shot * (channel.shot_a * total).sqrt();
-            for (electrode, sum) in sums.iter_mut().enumerate() {
-                let current = channel.state[electrode];
-                let sign = if electrode == 0 { 1.0 } else { -1.0 };
-                let noisy = current + shot_a * current / total + sign * johnson * channel.johnson_a;
-                let code = self.scaling.zero_code
-                    + noisy / self.scaling.amperes_per_code
-                    + self.front_end.raw_noise_lsb * draw();
-                *sum += code.round().clamp(0.0, self.top_code) as u32;
+            for (sum, electrode) in sums.iter_mut().zip([Electrode::X1, Electrode::X2]) {
+                *sum += u32::from(self.convert(cell, electrode, &noise, draw()));
             }
         }
         // A valid configuration keeps the sum within 16 bits.

@@ -11,5 +11,6 @@ mod hardware;
 mod trajectory;
 
 pub use board::{SimulatedBoard, SimulatorError};
+pub use electronics::{CellNoise, Electrode, Electronics};
 pub use hardware::SimulatedHardware;
 pub use trajectory::{PathError, Trajectory, TrajectoryKind};

@@ -1,1 +1,29 @@
 //! An STM32G474 in software, with light and electronics around it.
+//!
+//! It runs the image that is flashed to a board, unchanged, instruction by instruction, and puts
+//! the head of a scene in front of it: what the program lights is what the detectors see. A USB
+//! host or a serial line carries what it says to a pseudo-terminal, or to a test.
+//!
+//! | module | what it stands for |
+//! |---|---|
+//! | [`cpu`] | the core: instructions with their cycles, interrupts, faults |
+//! | [`memory`], [`peripherals`] | the rest of the controller, from its reference manual (RM0440) |
+//! | [`machine`] | the controller as a whole: bus, time, resets, supply |
+//! | [`world`] | emitters, optics, electronics |
+//! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
+//! | [`terminal`] | that computer's serial port, as programs open it |
+//! | [`rig`] | all of it together, running an [`image`] |
+//!
+//! What a program does against the reference manual is recorded, not tolerated: see
+//! [`peripherals::Effects::violations`].
+
+pub mod cpu;
+pub mod image;
+pub mod machine;
+pub mod memory;
+pub mod peripherals;
+pub mod rig;
+pub mod terminal;
+pub mod usb_host;
+pub mod usb_wire;
+pub mod world;

@@ -28,7 +28,19 @@
 //!   the reference manual (RM0440) are [`Effects::violation`]s; registers or modes that no
 //!   model knows are [`Effects::unmodelled`].
 
+pub mod adc;
+pub mod dac;
+pub mod dma;
 mod effects;
+pub mod flash;
+pub mod gpio;
+pub mod lpuart;
+pub mod power;
+pub mod rcc;
+pub mod store;
+pub mod timer;
+pub mod usb;
+pub mod watchdog;
 
 pub use effects::{Edge, Effects, Request, ResetCause, Trigger, Violation, interrupt};
 

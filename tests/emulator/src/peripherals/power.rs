@@ -28,7 +28,6 @@ const FTSR1: u32 = 0x0C;
 const SWIER1: u32 = 0x10;
 const PR1: u32 = 0x14;
 const IMR2: u32 = 0x20;
-const EMR2: u32 = 0x24;
 const PR2: u32 = 0x34;
 
 /// The detector's line.

@@ -1,0 +1,420 @@
+//! The host's side of the protocol: commands out, replies checked, everything else kept as it came.
+
+use std::time::{Duration, Instant};
+
+use slitpose_protocol::{
+    Command, Configuration, DELIMITER, Decoder, FrameError, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message,
+    PayloadError, Rejection, Request, encode,
+};
+
+use super::{Device, DeviceError, KeepAlive};
+
+/// A board that has just been plugged in needs most of it.
+const HELLO_WITHIN: Duration = Duration::from_secs(2);
+
+/// A board that was not listening yet is asked again.
+const HELLO_EVERY: Duration = Duration::from_millis(250);
+
+/// A board answers within a millisecond; the scans ahead of its answer may take a tenth of a second.
+const REPLY_WITHIN: Duration = Duration::from_secs(2);
+
+/// As [`REPLY_WITHIN`], but somebody waits for the program to end.
+const STOP_WITHIN: Duration = Duration::from_millis(500);
+
+/// A board that samples sends something at least this often, if only its status.
+const QUIET: Duration = Duration::from_millis(500);
+
+/// What of the bytes around a reply is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// All of them.
+    All,
+    /// Those from the last hello on: what came earlier belongs to an older configuration.
+    FromHello,
+    /// Replies only: nobody wants what else comes.
+    Replies,
+}
+
+/// What becomes of one packet.
+enum Verdict {
+    Keep,
+    KeepFromHere,
+    Drop,
+}
+
+/// A board that is spoken to. Dropped, it tells the board to stop.
+pub struct Conversation {
+    device: Box<dyn Device>,
+    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    /// What was received and is kept.
+    inbox: Vec<u8>,
+    /// How much of it, from the start, is whole packets.
+    whole: usize,
+    /// Number of the last command.
+    number: u16,
+    keep_alive: Option<KeepAlive>,
+    started: bool,
+    quiet: Duration,
+    quiet_limit: Duration,
+}
+
+impl Conversation {
+    /// Ends whatever half a command an earlier host has left in the link.
+    ///
+    /// # Errors
+    /// If the device has gone.
+    pub fn open(device: Box<dyn Device>) -> Result<Self, DeviceError> {
+        let mut conversation = Self {
+            device,
+            decoder: Decoder::new(),
+            inbox: Vec::with_capacity(1 << 13),
+            whole: 0,
+            number: 0,
+            keep_alive: None,
+            started: false,
+            quiet: Duration::ZERO,
+            quiet_limit: QUIET,
+        };
+        match conversation.device.send(&[DELIMITER]) {
+            Ok(()) => Ok(conversation),
+            Err(source) => Err(conversation.gone(source)),
+        }
+    }
+
+    /// Asks the board who it is; `admit` decides whether that will do. What was received is forgotten.
+    ///
+    /// # Errors
+    /// If no board answers, or `admit` refuses it.
+    pub fn greet<E: From<DeviceError>>(&mut self, mut admit: impl FnMut(&Hello<'_>) -> Result<(), E>) -> Result<(), E> {
+        let asked = Instant::now();
+        let mut ask_at = asked;
+        let mut admitted = false;
+        while !admitted {
+            let now = Instant::now();
+            if now >= asked + HELLO_WITHIN {
+                return Err(self.no_hello().into());
+            }
+            if now >= ask_at {
+                self.command(Command::Hello)?;
+                ask_at = now + HELLO_EVERY;
+            }
+            let more = self.hear()?;
+            let mut bytes = &self.inbox[..];
+            while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
+                match message {
+                    Ok(Message::Hello(hello)) => {
+                        admit(&hello)?;
+                        admitted = true;
+                    }
+                    Err(FrameError::Payload(source @ PayloadError::Version { .. })) => {
+                        return Err(DeviceError::Version { name: self.name(), source }.into());
+                    }
+                    _ => {}
+                }
+            }
+            self.forget();
+            if !more && !admitted {
+                return Err(self.no_hello().into());
+            }
+        }
+        Ok(())
+    }
+
+    /// Replaces the configuration of the board. The inbox then starts with the hello that says so.
+    ///
+    /// # Errors
+    /// If the board refuses it, or does not reply.
+    pub fn configure(&mut self, configuration: Configuration) -> Result<(), DeviceError> {
+        // At low frame rates a board is quiet between frames.
+        let frame = Duration::from_secs_f64(configuration.schedule.frame_rate_hz().recip());
+        self.quiet_limit = QUIET.max(3 * frame);
+        let introduced = self.ask(Command::Configure(configuration), Keep::FromHello, REPLY_WITHIN)?;
+        if !introduced {
+            // Damaged on its way. Without it no scan can be read.
+            self.ask(Command::Hello, Keep::FromHello, REPLY_WITHIN)?;
+        }
+        Ok(())
+    }
+
+    /// Lights the emitters. The inbox grows by what was received.
+    ///
+    /// # Errors
+    /// If the board refuses, or does not reply.
+    pub fn start(&mut self) -> Result<(), DeviceError> {
+        self.started = true;
+        self.ask(Command::Start, Keep::All, REPLY_WITHIN)?;
+        self.keep_alive = self.device.keep_alive().map_err(|source| self.gone(source))?;
+        Ok(())
+    }
+
+    /// Waits for what the board says next, a few hundredths of a second at most; the inbox then holds
+    /// that and nothing else. `false` if nothing will ever come again.
+    ///
+    /// # Errors
+    /// If the device has gone, or nothing has come for half a second.
+    pub fn listen(&mut self) -> Result<bool, DeviceError> {
+        self.forget();
+        let since = Instant::now();
+        let more = self.hear()?;
+        // Only waiting counts: while the poses are written bytes may lie here unread.
+        self.quiet = if self.inbox.is_empty() { self.quiet + since.elapsed() } else { Duration::ZERO };
+        if self.quiet >= self.quiet_limit {
+            return Err(DeviceError::Quiet { name: self.name(), seconds: self.quiet_limit.as_secs_f64() });
+        }
+        Ok(more)
+    }
+
+    /// Darkens the emitters. The inbox then holds what came before the reply, as far as it is kept.
+    ///
+    /// # Errors
+    /// If the board refuses, or does not reply.
+    pub fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
+        self.keep_alive = None;
+        self.started = false;
+        self.forget();
+        self.decoder.reset();
+        self.ask(Command::Stop, keep, STOP_WITHIN)?;
+        Ok(())
+    }
+
+    /// What was received last, as it came.
+    pub fn inbox(&self) -> &[u8] {
+        &self.inbox
+    }
+
+    /// What the user calls the device.
+    pub fn name(&self) -> String {
+        self.device.name().to_owned()
+    }
+
+    /// Sends a command and waits for its reply; tells whether a hello came, too.
+    fn ask(&mut self, command: Command, keep: Keep, within: Duration) -> Result<bool, DeviceError> {
+        let name = name_of(&command);
+        let number = self.command(command)?;
+        let until = Instant::now() + within;
+        let mut introduced = false;
+        while Instant::now() < until {
+            let decoded = self.inbox.len();
+            let more = self.hear()?;
+            if let Some(outcome) = self.sort(decoded, number, keep, &mut introduced) {
+                return match outcome {
+                    Ok(()) => Ok(introduced),
+                    Err(source) => {
+                        let next_step = next_step_of(&source);
+                        Err(DeviceError::Refused { name: self.name(), command: name, next_step, source })
+                    }
+                };
+            }
+            if !more {
+                break;
+            }
+        }
+        Err(DeviceError::NoReply { name: self.name(), command: name, seconds: within.as_secs_f64() })
+    }
+
+    /// Decodes the inbox from `at` on and keeps of it what shall be kept; gives the reply to `number`
+    /// if it is there.
+    fn sort(&mut self, mut at: usize, number: u16, keep: Keep, introduced: &mut bool) -> Option<Result<(), Rejection>> {
+        let mut answer = None;
+        loop {
+            let mut rest = &self.inbox[at..];
+            let Some(message) = self.decoder.next::<Message<'_>>(&mut rest) else {
+                return answer;
+            };
+            let verdict = match &message {
+                Ok(Message::Hello(_)) if keep == Keep::FromHello => {
+                    *introduced = true;
+                    Verdict::KeepFromHere
+                }
+                Ok(Message::Reply(reply)) => {
+                    if reply.number == number {
+                        answer = Some(reply.outcome);
+                    }
+                    Verdict::Keep
+                }
+                _ if keep == Keep::Replies => Verdict::Drop,
+                _ => Verdict::Keep,
+            };
+            at = self.inbox.len() - rest.len();
+            match verdict {
+                Verdict::Keep => self.whole = at,
+                Verdict::KeepFromHere => {
+                    at -= self.inbox.drain(..self.whole).len();
+                    self.whole = at;
+                }
+                Verdict::Drop => at -= self.inbox.drain(self.whole..at).len(),
+            }
+        }
+    }
+
+    fn command(&mut self, command: Command) -> Result<u16, DeviceError> {
+        self.number += 1;
+        let mut buffer = [0; MAX_REQUEST_BYTES];
+        let request = Request { number: self.number, command };
+        let packet = encode(&request, &mut buffer).expect("no request is longer than MAX_REQUEST_BYTES");
+        self.device.send(packet).map_err(|source| self.gone(source))?;
+        Ok(self.number)
+    }
+
+    fn hear(&mut self) -> Result<bool, DeviceError> {
+        self.device.receive(&mut self.inbox).map_err(|source| self.gone(source))
+    }
+
+    fn forget(&mut self) {
+        self.inbox.clear();
+        self.whole = 0;
+    }
+
+    fn gone(&self, source: std::io::Error) -> DeviceError {
+        DeviceError::Gone { name: self.name(), source }
+    }
+
+    fn no_hello(&self) -> DeviceError {
+        let (name, seconds) = (self.name(), HELLO_WITHIN.as_secs_f64());
+        let counters = self.decoder.counters();
+        match counters.bytes {
+            0 => DeviceError::Silent { name, seconds },
+            bytes => DeviceError::NoHello { name, seconds, bytes, packets: counters.packets },
+        }
+    }
+}
+
+impl Drop for Conversation {
+    fn drop(&mut self) {
+        self.keep_alive = None;
+        if self.started {
+            // What can be done when something else has gone wrong; without a host it goes dark by itself.
+            let _ = self.command(Command::Stop);
+        }
+    }
+}
+
+fn name_of(command: &Command) -> &'static str {
+    match command {
+        Command::Hello => "Hello",
+        Command::Start => "Start",
+        Command::Stop => "Stop",
+        Command::Configure(_) => "Configure",
+        Command::Ping { .. } => "Ping",
+        Command::Identify { .. } => "Identify",
+        Command::Store(_) => "Store",
+        Command::Forget => "Forget",
+        Command::Reboot(_) => "Reboot",
+    }
+}
+
+fn next_step_of(rejection: &Rejection) -> &'static str {
+    match rejection {
+        Rejection::Unsupported { .. } | Rejection::Malformed { .. } => {
+            "build firmware and program from the same source"
+        }
+        Rejection::Schedule(_) | Rejection::Levels { .. } | Rejection::TickRate { .. } | Rejection::Unsuited(_) => {
+            "change [lighting] or [front_end] of the scene to what this board can do"
+        }
+        Rejection::Storing => "wait until the settings are stored",
+        Rejection::Storage => "try again; if it stays so, the board's memory is worn out",
+        Rejection::Hardware(_) => "change [lighting] or [front_end] of the scene, or reset the board",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use super::*;
+    use crate::front_end;
+    use crate::scene_file::WIDE;
+    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+    /// A simulated board over a line that hands over a few bytes at a time, in the midst of
+    /// acquisition when the host comes.
+    struct Slow {
+        board: SimulatedBoard,
+        line: Vec<u8>,
+        bytes_at_once: usize,
+    }
+
+    impl Slow {
+        fn new(bytes_at_once: usize) -> Self {
+            let file = WIDE.read().unwrap();
+            let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 1.0);
+            let mut board = SimulatedBoard::new(&file, still, slitpose_model::Tier::Paper, 1).unwrap();
+            let mut buffer = [0; MAX_REQUEST_BYTES];
+            board.write(encode(&Request { number: 1, command: Command::Start }, &mut buffer).unwrap());
+            let mut line = Vec::new();
+            for _ in 0..20 {
+                board.step(&mut line);
+            }
+            // From the middle of a packet on.
+            Self { board, line: line.split_off(50), bytes_at_once }
+        }
+    }
+
+    impl Device for Slow {
+        fn name(&self) -> &str {
+            "slow"
+        }
+
+        fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+            self.board.write(bytes);
+            Ok(())
+        }
+
+        fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
+            if self.line.len() < self.bytes_at_once {
+                self.board.step(&mut self.line);
+            }
+            bytes.extend(self.line.drain(..self.bytes_at_once.min(self.line.len())));
+            Ok(true)
+        }
+    }
+
+    /// The kinds of the packets in `bytes`, and the configurations of the batches; damage is a failure.
+    fn kinds(mut bytes: &[u8]) -> (Vec<&'static str>, Vec<u64>) {
+        let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+        let (mut kinds, mut configurations) = (Vec::new(), Vec::new());
+        while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
+            kinds.push(match message.unwrap() {
+                Message::Hello(_) => "hello",
+                Message::Reply(_) => "reply",
+                Message::Batch(batch) => {
+                    configurations.push(batch.configuration.into());
+                    "batch"
+                }
+                _ => "other",
+            });
+        }
+        (kinds, configurations)
+    }
+
+    #[test]
+    fn however_bytes_are_cut_nothing_old_and_nothing_damaged_is_kept() {
+        let configuration = front_end::configuration(&WIDE.read().unwrap()).unwrap();
+        for bytes_at_once in (1..40).chain([113, 250, 251, 252, 1024]) {
+            for keep in [Keep::All, Keep::Replies] {
+                let mut board = Conversation::open(Box::new(Slow::new(bytes_at_once))).unwrap();
+                board.greet(|_| Ok::<_, DeviceError>(())).unwrap();
+                board.configure(configuration.clone()).unwrap();
+                board.start().unwrap();
+                let mut kept = board.inbox().to_vec();
+                for _ in 0..3000 / bytes_at_once {
+                    assert!(board.listen().unwrap());
+                    kept.extend(board.inbox());
+                }
+                if keep == Keep::Replies {
+                    // What is not wanted ends with the last whole packet.
+                    kept.truncate(kept.iter().rposition(|byte| *byte == DELIMITER).map_or(0, |last| last + 1));
+                }
+                board.stop(keep).unwrap();
+                if keep == Keep::Replies {
+                    assert_eq!(kinds(board.inbox()).0, ["reply"], "{bytes_at_once} bytes at once");
+                }
+                kept.extend(board.inbox());
+                let (kinds, configurations) = kinds(&kept);
+                assert_eq!(kinds[..2], ["hello", "reply"], "{bytes_at_once} bytes at once");
+                assert_eq!(kinds.last(), Some(&"reply"));
+                assert!(!configurations.is_empty() && configurations.iter().all(|number| *number == 1));
+            }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Boards at the other end of a byte stream, real or simulated.
+//!
+//! [`Device`] carries bytes and knows nothing of what they mean: [`SerialDevice`] is a serial port,
+//! [`SimulatedDevice`] a board made of arithmetic. [`Conversation`] speaks the protocol over one of
+//! them: it greets, configures, starts and stops the board, checks every reply, and hands on what
+//! the board says as it came.
+//!
+//! Nothing is dropped on this side: bytes that are not fetched wait in the operating system, then in
+//! the board's queue, which gives up its oldest scans when it is full; their numbers show it.
+
+mod conversation;
+mod error;
+mod keep_alive;
+mod serial;
+mod simulated;
+
+use std::io;
+
+pub use conversation::{Conversation, Keep};
+pub use error::DeviceError;
+pub use keep_alive::KeepAlive;
+pub use serial::SerialDevice;
+pub use simulated::SimulatedDevice;
+
+/// A byte stream to a board and back.
+pub trait Device {
+    /// What the user calls it.
+    fn name(&self) -> &str;
+
+    /// Hands bytes to the board.
+    ///
+    /// # Errors
+    /// If they cannot be handed over: the board has gone.
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
+
+    /// Waits for bytes from the board, a few hundredths of a second at most, and appends them to
+    /// `bytes`. `false` if none will ever come again.
+    ///
+    /// # Errors
+    /// If the board has gone.
+    fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool>;
+
+    /// Shows the board from now on that its host is alive, if it needs that: `None` if not.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    fn keep_alive(&self) -> io::Result<Option<KeepAlive>> {
+        Ok(None)
+    }
+}

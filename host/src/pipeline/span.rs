@@ -1,0 +1,65 @@
+//! The device time that a pipeline has covered, and where it ends.
+
+/// Device times are exact to nanoseconds; frames are microseconds apart.
+const ROUNDING_S: f64 = 1e-9;
+
+/// From the first scan on.
+#[derive(Debug, Default)]
+pub(super) struct Span {
+    until_s: Option<f64>,
+    first_s: Option<f64>,
+    elapsed_s: f64,
+    complete: bool,
+}
+
+impl Span {
+    /// One that ends `until_s` after its first scan, or never.
+    pub(super) fn until(until_s: Option<f64>) -> Self {
+        Self { until_s, ..Self::default() }
+    }
+
+    /// Whether a scan at `device_time_s` belongs to it; the next one comes `period_s` later.
+    pub(super) fn admits(&mut self, device_time_s: f64, period_s: f64) -> bool {
+        let elapsed_s = device_time_s - *self.first_s.get_or_insert(device_time_s);
+        let ends_by = |time_s: f64| self.until_s.is_some_and(|until_s| time_s >= until_s - ROUNDING_S);
+        let admitted = !ends_by(elapsed_s);
+        self.complete |= !admitted || ends_by(elapsed_s + period_s);
+        if admitted {
+            self.elapsed_s = elapsed_s;
+        }
+        admitted
+    }
+
+    /// Device time between the first scan and the last, seconds.
+    pub(super) fn elapsed_s(&self) -> f64 {
+        self.elapsed_s
+    }
+
+    /// Whether its last scan has come, or one behind it.
+    pub(super) fn is_complete(&self) -> bool {
+        self.complete
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_scan_completes_a_span_and_so_does_a_later_one() {
+        let mut span = Span::until(Some(1.0));
+        for (device_time_s, admitted, complete) in [(7.25, true, false), (7.75, true, false), (8.0, true, true)] {
+            assert_eq!((span.admits(device_time_s, 0.25), span.is_complete()), (admitted, complete));
+        }
+        assert!(!span.admits(8.25, 0.25));
+        assert_eq!(span.elapsed_s(), 0.75);
+
+        // The last one was lost.
+        let mut span = Span::until(Some(1.0));
+        assert!(span.admits(0.0, 0.25) && !span.is_complete());
+        assert!(!span.admits(1.0, 0.25) && span.is_complete());
+
+        let mut endless = Span::until(None);
+        assert!(endless.admits(0.0, 0.25) && endless.admits(1e9, 0.25) && !endless.is_complete());
+    }
+}

@@ -1,0 +1,485 @@
+//! The serial port LPUART1, and the line to its other end (RM0440, "Low-power universal
+//! asynchronous receiver transmitter").
+//!
+//! Eight data bits without parity, no FIFOs, no flow control; the kernel clock is PCLK1. The other
+//! end talks at the rate that BRR sets.
+
+use std::collections::VecDeque;
+
+use super::{Effects, Request, Ticks, interrupt};
+
+// Register offsets.
+const CR1: u32 = 0x00;
+const CR2: u32 = 0x04;
+const CR3: u32 = 0x08;
+const BRR: u32 = 0x0c;
+const RQR: u32 = 0x18;
+const ISR: u32 = 0x1c;
+const ICR: u32 = 0x20;
+const RDR: u32 = 0x24;
+const TDR: u32 = 0x28;
+const PRESC: u32 = 0x2c;
+
+// LPUART_CR1.
+const CR1_UE: u32 = 1 << 0;
+const CR1_RE: u32 = 1 << 2;
+const CR1_TE: u32 = 1 << 3;
+const CR1_IDLEIE: u32 = 1 << 4;
+const CR1_RXNEIE: u32 = 1 << 5;
+const CR1_TCIE: u32 = 1 << 6;
+const CR1_TXEIE: u32 = 1 << 7;
+const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE;
+/// Word length, parity, driver-enable times and FIFO mode: only to be changed while disabled.
+const CR1_FORMAT: u32 = 1 << 29 | 1 << 28 | 0x3ff << 16 | 1 << 12 | 1 << 11 | 1 << 10 | 1 << 9;
+
+/// STOP of LPUART_CR2: 00 is one stop bit, 10 are two.
+const CR2_STOP: u32 = 0b11 << 12;
+const CR2_TWO_STOP_BITS: u32 = 0b10 << 12;
+
+// LPUART_CR3.
+const CR3_EIE: u32 = 1 << 0;
+const CR3_DMAR: u32 = 1 << 6;
+const CR3_DMAT: u32 = 1 << 7;
+const CR3_OVRDIS: u32 = 1 << 12;
+const CR3_MODELLED: u32 = CR3_EIE | CR3_DMAR | CR3_DMAT | CR3_OVRDIS;
+/// Half duplex, flow control, overrun and driver-enable modes: only to be changed while disabled.
+const CR3_FORMAT: u32 = 1 << 15 | 1 << 14 | 1 << 13 | CR3_OVRDIS | 1 << 9 | 1 << 8 | 1 << 3;
+
+const RQR_RXFRQ: u32 = 1 << 3;
+
+// LPUART_ISR.
+const ISR_ORE: u32 = 1 << 3;
+const ISR_IDLE: u32 = 1 << 4;
+const ISR_RXNE: u32 = 1 << 5;
+const ISR_TC: u32 = 1 << 6;
+const ISR_TXE: u32 = 1 << 7;
+const ISR_BUSY: u32 = 1 << 16;
+const ISR_TEACK: u32 = 1 << 21;
+const ISR_REACK: u32 = 1 << 22;
+
+/// The smallest divider (RM0440, "LPUART baud rate generation").
+const LEAST_BRR: u32 = 0x300;
+const BRR_MASK: u32 = 0xf_ffff;
+
+/// What PRESC divides the kernel clock by.
+const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
+
+/// A start bit and eight data bits.
+const START_AND_DATA_BITS: u64 = 9;
+
+/// A byte that has left the port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SentByte {
+    /// The end of its last stop bit.
+    pub at: Ticks,
+    /// The byte.
+    pub byte: u8,
+}
+
+/// The serial port.
+#[derive(Debug)]
+pub struct Lpuart {
+    cr1: u32,
+    cr2: u32,
+    cr3: u32,
+    brr: u32,
+    presc: u32,
+    /// ORE, IDLE and TC.
+    flags: u32,
+    /// TDR: waiting for the shift register.
+    to_send: Option<u8>,
+    /// What is on the line until when; no byte: the idle frame ahead of the first one.
+    sending: Option<(Option<u8>, Ticks)>,
+    sent: Vec<SentByte>,
+    /// RDR.
+    received: Option<u8>,
+    last_received: u8,
+    /// What the other end has still to send; the first is on the line.
+    incoming: VecDeque<u8>,
+    /// The end of the byte on the line.
+    arrives_at: Option<Ticks>,
+    /// The end of an idle frame behind the last byte.
+    idle_at: Option<Ticks>,
+}
+
+impl Default for Lpuart {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Lpuart {
+    /// State after power-on.
+    pub fn new() -> Self {
+        Self {
+            cr1: 0,
+            cr2: 0,
+            cr3: 0,
+            brr: 0,
+            presc: 0,
+            flags: ISR_TC,
+            to_send: None,
+            sending: None,
+            sent: Vec::new(),
+            received: None,
+            last_received: 0,
+            incoming: VecDeque::new(),
+            arrives_at: None,
+            idle_at: None,
+        }
+    }
+
+    /// State after reset. What has left stays with the other end.
+    pub fn reset(&mut self, effects: &mut Effects) {
+        *self = Self { sent: std::mem::take(&mut self.sent), ..Self::new() };
+        self.update(effects);
+    }
+
+    /// Lets the other end send `bytes`, behind those it is still sending. They are lost if the
+    /// receiver is off.
+    pub fn send(&mut self, bytes: &[u8], effects: &Effects) {
+        if !self.receives() || bytes.is_empty() {
+            return;
+        }
+        if self.incoming.is_empty() {
+            self.arrives_at = Some(effects.now() + self.frame_ticks());
+            self.idle_at = None;
+        }
+        self.incoming.extend(bytes);
+    }
+
+    /// Bytes that the other end has still to send.
+    pub fn unsent(&self) -> usize {
+        self.incoming.len()
+    }
+
+    /// Bytes that have left the port since the last call, in order.
+    pub fn take_sent(&mut self) -> Vec<SentByte> {
+        std::mem::take(&mut self.sent)
+    }
+
+    /// Value of a register.
+    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+        match offset {
+            CR1 => self.cr1,
+            CR2 => self.cr2,
+            CR3 => self.cr3,
+            BRR => self.brr,
+            RQR | ICR => 0,
+            ISR => self.status(),
+            RDR => {
+                if let Some(byte) = self.received.take() {
+                    self.last_received = byte;
+                    self.update(effects);
+                }
+                u32::from(self.last_received)
+            }
+            TDR => u32::from(self.to_send.unwrap_or(0)),
+            PRESC => self.presc,
+            _ => {
+                effects.unmodelled();
+                0
+            }
+        }
+    }
+
+    /// Writes a register.
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        match offset {
+            CR1 => self.write_cr1(value, effects),
+            CR2 => {
+                self.must_be_disabled(value, effects);
+                if value & !CR2_STOP != 0 {
+                    effects.unmodelled();
+                }
+                self.cr2 = value & CR2_STOP;
+            }
+            CR3 => {
+                if (self.cr3 ^ value) & CR3_FORMAT != 0 {
+                    self.must_be_disabled(value, effects);
+                }
+                if value & !CR3_MODELLED != 0 {
+                    effects.unmodelled();
+                }
+                self.cr3 = value & CR3_MODELLED;
+            }
+            BRR => {
+                self.must_be_disabled(value, effects);
+                self.brr = value & BRR_MASK;
+            }
+            PRESC => {
+                self.must_be_disabled(value, effects);
+                self.presc = value & 0xf;
+            }
+            RQR => {
+                if value & RQR_RXFRQ != 0 {
+                    self.received = None;
+                }
+                if value & !RQR_RXFRQ != 0 {
+                    effects.unmodelled();
+                }
+            }
+            ICR => self.flags &= !value,
+            TDR => {
+                if self.to_send.is_some() {
+                    effects.violation(value, "LPUART: TDR written while TXE is 0");
+                }
+                self.to_send = Some(value as u8);
+                self.flags &= !ISR_TC;
+                self.start_sending(effects.now());
+            }
+            _ => effects.unmodelled(),
+        }
+        self.update(effects);
+    }
+
+    /// When a byte has left or arrived, or the line has been idle, for the next time.
+    pub fn next_event(&self) -> Ticks {
+        let sent = self.sending.map(|(_, end)| end);
+        [sent, self.arrives_at, self.idle_at].into_iter().flatten().min().unwrap_or(Ticks::MAX)
+    }
+
+    /// Does what is due.
+    pub fn advance(&mut self, effects: &mut Effects) {
+        let now = effects.now();
+        if let Some((byte, end)) = self.sending
+            && end <= now
+        {
+            self.sending = None;
+            if let Some(byte) = byte {
+                self.sent.push(SentByte { at: now, byte });
+                if self.to_send.is_none() {
+                    self.flags |= ISR_TC;
+                }
+            }
+            self.start_sending(now);
+        }
+        if self.arrives_at.is_some_and(|at| at <= now) {
+            self.arrive(now);
+        }
+        if self.idle_at.is_some_and(|at| at <= now) {
+            self.idle_at = None;
+            self.flags |= ISR_IDLE;
+        }
+        self.update(effects);
+    }
+
+    fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
+        if (self.cr1 ^ value) & CR1_FORMAT != 0 {
+            // Enabling and choosing the format may be one write.
+            self.must_be_disabled(value, effects);
+        }
+        if value & !CR1_MODELLED != 0 {
+            effects.unmodelled();
+        }
+        let (sent, received) = (self.sends(), self.receives());
+        if sent && value & CR1_UE == 0 && (self.sending.is_some() || self.to_send.is_some()) {
+            effects.violation(value, "LPUART: disabled while a byte is being sent");
+        }
+        self.cr1 = value & CR1_MODELLED;
+        if value & CR1_UE != 0 && self.brr < LEAST_BRR {
+            effects.violation(self.brr, "LPUART: enabled with a divider below 0x300");
+        }
+        if value & CR1_UE == 0 {
+            self.flags = ISR_TC;
+            self.to_send = None;
+            self.received = None;
+        }
+        if !self.sends() {
+            self.sending = None;
+        } else if !sent {
+            self.sending = Some((None, effects.now() + self.frame_ticks()));
+        }
+        if received && !self.receives() {
+            self.incoming.clear();
+            (self.arrives_at, self.idle_at) = (None, None);
+        }
+    }
+
+    fn must_be_disabled(&self, value: u32, effects: &mut Effects) {
+        if self.cr1 & CR1_UE != 0 {
+            effects.violation(value, "LPUART: may only be written while UE is 0");
+        }
+    }
+
+    fn sends(&self) -> bool {
+        self.cr1 & (CR1_UE | CR1_TE) == CR1_UE | CR1_TE
+    }
+
+    fn receives(&self) -> bool {
+        self.cr1 & (CR1_UE | CR1_RE) == CR1_UE | CR1_RE
+    }
+
+    /// Time of a byte with its start and stop bits: a bit is BRR/256 periods of the divided clock.
+    fn frame_ticks(&self) -> Ticks {
+        let stop_bits = if self.cr2 == CR2_TWO_STOP_BITS { 2 } else { 1 };
+        let prescaler = PRESCALERS.get(self.presc as usize).copied().unwrap_or(256);
+        ((START_AND_DATA_BITS + stop_bits) * u64::from(self.brr) * prescaler).div_ceil(256)
+    }
+
+    fn start_sending(&mut self, now: Ticks) {
+        if self.sends()
+            && self.sending.is_none()
+            && let Some(byte) = self.to_send.take()
+        {
+            self.sending = Some((Some(byte), now + self.frame_ticks()));
+        }
+    }
+
+    /// The byte on the line is complete.
+    fn arrive(&mut self, now: Ticks) {
+        let Some(byte) = self.incoming.pop_front() else {
+            return;
+        };
+        if self.received.is_none() || self.cr3 & CR3_OVRDIS != 0 {
+            self.received = Some(byte);
+        } else {
+            // The new byte is lost, the old one stays.
+            self.flags |= ISR_ORE;
+        }
+        let next = now + self.frame_ticks();
+        let more = !self.incoming.is_empty();
+        (self.arrives_at, self.idle_at) = if more { (Some(next), None) } else { (None, Some(next)) };
+    }
+
+    fn status(&self) -> u32 {
+        let on = |bit: u32, is: bool| if is { bit } else { 0 };
+        self.flags
+            | on(ISR_TXE, self.to_send.is_none())
+            | on(ISR_RXNE, self.received.is_some())
+            | on(ISR_BUSY, self.arrives_at.is_some())
+            | on(ISR_TEACK, self.sends())
+            | on(ISR_REACK, self.receives())
+    }
+
+    /// Interrupt line and DMA requests follow from the flags.
+    fn update(&self, effects: &mut Effects) {
+        let status = self.status();
+        let own = [(CR1_TXEIE, ISR_TXE), (CR1_TCIE, ISR_TC), (CR1_RXNEIE, ISR_RXNE | ISR_ORE), (CR1_IDLEIE, ISR_IDLE)];
+        let raised = own.iter().any(|&(enable, flags)| self.cr1 & enable != 0 && status & flags != 0);
+        let error = self.cr3 & CR3_EIE != 0 && status & ISR_ORE != 0;
+        effects.set_line(interrupt::LPUART1, raised || error);
+        let mut ask = |request, wanted| if wanted { effects.request(request) } else { effects.withdraw(request) };
+        ask(Request::LPUART1_TX, self.sends() && self.cr3 & CR3_DMAT != 0 && status & ISR_TXE != 0);
+        ask(Request::LPUART1_RX, self.cr3 & CR3_DMAR != 0 && status & ISR_RXNE != 0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 3 Mbaud: 170 MHz · 256 / 3 MHz.
+    const BRR_3M: u32 = 14_507;
+    /// Ten bits of it, rounded up.
+    const FRAME: Ticks = 567;
+
+    fn enabled() -> (Lpuart, Effects) {
+        let (mut lpuart, mut effects) = (Lpuart::new(), Effects::default());
+        lpuart.write(BRR, BRR_3M, &mut effects);
+        lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE, &mut effects);
+        run(&mut lpuart, &mut effects, FRAME);
+        assert_eq!(lpuart.next_event(), Ticks::MAX);
+        (lpuart, effects)
+    }
+
+    /// Lets time pass until `until`.
+    fn run(lpuart: &mut Lpuart, effects: &mut Effects, until: Ticks) {
+        while lpuart.next_event() <= until {
+            effects.now = lpuart.next_event();
+            lpuart.advance(effects);
+        }
+        effects.now = until;
+    }
+
+    fn line(effects: &Effects) -> bool {
+        effects.lines()[2] & 1 << (interrupt::LPUART1 - 64) != 0
+    }
+
+    fn asks(effects: &Effects, request: Request) -> bool {
+        effects.pending_requests() & 1 << request.0 != 0
+    }
+
+    #[test]
+    fn bytes_leave_one_after_another_at_the_rate_of_the_divider() {
+        let (mut lpuart, mut effects) = enabled();
+        lpuart.write(CR3, CR3_DMAT, &mut effects);
+        let begin = effects.now();
+        for byte in [1, 2, 3] {
+            assert!(asks(&effects, Request::LPUART1_TX));
+            effects.withdraw(Request::LPUART1_TX);
+            lpuart.write(TDR, byte, &mut effects);
+            if lpuart.read(ISR, &mut effects) & ISR_TXE == 0 {
+                assert!(!asks(&effects, Request::LPUART1_TX));
+                let next = lpuart.next_event();
+                run(&mut lpuart, &mut effects, next);
+            }
+        }
+        assert_eq!(lpuart.read(ISR, &mut effects) & ISR_TC, 0);
+        run(&mut lpuart, &mut effects, begin + 3 * FRAME);
+        let sent: Vec<_> = lpuart.take_sent().iter().map(|sent| (sent.at - begin, sent.byte)).collect();
+        assert_eq!(sent, [(FRAME, 1), (2 * FRAME, 2), (3 * FRAME, 3)]);
+        assert_ne!(lpuart.read(ISR, &mut effects) & ISR_TC, 0);
+        assert_eq!(effects.violation_count(), 0);
+    }
+
+    #[test]
+    fn a_burst_ends_with_one_idle_interrupt() {
+        let (mut lpuart, mut effects) = enabled();
+        lpuart.write(CR3, CR3_DMAR, &mut effects);
+        lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE, &mut effects);
+        let begin = effects.now();
+        lpuart.send(b"ab", &effects);
+        for (count, &byte) in b"ab".iter().enumerate() {
+            run(&mut lpuart, &mut effects, begin + (count as u64 + 1) * FRAME - 1);
+            assert!(!asks(&effects, Request::LPUART1_RX));
+            run(&mut lpuart, &mut effects, begin + (count as u64 + 1) * FRAME);
+            assert!(asks(&effects, Request::LPUART1_RX));
+            assert_eq!(lpuart.read(RDR, &mut effects), u32::from(byte));
+            assert!(!asks(&effects, Request::LPUART1_RX));
+        }
+        assert!(!line(&effects));
+        run(&mut lpuart, &mut effects, begin + 3 * FRAME);
+        assert!(line(&effects));
+        lpuart.write(ICR, ISR_IDLE, &mut effects);
+        assert!(!line(&effects));
+        run(&mut lpuart, &mut effects, begin + 100 * FRAME);
+        assert!(!line(&effects));
+    }
+
+    #[test]
+    fn what_is_not_fetched_in_time_is_lost_and_told() {
+        let (mut lpuart, mut effects) = enabled();
+        lpuart.write(CR3, CR3_EIE, &mut effects);
+        let begin = effects.now();
+        lpuart.send(b"xyz", &effects);
+        run(&mut lpuart, &mut effects, begin + FRAME);
+        assert!(!line(&effects));
+        run(&mut lpuart, &mut effects, begin + 3 * FRAME);
+        assert!(line(&effects));
+        assert_eq!(lpuart.read(RDR, &mut effects), u32::from(b'x'));
+        assert_ne!(lpuart.read(ISR, &mut effects) & ISR_ORE, 0);
+        assert_eq!(lpuart.read(ISR, &mut effects) & ISR_RXNE, 0);
+        lpuart.write(ICR, ISR_ORE, &mut effects);
+        assert!(!line(&effects));
+    }
+
+    #[test]
+    fn rules_are_watched() {
+        let (mut lpuart, mut effects) = enabled();
+        lpuart.write(BRR, BRR_3M, &mut effects);
+        assert_eq!(effects.violation_count(), 1, "divider while enabled");
+        lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE | 1 << 12, &mut effects);
+        assert_eq!(effects.violation_count(), 2, "word length while enabled");
+        lpuart.write(TDR, 1, &mut effects);
+        lpuart.write(TDR, 2, &mut effects);
+        assert_eq!(effects.violation_count(), 2, "one byte on the line, one waiting");
+        lpuart.write(TDR, 3, &mut effects);
+        assert_eq!(effects.violation_count(), 3, "no room");
+        lpuart.write(CR1, 0, &mut effects);
+        assert_eq!(effects.violation_count(), 4, "disabled while sending");
+        lpuart.write(BRR, 0x2ff, &mut effects);
+        lpuart.write(CR1, CR1_UE, &mut effects);
+        assert_eq!(effects.violation_count(), 5, "divider too small");
+    }
+}

@@ -1,0 +1,356 @@
+//! The full-speed USB device block (RM0440, "Universal serial bus full-speed device interface").
+//!
+//! The program's side is registers and packet memory; the host's side is [`UsbPort`]. Endpoints are
+//! control, bulk or interrupt with one buffer for each direction; isochronous and double-buffered
+//! endpoints, link power management and charger detection are not modelled.
+
+mod endpoint;
+mod packet_memory;
+mod port;
+
+use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
+use crate::usb_wire::FRAME_TICKS;
+use endpoint::{Endpoint, Stat};
+use packet_memory::PacketMemory;
+
+pub use port::UsbPort;
+
+/// Endpoint registers, and so the largest number of endpoints.
+const ENDPOINTS: usize = 8;
+
+// Register offsets.
+const EPNR_END: u32 = 0x20;
+const CNTR: u32 = 0x40;
+const ISTR: u32 = 0x44;
+const FNR: u32 = 0x48;
+const DADDR: u32 = 0x4c;
+const BTABLE: u32 = 0x50;
+const LPMCSR: u32 = 0x54;
+const BCDR: u32 = 0x58;
+
+// USB_CNTR; bits 8 to 15 enable the interrupts of the same bits in USB_ISTR.
+const CNTR_FRES: u32 = 1 << 0;
+const CNTR_PDWN: u32 = 1 << 1;
+const CNTR_LPMODE: u32 = 1 << 2;
+const CNTR_FSUSP: u32 = 1 << 3;
+const CNTR_MODELLED: u32 = 0xff00 | CNTR_FRES | CNTR_PDWN | CNTR_LPMODE | CNTR_FSUSP;
+
+// USB_ISTR.
+const ISTR_DIR: u32 = 1 << 4;
+const ISTR_ESOF: u32 = 1 << 8;
+const ISTR_SOF: u32 = 1 << 9;
+const ISTR_RESET: u32 = 1 << 10;
+const ISTR_SUSP: u32 = 1 << 11;
+const ISTR_WKUP: u32 = 1 << 12;
+const ISTR_CTR: u32 = 1 << 15;
+const INTERRUPTS: u32 = 0xff00;
+
+// USB_FNR.
+const FNR_FRAME: u32 = 0x7ff;
+const FNR_LSOF: u32 = 0x1800;
+const FNR_LSOF_ONE: u32 = 0x800;
+const FNR_LCK: u32 = 1 << 13;
+const FNR_RXDP: u32 = 1 << 15;
+
+const DADDR_EF: u32 = 1 << 7;
+const BCDR_DPPU: u32 = 1 << 15;
+
+/// From powering the transceiver to ending the reset (data sheet DS12288, "USB startup time").
+const STARTUP_TICKS: Ticks = TICKS_PER_SECOND / 1_000_000;
+
+/// A start of frame is missed when it is later than this.
+const MISSED_FRAME_TICKS: Ticks = FRAME_TICKS + FRAME_TICKS / 100;
+
+/// Missed frames that mean suspension: 3 ms.
+const SUSPEND_FRAMES: u32 = 3;
+
+/// The block.
+#[derive(Debug)]
+pub struct Usb {
+    endpoints: [Endpoint; ENDPOINTS],
+    memory: PacketMemory,
+    control: u32,
+    /// USB_ISTR without what follows from the endpoints.
+    status: u32,
+    frame: u32,
+    /// Starts of frame since reset or resume, up to two: then the frame timer is locked.
+    frames_seen: u32,
+    address: u32,
+    buffer_table: u32,
+    battery: u32,
+    /// 48 MHz arrive.
+    clock: bool,
+    transceiver_on_since: Ticks,
+    /// The host holds the lines; time does not count as silence.
+    line_held: bool,
+    /// When the next missing start of frame is noticed.
+    silence_at: Ticks,
+    missed_frames: u32,
+}
+
+impl Default for Usb {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Usb {
+    /// The block after power-on.
+    pub fn new() -> Self {
+        Self {
+            endpoints: [Endpoint::default(); ENDPOINTS],
+            memory: PacketMemory::new(),
+            control: CNTR_FRES | CNTR_PDWN,
+            status: 0,
+            frame: 0,
+            frames_seen: 0,
+            address: 0,
+            buffer_table: 0,
+            battery: 0,
+            clock: false,
+            transceiver_on_since: 0,
+            line_held: false,
+            silence_at: Ticks::MAX,
+            missed_frames: 0,
+        }
+    }
+
+    /// RCC reset bit or system reset. Packet memory and what the host does are not touched.
+    pub fn reset(&mut self, effects: &mut Effects) {
+        let memory = std::mem::take(&mut self.memory);
+        *self = Self { memory, clock: self.clock, line_held: self.line_held, ..Self::new() };
+        self.update_interrupt(effects);
+    }
+
+    /// Whether the 48 MHz clock arrives (CCIPR.CLK48SEL, and its source running). To be told at
+    /// every change; when the whole device is reset, after [`Self::reset`].
+    pub fn set_clock(&mut self, running: bool, effects: &mut Effects) {
+        self.clock = running;
+        if !running && self.is_running() {
+            effects.violation(self.control, "USB: the 48 MHz clock is stopped while the block runs");
+        }
+    }
+
+    /// Reads a register.
+    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+        match offset {
+            0..EPNR_END => self.endpoints[(offset / 4) as usize].register(),
+            CNTR => self.control,
+            ISTR => self.interrupt_status(),
+            FNR => self.frame | if self.battery & BCDR_DPPU != 0 && !self.line_held { FNR_RXDP } else { 0 },
+            DADDR => self.address,
+            BTABLE => self.buffer_table,
+            LPMCSR => 0,
+            BCDR => self.battery,
+            _ => {
+                effects.unmodelled();
+                0
+            }
+        }
+    }
+
+    /// Writes a register.
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        match offset {
+            0..EPNR_END => self.write_endpoint((offset / 4) as usize, value, effects),
+            CNTR => self.write_control(value, effects),
+            // Flags are cleared by zeros; ones do nothing.
+            ISTR => self.status &= value,
+            DADDR if self.is_held() => effects.violation(value, "USB: DADDR written while the block is held in reset"),
+            DADDR => self.address = value & 0xff,
+            BTABLE => {
+                if self.endpoints.iter().any(Endpoint::is_enabled) {
+                    effects.violation(value, "USB: BTABLE moved while an endpoint is enabled");
+                }
+                self.buffer_table = value & 0xfff8;
+            }
+            BCDR if value & !BCDR_DPPU == 0 => self.battery = value,
+            LPMCSR if value == 0 => {}
+            _ => effects.unmodelled(),
+        }
+        self.update_interrupt(effects);
+    }
+
+    /// Reads `width` bytes (1, 2 or 4, aligned) of the packet memory, which has its own addresses
+    /// and does not repeat narrow accesses over a word.
+    pub fn read_memory(&mut self, offset: u32, width: usize, effects: &mut Effects) -> u32 {
+        let range = offset as usize..offset as usize + width;
+        let receives = |endpoint: &Endpoint| endpoint.rx() == Stat::Valid;
+        if self
+            .endpoints
+            .iter()
+            .enumerate()
+            .any(|(index, endpoint)| receives(endpoint) && overlaps(&range, &self.memory.rx_buffer(self.entry(index))))
+        {
+            effects.violation(0, "USB: a buffer is read while its endpoint may receive into it");
+        }
+        self.memory.read(range)
+    }
+
+    /// Writes `width` bytes (1, 2 or 4, aligned) of the packet memory.
+    pub fn write_memory(&mut self, offset: u32, width: usize, value: u32, effects: &mut Effects) {
+        let range = offset as usize..offset as usize + width;
+        for (index, endpoint) in self.endpoints.iter().enumerate() {
+            let entry = self.entry(index);
+            // The first half of an entry is for transmission, the second for reception.
+            if endpoint.tx() == Stat::Valid
+                && (overlaps(&range, &self.memory.tx_buffer(entry)) || overlaps(&range, &(entry..entry + 4)))
+            {
+                effects.violation(value, "USB: a buffer is written while its endpoint may send it");
+            }
+            if endpoint.rx() == Stat::Valid
+                && (overlaps(&range, &self.memory.rx_buffer(entry)) || overlaps(&range, &(entry + 4..entry + 8)))
+            {
+                effects.violation(value, "USB: a buffer is written while its endpoint may receive into it");
+            }
+        }
+        self.memory.write(range, value);
+    }
+
+    /// When the block will notice a missing start of frame.
+    pub fn next_event(&self) -> Ticks {
+        self.silence_at
+    }
+
+    /// Notices that a start of frame is missing.
+    pub fn advance(&mut self, effects: &mut Effects) {
+        if self.frames_seen == 2 {
+            self.status |= ISTR_ESOF;
+            let lost = (self.frame & FNR_LSOF) + FNR_LSOF_ONE;
+            self.frame = self.frame & !FNR_LSOF | lost.min(FNR_LSOF);
+        }
+        self.missed_frames += 1;
+        self.silence_at = effects.now() + FRAME_TICKS;
+        if self.missed_frames == SUSPEND_FRAMES {
+            self.status |= ISTR_SUSP;
+            self.frames_seen = 0;
+            self.missed_frames = 0;
+            self.frame &= !FNR_LCK;
+        }
+        self.update_interrupt(effects);
+    }
+
+    /// The host's end of the block.
+    pub fn port<'a>(&'a mut self, effects: &'a mut Effects) -> UsbPort<'a> {
+        UsbPort { usb: self, effects }
+    }
+
+    /// Held in reset by the program.
+    fn is_held(&self) -> bool {
+        self.control & (CNTR_FRES | CNTR_PDWN) != 0
+    }
+
+    /// Able to hear the bus and to answer.
+    fn is_running(&self) -> bool {
+        !self.is_held()
+    }
+
+    /// Where the buffer table describes endpoint register `index`.
+    fn entry(&self, index: usize) -> usize {
+        self.buffer_table as usize + 8 * index
+    }
+
+    fn interrupt_status(&self) -> u32 {
+        // A lower number goes first.
+        match self.endpoints.iter().position(Endpoint::has_completed) {
+            Some(index) => {
+                let direction = if self.endpoints[index].has_received() { ISTR_DIR } else { 0 };
+                self.status | ISTR_CTR | direction | index as u32
+            }
+            None => self.status,
+        }
+    }
+
+    fn update_interrupt(&self, effects: &mut Effects) {
+        effects.set_line(interrupt::USB_LP, self.interrupt_status() & self.control & INTERRUPTS != 0);
+    }
+
+    fn write_control(&mut self, value: u32, effects: &mut Effects) {
+        let (before, now) = (self.control, effects.now());
+        if value & !CNTR_MODELLED != 0 {
+            effects.unmodelled();
+        }
+        self.control = value & CNTR_MODELLED;
+        let cleared = before & !value;
+        if cleared & CNTR_PDWN != 0 {
+            self.transceiver_on_since = now;
+        }
+        if before & (CNTR_FRES | CNTR_PDWN) != 0 && self.is_running() {
+            if now < self.transceiver_on_since + STARTUP_TICKS {
+                effects.violation(value, "USB: FRES cleared before the transceiver's start-up time");
+            }
+            if !self.clock {
+                effects.violation(value, "USB: FRES cleared without the 48 MHz clock");
+            }
+        }
+        if value & CNTR_FRES != 0 && value & CNTR_PDWN == 0 {
+            self.reset_protocol();
+        } else if value & CNTR_PDWN != 0 {
+            self.endpoints.iter_mut().for_each(Endpoint::reset);
+        }
+        if (before ^ self.control) & (CNTR_FRES | CNTR_PDWN | CNTR_FSUSP) != 0 {
+            self.listen(now);
+        }
+    }
+
+    fn write_endpoint(&mut self, index: usize, value: u32, effects: &mut Effects) {
+        if self.is_held() {
+            effects.violation(value, "USB: an endpoint register is written while the block is held in reset");
+            return;
+        }
+        let before = self.endpoints[index];
+        self.endpoints[index].write(value);
+        let endpoint = self.endpoints[index];
+        if !endpoint.is_modelled() {
+            effects.unmodelled();
+        }
+        if endpoint.tx() == Stat::Valid && before.tx() != Stat::Valid {
+            self.check_buffer(self.memory.tx_buffer(self.entry(index)), index, value, effects);
+        }
+        if endpoint.rx() == Stat::Valid && before.rx() != Stat::Valid {
+            self.check_buffer(self.memory.rx_buffer(self.entry(index)), index, value, effects);
+        }
+    }
+
+    /// A buffer that the block may now use: in memory, apart from the table and from the buffers
+    /// of all other enabled endpoints.
+    fn check_buffer(&self, buffer: std::ops::Range<usize>, index: usize, value: u32, effects: &mut Effects) {
+        if buffer.end > packet_memory::BYTES {
+            effects.violation(value, "USB: a buffer ends behind the packet memory");
+        }
+        for (other, endpoint) in self.endpoints.iter().enumerate().filter(|(_, endpoint)| endpoint.is_enabled()) {
+            let entry = self.entry(other);
+            if overlaps(&buffer, &(entry..entry + 8)) {
+                effects.violation(value, "USB: a buffer lies over the buffer table");
+            }
+            if other != index
+                && (endpoint.tx() != Stat::Disabled && overlaps(&buffer, &self.memory.tx_buffer(entry))
+                    || endpoint.rx() != Stat::Disabled && overlaps(&buffer, &self.memory.rx_buffer(entry)))
+            {
+                effects.violation(value, "USB: the buffers of two endpoints overlap");
+            }
+        }
+    }
+
+    /// What a reset from the bus and one by FRES have in common.
+    fn reset_protocol(&mut self) {
+        self.endpoints.iter_mut().for_each(Endpoint::reset);
+        self.address = 0;
+        self.frames_seen = 0;
+        self.status |= ISTR_RESET;
+    }
+
+    /// The bus was active: silence begins anew.
+    fn listen(&mut self, now: Ticks) {
+        self.missed_frames = 0;
+        let deaf = self.is_held() || self.line_held || self.control & CNTR_FSUSP != 0;
+        self.silence_at = if deaf { Ticks::MAX } else { now + MISSED_FRAME_TICKS };
+    }
+}
+
+fn overlaps(a: &std::ops::Range<usize>, b: &std::ops::Range<usize>) -> bool {
+    a.start < b.end && b.start < a.end
+}
+
+#[cfg(test)]
+mod tests;

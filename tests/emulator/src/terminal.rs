@@ -1,0 +1,161 @@
+//! A pseudo-terminal: the emulator's serial port as other programs open it.
+
+use std::os::fd::AsFd;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+
+use nix::errno::Errno;
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::pty::{OpenptyResult, openpty};
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use nix::unistd;
+use thiserror::Error;
+
+/// The operating system refuses.
+#[derive(Debug, Error)]
+#[error("pseudo-terminal: {action}: {source}")]
+pub struct TerminalError {
+    action: &'static str,
+    source: Errno,
+}
+
+/// A raw pseudo-terminal. Nothing here waits.
+#[derive(Debug)]
+pub struct Terminal {
+    master: OwnedFd,
+    path: PathBuf,
+}
+
+impl Terminal {
+    /// Makes one, which nobody has open yet.
+    ///
+    /// # Errors
+    /// If there are no more pseudo-terminals.
+    pub fn open() -> Result<Self, TerminalError> {
+        let at = |action| move |source| TerminalError { action, source };
+        let OpenptyResult { master, slave } = openpty(None, None).map_err(at("openpty"))?;
+        let mut settings = tcgetattr(&slave).map_err(at("tcgetattr"))?;
+        cfmakeraw(&mut settings);
+        tcsetattr(&slave, SetArg::TCSANOW, &settings).map_err(at("tcsetattr"))?;
+        let path = unistd::ttyname(&slave).map_err(at("ttyname"))?;
+        let flags = OFlag::from_bits_retain(fcntl(&master, FcntlArg::F_GETFL).map_err(at("F_GETFL"))?);
+        fcntl(&master, FcntlArg::F_SETFL(flags | OFlag::O_NONBLOCK)).map_err(at("F_SETFL"))?;
+        // Our own end of the slave is closed here, so that a hang-up means: nobody has it open.
+        drop(slave);
+        Ok(Self { master, path })
+    }
+
+    /// What other programs open.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether some program has it open.
+    ///
+    /// # Errors
+    /// If the operating system cannot tell.
+    pub fn is_open(&self) -> Result<bool, TerminalError> {
+        let mut polled = [PollFd::new(self.master.as_fd(), PollFlags::empty())];
+        poll(&mut polled, PollTimeout::ZERO).map_err(|source| TerminalError { action: "poll", source })?;
+        Ok(!polled[0].revents().is_some_and(|events| events.contains(PollFlags::POLLHUP)))
+    }
+
+    /// Reads what has been written by the other side, as much as `buffer` takes; nothing is nothing.
+    ///
+    /// # Errors
+    /// If reading fails.
+    pub fn read<'a>(&self, buffer: &'a mut [u8]) -> Result<&'a [u8], TerminalError> {
+        match unistd::read(&self.master, buffer) {
+            Ok(len) => Ok(&buffer[..len]),
+            // EIO: nobody has the other side open.
+            Err(Errno::EAGAIN | Errno::EINTR | Errno::EIO) => Ok(&[]),
+            Err(source) => Err(TerminalError { action: "read", source }),
+        }
+    }
+
+    /// Writes for the other side; returns how many bytes it took, which may be none while nobody
+    /// reads there.
+    ///
+    /// # Errors
+    /// If writing fails.
+    pub fn write(&self, bytes: &[u8]) -> Result<usize, TerminalError> {
+        match unistd::write(&self.master, bytes) {
+            Ok(len) => Ok(len),
+            Err(Errno::EAGAIN | Errno::EINTR | Errno::EIO) => Ok(0),
+            Err(source) => Err(TerminalError { action: "write", source }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::{File, OpenOptions};
+    use std::io::{Read, Write};
+    use std::time::{Duration, Instant};
+
+    fn other_side(terminal: &Terminal) -> File {
+        OpenOptions::new().read(true).write(true).open(terminal.path()).unwrap()
+    }
+
+    /// The line discipline passes bytes on in its own time.
+    fn read_some(terminal: &Terminal) -> Vec<u8> {
+        let mut buffer = [0; 4096];
+        let begin = Instant::now();
+        loop {
+            let read = terminal.read(&mut buffer).unwrap();
+            if !read.is_empty() {
+                return read.to_vec();
+            }
+            assert!(begin.elapsed() < Duration::from_secs(5), "nothing came");
+        }
+    }
+
+    #[test]
+    fn all_bytes_pass_unchanged_both_ways() {
+        let terminal = Terminal::open().unwrap();
+        let mut other = other_side(&terminal);
+        let bytes: Vec<u8> = (0..=255).collect();
+        assert_eq!(terminal.write(&bytes).unwrap(), 256);
+        let mut read = [0; 256];
+        other.read_exact(&mut read).unwrap();
+        assert_eq!(read[..], bytes[..]);
+        other.write_all(&bytes).unwrap();
+        let mut back = Vec::new();
+        while back.len() < 256 {
+            back.extend(read_some(&terminal));
+        }
+        assert_eq!(back, bytes);
+    }
+
+    #[test]
+    fn opening_and_closing_is_seen() {
+        let terminal = Terminal::open().unwrap();
+        assert!(!terminal.is_open().unwrap());
+        for _ in 0..3 {
+            let other = other_side(&terminal);
+            assert!(terminal.is_open().unwrap());
+            drop(other);
+            assert!(!terminal.is_open().unwrap());
+        }
+    }
+
+    #[test]
+    fn nothing_waits_and_what_is_not_taken_is_told() {
+        let terminal = Terminal::open().unwrap();
+        assert_eq!(terminal.read(&mut [0; 16]).unwrap(), b"");
+        let _other = other_side(&terminal);
+        assert_eq!(terminal.read(&mut [0; 16]).unwrap(), b"");
+        let mut taken = 0;
+        loop {
+            let len = terminal.write(&[7; 1024]).unwrap();
+            if len == 0 {
+                break;
+            }
+            taken += len;
+            assert!(taken < 1 << 20, "no back-pressure");
+        }
+        assert!(taken > 0);
+    }
+}

@@ -1,0 +1,239 @@
+//! What is around the board: emitters, slits, detectors and the electronics up to the converters.
+//!
+//! [`World`] is the machine's edge. [`OpticsWorld`] puts the head of a scene file there: the gates
+//! and levels that the board drives say which emitters shine, `light` follows the moving tool,
+//! and the electronics of the host's simulator settle, add noise and quantise.
+
+mod light;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use slitpose::front_end::TICK_HZ;
+use slitpose::scene_file::SceneFile;
+use slitpose::simulator::{CellNoise, Electrode, Electronics, Trajectory};
+use slitpose_model::{SceneError, Tier};
+use slitpose_protocol::AdcScaling;
+use thiserror::Error;
+
+use crate::peripherals::Ticks;
+use light::Illumination;
+
+/// Cells a board has converter inputs for.
+pub const BOARD_CELLS: usize = 6;
+
+/// DAC code at which an emitter has its nominal intensity: the middle of 12 bits.
+pub const NOMINAL_LEVEL_CODE: u16 = 2048;
+
+/// Bits of a conversion (RM0440, "ADC main features").
+const ADC_BITS: u32 = 12;
+
+/// I_X1 of cells 0 to 5: inputs of ADC1 (PA0, PA1, PC0, PC1, PC2, PC3).
+const ADC1_INPUTS: [u8; BOARD_CELLS] = [1, 2, 6, 7, 8, 9];
+
+/// I_X2 of cells 0 to 5: inputs of ADC2 (PA7, PC4, PC5, PB2, PB11, PB15).
+const ADC2_INPUTS: [u8; BOARD_CELLS] = [4, 5, 11, 12, 14, 15];
+
+/// Light and electronics around the board.
+pub trait World {
+    /// Emitter gates PC6 to PC11 (bit k: PC(6+k) driven high; a pin that is not a push-pull output
+    /// is low, held by its pull-down) and the two level codes (PA4 = DAC1 OUT1 feeds emitters 0 to
+    /// 2, PA6 = DAC2 OUT1 feeds emitters 3 to 5) changed at `now`.
+    fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]);
+
+    /// The 12-bit code of one conversion of ADC `adc` (1 or 2), input `channel` (IN number), whose
+    /// hold instant is `now`. Both converters of a pair are asked at the same `now`; calls come in
+    /// the order of time.
+    fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16;
+}
+
+/// Whether detectors and electronics are noisy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoiseSource {
+    /// Shot, Johnson and converter noise as the scene says, drawn from this seed.
+    Seeded(u64),
+    /// None: each code is the expected one.
+    Off,
+}
+
+/// Why a scene cannot be put around the board.
+#[derive(Debug, Error)]
+pub enum WorldError {
+    /// No electronics.
+    #[error("scene `{scene}` has no [front_end]; add one, or use the shipped scene `wide`")]
+    NoFrontEnd {
+        /// The scene.
+        scene: String,
+    },
+    /// Another converter.
+    #[error("scene `{scene}`: front_end.adc_bits = {bits}, the board's converters have {ADC_BITS}")]
+    AdcBits {
+        /// The scene.
+        scene: String,
+        /// What it asks for.
+        bits: u32,
+    },
+    /// More cells than inputs.
+    #[error("scene `{scene}` has {cells} cells, the board has inputs for {BOARD_CELLS}")]
+    TooManyCells {
+        /// The scene.
+        scene: String,
+        /// Its cells.
+        cells: usize,
+    },
+    /// The optics.
+    #[error(transparent)]
+    Optics(#[from] SceneError),
+}
+
+/// The head of a scene around the board, its tool on a trajectory.
+#[derive(Debug)]
+pub struct OpticsWorld {
+    illumination: Illumination,
+    electronics: Electronics,
+    /// Until when each cell's low-pass has run.
+    settled_to: Vec<Ticks>,
+    noise: Option<Noise>,
+    zero_current_code: u16,
+}
+
+/// Where noise comes from, and what it is at each cell.
+#[derive(Debug)]
+struct Noise {
+    rng: ChaCha8Rng,
+    /// At the instant of the last conversion; `None` before the first.
+    cells: Vec<Option<(Ticks, CellNoise)>>,
+}
+
+impl OpticsWorld {
+    /// The head of `file` in the dark at tick 0, its tool on `trajectory`, optics of `tier`.
+    ///
+    /// # Errors
+    /// If the board cannot be connected to such a head.
+    pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, noise: NoiseSource) -> Result<Self, WorldError> {
+        let scene = || file.name.clone();
+        let front_end = file.front_end.as_ref().ok_or_else(|| WorldError::NoFrontEnd { scene: scene() })?;
+        if front_end.adc_bits != ADC_BITS {
+            return Err(WorldError::AdcBits { scene: scene(), bits: front_end.adc_bits });
+        }
+        let cells = file.scene.cells.len();
+        if cells > BOARD_CELLS {
+            return Err(WorldError::TooManyCells { scene: scene(), cells });
+        }
+        let electronics = Electronics::new(&file.scene, front_end);
+        Ok(Self {
+            illumination: Illumination::new(&file.scene, trajectory, tier)?,
+            zero_current_code: electronics.scaling().zero_code.round() as u16,
+            electronics,
+            settled_to: vec![0; cells],
+            noise: match noise {
+                NoiseSource::Seeded(seed) => {
+                    Some(Noise { rng: ChaCha8Rng::seed_from_u64(seed), cells: vec![None; cells] })
+                }
+                NoiseSource::Off => None,
+            },
+        })
+    }
+
+    /// Lets the tool's time be zero at `origin`. Light that was worked out before stays as it is.
+    pub fn set_origin(&mut self, origin: Ticks) {
+        self.illumination.set_origin(origin);
+    }
+
+    /// What a code of the electronics means.
+    pub fn scaling(&self) -> AdcScaling {
+        self.electronics.scaling()
+    }
+
+    /// Brings the low-pass of `cell` to `now`, within one stretch of linear light.
+    fn settle(&mut self, cell: usize, now: Ticks) {
+        let since = self.settled_to[cell];
+        if now > since {
+            let (from, to) = (self.illumination.light(cell, since), self.illumination.light(cell, now));
+            self.electronics.pass(cell, seconds(now - since), from, to);
+            self.settled_to[cell] = now;
+        }
+    }
+
+    fn settle_all(&mut self, now: Ticks) {
+        for cell in 0..self.settled_to.len() {
+            self.settle(cell, now);
+        }
+    }
+
+    /// Follows the light through all stretches that end before `now`.
+    fn follow_light(&mut self, now: Ticks) {
+        while self.illumination.end() < now {
+            self.settle_all(self.illumination.end());
+            self.illumination.go_on();
+        }
+    }
+}
+
+impl World for OpticsWorld {
+    fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]) {
+        self.follow_light(now);
+        self.settle_all(now);
+        let relative = level_codes.map(|code| f64::from(code) / f64::from(NOMINAL_LEVEL_CODE));
+        self.illumination.switch(now, gates, relative);
+    }
+
+    fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16 {
+        let Some((cell, electrode)) = input(adc, channel) else {
+            // An open input; 0 is also what an electrode gives that is far beyond full scale.
+            return 0;
+        };
+        if cell >= self.settled_to.len() {
+            return self.zero_current_code;
+        }
+        self.follow_light(now);
+        self.settle(cell, now);
+        match &mut self.noise {
+            Some(noise) => {
+                let disturbance = noise.at(cell, now, &self.electronics);
+                let converter = noise.draw();
+                self.electronics.convert(cell, electrode, &disturbance, converter)
+            }
+            None => self.electronics.convert(cell, electrode, &CellNoise::default(), 0.0),
+        }
+    }
+}
+
+impl Noise {
+    fn draw(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.rng)
+    }
+
+    /// The filtered noise of `cell` at `now`: the same for both electrodes of a pair.
+    fn at(&mut self, cell: usize, now: Ticks, electronics: &Electronics) -> CellNoise {
+        let Self { rng, cells } = self;
+        let draw = || StandardNormal.sample(rng);
+        let noise = match cells[cell] {
+            Some((then, noise)) if then == now => return noise,
+            Some((then, mut noise)) => {
+                noise.pass(electronics.decay(seconds(now - then)), draw);
+                noise
+            }
+            None => CellNoise::unknown(draw),
+        };
+        cells[cell] = Some((now, noise));
+        noise
+    }
+}
+
+/// Which electrode an input of a converter belongs to.
+fn input(adc: u8, channel: u8) -> Option<(usize, Electrode)> {
+    let (inputs, electrode) = match adc {
+        1 => (ADC1_INPUTS, Electrode::X1),
+        2 => (ADC2_INPUTS, Electrode::X2),
+        _ => return None,
+    };
+    inputs.iter().position(|&wired| wired == channel).map(|cell| (cell, electrode))
+}
+
+fn seconds(ticks: Ticks) -> f64 {
+    ticks as f64 / f64::from(TICK_HZ)
+}
+
+#[cfg(test)]
+mod tests;

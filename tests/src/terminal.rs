@@ -1,0 +1,231 @@
+//! Boards on pseudo-terminals, as `run --device PATH` meets them.
+
+use std::os::fd::{AsFd, OwnedFd};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use nix::errno::Errno;
+use nix::fcntl::{FcntlArg, FdFlag, OFlag, fcntl};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::pty::openpty;
+use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
+use nix::unistd::{read, ttyname, write};
+use slitpose::scene_file::{SceneFile, WIDE};
+use slitpose::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Reply, Request, encode};
+
+use crate::capture::STREAM;
+
+/// What is on the other side of a terminal.
+pub trait Device: Send + 'static {
+    /// Takes what the host has sent, appends to `sent` what goes to the host, `now_s` after the host
+    /// has opened the terminal; called every millisecond. `false` pulls the plug.
+    fn act(&mut self, received: &[u8], now_s: f64, sent: &mut Vec<u8>) -> bool;
+}
+
+impl<F: FnMut(&[u8], f64, &mut Vec<u8>) -> bool + Send + 'static> Device for F {
+    fn act(&mut self, received: &[u8], now_s: f64, sent: &mut Vec<u8>) -> bool {
+        self(received, now_s, sent)
+    }
+}
+
+/// A terminal that is served until its host closes it, or the device pulls the plug.
+#[derive(Debug)]
+pub struct Terminal {
+    /// Where the host finds it.
+    pub path: String,
+    opened: Arc<OnceLock<Instant>>,
+    thread: JoinHandle<Log>,
+}
+
+/// What went over a terminal.
+#[derive(Clone, Debug, Default)]
+pub struct Log {
+    /// From the host.
+    pub received: Vec<u8>,
+    /// To the host, as far as it took it.
+    pub sent: Vec<u8>,
+}
+
+impl Log {
+    /// The commands of the host, in order.
+    ///
+    /// # Panics
+    /// If one is damaged.
+    pub fn commands(&self) -> Vec<Command> {
+        let mut decoder = Decoder::<MAX_REQUEST_BYTES>::new();
+        let mut bytes = &self.received[..];
+        let mut commands = Vec::new();
+        while let Some(request) = decoder.next::<Request>(&mut bytes) {
+            commands.push(request.expect("undamaged").command);
+        }
+        commands
+    }
+}
+
+impl Terminal {
+    /// A new terminal with `device` behind it.
+    ///
+    /// # Panics
+    /// If the system has no terminals.
+    pub fn serve(device: impl Device) -> Self {
+        let pair = openpty(None, None).expect("pseudo-terminal");
+        let path = ttyname(&pair.slave).expect("path").to_str().expect("UTF-8").to_owned();
+        let mut settings = tcgetattr(&pair.slave).expect("settings");
+        cfmakeraw(&mut settings);
+        tcsetattr(&pair.slave, SetArg::TCSANOW, &settings).expect("raw");
+        fcntl(&pair.master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).expect("does not block");
+        // Or the host, started later, would hold its own end and never see the plug pulled.
+        fcntl(&pair.master, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).expect("closes");
+        // From now on the other side counts as closed until the host opens it.
+        drop(pair.slave);
+        let opened = Arc::new(OnceLock::new());
+        let (master, clock) = (pair.master, Arc::clone(&opened));
+        let thread = std::thread::spawn(move || serve(&master, device, &clock));
+        Self { path, opened, thread }
+    }
+
+    /// When the host opened it: the start of the device's time.
+    pub fn opened(&self) -> Option<Instant> {
+        self.opened.get().copied()
+    }
+
+    /// Waits until it is closed from either side.
+    ///
+    /// # Panics
+    /// If the device has.
+    pub fn closed(self) -> Log {
+        self.thread.join().expect("device")
+    }
+}
+
+fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>) -> Log {
+    let mut log = Log::default();
+    let mut pending = Vec::new();
+    loop {
+        let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
+        poll(&mut fds, PollTimeout::from(1_u8)).expect("poll");
+        let events = fds[0].revents().unwrap_or(PollFlags::empty());
+        let start = log.received.len();
+        if events.contains(PollFlags::POLLIN) {
+            let mut chunk = [0; 4096];
+            match read(master, &mut chunk) {
+                Ok(count) => log.received.extend_from_slice(&chunk[..count]),
+                Err(Errno::EAGAIN | Errno::EIO) => {}
+                Err(error) => panic!("{error}"),
+            }
+        } else if events.contains(PollFlags::POLLHUP) {
+            if opened.get().is_some() {
+                return log;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+            continue;
+        }
+        let now_s = opened.get_or_init(Instant::now).elapsed().as_secs_f64();
+        if !device.act(&log.received[start..], now_s, &mut pending) {
+            return log;
+        }
+        match write(master, &pending) {
+            Ok(count) => log.sent.extend(pending.drain(..count)),
+            Err(Errno::EAGAIN | Errno::EIO) => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+/// A board that has fallen behind catches up with so many frames a millisecond, not at one go: it
+/// would be silent meanwhile.
+const FRAMES_AT_ONCE: usize = 20;
+
+/// A board does not sample while so much waits for its host: it loses nothing, and replies are not late.
+const BACKLOG_BYTES: usize = 4096;
+
+/// The simulated board in real time, or slower if machine or host are.
+#[derive(Debug)]
+pub struct Board {
+    board: SimulatedBoard,
+    frame_s: f64,
+    frames: u64,
+}
+
+impl Board {
+    /// One with the head of the default scene and a smoothly moved tool.
+    ///
+    /// # Panics
+    /// Never: the default scene can be simulated.
+    pub fn wide(seed: u64) -> Self {
+        Self::of(&WIDE.read().expect("shipped"), seed)
+    }
+
+    /// One with the head of `file`.
+    ///
+    /// # Panics
+    /// If no board can run the scene.
+    pub fn of(file: &SceneFile, seed: u64) -> Self {
+        let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, seed, 10.0);
+        let board = SimulatedBoard::new(file, trajectory, STREAM, seed).expect("can be simulated");
+        let schedule = slitpose::front_end::configuration(file).expect("has a schedule").schedule;
+        Self { board, frame_s: schedule.frame_rate_hz().recip(), frames: 0 }
+    }
+
+    /// Does what `command` says, whoever gives it.
+    pub fn command(&mut self, command: Command) {
+        self.board.write(&request(u16::MAX, command));
+    }
+}
+
+impl Device for Board {
+    fn act(&mut self, received: &[u8], now_s: f64, sent: &mut Vec<u8>) -> bool {
+        self.board.write(received);
+        self.board.transmit(sent);
+        for _ in 0..FRAMES_AT_ONCE {
+            if self.frames as f64 * self.frame_s >= now_s || sent.len() > BACKLOG_BYTES {
+                break;
+            }
+            self.board.step(sent);
+            self.frames += 1;
+        }
+        true
+    }
+}
+
+/// `board` with each message changed by `edit`; `None` leaves it out.
+pub fn edited(
+    mut board: impl Device,
+    mut edit: impl FnMut(Message<'_>) -> Option<Message<'_>> + Send + 'static,
+) -> impl Device {
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+        let mut own = Vec::new();
+        let plugged = board.act(received, now_s, &mut own);
+        let mut bytes = &own[..];
+        while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
+            if let Some(message) = edit(message.expect("undamaged")) {
+                sent.extend(packet(&message));
+            }
+        }
+        plugged
+    }
+}
+
+/// A message as it goes over the wire.
+///
+/// # Panics
+/// If it is too long.
+pub fn packet(message: &Message<'_>) -> Vec<u8> {
+    encode(message, &mut [0; MAX_MESSAGE_BYTES]).expect("room").to_vec()
+}
+
+/// A command as it goes over the wire.
+///
+/// # Panics
+/// Never: all commands fit.
+pub fn request(number: u16, command: Command) -> Vec<u8> {
+    encode(&Request { number, command }, &mut [0; MAX_REQUEST_BYTES]).expect("room").to_vec()
+}
+
+/// The reply to a command.
+pub fn reply(number: u16, outcome: Result<(), slitpose_protocol::Rejection>) -> Message<'static> {
+    Message::Reply(Reply { number, outcome })
+}

@@ -1,0 +1,378 @@
+//! `slitpose run --device PATH`: a board on a terminal is followed without loss, stopped in every
+//! case, and whatever else may be there is named.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::Child;
+use std::time::{Duration, Instant};
+
+use nix::sys::resource::{UsageWho, getrusage};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use slitpose::scene_file::WIDE;
+use slitpose_protocol::{BoardKind, Command, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, Rejection, Request};
+use slitpose_tests::capture::decode;
+use slitpose_tests::consistency::worst_axis;
+use slitpose_tests::ndjson::{self, Line};
+use slitpose_tests::process::Finished;
+use slitpose_tests::slitpose;
+use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, packet, reply};
+
+/// Runs the command against `device` and gives what both say.
+fn run(device: impl Device, arguments: &[&str]) -> (Finished, Log, String) {
+    let terminal = Terminal::serve(device);
+    let path = terminal.path.clone();
+    let finished = slitpose!().run(["run", "--device", &path].iter().chain(arguments));
+    (finished, terminal.closed(), path)
+}
+
+fn spawn(terminal: &Terminal, arguments: &[&str]) -> Child {
+    slitpose!().command(["run", "--device", &terminal.path].iter().chain(arguments)).spawn().expect("slitpose starts")
+}
+
+/// Asserts that scans follow each other from the first on, each with a pose near the truth.
+fn assert_followed(lines: &[Line]) {
+    for (line, expected) in lines.iter().zip(lines[0].sequence..) {
+        assert_eq!(line.sequence, expected);
+    }
+    let errors: Vec<_> = lines.iter().filter_map(Line::error).collect();
+    assert!(errors.len() * 1000 >= lines.len() * 999, "{} of {} scans have a pose", errors.len(), lines.len());
+    // Of 48 000 normal numbers 0.03 lie beyond 5 σ.
+    let beyond = errors.iter().filter(|(error, covariance)| worst_axis(error, covariance) > 5.0).count();
+    assert!(beyond <= 2, "{beyond} poses beyond 5 σ");
+}
+
+fn is_ping(command: &Command) -> bool {
+    matches!(command, Command::Ping { .. })
+}
+
+#[test]
+fn two_seconds_through_a_terminal() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let record = folder.path().join("run.capture");
+    let record = record.to_str().expect("UTF-8");
+    let (finished, log, _) = run(Board::wide(61), &["--duration", "2s", "--record", record]);
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    let lines = ndjson::parse(&finished.clone().done());
+    assert_eq!(lines.len(), 8000);
+    assert_followed(&lines);
+
+    let replayed = slitpose!().run(["replay", record]);
+    assert_eq!((replayed.code, replayed.stderr.as_str()), (0, ""));
+    assert!(replayed.stdout == finished.stdout, "replay differs from run");
+
+    assert_eq!(log.received[0], 0, "half a packet is ended first");
+    let wanted = slitpose::front_end::configuration(&WIDE.read().expect("shipped")).expect("schedule");
+    let commands = log.commands();
+    let [Command::Hello, Command::Configure(configuration), Command::Start, pings @ .., Command::Stop] = &commands[..]
+    else {
+        panic!("{commands:?}");
+    };
+    assert_eq!(*configuration, wanted);
+    assert!(pings.len() >= 3 && pings.iter().all(is_ping), "{pings:?}");
+}
+
+#[test]
+fn the_way_from_light_to_line_is_short() {
+    let terminal = Terminal::serve(Board::wide(60));
+    let mut child = spawn(&terminal, &["--duration", "2s"]);
+    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+    let mut text = String::new();
+    let mut arrivals = Vec::new();
+    while stdout.read_line(&mut text).expect("UTF-8") > 0 {
+        arrivals.push(Instant::now());
+    }
+    assert_eq!(Finished::from(child.wait_with_output().expect("ends")).code, 0);
+    let opened = terminal.opened().expect("opened");
+    let mut delays_s: Vec<f64> = ndjson::parse(&text)
+        .iter()
+        .zip(arrivals)
+        .map(|(line, arrival)| (arrival - opened).as_secs_f64() - line.device_time_s)
+        .collect();
+    delays_s.sort_by(f64::total_cmp);
+    let (median_s, p99_s) = (delays_s[delays_s.len() / 2], delays_s[delays_s.len() * 99 / 100]);
+    let usage = getrusage(UsageWho::RUSAGE_CHILDREN).expect("usage");
+    println!(
+        "light to line: median {:.2} ms, 99 % within {:.2} ms; {:?} user and {:?} system time for 2 s at 4 kHz",
+        median_s * 1e3,
+        p99_s * 1e3,
+        usage.user_time(),
+        usage.system_time()
+    );
+    // How short depends on what else the machine does: a busy one falls behind real time.
+    assert!((0.0..0.5).contains(&delays_s[0]), "{} s at best", delays_s[0]);
+    assert!(terminal.closed().commands().contains(&Command::Stop));
+}
+
+#[test]
+fn a_pose_is_printed_before_the_next_scan_comes() {
+    let mut board = Board::wide(59);
+    let mut last = 0.0_f64;
+    // 40 frames, and then nothing but silence.
+    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+        last = last.max(now_s.min(0.01));
+        now_s > 0.3 || board.act(received, last, sent)
+    };
+    let terminal = Terminal::serve(device);
+    let mut child = spawn(&terminal, &[]);
+    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+    stdout.read_line(&mut String::new()).expect("line");
+    let first = Instant::now();
+    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    assert!(finished.stderr.contains("no data"), "{}", finished.stderr);
+    assert!(first.elapsed() > Duration::from_millis(400), "the first line came with the last");
+}
+
+#[test]
+fn what_an_earlier_host_left_is_not_solved() {
+    let mut board = Board::wide(62);
+    board.command(Command::Start);
+    let mut early = Vec::new();
+    for _ in 0..20 {
+        let mut sent = Vec::new();
+        board.act(&[], 0.05, &mut sent);
+        early.extend(sent);
+    }
+    // From the middle of a packet on, so that it is damaged.
+    let mut early = Some(early.split_off(40));
+    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+        sent.extend(early.take().into_iter().flatten());
+        board.act(received, now_s + 0.05, sent)
+    };
+    let (finished, log, _) = run(device, &["--duration", "200ms"]);
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    let lines = ndjson::parse(&finished.done());
+    assert_eq!(lines.len(), 800);
+    // 200 frames had passed when the host came.
+    assert!(lines[0].sequence >= 200, "{}", lines[0].sequence);
+    assert_followed(&lines);
+    assert_eq!(log.commands().last(), Some(&Command::Stop));
+}
+
+#[test]
+fn an_interrupt_stops_the_board_and_prints_all_it_took() {
+    for signal in [Signal::SIGINT, Signal::SIGTERM] {
+        let terminal = Terminal::serve(Board::wide(63));
+        let mut child = spawn(&terminal, &[]);
+        let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+        let mut text = String::new();
+        for _ in 0..1000 {
+            stdout.read_line(&mut text).expect("line");
+        }
+        kill(Pid::from_raw(child.id() as i32), signal).expect("running");
+        stdout.read_to_string(&mut text).expect("UTF-8");
+        let finished = Finished::from(child.wait_with_output().expect("ends"));
+        assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{signal}");
+        let lines = ndjson::parse(&text);
+        assert_followed(&lines);
+        let log = terminal.closed();
+        assert_eq!(log.commands().last(), Some(&Command::Stop), "{signal}");
+        assert_eq!(lines.len(), decode(&log.sent).scans.len(), "{signal}");
+    }
+}
+
+#[test]
+fn a_reader_that_goes_stops_the_board() {
+    let terminal = Terminal::serve(Board::wide(64));
+    let mut child = spawn(&terminal, &[]);
+    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+    stdout.read_line(&mut String::new()).expect("line");
+    drop(stdout);
+    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    assert_eq!(terminal.closed().commands().last(), Some(&Command::Stop));
+}
+
+#[test]
+fn a_reader_that_sleeps_costs_nothing_and_the_board_stays_lit() {
+    let terminal = Terminal::serve(Board::wide(65));
+    let child = spawn(&terminal, &["--duration", "500ms"]);
+    // Some 130 lines fit the pipe and the buffer ahead of it: 30 ms.
+    std::thread::sleep(Duration::from_millis(2200));
+    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    let log = terminal.closed();
+    let lines = ndjson::parse(&finished.done());
+    assert_eq!(lines.len(), 2000);
+    assert_followed(&lines);
+    let pings = log.commands().iter().filter(|command| is_ping(command)).count();
+    assert!(pings >= 3, "{pings} pings while nobody read");
+}
+
+#[test]
+fn a_board_that_is_unplugged_is_missed() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let record = folder.path().join("run.capture");
+    let mut board = Board::wide(66);
+    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s < 0.7 && board.act(received, now_s, sent);
+    let (finished, _, path) = run(device, &["--record", record.to_str().expect("UTF-8")]);
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains(&path) && finished.stderr.contains("unplugged"), "{}", finished.stderr);
+    let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
+    assert!(lines.len() > 100, "{} lines", lines.len());
+    assert_followed(&lines);
+    let replayed = slitpose!().run(["replay", record.to_str().expect("UTF-8")]);
+    assert_eq!(ndjson::parse(&String::from_utf8(replayed.stdout).expect("UTF-8")).len(), lines.len());
+}
+
+#[test]
+fn a_board_that_falls_silent_is_missed() {
+    let mut board = Board::wide(67);
+    let device =
+        move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s >= 0.4 || board.act(received, now_s, sent);
+    let (finished, log, path) = run(device, &["--duration", "10s"]);
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains(&format!("no data for 0.5 s from the board on {path}")), "{}", finished.stderr);
+    let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
+    assert!(lines.len() > 100, "{} lines", lines.len());
+    assert_eq!(log.commands().last(), Some(&Command::Stop), "told to stop in spite of it");
+}
+
+#[test]
+fn a_board_that_stops_by_itself_is_missed() {
+    let mut board = Board::wide(68);
+    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+        if now_s > 0.4 {
+            board.command(Command::Stop);
+        }
+        board.act(received, now_s, sent)
+    };
+    let (finished, ..) = run(device, &["--duration", "10s"]);
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains("has stopped sampling"), "{}", finished.stderr);
+    assert!(ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8")).len() > 100);
+}
+
+#[test]
+fn silence_is_not_a_board() {
+    let started = Instant::now();
+    let (finished, log, path) = run(|_: &[u8], _: f64, _: &mut Vec<u8>| true, &[]);
+    finished.assert_refused(1, &[&path, "not a byte"]);
+    assert!(started.elapsed() >= Duration::from_secs(2));
+    let commands = log.commands();
+    // Every 250 ms of 2 s.
+    assert!(commands.len() >= 6 && commands.iter().all(|command| *command == Command::Hello), "{commands:?}");
+}
+
+#[test]
+fn garbage_is_not_a_board() {
+    let mut count = 0;
+    let garbage = move |_: &[u8], _: f64, sent: &mut Vec<u8>| {
+        if count < 1000 {
+            sent.extend([0x55, 0x00, 0xaa, 0x13, 0xff]);
+            count += 5;
+        }
+        true
+    };
+    let (finished, log, path) = run(garbage, &[]);
+    finished.assert_refused(1, &[&path, "1000 bytes", "no hello"]);
+    assert!(log.commands().iter().all(|command| *command == Command::Hello));
+}
+
+#[test]
+fn a_board_of_another_version_is_named_as_such() {
+    let device = edited(Board::wide(69), |message| {
+        let Message::Hello(mut hello) = message else { return Some(message) };
+        hello.protocol.major = 7;
+        Some(Message::Hello(hello))
+    });
+    let (finished, log, path) = run(device, &[]);
+    finished.assert_refused(1, &[&path, "protocol 7.0", "1.0", "update"]);
+    assert!(log.commands().iter().all(|command| *command == Command::Hello));
+}
+
+/// The default board, except that it refuses one kind of command.
+fn refusing(refused: fn(&Command) -> bool, rejection: Rejection) -> impl Device {
+    let mut board = Board::wide(70);
+    let mut decoder = Decoder::<MAX_REQUEST_BYTES>::new();
+    move |mut received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+        while let Some(request) = decoder.next::<Request>(&mut received) {
+            let Request { number, command } = request.expect("undamaged");
+            if refused(&command) {
+                sent.extend(packet(&reply(number, Err(rejection))));
+            } else {
+                board.act(&slitpose_tests::terminal::request(number, command), now_s, sent);
+            }
+        }
+        board.act(&[], now_s, sent)
+    }
+}
+
+#[test]
+fn a_refused_command_is_named_with_its_reason() {
+    let rejection = Rejection::TickRate { asked_hz: 170_000_000, board_hz: 144_000_000 };
+    let device = refusing(|command| matches!(command, Command::Configure(_)), rejection);
+    let (finished, log, path) = run(device, &[]);
+    finished.assert_refused(1, &[&path, "Configure", "144000000 Hz", "front_end"]);
+    assert!(!log.commands().contains(&Command::Start), "started in spite of it");
+
+    let rejection = Rejection::Hardware(HardwareFault::Converters);
+    let (finished, log, path) = run(refusing(|command| *command == Command::Start, rejection), &[]);
+    finished.assert_refused(1, &[&path, "Start", "converters", "reset the board"]);
+    assert_eq!(log.commands().last(), Some(&Command::Stop));
+}
+
+#[test]
+fn the_scene_of_the_board_is_looked_after() {
+    let real = |hash| {
+        edited(Board::wide(71), move |message| match message {
+            Message::Hello(mut hello) => {
+                hello.kind = BoardKind::Physical;
+                hello.hashes.scene = hash;
+                Some(Message::Hello(hello))
+            }
+            Message::Truth(_) => None,
+            message => Some(message),
+        })
+    };
+    // Without a scene of its own it is believed, and said so; what it measures is not simulated.
+    let (finished, _, path) = run(real(None), &["--duration", "100ms"]);
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
+    assert!(finished.stderr.contains(&path) && finished.stderr.contains("no scene stored"), "{}", finished.stderr);
+    let text = String::from_utf8(finished.stdout).expect("UTF-8");
+    assert_eq!(text.lines().count(), 400);
+    for line in text.lines() {
+        assert!(line.contains(r#""simulated":false"#) && !line.contains("truth"), "{line}");
+    }
+    let own = WIDE.read().expect("shipped").hash;
+    let (finished, _, _) = run(real(Some(own)), &["--duration", "100ms"]);
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+
+    let (finished, log, _) = run(real(Some(!own)), &["--duration", "100ms"]);
+    finished.assert_refused(1, &[&format!("{own:016x}"), &format!("{:016x}", !own), "--scene"]);
+    assert!(log.commands().iter().all(|command| *command == Command::Hello), "configured in spite of it");
+}
+
+#[test]
+fn what_is_no_port_is_named() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").expect("file");
+    let (folder, file) = (folder.path().to_str().expect("UTF-8"), file.to_str().expect("UTF-8"));
+    for (device, part) in [
+        ("/dev/no-such-board", "there is no /dev/no-such-board"),
+        (file, "file, not a serial port"),
+        (folder, "folder, not a serial port"),
+        ("/dev/null", "cannot be opened as a serial port"),
+        ("auto", "give the path"),
+        ("3600290054485002", "give the path"),
+    ] {
+        slitpose!().run(["run", "--device", device]).assert_refused(1, &[device, part]);
+    }
+    for option in [["--seed", "1"], ["--speed", "1"], ["--trajectory", "smooth"]] {
+        let (device, [option, value]) = ("/dev/no-such-board", option);
+        slitpose!().run(["run", "--device", device, option, value]).assert_refused(2, &[option, device]);
+    }
+}
+
+#[test]
+fn a_port_in_use_is_left_alone() {
+    let terminal = Terminal::serve(Board::wide(72));
+    let mut first = spawn(&terminal, &["--duration", "1s"]);
+    let mut stdout = BufReader::new(first.stdout.take().expect("piped"));
+    let mut text = String::new();
+    stdout.read_line(&mut text).expect("line");
+    let second = slitpose!().run(["run", "--device", &terminal.path, "--duration", "100ms"]);
+    second.assert_refused(1, &[&terminal.path, "in use"]);
+    stdout.read_to_string(&mut text).expect("UTF-8");
+    assert_eq!(Finished::from(first.wait_with_output().expect("ends")).code, 0);
+    assert_eq!(ndjson::parse(&text).len(), 4000);
+}
