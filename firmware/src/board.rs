@@ -124,7 +124,7 @@ pub(crate) struct Reboot {
 }
 
 // The memory comes on top.
-const _: () = assert!(size_of::<Board<(), &mut [u8]>>() <= 5 * 1024);
+const _: () = assert!(size_of::<Board<(), &mut [u8]>>() <= 6 * 1024);
 
 impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// An idle board with its link closed. `configuration` is in force until the host

@@ -32,6 +32,8 @@ pub(crate) struct Outbox<M> {
     /// A listener has come and nothing has been sent to it yet.
     fresh: bool,
     dropped: Dropped,
+    /// Where packets are made.
+    scratch: [u8; MAX_MESSAGE_BYTES],
 }
 
 /// What an outbox could not keep, since reset.
@@ -53,6 +55,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
             open: false,
             fresh: false,
             dropped: Dropped::default(),
+            scratch: [0; MAX_MESSAGE_BYTES],
         }
     }
 
@@ -77,11 +80,10 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         if !self.open {
             return self.count_dropped(scans);
         }
-        let mut buffer = [0; MAX_MESSAGE_BYTES];
-        let Ok(packet) = encode(&Message::Batch(batch), &mut buffer) else {
+        let Ok(length) = encode(&Message::Batch(batch), &mut self.scratch).map(<[u8]>::len) else {
             return self.count_dropped(scans);
         };
-        while !self.batches.push(packet, scans) {
+        while !self.batches.push(&self.scratch[..length], scans) {
             // A memory too small for even one packet keeps none.
             if !self.drop_batch() {
                 return self.count_dropped(scans);
@@ -92,9 +94,8 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
 
     /// Queues anything but a batch.
     pub fn push_answer(&mut self, message: &Message<'_>) {
-        let mut buffer = [0; MAX_MESSAGE_BYTES];
-        match encode(message, &mut buffer) {
-            Ok(packet) => self.queue_answer(packet),
+        match encode(message, &mut self.scratch).map(<[u8]>::len) {
+            Ok(length) => self.queue_answer(length),
             Err(_) => self.count_dropped_answer(),
         }
     }
@@ -143,9 +144,10 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         Some(length)
     }
 
-    fn queue_answer(&mut self, packet: &[u8]) {
+    /// Queues the answer of `length` bytes that was just made.
+    fn queue_answer(&mut self, length: usize) {
         // Ends because an empty queue takes any packet.
-        while !self.answers.push(packet, self.arrived) {
+        while !self.answers.push(&self.scratch[..length], self.arrived) {
             self.count_dropped_answer();
             self.answers.discard();
         }

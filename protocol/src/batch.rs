@@ -221,10 +221,9 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
             self.first = *scan;
         }
         for pair in scan.lit().iter().chain(scan.dark().into_iter().flatten()) {
-            for word in pair {
-                // `continues` has seen to the room.
-                let _ = self.samples.extend_from_slice(&word.to_le_bytes());
-            }
+            let [first, second] = pair.map(u16::to_le_bytes);
+            // `continues` has seen to the room.
+            let _ = self.samples.extend_from_slice(&[first[0], first[1], second[0], second[1]]);
         }
         self.scans += 1;
         true

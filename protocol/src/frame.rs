@@ -3,9 +3,6 @@
 //! `COBS( postcard value ‖ CRC-32 of it, little endian ) ‖ 0x00`
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use postcard::ser_flavors::crc::CrcModifier;
-use postcard::ser_flavors::{Cobs, Slice};
-use postcard::serialize_with_flavor;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -35,17 +32,54 @@ pub trait Packet<'p>: Serialize + Sized {
     fn from_payload(payload: &'p [u8]) -> Result<Self, PayloadError>;
 }
 
+/// Bytes of the longest run that a code byte of the stuffing stands for.
+const RUN_BYTES: usize = 254;
+
 /// Writes `value` as a packet to the start of `out` and returns the packet, delimiter
-/// included. Checksum and stuffing are done on the way: one pass, no buffer between.
+/// included. Works within `out`: value and checksum go to a place a little behind the
+/// start, and move forward as they are stuffed.
 ///
 /// # Errors
 /// If `out` is too small; what it holds then means nothing.
 pub fn encode<'o, 'p>(value: &impl Packet<'p>, out: &'o mut [u8]) -> Result<&'o [u8], EncodeError> {
     let available = out.len();
-    let too_small = |_| EncodeError { available };
-    let stuffed = Cobs::try_new(Slice::new(out)).map_err(too_small)?;
-    let packet = serialize_with_flavor(value, CrcModifier::new(stuffed, CRC.digest())).map_err(too_small)?;
-    Ok(packet)
+    let too_small = EncodeError { available };
+    // Stuffing puts one byte in front, and one behind each full run.
+    let start = 1 + available / RUN_BYTES;
+    let place = out.get_mut(start..).ok_or(too_small)?;
+    let length = postcard::to_slice(value, place).map_err(|_| too_small)?.len();
+    close(out, start, length).ok_or(too_small)
+}
+
+/// Makes a packet of the payload of `length` bytes at `start`.
+fn close(out: &mut [u8], start: usize, length: usize) -> Option<&[u8]> {
+    let end = start + length;
+    let checksum = CRC.checksum(&out[start..end]).to_le_bytes();
+    out.get_mut(end..end + CRC_BYTES)?.copy_from_slice(&checksum);
+    let stuffed = stuff(out, start, end + CRC_BYTES);
+    *out.get_mut(stuffed)? = DELIMITER;
+    Some(&out[..=stuffed])
+}
+
+/// Stuffs the bytes from `start` to `end` and moves them to the start of `bytes`; returns
+/// how many they are then. `start` is so large that no byte is overwritten before it has
+/// been moved.
+fn stuff(bytes: &mut [u8], start: usize, end: usize) -> usize {
+    let (mut from, mut to) = (start, 0);
+    loop {
+        let rest = &bytes[from..end];
+        let limit = rest.len().min(RUN_BYTES);
+        let run = rest[..limit].iter().position(|&byte| byte == 0).unwrap_or(limit);
+        let is_last = run == rest.len();
+        bytes[to] = run as u8 + 1;
+        bytes.copy_within(from..from + run, to + 1);
+        to += run + 1;
+        // A full run stands for itself; behind any other a zero is left out.
+        from += if run == RUN_BYTES { run } else { run + 1 };
+        if is_last {
+            return to;
+        }
+    }
 }
 
 /// Undoes stuffing and checksum of a frame (a packet without its delimiter) in place and
@@ -152,4 +186,47 @@ pub enum PayloadError {
         /// Number of the variant.
         kind: u32,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    use super::*;
+
+    /// Against the COBS crate, an implementation of its own.
+    fn check(payload: &[u8]) {
+        let start = 1 + (payload.len() + 8) / RUN_BYTES;
+        let mut bytes = std::vec![0xee; start];
+        bytes.extend(payload);
+        let stuffed = stuff(&mut bytes, start, start + payload.len());
+        let mut expected = std::vec![0; cobs::max_encoding_length(payload.len())];
+        let length = cobs::encode(payload, &mut expected);
+        let mut back: Vec<u8> = bytes[..stuffed].to_vec();
+        let unstuffed = cobs::decode_in_place(&mut back).expect("well stuffed");
+        assert_eq!(&back[..unstuffed], payload);
+        assert_eq!(bytes[..stuffed], expected[..length]);
+    }
+
+    #[test]
+    fn runs_of_all_lengths_are_stuffed() {
+        for length in 1..1_000 {
+            check(&std::vec![7; length]);
+            let mut ended = std::vec![7; length];
+            ended.push(0);
+            check(&ended);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_stuffed(
+            payload in prop::collection::vec(prop_oneof![3 => Just(0_u8), 1 => any::<u8>(), 3 => Just(9)], 1..900),
+        ) {
+            check(&payload);
+        }
+    }
 }

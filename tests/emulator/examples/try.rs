@@ -36,4 +36,29 @@ fn main() {
     println!("bytes {} batches {batches} counters {:?}", bytes.len(), d.counters());
     for f in rig.faults().iter().take(20) { println!("{f}"); }
     let _ = t;
+    // profile
+    let out = std::process::Command::new("nm").args(["-C", "-n"]).arg(Image::default_path()).output().unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).to_string();
+    let mut syms: Vec<(u32, String)> = text.lines().filter_map(|l| { let mut p = l.splitn(3, ' '); let a = u32::from_str_radix(p.next()?, 16).ok()?; let k = p.next()?; if !"tT".contains(k) { return None } let n: String = p.next()?.chars().take(110).collect(); if n.starts_with('$') { return None } Some((a, n)) }).collect();
+    syms.sort();
+    let mut counts = std::collections::HashMap::new();
+    let mut total = 0;
+    let mut last = rig.machine().cpu().instructions();
+    for _ in 0..200_000 {
+        let end = rig.now() + 199;
+        rig.machine().run_until(end);
+        let i = rig.machine().cpu().instructions();
+        if i != last {
+            let pc = rig.machine().cpu().pc();
+            let k = syms.partition_point(|s| s.0 <= pc) - 1;
+            let mut name = syms[k].1.clone();
+            if name.contains("mem::memcpy") || name.contains("aeabi_memcpy") { let lr = rig.machine().cpu().state().r[14]; let k = syms.partition_point(|s| s.0 <= lr) - 1; name = format!("{name} <- {}+{:x}", syms[k].1, lr - syms[k].0); }
+            *counts.entry(name).or_insert(0u32) += 1;
+            total += 1;
+        }
+        last = i;
+    }
+    let mut v: Vec<_> = counts.into_iter().collect();
+    v.sort_by_key(|x| std::cmp::Reverse(x.1));
+    for (name, c) in v.iter().take(28) { println!("{:5.1} % {name}", 100.0 * *c as f64 / total as f64); }
 }
