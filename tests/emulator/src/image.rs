@@ -1,131 +1,161 @@
-//! The image that is flashed: an ELF file as the firmware's build makes it.
+//! Program images: ELF files as the linker writes them.
 
-use std::collections::HashMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::collections::BTreeMap;
 
-use object::Endianness;
-use object::elf::{FileHeader32, PT_LOAD, SHT_SYMTAB};
-use object::read::elf::{FileHeader, ProgramHeader, Sym};
-use thiserror::Error;
+use object::elf::{FileHeader32, PT_LOAD};
+use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
+use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags};
 
 use crate::memory::{FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
 
-/// Why there is no image to run.
-#[derive(Debug, Error)]
+/// Why a file is no image for this device.
+#[derive(Debug, thiserror::Error)]
 pub enum ImageError {
-    /// The file cannot be read.
-    #[error("cannot read the image {}; make it with firmware/build, or give another one with --elf", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// It is no ELF file for a 32-bit machine.
-    #[error("{} is not an image for the board", path.display())]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: object::read::Error,
-    },
-    /// It does not lie where the board's flash is.
-    #[error(
-        "{} has {bytes} bytes at {address:#010x}, which is not in the board's flash: build it for an STM32G474RE",
-        path.display()
-    )]
-    Place {
-        /// The file.
-        path: PathBuf,
-        /// Where a part of it goes.
-        address: u64,
-        /// How long that part is.
+    /// The file is not an ELF file of 32 bits, or is damaged.
+    #[error("not a 32-bit ELF file: {0}; give the file that cargo writes to target/thumbv7em-none-eabihf")]
+    Elf(#[from] object::Error),
+    /// A segment lies outside flash.
+    #[error("a segment of {bytes} bytes at {address:#010x} lies outside flash; check memory.x")]
+    OutsideFlash {
+        /// Physical address.
+        address: u32,
+        /// Its size.
         bytes: usize,
     },
+    /// There is nothing to load.
+    #[error("the file has no loadable segment; is it an executable?")]
+    Empty,
 }
 
-/// A program for the board.
+/// A named place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Symbol {
+    /// Its address.
+    pub address: u32,
+    /// Its size in bytes, as far as the file says.
+    pub bytes: u32,
+}
+
+/// A program for the device.
 #[derive(Clone, Debug)]
 pub struct Image {
-    parts: Vec<(usize, Vec<u8>)>,
-    symbols: HashMap<String, u32>,
-    ram_bytes: usize,
-}
-
-/// A part of the image is loaded by the debugger, its log; it is not in flash.
-fn is_loaded(bytes: usize, address: u64) -> bool {
-    bytes > 0 && address >= u64::from(FLASH_BASE)
+    segments: Vec<(u32, Vec<u8>)>,
+    symbols: BTreeMap<String, Symbol>,
+    static_ram_bytes: usize,
 }
 
 impl Image {
     /// Reads an ELF file.
-    ///
-    /// # Errors
-    /// If it is no program for the board.
-    pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let file = fs::read(path).map_err(|source| ImageError::Read { path: path.to_owned(), source })?;
-        let parse = |source| ImageError::Parse { path: path.to_owned(), source };
-        let header = FileHeader32::<Endianness>::parse(&*file).map_err(parse)?;
-        let endian = header.endian().map_err(parse)?;
-        let mut image = Self { parts: Vec::new(), symbols: HashMap::new(), ram_bytes: 0 };
-        for segment in header.program_headers(endian, &*file).map_err(parse)? {
-            if segment.p_type(endian) != PT_LOAD {
-                continue;
-            }
-            let in_ram = u64::from(segment.p_vaddr(endian)).wrapping_sub(RAM_BASE.into()) < RAM_BYTES as u64;
-            if in_ram {
-                image.ram_bytes += segment.p_memsz(endian) as usize;
-            }
-            let data = segment.data(endian, &*file).unwrap_or(&[]);
-            let address = u64::from(segment.p_paddr(endian));
-            if is_loaded(data.len(), address) {
-                let offset = (address - u64::from(FLASH_BASE)) as usize;
-                if offset + data.len() > FLASH_BYTES {
-                    return Err(ImageError::Place { path: path.to_owned(), address, bytes: data.len() });
-                }
-                image.parts.push((offset, data.to_vec()));
-            }
+    pub fn from_elf(file: &[u8]) -> Result<Self, ImageError> {
+        let elf = ElfFile32::<Endianness>::parse(file)?;
+        let segments = loadable_segments(file)?;
+        if segments.is_empty() {
+            return Err(ImageError::Empty);
         }
-        let symbols = header.sections(endian, &*file).and_then(|all| all.symbols(endian, &*file, SHT_SYMTAB));
-        let symbols = symbols.map_err(parse)?;
-        for symbol in symbols.iter() {
-            if let Ok(name) = symbols.symbol_name(endian, symbol) {
-                image.symbols.insert(String::from_utf8_lossy(name).into_owned(), symbol.st_value(endian));
-            }
+        let named = elf.symbols().filter_map(|symbol| {
+            let place = Symbol { address: symbol.address() as u32, bytes: symbol.size() as u32 };
+            symbol.name().ok().filter(|name| !name.is_empty()).map(|name| (name.to_owned(), place))
+        });
+        let static_ram_bytes = elf.sections().filter(is_static_ram).map(|section| section.size() as usize).sum();
+        Ok(Self { segments, symbols: named.collect(), static_ram_bytes })
+    }
+
+    /// Puts the image into flash, as a programmer's tool does.
+    pub fn load_into(&self, flash: &mut FlashArray) {
+        for (address, data) in &self.segments {
+            flash.load((address - FLASH_BASE) as usize, data);
         }
-        Ok(image)
     }
 
-    /// The file that `firmware/build` made last: in the target directory of the environment, or
-    /// that of the sources this was built from.
-    pub fn default_path() -> PathBuf {
-        let target = std::env::var_os("CARGO_TARGET_DIR")
-            .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);
-        target.join("firmware/thumbv7em-none-eabihf/firmware/slitpose-board")
-    }
-
-    /// Puts the program into erased flash.
-    pub fn flash(&self) -> FlashArray {
-        let mut cells = FlashArray::erased();
-        for (offset, data) in &self.parts {
-            cells.load(*offset, data);
-        }
-        cells
-    }
-
-    /// Bytes of flash.
-    pub fn flash_bytes(&self) -> usize {
-        self.parts.iter().map(|(_, data)| data.len()).sum()
-    }
-
-    /// Bytes of RAM given to variables, without the stack.
-    pub fn ram_bytes(&self) -> usize {
-        self.ram_bytes
-    }
-
-    /// Address of a symbol.
-    pub fn symbol(&self, name: &str) -> Option<u32> {
+    /// A symbol by its name; of Rust items the mangled one.
+    pub fn symbol(&self, name: &str) -> Option<Symbol> {
         self.symbols.get(name).copied()
+    }
+
+    /// All symbols, by name.
+    pub fn symbols(&self) -> impl Iterator<Item = (&str, Symbol)> {
+        self.symbols.iter().map(|(name, symbol)| (name.as_str(), *symbol))
+    }
+
+    /// Bytes of flash the program takes.
+    pub fn flash_bytes(&self) -> usize {
+        self.segments.iter().map(|(_, data)| data.len()).sum()
+    }
+
+    /// Bytes of RAM its static variables take; the stack comes on top.
+    pub fn static_ram_bytes(&self) -> usize {
+        self.static_ram_bytes
+    }
+}
+
+fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>, ImageError> {
+    let header = FileHeader32::<Endianness>::parse(file)?;
+    let endian = header.endian()?;
+    let mut segments = Vec::new();
+    for segment in header.program_headers(endian, file)? {
+        if segment.p_type(endian) != PT_LOAD || segment.p_filesz(endian) == 0 {
+            continue;
+        }
+        let (address, bytes) = (segment.p_paddr(endian), segment.p_filesz(endian) as usize);
+        let outside = || ImageError::OutsideFlash { address, bytes };
+        let offset = address.checked_sub(FLASH_BASE).ok_or_else(outside)? as usize;
+        if offset + bytes > FLASH_BYTES {
+            return Err(outside());
+        }
+        segments.push((address, segment.data(endian, file).map_err(|()| outside())?.to_vec()));
+    }
+    Ok(segments)
+}
+
+/// A section that occupies RAM from start to end of the program.
+fn is_static_ram<'data>(section: &impl ObjectSection<'data>) -> bool {
+    let allocated = match section.flags() {
+        SectionFlags::Elf { sh_flags } => sh_flags & u64::from(object::elf::SHF_ALLOC) != 0,
+        _ => false,
+    };
+    let ram = u64::from(RAM_BASE)..u64::from(RAM_BASE) + RAM_BYTES as u64;
+    allocated && ram.contains(&section.address())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An executable of one segment: 4 bytes at `address`.
+    fn elf(address: u32) -> Vec<u8> {
+        let mut file = Vec::from(*b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0");
+        for half in [2_u16, 40] {
+            file.extend(half.to_le_bytes());
+        }
+        for word in [1_u32, 0, 52, 0, 0] {
+            file.extend(word.to_le_bytes());
+        }
+        for half in [52_u16, 32, 1, 40, 0, 0] {
+            file.extend(half.to_le_bytes());
+        }
+        for word in [PT_LOAD, 84, 0x2000_0000, address, 4, 4, 5, 4] {
+            file.extend(word.to_le_bytes());
+        }
+        file.extend([1, 2, 3, 4]);
+        file
+    }
+
+    #[test]
+    fn segments_go_to_their_physical_address() {
+        let image = Image::from_elf(&elf(FLASH_BASE + 0x100)).unwrap();
+        let mut flash = FlashArray::erased();
+        image.load_into(&mut flash);
+        assert_eq!(flash.bytes()[0xFF..0x105], [0xFF, 1, 2, 3, 4, 0xFF]);
+        assert_eq!((image.flash_bytes(), image.static_ram_bytes()), (4, 0));
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        assert!(matches!(Image::from_elf(&elf(0x2000_0000)), Err(ImageError::OutsideFlash { bytes: 4, .. })));
+        assert!(matches!(
+            Image::from_elf(&elf(FLASH_BASE + FLASH_BYTES as u32 - 3)),
+            Err(ImageError::OutsideFlash { .. })
+        ));
+        assert!(matches!(Image::from_elf(b"hello"), Err(ImageError::Elf(_))));
     }
 }

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`cpu`] | the core: instructions with their cycles, interrupts, faults |
 //! | [`memory`], [`peripherals`] | the rest of the controller, from its reference manual (RM0440) |
-//! | [`machine`] | the controller as a whole: bus, time, resets, supply |
+//! | [`board`], [`machine`] | the controller as a whole: bus, time, resets, supply |
 //! | [`world`] | emitters, optics, electronics |
 //! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
@@ -17,6 +17,7 @@
 //! What a program does against the reference manual is recorded, not tolerated: see
 //! [`peripherals::Effects::violations`].
 
+pub mod board;
 pub mod cpu;
 pub mod image;
 pub mod machine;

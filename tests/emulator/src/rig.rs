@@ -1,13 +1,17 @@
 //! A board with its image, a head in front of it and a host at its cable: what the command line
 //! runs, and what tests drive.
 
+use std::path::{Path, PathBuf};
+
 use slitpose::scene_file::SceneFile;
 use slitpose::simulator::Trajectory;
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+use slitpose_protocol::{Command, DELIMITER, MAX_REQUEST_BYTES, Request, encode};
+use thiserror::Error;
 
-use crate::image::Image;
+use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
+use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::world::{NoiseSource, OpticsWorld, WorldError};
 
@@ -20,16 +24,67 @@ pub const WORLD_TIER: Tier = Tier::Exact { tolerance: TOLERANCE };
 /// Longest time a program may take to its first start of the device clock.
 const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 
+/// The file that `firmware/build` made last: in the target directory of the environment, or that
+/// of the sources this was built from.
+pub fn default_image_path() -> PathBuf {
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);
+    target.join("firmware/thumbv7em-none-eabihf/firmware/slitpose-board")
+}
+
+/// Why there is no image to run.
+#[derive(Debug, Error)]
+pub enum OpenError {
+    /// The file cannot be read.
+    #[error("cannot read the image {}; make it with firmware/build, or give another with --elf", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It is no program for the board.
+    #[error("{} cannot run on the board", path.display())]
+    Image {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: ImageError,
+    },
+}
+
+/// Reads the image in `path`, or what `firmware/build` made last.
+///
+/// # Errors
+/// If there is none.
+pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
+    let path = path.map_or_else(default_image_path, Path::to_owned);
+    match std::fs::read(&path) {
+        Ok(file) => Image::from_elf(&file).map_err(|source| OpenError::Image { path, source }),
+        Err(source) => Err(OpenError::Read { path, source }),
+    }
+}
+
+/// The board's link in use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// The controller's own USB.
+    Usb,
+    /// The debugger's serial port.
+    Uart,
+}
+
 /// A running board and what is around it.
 #[derive(Debug)]
 pub struct Rig {
     machine: Machine<OpticsWorld>,
+    link: Link,
     next_number: u16,
 }
 
 impl Rig {
-    /// Powers a board with `image` in front of the head of `scene`, and lets it start its clock:
-    /// the tool's time is that clock's.
+    /// Powers a board with `image` in front of the head of `scene`, its host at its USB, and
+    /// lets it start its clock: the tool's time is that clock's.
     ///
     /// # Errors
     /// If the board cannot be connected to such a head.
@@ -40,20 +95,28 @@ impl Rig {
         noise: NoiseSource,
     ) -> Result<Self, WorldError> {
         let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise)?;
-        let mut rig = Self { machine: Machine::new(image.flash(), world), next_number: 0 };
-        rig.boot_until_clock();
+        let mut flash = FlashArray::erased();
+        image.load_into(&mut flash);
+        let mut rig = Self { machine: Machine::new(flash, world), link: Link::Usb, next_number: 0 };
+        while rig.machine.device_clock_origin().is_none() && rig.now() < BOOT_TICKS {
+            if rig.machine.run_until(rig.now() + 100) != Stop::Reached {
+                break;
+            }
+        }
+        if let Some(origin) = rig.machine.device_clock_origin() {
+            rig.machine.board.world.set_origin(origin);
+        }
         Ok(rig)
     }
 
-    fn boot_until_clock(&mut self) {
-        while self.machine.board().device_clock().is_none() && self.machine.now() < BOOT_TICKS {
-            if self.machine.run_until(self.machine.now() + 100) != Stop::Reached {
-                return;
-            }
+    /// The same with its host at another link.
+    pub fn with_link(mut self, link: Link) -> Self {
+        self.link = link;
+        if link == Link::Uart {
+            self.machine.board.usb_host.detach(self.machine.board.now());
+            self.machine.board.outside_changed();
         }
-        if let Some(origin) = self.machine.board().device_clock() {
-            self.machine.board_mut().world.set_origin(origin);
-        }
+        self
     }
 
     /// The board.
@@ -66,25 +129,59 @@ impl Rig {
         self.machine.now()
     }
 
-    /// Lets `seconds` of device time pass.
-    pub fn run_for(&mut self, seconds: f64) -> Stop {
-        let end = self.machine.now() + (seconds * TICKS_PER_SECOND as f64) as Ticks;
+    /// Lets time pass until tick `end`.
+    pub fn run_until(&mut self, end: Ticks) -> Stop {
         self.machine.run_until(end)
     }
 
-    /// Opens or closes the serial port at the host.
+    /// Lets `seconds` of device time pass.
+    pub fn run_for(&mut self, seconds: f64) -> Stop {
+        let end = self.now() + (seconds * TICKS_PER_SECOND as f64) as Ticks;
+        self.run_until(end)
+    }
+
+    /// Opens or closes the serial port at the host. A line without control signals does not notice.
     pub fn set_open(&mut self, open: bool) {
-        let now = self.machine.now();
-        self.machine.board_mut().usb_host.set_dtr(open, now);
+        let board = &mut self.machine.board;
+        if self.link == Link::Usb && board.usb_host.dtr() != open {
+            board.usb_host.set_dtr(open, board.effects.now());
+            board.outside_changed();
+        }
     }
 
-    /// Sends bytes by USB.
+    /// Lets the host leave what comes where it is, or fetch it again.
+    pub fn stop_reading(&mut self, stop: bool) {
+        let board = &mut self.machine.board;
+        board.usb_host.stop_reading(stop, board.effects.now());
+        board.outside_changed();
+    }
+
+    /// Pulls the USB cable, or plugs it in again.
+    pub fn set_cable(&mut self, plugged: bool) {
+        let board = &mut self.machine.board;
+        let now = board.effects.now();
+        if plugged {
+            board.usb_host.attach(now);
+        } else {
+            board.usb_host.detach(now);
+        }
+        board.outside_changed();
+    }
+
+    /// Sends bytes to the board.
     pub fn send_bytes(&mut self, bytes: &[u8]) {
-        let now = self.machine.now();
-        self.machine.board_mut().usb_host.send(bytes, now);
+        if bytes.is_empty() {
+            return;
+        }
+        let board = &mut self.machine.board;
+        match self.link {
+            Link::Usb => board.usb_host.send(bytes, board.effects.now()),
+            Link::Uart => board.lpuart.send(bytes, &board.effects),
+        }
+        board.outside_changed();
     }
 
-    /// Sends a command by USB; gives its number.
+    /// Sends a command; gives its number.
     pub fn send(&mut self, command: Command) -> u16 {
         self.next_number += 1;
         let bytes = request(self.next_number, command);
@@ -92,27 +189,40 @@ impl Rig {
         self.next_number
     }
 
-    /// What has come by USB since the last call.
-    pub fn take_bytes(&mut self) -> Vec<u8> {
-        let packets = self.machine.board_mut().usb_host.take_received();
-        packets.into_iter().flat_map(|packet| packet.bytes).collect()
+    /// What has come since the last call, with the instants at which it was over.
+    pub fn take_packets(&mut self) -> Vec<(Ticks, Vec<u8>)> {
+        let board = &mut self.machine.board;
+        match self.link {
+            Link::Usb => board.usb_host.take_received().into_iter().map(|packet| (packet.at, packet.bytes)).collect(),
+            Link::Uart => board.lpuart.take_sent().into_iter().map(|sent| (sent.at, vec![sent.byte])).collect(),
+        }
     }
 
-    /// What the program or its device side of USB did against their specifications; empty if
-    /// all is well.
+    /// What has come since the last call.
+    pub fn take_bytes(&mut self) -> Vec<u8> {
+        self.take_packets().into_iter().flat_map(|(_, bytes)| bytes).collect()
+    }
+
+    /// Deepest the stack has been since reset, in bytes.
+    pub fn stack_bytes(&self) -> u32 {
+        (RAM_BASE + RAM_BYTES as u32).saturating_sub(self.machine.cpu.min_sp())
+    }
+
+    /// What the program did against the controller's reference manual or the USB specification,
+    /// and registers nobody has modelled; empty if all is well.
     pub fn faults(&self) -> Vec<String> {
-        let board = self.machine.board();
-        let effects = board.effects();
-        let broken = effects.violations().iter().map(|violation| {
+        let board = &self.machine.board;
+        let broken = board.effects.violations().iter().map(|violation| {
             format!(
-                "at {} ({:#010x}): {:#010x} ← {:#010x}: {}",
+                "tick {}, instruction {:#010x}, address {:#010x}, value {:#010x}: {}",
                 violation.at, violation.pc, violation.address, violation.value, violation.rule
             )
         });
-        let unknown = effects
+        let unknown = board
+            .effects
             .unmodelled_accesses()
             .iter()
-            .map(|(address, count)| format!("register {address:#010x} is not modelled, {count} accesses"));
+            .map(|(address, count)| format!("register {address:#010x} is not modelled; {count} accesses"));
         let complaints = board.usb_host.complaints().iter().map(|complaint| format!("USB: {}", complaint.text));
         broken.chain(unknown).chain(complaints).collect()
     }
@@ -122,5 +232,5 @@ impl Rig {
 pub fn request(number: u16, command: Command) -> Vec<u8> {
     let mut buffer = [0; MAX_REQUEST_BYTES];
     let packet = encode(&Request { number, command }, &mut buffer).expect("every command fits its limit");
-    [&[slitpose_protocol::DELIMITER], packet].concat()
+    [&[DELIMITER], packet].concat()
 }

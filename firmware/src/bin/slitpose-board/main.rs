@@ -72,7 +72,9 @@ const POLL: Duration = Duration::from_millis(1);
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
-    let p = embassy_stm32::init(config());
+    let mut p = embassy_stm32::init(config());
+    supply::boost();
+    embassy_stm32::rcc::reinit(clocks(), &mut p.RCC);
     faults::running();
     let emitters = [
         Output::new(p.PC6, Level::Low, Speed::Medium),
@@ -137,12 +139,21 @@ async fn main(spawner: Spawner) {
     }
 }
 
+/// The controller starts at 16 MHz.
+fn config() -> Config {
+    let mut config = Config::default();
+    // The core's cycle counter stands still while it sleeps: that is how its load is
+    // measured. With a debugger attached the clock stays on and the load reads full.
+    config.enable_debug_during_sleep = cfg!(feature = "defmt");
+    config
+}
+
 /// 170 MHz from the internal oscillator for everything but USB, which has its own
 /// oscillator, trimmed by the host's frames.
-fn config() -> Config {
-    use embassy_stm32::rcc::{Hsi48Config, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk, mux};
-    let mut config = Config::default();
-    config.rcc.pll = Some(Pll {
+fn clocks() -> embassy_stm32::rcc::Config {
+    use embassy_stm32::rcc::{Config, Hsi48Config, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk, mux};
+    let mut config = Config::new();
+    config.pll = Some(Pll {
         source: PllSource::HSI,
         prediv: PllPreDiv::DIV4,
         mul: PllMul::MUL85,
@@ -150,14 +161,11 @@ fn config() -> Config {
         divq: None,
         divr: Some(PllRDiv::DIV2),
     });
-    config.rcc.hsi = true;
-    config.rcc.sys = Sysclk::PLL1_R;
-    config.rcc.boost = true;
-    config.rcc.hsi48 = Some(Hsi48Config { sync_from_usb: true });
-    config.rcc.mux.clk48sel = mux::Clk48sel::HSI48;
-    config.rcc.mux.adc345sel = mux::Adcsel::SYS;
-    // The core's cycle counter stands still while it sleeps: that is how its load is
-    // measured. With a debugger attached the clock stays on and the load reads full.
-    config.enable_debug_during_sleep = cfg!(feature = "defmt");
+    config.hsi = true;
+    config.sys = Sysclk::PLL1_R;
+    config.boost = true;
+    config.hsi48 = Some(Hsi48Config { sync_from_usb: true });
+    config.mux.clk48sel = mux::Clk48sel::HSI48;
+    config.mux.adc345sel = mux::Adcsel::SYS;
     config
 }

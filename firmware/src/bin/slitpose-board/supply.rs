@@ -13,7 +13,17 @@ const THRESHOLD: u8 = 6;
 /// The detector's line among the external interrupts.
 const LINE: usize = 16;
 
+/// R1MODE of PWR_CR5: clear for the voltage that more than 150 MHz need.
+const NORMAL_MODE: u32 = 1 << 8;
+
 static FELL: AtomicBool = AtomicBool::new(false);
+
+/// Raises the core's voltage. Comes before the clock is made fast, and after anything that
+/// resets the power controller. The HAL means to do this itself, but its register map
+/// (stm32-metapac 21.0.0) has the bit in the wrong place.
+pub fn boost() {
+    pac::PWR.cr5().modify(|w| w.0 &= !NORMAL_MODE);
+}
 
 /// Watches the supply from now on.
 pub fn watch() {

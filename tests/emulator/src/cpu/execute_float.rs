@@ -92,15 +92,15 @@ impl Cpu {
         let (old, operand) = (self.float.get(sd), self.float.get(sm));
         let result = match instruction {
             FloatInstruction::ToFixed { fixed: Fixed { signed, bits, fraction }, truncate, .. } => {
-                self.float.to_fixed(operand, bits, signed, fraction, truncate)
+                self.float.fixed_from_float(operand, bits, signed, fraction, truncate)
             }
             FloatInstruction::FromFixed { fixed, nearest, .. } => {
-                self.float.from_fixed(widen(operand, fixed), fixed.fraction, nearest)
+                self.float.float_from_fixed(widen(operand, fixed), fixed.fraction, nearest)
             }
-            FloatInstruction::ToHalf { top: true, .. } => old & 0xffff | self.float.to_half(operand) << 16,
-            FloatInstruction::ToHalf { .. } => old & 0xffff_0000 | self.float.to_half(operand),
+            FloatInstruction::ToHalf { top: true, .. } => old & 0xffff | self.float.half_from_float(operand) << 16,
+            FloatInstruction::ToHalf { .. } => old & 0xffff_0000 | self.float.half_from_float(operand),
             FloatInstruction::FromHalf { top, .. } => {
-                self.float.from_half(if top { operand >> 16 } else { operand & 0xffff })
+                self.float.float_from_half(if top { operand >> 16 } else { operand & 0xffff })
             }
             _ => old,
         };

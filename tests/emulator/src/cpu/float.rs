@@ -94,10 +94,10 @@ impl FloatUnit {
     /// An operation on `n`, `m` and, for the accumulating ones, `d`.
     #[inline(always)]
     pub fn arithmetic(&mut self, op: FloatOp, d: u32, n: u32, m: u32) -> u32 {
-        if self.host_allowed() {
-            if let Some(bits) = on_host(op, d, n, m) {
-                return bits;
-            }
+        if self.host_allowed()
+            && let Some(bits) = on_host(op, d, n, m)
+        {
+            return bits;
         }
         self.arithmetic_by_rule(op, d, n, m)
     }
@@ -144,10 +144,10 @@ impl FloatUnit {
     }
 
     fn sqrt(&mut self, m: u32) -> u32 {
-        if self.host_allowed() {
-            if let Some(bits) = normal(f32::from_bits(m).sqrt()) {
-                return bits;
-            }
+        if self.host_allowed()
+            && let Some(bits) = normal(f32::from_bits(m).sqrt())
+        {
+            return bits;
         }
         self.by_rule(|context| context.sqrt(m))
     }
@@ -159,25 +159,25 @@ impl FloatUnit {
     }
 
     /// To an integer of `bits` bits and `fraction` of them behind the point.
-    pub fn to_fixed(&mut self, x: u32, bits: u8, signed: bool, fraction: u8, truncate: bool) -> u32 {
-        let convert = |context: &mut Context| context.to_fixed(x, bits.into(), signed, fraction.into());
+    pub fn fixed_from_float(&mut self, x: u32, bits: u8, signed: bool, fraction: u8, truncate: bool) -> u32 {
+        let convert = |context: &mut Context| context.fixed_from_float(x, bits.into(), signed, fraction.into());
         let value = if truncate { self.with_rounding(Rounding::Zero, convert) } else { self.by_rule(convert) };
         value as u32
     }
 
-    pub fn from_fixed(&mut self, value: i64, fraction: u8, nearest: bool) -> u32 {
-        let convert = |context: &mut Context| context.from_fixed(value, fraction.into());
+    pub fn float_from_fixed(&mut self, value: i64, fraction: u8, nearest: bool) -> u32 {
+        let convert = |context: &mut Context| context.float_from_fixed(value, fraction.into());
         if nearest { self.with_rounding(Rounding::Nearest, convert) } else { self.by_rule(convert) }
     }
 
-    pub fn to_half(&mut self, x: u32) -> u32 {
+    pub fn half_from_float(&mut self, x: u32) -> u32 {
         let alternative = self.status & AHP != 0;
-        self.by_rule(|context| context.to_half(x, alternative))
+        self.by_rule(|context| context.half_from_float(x, alternative))
     }
 
-    pub fn from_half(&mut self, half: u32) -> u32 {
+    pub fn float_from_half(&mut self, half: u32) -> u32 {
         let alternative = self.status & AHP != 0;
-        self.by_rule(|context| context.from_half(half, alternative))
+        self.by_rule(|context| context.float_from_half(half, alternative))
     }
 }
 

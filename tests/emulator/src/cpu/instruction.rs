@@ -4,527 +4,93 @@
 //! flags) differ only in fields. Names follow the ARMv7-M ARM (DDI0403), chapter A7.
 
 use super::Size;
-
-/// A core register, 0–15.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Reg(pub u8);
-
-impl Reg {
-    /// Stack pointer (the one in use of MSP and PSP).
-    pub const SP: Self = Self(13);
-    /// Link register.
-    pub const LR: Self = Self(14);
-    /// Program counter; reads as the address of the instruction plus 4.
-    pub const PC: Self = Self(15);
-
-    /// The four bits of `word` from bit `low` on, as a register.
-    pub(super) fn at(word: u32, low: u32) -> Self {
-        Self((word >> low & 15) as u8)
-    }
-
-    /// Index into an array of 16.
-    pub(super) fn index(self) -> usize {
-        usize::from(self.0 & 15)
-    }
-
-    /// A mask with this register's bit set.
-    pub(super) fn bit(self) -> u16 {
-        1 << (self.0 & 15)
-    }
-}
-
-/// Whether an instruction writes the flags.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SetFlags {
-    /// Flags stay.
-    No,
-    /// Flags are written.
-    Yes,
-    /// 16-bit encodings: flags are written outside an IT block only.
-    OutsideIt,
-}
-
-/// Data-processing operations with two operands (`Mov`, `Mvn` use the second alone).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The ARMv7-M mnemonics.
-pub enum AluOp {
-    And,
-    Bic,
-    Orr,
-    Orn,
-    Eor,
-    Mov,
-    Mvn,
-    Add,
-    Adc,
-    Sub,
-    Sbc,
-    Rsb,
-    /// Flags of `And`, no result.
-    Tst,
-    /// Flags of `Eor`, no result.
-    Teq,
-    /// Flags of `Sub`, no result.
-    Cmp,
-    /// Flags of `Add`, no result.
-    Cmn,
-}
-
-/// What an immediate operand does to the carry flag in a logical operation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ImmediateCarry {
-    /// The immediate was not rotated: carry stays.
-    Keep,
-    /// The immediate was rotated: carry becomes its bit 31.
-    Bit31,
-}
-
-/// Kinds of shift.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ShiftKind {
-    /// Logical left.
-    Lsl,
-    /// Logical right.
-    Lsr,
-    /// Arithmetic right.
-    Asr,
-    /// Rotate right.
-    Ror,
-    /// Rotate right by one through the carry flag.
-    Rrx,
-}
-
-/// A shift by a constant; `amount` is 0–32, as `DecodeImmShift` gives it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shift {
-    /// Kind of shift.
-    pub kind: ShiftKind,
-    /// Places.
-    pub amount: u8,
-}
-
-impl Shift {
-    /// No shift.
-    pub const NONE: Self = Self { kind: ShiftKind::Lsl, amount: 0 };
-}
-
-/// Operations with one operand register.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The ARMv7-M mnemonics.
-pub enum UnaryOp {
-    Clz,
-    Rbit,
-    Rev,
-    Rev16,
-    Revsh,
-}
-
-/// Which part of the (rotated) register an extension widens.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Extension {
-    /// SXTB, SXTAB.
-    SignedByte,
-    /// SXTH, SXTAH.
-    SignedHalf,
-    /// SXTB16, SXTAB16: bytes 0 and 2 to two halfwords.
-    SignedBytes,
-    /// UXTB, UXTAB.
-    Byte,
-    /// UXTH, UXTAH.
-    Half,
-    /// UXTB16, UXTAB16.
-    Bytes,
-}
-
-/// Operation of a parallel addition or subtraction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The suffixes of the ARMv7-M mnemonics.
-pub enum ParallelOp {
-    Add8,
-    Add16,
-    /// Exchange halves of the second operand; add high, subtract low.
-    Asx,
-    /// Exchange halves of the second operand; subtract high, add low.
-    Sax,
-    Sub8,
-    Sub16,
-}
-
-/// Arithmetic of a parallel addition or subtraction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ParallelKind {
-    /// S…: modulo, GE flags.
-    Signed,
-    /// Q…: saturating.
-    SignedSaturating,
-    /// SH…: halved.
-    SignedHalving,
-    /// U…: modulo, GE flags.
-    Unsigned,
-    /// UQ…: saturating.
-    UnsignedSaturating,
-    /// UH…: halved.
-    UnsignedHalving,
-}
-
-/// Saturating additions of whole words.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The ARMv7-M mnemonics.
-pub enum SaturatingOp {
-    Qadd,
-    Qdadd,
-    Qsub,
-    Qdsub,
-}
-
-/// What a load puts into its register.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LoadKind {
-    /// LDR.
-    Word,
-    /// LDRH.
-    Half,
-    /// LDRB.
-    Byte,
-    /// LDRSH.
-    SignedHalf,
-    /// LDRSB.
-    SignedByte,
-}
-
-impl LoadKind {
-    /// Width of the access.
-    pub fn size(self) -> Size {
-        match self {
-            Self::Word => Size::Word,
-            Self::Half | Self::SignedHalf => Size::Half,
-            Self::Byte | Self::SignedByte => Size::Byte,
-        }
-    }
-}
-
-/// Address of a load or store.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Field names are those of the ARMv7-M ARM; offsets are in bytes.
-pub enum Address {
-    /// `[rn, #offset]`; with `rn` = PC the PC is aligned down to a word first.
-    Offset { rn: Reg, offset: i16 },
-    /// `[rn, #offset]!`.
-    PreIndexed { rn: Reg, offset: i16 },
-    /// `[rn], #offset`.
-    PostIndexed { rn: Reg, offset: i16 },
-    /// `[rn, rm, LSL #shift]`.
-    Register { rn: Reg, rm: Reg, shift: u8 },
-}
-
-/// A special register of MRS and MSR.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Names of DDI0403, B5.1.1.
-pub enum Special {
-    /// The combinations of APSR, IPSR and EPSR: bit 0 of the number adds IPSR, bit 2 leaves APSR out.
-    Psr(u8),
-    Msp,
-    Psp,
-    Primask,
-    Basepri,
-    /// BASEPRI, only ever raised in urgency.
-    BasepriMax,
-    Faultmask,
-    Control,
-}
+pub use super::operands::{
+    Address, AluOp, Extension, Fixed, FloatAddress, FloatOp, FloatUnaryOp, ImmediateCarry, LoadKind, ParallelKind,
+    ParallelOp, Reg, SReg, SaturatingOp, SetFlags, Shift, ShiftKind, Special, UnaryOp,
+};
 
 /// A decoded instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)] // Field names are those of the ARMv7-M ARM; offsets are in bytes, branch offsets from PC.
+#[rustfmt::skip] // One line an operation: it reads as a table.
 pub enum Instruction {
-    AluImmediate {
-        op: AluOp,
-        flags: SetFlags,
-        rd: Reg,
-        rn: Reg,
-        carry: ImmediateCarry,
-        value: u32,
-    },
-    AluRegister {
-        op: AluOp,
-        flags: SetFlags,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        shift: Shift,
-    },
+    AluImmediate { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, carry: ImmediateCarry, value: u32 },
+    AluRegister { op: AluOp, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
     /// `rd = rn shifted by the low byte of rm`.
-    ShiftRegister {
-        kind: ShiftKind,
-        flags: SetFlags,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    ShiftRegister { kind: ShiftKind, flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// ADR.
-    PcRelative {
-        rd: Reg,
-        offset: i16,
-    },
+    PcRelative { rd: Reg, offset: i16 },
     /// MOVT.
-    MoveTop {
-        rd: Reg,
-        value: u16,
-    },
-    BitfieldExtract {
-        signed: bool,
-        rd: Reg,
-        rn: Reg,
-        lsb: u8,
-        width: u8,
-    },
+    MoveTop { rd: Reg, value: u16 },
+    BitfieldExtract { signed: bool, rd: Reg, rn: Reg, lsb: u8, width: u8 },
     /// BFI, or BFC when there is no `rn`.
-    BitfieldInsert {
-        rd: Reg,
-        rn: Option<Reg>,
-        lsb: u8,
-        width: u8,
-    },
+    BitfieldInsert { rd: Reg, rn: Option<Reg>, lsb: u8, width: u8 },
     /// SSAT or USAT to `bits` bits.
-    Saturate {
-        signed: bool,
-        rd: Reg,
-        rn: Reg,
-        bits: u8,
-        shift: Shift,
-    },
+    Saturate { signed: bool, rd: Reg, rn: Reg, bits: u8, shift: Shift },
     /// SSAT16 or USAT16.
-    SaturateHalves {
-        signed: bool,
-        rd: Reg,
-        rn: Reg,
-        bits: u8,
-    },
+    SaturateHalves { signed: bool, rd: Reg, rn: Reg, bits: u8 },
     /// SXTB…UXTB16, and with `rn` SXTAB…UXTAB16.
-    Extend {
-        extension: Extension,
-        rd: Reg,
-        rn: Option<Reg>,
-        rm: Reg,
-        rotate: u8,
-    },
-    Unary {
-        op: UnaryOp,
-        rd: Reg,
-        rm: Reg,
-    },
+    Extend { extension: Extension, rd: Reg, rn: Option<Reg>, rm: Reg, rotate: u8 },
+    Unary { op: UnaryOp, rd: Reg, rm: Reg },
     /// PKHBT, or with `tb` PKHTB.
-    Pack {
-        tb: bool,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        shift: Shift,
-    },
-    Parallel {
-        op: ParallelOp,
-        kind: ParallelKind,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
-    SaturatingAdd {
-        op: SaturatingOp,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    Pack { tb: bool, rd: Reg, rn: Reg, rm: Reg, shift: Shift },
+    Parallel { op: ParallelOp, kind: ParallelKind, rd: Reg, rn: Reg, rm: Reg },
+    SaturatingAdd { op: SaturatingOp, rd: Reg, rn: Reg, rm: Reg },
     /// SEL.
-    Select {
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    Select { rd: Reg, rn: Reg, rm: Reg },
 
-    Multiply {
-        flags: SetFlags,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    Multiply { flags: SetFlags, rd: Reg, rn: Reg, rm: Reg },
     /// MLA, MLS.
-    MultiplyAdd {
-        subtract: bool,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        ra: Reg,
-    },
+    MultiplyAdd { subtract: bool, rd: Reg, rn: Reg, rm: Reg, ra: Reg },
     /// SMULxy, SMLAxy.
-    MultiplyHalves {
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        ra: Option<Reg>,
-        n_top: bool,
-        m_top: bool,
-    },
+    MultiplyHalves { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, n_top: bool, m_top: bool },
     /// SMULWy, SMLAWy.
-    MultiplyWordHalf {
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        ra: Option<Reg>,
-        m_top: bool,
-    },
+    MultiplyWordHalf { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg>, m_top: bool },
     /// SMUAD, SMUSD, SMLAD, SMLSD.
-    DualMultiply {
-        subtract: bool,
-        exchange: bool,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        ra: Option<Reg>,
-    },
+    DualMultiply { subtract: bool, exchange: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMMUL, SMMLA, SMMLS.
-    MultiplyHigh {
-        subtract: bool,
-        round: bool,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        ra: Option<Reg>,
-    },
+    MultiplyHigh { subtract: bool, round: bool, rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// USAD8, USADA8.
-    AbsoluteDifferences {
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-        ra: Option<Reg>,
-    },
+    AbsoluteDifferences { rd: Reg, rn: Reg, rm: Reg, ra: Option<Reg> },
     /// SMULL, UMULL, SMLAL, UMLAL.
-    MultiplyLong {
-        signed: bool,
-        accumulate: bool,
-        lo: Reg,
-        hi: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    MultiplyLong { signed: bool, accumulate: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     /// UMAAL.
-    MultiplyAddAddLong {
-        lo: Reg,
-        hi: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    MultiplyAddAddLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg },
     /// SMLALxy.
-    MultiplyHalvesLong {
-        lo: Reg,
-        hi: Reg,
-        rn: Reg,
-        rm: Reg,
-        n_top: bool,
-        m_top: bool,
-    },
+    MultiplyHalvesLong { lo: Reg, hi: Reg, rn: Reg, rm: Reg, n_top: bool, m_top: bool },
     /// SMLALD, SMLSLD.
-    DualMultiplyLong {
-        subtract: bool,
-        exchange: bool,
-        lo: Reg,
-        hi: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
-    Divide {
-        signed: bool,
-        rd: Reg,
-        rn: Reg,
-        rm: Reg,
-    },
+    DualMultiplyLong { subtract: bool, exchange: bool, lo: Reg, hi: Reg, rn: Reg, rm: Reg },
+    Divide { signed: bool, rd: Reg, rn: Reg, rm: Reg },
 
-    Load {
-        kind: LoadKind,
-        rt: Reg,
-        address: Address,
-    },
-    Store {
-        size: Size,
-        rt: Reg,
-        address: Address,
-    },
+    Load { kind: LoadKind, rt: Reg, address: Address },
+    Store { size: Size, rt: Reg, address: Address },
     /// LDRD.
-    LoadPair {
-        rt: Reg,
-        rt2: Reg,
-        address: Address,
-    },
+    LoadPair { rt: Reg, rt2: Reg, address: Address },
     /// STRD.
-    StorePair {
-        rt: Reg,
-        rt2: Reg,
-        address: Address,
-    },
+    StorePair { rt: Reg, rt2: Reg, address: Address },
     /// LDM, LDMDB, POP.
-    LoadMultiple {
-        rn: Reg,
-        registers: u16,
-        decrement: bool,
-        writeback: bool,
-    },
+    LoadMultiple { rn: Reg, registers: u16, decrement: bool, writeback: bool },
     /// STM, STMDB, PUSH.
-    StoreMultiple {
-        rn: Reg,
-        registers: u16,
-        decrement: bool,
-        writeback: bool,
-    },
-    LoadExclusive {
-        size: Size,
-        rt: Reg,
-        rn: Reg,
-        offset: u16,
-    },
-    StoreExclusive {
-        size: Size,
-        rd: Reg,
-        rt: Reg,
-        rn: Reg,
-        offset: u16,
-    },
+    StoreMultiple { rn: Reg, registers: u16, decrement: bool, writeback: bool },
+    LoadExclusive { size: Size, rt: Reg, rn: Reg, offset: u16 },
+    StoreExclusive { size: Size, rd: Reg, rt: Reg, rn: Reg, offset: u16 },
     /// CLREX.
     ClearExclusive,
 
-    Branch {
-        offset: i32,
-    },
-    BranchIf {
-        condition: u8,
-        offset: i32,
-    },
+    Branch { offset: i32 },
+    BranchIf { condition: u8, offset: i32 },
     /// BL.
-    BranchLink {
-        offset: i32,
-    },
+    BranchLink { offset: i32 },
     /// BX.
-    BranchExchange {
-        rm: Reg,
-    },
+    BranchExchange { rm: Reg },
     /// BLX.
-    BranchLinkExchange {
-        rm: Reg,
-    },
+    BranchLinkExchange { rm: Reg },
     /// CBZ, CBNZ.
-    CompareBranch {
-        nonzero: bool,
-        rn: Reg,
-        offset: u8,
-    },
+    CompareBranch { nonzero: bool, rn: Reg, offset: u8 },
     /// TBB, TBH.
-    TableBranch {
-        half: bool,
-        rn: Reg,
-        rm: Reg,
-    },
+    TableBranch { half: bool, rn: Reg, rm: Reg },
     /// IT; `state` becomes ITSTATE.
-    IfThen {
-        state: u8,
-    },
+    IfThen { state: u8 },
 
     /// NOP, YIELD, DBG, PLD, PLI and hints without a meaning.
     Nop,
@@ -536,22 +102,11 @@ pub enum Instruction {
     Breakpoint,
     SupervisorCall,
     /// CPSID, CPSIE.
-    ChangeMasks {
-        disable: bool,
-        primask: bool,
-        faultmask: bool,
-    },
+    ChangeMasks { disable: bool, primask: bool, faultmask: bool },
     /// MRS.
-    ReadSpecial {
-        rd: Reg,
-        special: Special,
-    },
+    ReadSpecial { rd: Reg, special: Special },
     /// MSR; bit 1 of `mask` selects the flags, bit 0 the GE bits (PSR only).
-    WriteSpecial {
-        special: Special,
-        rn: Reg,
-        mask: u8,
-    },
+    WriteSpecial { special: Special, rn: Reg, mask: u8 },
     Float(FloatInstruction),
     /// An encoding without a meaning, or one reserved as undefined.
     Undefined,
@@ -559,160 +114,38 @@ pub enum Instruction {
     NoCoprocessor,
 }
 
-/// A single-precision register, 0–31.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SReg(pub u8);
-
-impl SReg {
-    /// Index into an array of 32.
-    pub(super) fn index(self) -> usize {
-        usize::from(self.0 & 31)
-    }
-}
-
-/// Operations with two operands and, for the multiply-accumulates, the destination as third.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The ARMv7-M mnemonics without their V.
-pub enum FloatOp {
-    Add,
-    Sub,
-    Mul,
-    Nmul,
-    Div,
-    Mla,
-    Mls,
-    Nmla,
-    Nmls,
-    Fma,
-    Fms,
-    Fnma,
-    Fnms,
-}
-
-/// Operations with one operand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The ARMv7-M mnemonics without their V.
-pub enum FloatUnaryOp {
-    Mov,
-    Abs,
-    Neg,
-    Sqrt,
-}
-
-/// Number format of the integer or fixed-point side of a conversion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Fixed {
-    /// Two's complement.
-    pub signed: bool,
-    /// 16 or 32 bits.
-    pub bits: u8,
-    /// Bits right of the binary point; 0 for an integer.
-    pub fraction: u8,
-}
-
 /// A decoded instruction of the floating-point extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)] // Field names are those of the ARMv7-M ARM.
+#[rustfmt::skip] // One line an operation: it reads as a table.
 pub enum FloatInstruction {
-    Arithmetic {
-        op: FloatOp,
-        sd: SReg,
-        sn: SReg,
-        sm: SReg,
-    },
-    Unary {
-        op: FloatUnaryOp,
-        sd: SReg,
-        sm: SReg,
-    },
+    Arithmetic { op: FloatOp, sd: SReg, sn: SReg, sm: SReg },
+    Unary { op: FloatUnaryOp, sd: SReg, sm: SReg },
     /// VMOV of a constant.
-    Constant {
-        sd: SReg,
-        value: u32,
-    },
+    Constant { sd: SReg, value: u32 },
     /// VCMP, VCMPE; with zero when there is no `sm`. `signal`: quiet NaNs raise invalid operation too.
-    Compare {
-        sd: SReg,
-        sm: Option<SReg>,
-        signal: bool,
-    },
+    Compare { sd: SReg, sm: Option<SReg>, signal: bool },
     /// VCVT and VCVTR to an integer or a fixed-point number; `truncate`: towards zero, else by FPSCR.
-    ToFixed {
-        sd: SReg,
-        sm: SReg,
-        fixed: Fixed,
-        truncate: bool,
-    },
+    ToFixed { sd: SReg, sm: SReg, fixed: Fixed, truncate: bool },
     /// VCVT from an integer or a fixed-point number; `nearest`: to nearest, else by FPSCR.
-    FromFixed {
-        sd: SReg,
-        sm: SReg,
-        fixed: Fixed,
-        nearest: bool,
-    },
+    FromFixed { sd: SReg, sm: SReg, fixed: Fixed, nearest: bool },
     /// VCVTB, VCVTT to half precision.
-    ToHalf {
-        sd: SReg,
-        sm: SReg,
-        top: bool,
-    },
+    ToHalf { sd: SReg, sm: SReg, top: bool },
     /// VCVTB, VCVTT from half precision.
-    FromHalf {
-        sd: SReg,
-        sm: SReg,
-        top: bool,
-    },
-    ToCore {
-        rt: Reg,
-        sn: SReg,
-    },
-    FromCore {
-        sn: SReg,
-        rt: Reg,
-    },
+    FromHalf { sd: SReg, sm: SReg, top: bool },
+    ToCore { rt: Reg, sn: SReg },
+    FromCore { sn: SReg, rt: Reg },
     /// Two consecutive registers from `sm` on.
-    PairToCore {
-        rt: Reg,
-        rt2: Reg,
-        sm: SReg,
-    },
-    PairFromCore {
-        sm: SReg,
-        rt: Reg,
-        rt2: Reg,
-    },
+    PairToCore { rt: Reg, rt2: Reg, sm: SReg },
+    PairFromCore { sm: SReg, rt: Reg, rt2: Reg },
     /// VMRS; `rt` = PC stands for the flags.
-    ReadStatus {
-        rt: Reg,
-    },
+    ReadStatus { rt: Reg },
     /// VMSR.
-    WriteStatus {
-        rt: Reg,
-    },
+    WriteStatus { rt: Reg },
     /// VLDR of `count` words, VLDM, VPOP.
-    Load {
-        first: SReg,
-        count: u8,
-        address: FloatAddress,
-    },
+    Load { first: SReg, count: u8, address: FloatAddress },
     /// VSTR of `count` words, VSTM, VPUSH.
-    Store {
-        first: SReg,
-        count: u8,
-        address: FloatAddress,
-    },
-}
-
-/// Address of a floating-point load or store.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Field names are those of the ARMv7-M ARM; offsets are in bytes.
-pub enum FloatAddress {
-    /// VLDR, VSTR.
-    Offset { rn: Reg, offset: i16 },
-    /// VLDM, VSTM upwards from `rn`; `bytes` is what write-back adds, or 0.
-    Increment { rn: Reg, bytes: u8 },
-    /// VLDMDB, VSTMDB downwards from `rn`, by `bytes`, with write-back.
-    Decrement { rn: Reg, bytes: u8 },
+    Store { first: SReg, count: u8, address: FloatAddress },
 }
 
 const _: () = assert!(size_of::<Instruction>() <= 12, "the decoded-instruction cache relies on small instructions");

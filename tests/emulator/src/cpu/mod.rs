@@ -14,6 +14,7 @@ mod arithmetic;
 mod code;
 mod cycles;
 pub mod decode;
+mod decode_dsp;
 mod decode_float;
 mod decode_wide;
 mod dsp;
@@ -26,13 +27,16 @@ mod fault;
 mod float;
 pub mod instruction;
 mod nvic;
+mod operands;
 mod registers;
 mod softfloat;
+mod softfloat_convert;
 mod system;
 #[cfg(test)]
 mod tests;
+mod timers;
 
-use code::Code;
+use code::{Code, Decoded};
 use cycles::{Accelerator, NOTHING_IN_FLIGHT};
 pub use fault::{Fault, FaultReport};
 use float::FloatUnit;
@@ -205,7 +209,8 @@ impl Cpu {
     }
 
     /// Resets the core: stack pointer and program counter from the vector table at 0x0800_0000. Counters of
-    /// instructions and cycles, the report of the last fault and decoded code stay.
+    /// instructions and cycles, the report of the last fault and decoded code stay; interrupt lines count as low
+    /// until [`Self::set_lines`] tells otherwise.
     pub fn reset(&mut self, bus: &mut impl Bus) {
         // A vector that cannot be read is all ones: the first fetch will fault and, without a handler, lock up.
         let mut vector = |address| bus.read(address, Size::Word).unwrap_or(0xffff_ffff);
@@ -215,7 +220,7 @@ impl Cpu {
         self.pc = start & !1;
         self.float = FloatUnit::new();
         self.nvic = Nvic::new();
-        self.nvic.set_lines(&self.lines);
+        self.lines = [0; 4];
         self.system = System::new();
         self.accelerator = Accelerator::new();
         self.attention = true;
@@ -307,10 +312,10 @@ impl Cpu {
     /// Takes a pending exception or executes one instruction.
     #[inline]
     pub fn step<B: Bus>(&mut self, bus: &mut B) -> Step {
-        if self.attention || self.time() >= self.system.systick.deadline() {
-            if let Some(step) = self.attend(bus) {
-                return step;
-            }
+        if (self.attention || self.time() >= self.system.systick.deadline())
+            && let Some(step) = self.attend(bus)
+        {
+            return step;
         }
         self.execute_next(bus)
     }
@@ -341,13 +346,11 @@ impl Cpu {
         self.registers.r[15] = address.wrapping_add(4);
         self.pc = address.wrapping_add(u32::from(decoded.bytes));
         self.instructions += 1;
-        let outcome = if self.registers.it == 0 {
-            self.in_it_block = false;
-            self.execute(bus, decoded.instruction)
-        } else {
-            return self.execute_in_it_block(bus, address, decoded.instruction);
-        };
-        match outcome {
+        if self.registers.it != 0 {
+            return self.execute_in_it_block(bus, address, decoded);
+        }
+        self.in_it_block = false;
+        match self.execute(bus, decoded.instruction) {
             Ok(()) => self.ran(),
             Err(trap) => self.take_trap(bus, trap, address),
         }
@@ -355,12 +358,14 @@ impl Cpu {
 
     #[cold]
     #[inline(never)]
-    fn execute_in_it_block<B: Bus>(&mut self, bus: &mut B, address: u32, instruction: Instruction) -> Step {
+    fn execute_in_it_block<B: Bus>(&mut self, bus: &mut B, address: u32, decoded: Decoded) -> Step {
+        let instruction = decoded.instruction;
         let state = self.registers.it;
         // ITAdvance.
         self.registers.it = if state & 7 == 0 { 0 } else { state & 0xe0 | state << 1 & 0x1f };
         if !self.registers.flags.pass(state >> 4) && instruction != Instruction::Breakpoint {
-            self.cycles = self.cycles.min(1);
+            // One cycle, and the waiting for flash.
+            self.cycles = (self.cycles + 1 - u32::from(decoded.timing.cycles)).max(1);
             self.in_flight = NOTHING_IN_FLIGHT;
             return self.ran();
         }

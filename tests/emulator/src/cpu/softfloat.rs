@@ -31,21 +31,36 @@ pub(super) const INEXACT: u32 = 1 << 4;
 pub(super) const INPUT_SUBNORMAL: u32 = 1 << 7;
 
 pub(super) const DEFAULT_NAN: u32 = 0x7fc0_0000;
-const INFINITY: u32 = 0x7f80_0000;
-const QUIET: u32 = 0x0040_0000;
-const SIGN: u32 = 0x8000_0000;
+pub(super) const INFINITY: u32 = 0x7f80_0000;
+pub(super) const QUIET: u32 = 0x0040_0000;
+pub(super) const SIGN: u32 = 0x8000_0000;
 
 /// A finite number other than zero: `significand · 2^exponent`. Bit 0 of the significand may stand for "a bit
 /// more than this" (sticky) when there are bits enough above it.
 #[derive(Clone, Copy, Debug)]
-struct Finite {
-    negative: bool,
-    exponent: i32,
-    significand: u128,
+pub(super) struct Finite {
+    pub negative: bool,
+    pub exponent: i32,
+    pub significand: u128,
+}
+
+impl Finite {
+    /// Exponent of the leading one.
+    pub fn leading(self) -> i32 {
+        self.exponent + 127 - self.significand.leading_zeros() as i32
+    }
+}
+
+/// The whole multiples of `2^unit` in a number, and the rest in quarters of that, bit 0 being sticky.
+pub(super) fn split(value: Finite, unit: i32) -> (u32, u32) {
+    let up = value.exponent - unit + 2;
+    let quarters =
+        if up >= 0 { value.significand << up } else { shift_right_sticky(value.significand, up.unsigned_abs()) };
+    ((quarters >> 2) as u32, (quarters & 3) as u32)
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Value {
+pub(super) enum Value {
     Zero { negative: bool },
     Finite(Finite),
     Infinite { negative: bool },
@@ -78,7 +93,7 @@ pub(super) fn is_signaling(bits: u32) -> bool {
 }
 
 /// Shifts right and keeps in bit 0 whether anything was lost.
-fn shift_right_sticky(value: u128, places: u32) -> u128 {
+pub(super) fn shift_right_sticky(value: u128, places: u32) -> u128 {
     match places {
         0 => value,
         1..=127 => value >> places | u128::from(value << (128 - places) != 0),
@@ -92,7 +107,7 @@ fn signed_zero(negative: bool) -> u32 {
 
 impl Context {
     /// FPUnpack.
-    fn unpack(&mut self, bits: u32) -> Value {
+    pub(super) fn unpack(&mut self, bits: u32) -> Value {
         let negative = bits & SIGN != 0;
         let (exponent, fraction) = ((bits >> 23 & 255) as i32, bits & 0x7f_ffff);
         match (exponent, fraction) {
@@ -126,7 +141,7 @@ impl Context {
     }
 
     /// Whether to round away from zero, `rest` being the fraction cut off in units of 2^-2 with sticky bit 0.
-    fn rounds_away(&self, negative: bool, odd: bool, rest: u32) -> bool {
+    pub(super) fn rounds_away(&self, negative: bool, odd: bool, rest: u32) -> bool {
         match self.rounding {
             Rounding::Nearest => rest > 2 || rest == 2 && odd,
             Rounding::Up => rest != 0 && !negative,
@@ -136,20 +151,16 @@ impl Context {
     }
 
     /// FPRound.
-    fn round(&mut self, value: Finite) -> u32 {
-        let Finite { negative, exponent, significand } = value;
+    pub(super) fn round(&mut self, value: Finite) -> u32 {
+        let negative = value.negative;
         let sign = signed_zero(negative);
-        // Exponent of the leading one; below −126 the result is subnormal.
-        let leading = exponent + 127 - significand.leading_zeros() as i32;
+        // Below −126 the result is subnormal.
+        let leading = value.leading();
         if self.flush && leading < -126 {
             self.flags |= UNDERFLOW;
             return sign;
         }
-        // The unit of the result, and the significand in quarters of it.
-        let unit = leading.max(-126) - 23;
-        let up = exponent - (unit - 2);
-        let quarters = if up >= 0 { significand << up } else { shift_right_sticky(significand, up.unsigned_abs()) };
-        let (whole, rest) = ((quarters >> 2) as u32, (quarters & 3) as u32);
+        let (whole, rest) = split(value, leading.max(-126) - 23);
         if rest != 0 {
             self.flags |= INEXACT | if leading < -126 { UNDERFLOW } else { 0 };
         }
@@ -160,7 +171,7 @@ impl Context {
         if leading > 127 || bits >= INFINITY { self.overflow(negative) } else { sign | bits }
     }
 
-    fn overflow(&mut self, negative: bool) -> u32 {
+    pub(super) fn overflow(&mut self, negative: bool) -> u32 {
         self.flags |= OVERFLOW | INEXACT;
         let to_infinity = match self.rounding {
             Rounding::Nearest => true,
@@ -241,7 +252,7 @@ impl Context {
             (Value::Finite(a), Value::Finite(b)) => {
                 let dividend = a.significand << 64;
                 let sticky = u128::from(dividend % b.significand != 0);
-                let significand = dividend / b.significand | sticky;
+                let significand = (dividend / b.significand) | sticky;
                 self.round(Finite { negative, exponent: a.exponent - b.exponent - 64, significand })
             }
             _ => {
@@ -292,115 +303,6 @@ impl Context {
             std::cmp::Ordering::Greater => 0b0010,
         }
     }
-
-    /// FPToFixed: to an integer of `bits` bits after multiplication by `2^fraction`, saturating.
-    pub fn to_fixed(&mut self, x: u32, bits: u32, signed: bool, fraction: u32) -> i64 {
-        let (low, high) =
-            if signed { (-1i64 << (bits - 1), (1i64 << (bits - 1)) - 1) } else { (0, (1i64 << bits) - 1) };
-        let Finite { negative, exponent, significand } = match self.unpack(x) {
-            Value::Zero { .. } => return 0,
-            Value::Nan => {
-                self.flags |= INVALID;
-                return 0;
-            }
-            Value::Infinite { negative } => {
-                self.flags |= INVALID;
-                return if negative { low } else { high };
-            }
-            Value::Finite(value) => value,
-        };
-        let up = exponent + fraction as i32 + 2;
-        // 2^40 and more saturates in any case.
-        let quarters =
-            if up >= 0 { significand << up.min(64) } else { shift_right_sticky(significand, up.unsigned_abs()) };
-        let (whole, rest) = ((quarters >> 2) as i128, (quarters & 3) as u32);
-        let rounded = whole + i128::from(self.rounds_away(negative, whole & 1 != 0, rest));
-        let value = if negative { -rounded } else { rounded };
-        let clamped = value.clamp(low.into(), high.into());
-        if clamped != value {
-            self.flags |= INVALID;
-        } else if rest != 0 {
-            self.flags |= INEXACT;
-        }
-        clamped as i64
-    }
-
-    /// FixedToFP: `value / 2^fraction`.
-    pub fn from_fixed(&mut self, value: i64, fraction: u32) -> u32 {
-        if value == 0 {
-            return 0;
-        }
-        let significand = value.unsigned_abs().into();
-        self.round(Finite { negative: value < 0, exponent: -(fraction as i32), significand })
-    }
-
-    /// FPHalfToSingle; `alternative`: no infinities and NaNs (FPSCR.AHP).
-    pub fn from_half(&mut self, half: u32, alternative: bool) -> u32 {
-        let sign = (half & 0x8000) << 16;
-        let (exponent, fraction) = (half >> 10 & 31, half & 0x3ff);
-        match (exponent, fraction) {
-            (0, 0) => sign,
-            // Never subnormal in single precision, so neither rounded nor flushed.
-            (0, _) => self.round(Finite { negative: sign != 0, exponent: -24, significand: fraction.into() }),
-            (31, 0) if !alternative => sign | INFINITY,
-            (31, _) if !alternative => {
-                if fraction & 0x200 == 0 {
-                    self.flags |= INVALID;
-                }
-                if self.default_nan { DEFAULT_NAN } else { sign | INFINITY | QUIET | fraction << 13 }
-            }
-            _ => sign | (exponent + 112) << 23 | fraction << 13,
-        }
-    }
-
-    /// FPSingleToHalf; see [`Self::from_half`].
-    pub fn to_half(&mut self, x: u32, alternative: bool) -> u32 {
-        let sign = x >> 16 & 0x8000;
-        match self.unpack(x) {
-            Value::Zero { .. } => sign,
-            Value::Nan => {
-                if alternative || is_signaling(x) {
-                    self.flags |= INVALID;
-                }
-                match (alternative, self.default_nan) {
-                    (true, _) => sign,
-                    (false, true) => 0x7e00,
-                    (false, false) => sign | 0x7e00 | x >> 13 & 0x1ff,
-                }
-            }
-            Value::Infinite { .. } if alternative => {
-                self.flags |= INVALID;
-                sign | 0x7fff
-            }
-            Value::Infinite { .. } => sign | 0x7c00,
-            Value::Finite(value) => sign | self.round_half(value, alternative),
-        }
-    }
-
-    /// Rounds to half precision, without sign.
-    fn round_half(&mut self, value: Finite, alternative: bool) -> u32 {
-        let Finite { negative, exponent, significand } = value;
-        let leading = exponent + 127 - significand.leading_zeros() as i32;
-        let unit = leading.max(-14) - 10;
-        let up = exponent - (unit - 2);
-        let quarters = if up >= 0 { significand << up } else { shift_right_sticky(significand, up.unsigned_abs()) };
-        let (whole, rest) = ((quarters >> 2) as u32, (quarters & 3) as u32);
-        let rounded = whole + u32::from(self.rounds_away(negative, whole & 1 != 0, rest));
-        let biased = if leading < -14 { 0 } else { (leading + 14) as u32 };
-        let bits = rounded + (biased << 10);
-        let limit = if alternative { 0x8000 } else { 0x7c00 };
-        if bits >= limit {
-            if alternative {
-                self.flags |= INVALID;
-                return 0x7fff;
-            }
-            return (self.overflow(negative) & !SIGN == INFINITY).then_some(0x7c00).unwrap_or(0x7bff);
-        }
-        if rest != 0 {
-            self.flags |= INEXACT | if leading < -14 { UNDERFLOW } else { 0 };
-        }
-        bits
-    }
 }
 
 /// Exact product; NaN for infinity times zero. `x` and `y` as NaN give anything.
@@ -431,4 +333,84 @@ fn sum(x: Finite, y: Finite) -> Option<Finite> {
     let shifted = shift_right_sticky(small.1, (large.0 - small.0).unsigned_abs());
     let significand = if large.2 == small.2 { large.1 + shifted } else { large.1 - shifted };
     (significand != 0).then_some(Finite { negative: large.2, exponent: large.0, significand })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ONE: u32 = 0x3f80_0000;
+    /// 2^-24: half a unit of the last place of 1.
+    const HALF_UNIT: u32 = 0x3380_0000;
+
+    fn context(rounding: Rounding) -> Context {
+        Context { rounding, flush: false, default_nan: false, flags: 0 }
+    }
+
+    /// Result and flags of an operation in a mode.
+    fn run(rounding: Rounding, operation: impl Fn(&mut Context) -> u32) -> (u32, u32) {
+        let mut context = context(rounding);
+        (operation(&mut context), context.flags)
+    }
+
+    #[test]
+    fn ties_go_to_even_and_modes_differ() {
+        let sum = |rounding| run(rounding, |c| c.add(ONE, HALF_UNIT));
+        assert_eq!(sum(Rounding::Nearest), (ONE, INEXACT));
+        assert_eq!(sum(Rounding::Up), (ONE + 1, INEXACT));
+        assert_eq!(sum(Rounding::Down), (ONE, INEXACT));
+        assert_eq!(run(Rounding::Nearest, |c| c.add(ONE + 1, HALF_UNIT)), (ONE + 2, INEXACT));
+        assert_eq!(run(Rounding::Down, |c| c.sub(ONE, HALF_UNIT + 0x80_0000 * 8)).1, 0, "2^-16 is exact");
+    }
+
+    #[test]
+    fn zeros_have_signs() {
+        assert_eq!(run(Rounding::Nearest, |c| c.sub(ONE, ONE)), (0, 0));
+        assert_eq!(run(Rounding::Down, |c| c.sub(ONE, ONE)), (SIGN, 0));
+        assert_eq!(run(Rounding::Nearest, |c| c.add(SIGN, SIGN)), (SIGN, 0));
+        assert_eq!(run(Rounding::Nearest, |c| c.mul(ONE, SIGN)), (SIGN, 0));
+    }
+
+    #[test]
+    fn the_ends_of_the_range() {
+        let largest = INFINITY - 1;
+        assert_eq!(run(Rounding::Nearest, |c| c.add(largest, largest)), (INFINITY, OVERFLOW | INEXACT));
+        assert_eq!(run(Rounding::Zero, |c| c.add(largest, largest)), (largest, OVERFLOW | INEXACT));
+        // The smallest subnormal halved, and a subnormal that is exact.
+        assert_eq!(run(Rounding::Nearest, |c| c.mul(1, 0x3f00_0000)), (0, UNDERFLOW | INEXACT));
+        assert_eq!(run(Rounding::Up, |c| c.mul(1, 0x3f00_0000)), (1, UNDERFLOW | INEXACT));
+        assert_eq!(run(Rounding::Nearest, |c| c.mul(2, 0x3f00_0000)), (1, 0));
+        let flushing = |c: &mut Context| {
+            c.flush = true;
+            c.mul(0x0080_0000, 0x3f00_0000)
+        };
+        assert_eq!(run(Rounding::Nearest, flushing), (0, UNDERFLOW));
+    }
+
+    #[test]
+    fn nans_propagate_signalling_first() {
+        let (quiet, signaling) = (0x7fc0_0001, 0x7f80_0002);
+        assert_eq!(run(Rounding::Nearest, |c| c.add(quiet, signaling)), (0x7fc0_0002, INVALID));
+        assert_eq!(run(Rounding::Nearest, |c| c.mul(ONE, quiet)), (quiet, 0));
+        assert_eq!(run(Rounding::Nearest, |c| c.sub(INFINITY, INFINITY)), (DEFAULT_NAN, INVALID));
+        assert_eq!(run(Rounding::Nearest, |c| c.mul_add(quiet, INFINITY, 0)), (DEFAULT_NAN, INVALID));
+    }
+
+    #[test]
+    fn quotients_and_roots() {
+        assert_eq!(run(Rounding::Nearest, |c| c.div(ONE, 0x4040_0000)), (0x3eaa_aaab, INEXACT));
+        assert_eq!(run(Rounding::Zero, |c| c.div(ONE, 0x4040_0000)), (0x3eaa_aaaa, INEXACT));
+        assert_eq!(run(Rounding::Nearest, |c| c.div(ONE, SIGN)), (SIGN | INFINITY, DIVIDE_BY_ZERO));
+        assert_eq!(run(Rounding::Nearest, |c| c.sqrt(0x4110_0000)), (0x4040_0000, 0));
+        assert_eq!(run(Rounding::Nearest, |c| c.sqrt(0x4000_0000)), (0x3fb5_04f3, INEXACT));
+        assert_eq!(run(Rounding::Nearest, |c| c.sqrt(SIGN | ONE)), (DEFAULT_NAN, INVALID));
+    }
+
+    #[test]
+    fn a_fused_product_is_not_rounded() {
+        // x = 1 + 2^-12: x² − 1 = 2^-11 + 2^-24, whereas x² alone rounds to 1 + 2^-11.
+        let x = ONE + 0x800;
+        assert_eq!(run(Rounding::Nearest, |c| c.mul_add(SIGN | ONE, x, x)), (0x3a00_0400, 0));
+        assert_eq!(run(Rounding::Nearest, |c| c.mul(x, x)), (ONE + 0x1000, INEXACT));
+    }
 }

@@ -223,7 +223,7 @@ impl Adc {
             CR => self.command(value, effects),
             CFGR => {
                 self.while_stopped(value, self.cfgr, "ADC_CFGR is written only while ADSTART = 0", effects);
-                note_unmodelled(value & !CFGR_MODELLED, effects);
+                effects.unmodelled_bits(value & !CFGR_MODELLED);
                 if value & DMAEN == 0 {
                     effects.withdraw(self.request);
                 }
@@ -231,13 +231,13 @@ impl Adc {
             }
             CFGR2 => {
                 self.while_stopped(value, self.cfgr2, "ADC_CFGR2 is written only while ADSTART = 0", effects);
-                note_unmodelled(value & !CFGR2_MODELLED, effects);
+                effects.unmodelled_bits(value & !CFGR2_MODELLED);
                 self.cfgr2 = value;
             }
             SMPR1 | SMPR2 => {
                 let half = usize::from(offset == SMPR2);
                 self.while_stopped(value, self.smpr[half], "ADC_SMPRx is written only while ADSTART = 0", effects);
-                note_unmodelled(value >> 30, effects);
+                effects.unmodelled_bits(value >> 30);
                 self.smpr[half] = value;
             }
             SQR1..=SQR4 => {
@@ -258,7 +258,7 @@ impl Adc {
                 self.calfact = value;
             }
             TR1..=TR3 => {}
-            _ => note_unmodelled(value, effects),
+            _ => effects.unmodelled_bits(value),
         }
     }
 
@@ -274,7 +274,7 @@ impl Adc {
         let now = effects.now();
         self.write_supply(value, effects);
         let commands = value & CR_COMMANDS & !self.cr;
-        note_unmodelled(commands & (JADSTART | JADSTP), effects);
+        effects.unmodelled_bits(commands & (JADSTART | JADSTP));
         if commands & ADCAL != 0 {
             self.calibrate(value, effects);
         }
@@ -651,7 +651,7 @@ impl<const N: usize> AdcGroup<N> {
         if busy && (value ^ self.ccr) & CCR_CLOCK != 0 {
             effects.violation(value, "ADC_CCR.CKMODE and PRESC are written only while all ADCs are disabled");
         }
-        note_unmodelled(value & !CCR_MODELLED, effects);
+        effects.unmodelled_bits(value & !CCR_MODELLED);
         self.ccr = value;
         let clock = clock_ticks(value, self.kernel_half_ticks);
         if clock == 0 && value >> 16 & 3 == 0 && self.kernel_half_ticks * prescaler(value) % 2 != 0 {
@@ -695,12 +695,6 @@ fn clock_ticks(ccr: u32, kernel_half_ticks: u64) -> u64 {
         1 => 1,
         2 => 2,
         _ => 4,
-    }
-}
-
-fn note_unmodelled(bits: u32, effects: &mut Effects) {
-    if bits != 0 {
-        effects.unmodelled();
     }
 }
 

@@ -125,11 +125,16 @@ pub struct Effects {
     /// Address of the access being made.
     pub(crate) address: u32,
     lines: [u32; 4],
-    pub(crate) lines_changed: bool,
+    /// The core or the machine has to look: lines, reset, NMI, stall, changed code or boot loader.
+    pub(crate) attention: bool,
     requests: u128,
     triggers: u16,
     pub(crate) reset: Option<ResetCause>,
     pub(crate) nmi: bool,
+    /// Flash has new content.
+    pub(crate) code_changed: bool,
+    /// The core has jumped into the factory's boot loader.
+    pub(crate) boot_loader_entered: bool,
     /// The core waits on the bus until this instant.
     pub(crate) stalled_until: Ticks,
     violations: Vec<Violation>,
@@ -138,6 +143,11 @@ pub struct Effects {
 }
 
 impl Effects {
+    /// Nothing has happened yet, and it is tick `now`.
+    pub fn starting_at(now: Ticks) -> Self {
+        Self { now, ..Self::default() }
+    }
+
     /// The present, in ticks since power-on.
     pub fn now(&self) -> Ticks {
         self.now
@@ -149,7 +159,7 @@ impl Effects {
         let (word, bit) = (usize::from(number / 32), 1 << (number % 32));
         let before = self.lines[word];
         self.lines[word] = if level { before | bit } else { before & !bit };
-        self.lines_changed |= self.lines[word] != before;
+        self.attention |= self.lines[word] != before;
     }
 
     /// Levels of all interrupt lines.
@@ -190,6 +200,43 @@ impl Effects {
     /// Asks for a reset of the whole device.
     pub fn request_reset(&mut self, cause: ResetCause) {
         self.reset = Some(cause);
+        self.attention = true;
+    }
+
+    /// Makes the non-maskable interrupt pending.
+    pub(crate) fn raise_nmi(&mut self) {
+        self.nmi = true;
+        self.attention = true;
+    }
+
+    /// Lets the core wait until `end`.
+    pub(crate) fn stall_until(&mut self, end: Ticks) {
+        self.stalled_until = self.stalled_until.max(end);
+        self.attention = true;
+    }
+
+    /// Decoded code is out of date.
+    pub(crate) fn forget_code(&mut self) {
+        self.code_changed = true;
+        self.attention = true;
+    }
+
+    /// Code is fetched from the boot loader.
+    pub(crate) fn enter_boot_loader(&mut self) {
+        self.boot_loader_entered = true;
+        self.attention = true;
+    }
+
+    /// Forgets all that waits, for a reset; the records stay.
+    pub(crate) fn clear_signals(&mut self) {
+        self.lines = [0; 4];
+        self.requests = 0;
+        self.triggers = 0;
+        self.reset = None;
+        self.nmi = false;
+        self.stalled_until = 0;
+        self.boot_loader_entered = false;
+        self.attention = true;
     }
 
     /// Records a broken rule at the address being accessed. `value`: what was written, or 0.
@@ -198,6 +245,14 @@ impl Effects {
         self.violation_count += 1;
         if self.violations.len() < VIOLATIONS_KEPT {
             self.violations.push(Violation { at: self.now, pc: self.pc, address: self.address, value, rule });
+        }
+    }
+
+    /// Counts the choice of a mode that no model knows, if any of `bits` is set.
+    #[inline]
+    pub fn unmodelled_bits(&mut self, bits: u32) {
+        if bits != 0 {
+            self.unmodelled();
         }
     }
 

@@ -1,212 +1,148 @@
-//! Flash memory interface (RM0440, "Embedded flash memory"): programming by double words and
-//! erasing by pages in two banks, of which one can be read while the other is written.
+//! Interface of the embedded flash memory in dual-bank mode (RM0440, "Embedded flash memory").
 //!
-//! Caches belong to the core's model. Mass erase, option bytes and fast programming are not
-//! modelled.
+//! Modelled: latency, unlocking, programming of double words, erasure of pages and banks with
+//! their duration, error flags, the stall of accesses to a busy bank, and ECC errors of double
+//! words whose programming was cut short. Not modelled: fast programming, option bytes,
+//! write and read protection.
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
-use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FlashArray, PAGE_BYTES};
+use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
 
 const ACR: u32 = 0x00;
+const PDKEYR: u32 = 0x04;
 const KEYR: u32 = 0x08;
+const OPTKEYR: u32 = 0x0C;
 const SR: u32 = 0x10;
 const CR: u32 = 0x14;
 const ECCR: u32 = 0x18;
 const OPTR: u32 = 0x20;
 
-const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+const KEY1: u32 = 0x4567_0123;
+const KEY2: u32 = 0xCDEF_89AB;
+
+const ACR_RESET: u32 = 0x0004_0600;
+const LATENCY: u32 = 0xF;
 
 const EOP: u32 = 1;
 const PROGERR: u32 = 1 << 3;
-const WRPERR: u32 = 1 << 4;
 const PGAERR: u32 = 1 << 5;
 const SIZERR: u32 = 1 << 6;
 const PGSERR: u32 = 1 << 7;
-const ERRORS: u32 = 0xC3FA;
+const ERRORS: u32 = PROGERR | PGAERR | SIZERR | PGSERR;
 const BSY: u32 = 1 << 16;
 
 const PG: u32 = 1;
 const PER: u32 = 1 << 1;
+const MER1: u32 = 1 << 2;
 const BKER: u32 = 1 << 11;
+const MER2: u32 = 1 << 15;
 const STRT: u32 = 1 << 16;
 const EOPIE: u32 = 1 << 24;
 const ERRIE: u32 = 1 << 25;
+const OPTLOCK: u32 = 1 << 30;
 const LOCK: u32 = 1 << 31;
-const CR_MODELLED: u32 = PG | PER | 0x7F << 3 | BKER | STRT | EOPIE | ERRIE | LOCK;
+/// PG, PER, MER1, PNB, BKER, MER2, STRT, EOPIE, ERRIE and both locks.
+const CR_MODELLED: u32 = 0x3FF | BKER | MER2 | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
 
 const ECCD: u32 = 1 << 31;
-const ECC_BANK2: u32 = 1 << 21;
+const BK_ECC: u32 = 1 << 21;
 
-/// As delivered: two banks, BOR level 0 (RM0440, FLASH_OPTR).
-const OPTIONS: u32 = 0xFFEF_F8AA;
+/// Option bytes as delivered: no protection, dual bank, brown-out level 0, watchdog by software.
+const OPTR_DELIVERED: u32 = 0xFFEF_F8AA;
 
-/// Programming of a double word, and erasing of a page (data sheet, t_prog and t_ERASE, typical).
-pub const PROGRAM_TICKS: Ticks = TICKS_PER_SECOND * 817 / 10_000_000;
-/// See [`PROGRAM_TICKS`].
-pub const ERASE_TICKS: Ticks = TICKS_PER_SECOND * 2_202 / 100_000;
-
-/// Work under way.
-#[derive(Clone, Copy, Debug)]
-struct Work {
-    what: What,
-    begun: Ticks,
-    ends: Ticks,
-}
+/// Programming of a double word: 85 µs (data sheet, t_prog, typical 81.7 to 90.8).
+const PROGRAM_TICKS: Ticks = 85 * TICKS_PER_SECOND / 1_000_000;
+/// Erasure of a page or a bank: 22 ms (data sheet, t_ERASE and t_ME, typical).
+const ERASE_TICKS: Ticks = 22 * TICKS_PER_SECOND / 1_000;
 
 #[derive(Clone, Copy, Debug)]
-enum What {
+enum Work {
     Program { offset: usize, data: u64 },
-    Erase { offset: usize },
+    Erase { offset: usize, length: usize },
 }
 
-impl What {
-    fn bank(self) -> usize {
-        match self {
-            Self::Program { offset, .. } | Self::Erase { offset } => offset / BANK_BYTES,
-        }
+#[derive(Clone, Copy, Debug)]
+struct Operation {
+    work: Work,
+    started: Ticks,
+    done: Ticks,
+}
+
+impl Operation {
+    fn bank(&self) -> usize {
+        let (Work::Program { offset, .. } | Work::Erase { offset, .. }) = self.work;
+        offset / BANK_BYTES
+    }
+
+    /// Whether the bank of `offset` answers only after the operation.
+    fn blocks(&self, offset: usize) -> bool {
+        offset / BANK_BYTES == self.bank()
     }
 }
 
-/// The interface, and the cells behind it.
+/// The interface, with the cells behind it.
 #[derive(Debug)]
 pub struct Flash {
-    /// The cells: code and data.
-    pub cells: FlashArray,
+    array: FlashArray,
     acr: u32,
     sr: u32,
     cr: u32,
     eccr: u32,
-    keys_given: usize,
-    /// The first word of a double word, and where it goes.
-    first_word: Option<(usize, u32)>,
-    work: Option<Work>,
-    /// Content has changed since this was last asked.
-    changed: bool,
+    /// The first key was written.
+    half_unlocked: bool,
+    /// A wrong key was written: locked until the next reset.
+    jammed: bool,
+    /// First word of a double word being programmed: offset and value.
+    latch: Option<(usize, u32)>,
+    operation: Option<Operation>,
 }
 
 impl Flash {
-    /// State after power-on.
-    pub fn new(cells: FlashArray) -> Self {
+    /// The interface after reset, over `array`.
+    pub fn new(array: FlashArray) -> Self {
         Self {
-            cells,
-            acr: 0x0004_0600,
+            array,
+            acr: ACR_RESET,
             sr: 0,
-            cr: LOCK | 1 << 30,
+            cr: LOCK | OPTLOCK,
             eccr: 0,
-            keys_given: 0,
-            first_word: None,
-            work: None,
-            changed: false,
+            half_unlocked: false,
+            jammed: false,
+            latch: None,
+            operation: None,
         }
     }
 
-    /// State after a reset: what was being written is torn.
-    pub fn reset(&mut self, effects: &mut Effects) {
-        self.cut(effects.now());
-        let cells = std::mem::replace(&mut self.cells, FlashArray::erased());
-        *self = Self { changed: true, ..Self::new(cells) };
-        self.update_line(effects);
-    }
-
-    /// Ends what is under way unfinished, as a reset or the loss of supply does.
-    pub fn cut(&mut self, now: Ticks) {
-        if let Some(work) = self.work.take() {
-            let share = (now - work.begun) as f64 / (work.ends - work.begun) as f64;
-            self.apply(work.what, share);
+    /// Reset or loss of power at `now`: an operation under way leaves torn cells.
+    pub fn reset(&mut self, now: Ticks) {
+        if let Some(operation) = self.operation.take() {
+            let granted = (now - operation.started) as f64 / (operation.done - operation.started) as f64;
+            self.apply(operation.work, granted);
         }
+        let array = std::mem::replace(&mut self.array, FlashArray::erased());
+        *self = Self::new(array);
     }
 
-    /// Whether content has changed since this was last asked.
-    #[inline]
-    pub fn take_changed(&mut self) -> bool {
-        std::mem::take(&mut self.changed)
+    /// The cells.
+    pub fn array(&self) -> &FlashArray {
+        &self.array
     }
 
-    /// Wait states of a read that misses the caches.
+    /// Wait states of the cells, as set.
     #[inline]
     pub fn latency(&self) -> u32 {
-        self.acr & 0xF
-    }
-
-    /// Tells of a read at `offset`: it waits while its bank is written, and torn memory is noticed.
-    #[inline]
-    pub fn note_read(&mut self, offset: usize, effects: &mut Effects) {
-        if let Some(work) = &self.work
-            && work.what.bank() == offset / BANK_BYTES
-        {
-            effects.stalled_until = effects.stalled_until.max(work.ends);
-        }
-        if self.cells.has_torn() && self.cells.is_torn(offset) {
-            let bank = if offset >= BANK_BYTES { ECC_BANK2 } else { 0 };
-            let double_word = (offset % BANK_BYTES / DOUBLE_WORD_BYTES) as u32;
-            self.eccr = ECCD | bank | double_word;
-            effects.nmi = true;
-        }
-    }
-
-    /// A write into the memory itself.
-    pub fn program(&mut self, offset: usize, width: u32, value: u32, effects: &mut Effects) {
-        if self.cr & (LOCK | PG) != PG {
-            effects.violation(value, "flash is written only while unlocked and FLASH_CR.PG = 1");
-            return self.fail(PGSERR, effects);
-        }
-        if width != 4 {
-            effects.violation(value, "flash is programmed by words");
-            return self.fail(SIZERR, effects);
-        }
-        match self.first_word.take() {
-            None if offset.is_multiple_of(DOUBLE_WORD_BYTES) => self.first_word = Some((offset, value)),
-            Some((first, low)) if offset == first + 4 => {
-                let data = u64::from(low) | u64::from(value) << 32;
-                self.program_double_word(first, data, effects);
-            }
-            _ => {
-                effects.violation(value, "both words of a double word are programmed, the lower first");
-                self.fail(PGAERR, effects);
-            }
-        }
-    }
-
-    fn program_double_word(&mut self, offset: usize, data: u64, effects: &mut Effects) {
-        // RM0440: only an erased double word may be programmed, or any with zeros.
-        if self.cells.double_word(offset) != u64::MAX && data != 0 {
-            effects.violation(data as u32, "only an erased double word is programmed");
-            return self.fail(PROGERR, effects);
-        }
-        self.begin(What::Program { offset, data }, PROGRAM_TICKS, effects);
-    }
-
-    fn begin(&mut self, what: What, duration: Ticks, effects: &mut Effects) {
-        if self.sr & BSY != 0 {
-            return effects.violation(0, "flash is commanded only while FLASH_SR.BSY = 0");
-        }
-        let now = effects.now();
-        self.sr |= BSY;
-        self.work = Some(Work { what, begun: now, ends: now + duration });
-    }
-
-    fn fail(&mut self, flag: u32, effects: &mut Effects) {
-        self.sr |= flag;
-        self.update_line(effects);
-    }
-
-    fn apply(&mut self, what: What, share: f64) {
-        match what {
-            What::Program { offset, data } => self.cells.program(offset, data, share),
-            What::Erase { offset } => self.cells.erase(offset, PAGE_BYTES, share),
-        }
-        self.changed = true;
+        self.acr & LATENCY
     }
 
     /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
             ACR => self.acr,
-            KEYR => 0,
-            SR => self.sr,
+            KEYR | OPTKEYR | PDKEYR => 0,
+            SR => self.sr | if self.operation.is_some() { BSY } else { 0 },
             CR => self.cr,
             ECCR => self.eccr,
-            OPTR => OPTIONS,
+            OPTR => OPTR_DELIVERED,
             _ => {
                 effects.unmodelled();
                 0
@@ -218,66 +154,185 @@ impl Flash {
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
             ACR => self.acr = value,
-            KEYR => self.take_key(value, effects),
-            SR => self.sr &= !(value & (ERRORS | EOP | PROGERR | WRPERR | PGAERR | SIZERR | PGSERR)),
-            CR => self.write_control(value, effects),
+            KEYR => self.key(value, effects),
+            SR => self.sr &= !value,
+            CR => self.control(value, effects),
             ECCR => self.eccr &= !(value & ECCD),
             _ => effects.unmodelled(),
         }
         self.update_line(effects);
     }
 
-    fn take_key(&mut self, value: u32, effects: &mut Effects) {
-        if KEYS.get(self.keys_given) != Some(&value) {
-            return effects.violation(value, "FLASH_KEYR takes its two keys in order, once after each LOCK");
-        }
-        self.keys_given += 1;
-        if self.keys_given == KEYS.len() {
-            self.cr &= !LOCK;
-        }
-    }
-
-    fn write_control(&mut self, value: u32, effects: &mut Effects) {
-        if self.cr & LOCK != 0 {
-            return effects.violation(value, "FLASH_CR is written only while unlocked");
-        }
-        if self.sr & BSY != 0 && (value ^ self.cr) & !(EOPIE | ERRIE) != 0 {
-            effects.violation(value, "FLASH_CR is written only while FLASH_SR.BSY = 0");
-        }
-        if value & !(CR_MODELLED | 1 << 30) != 0 {
-            effects.unmodelled();
-        }
-        self.cr = value & !STRT;
-        if value & LOCK != 0 {
-            self.keys_given = 0;
-        }
-        if value & STRT != 0 {
-            if value & PER == 0 {
-                effects.violation(value, "FLASH_CR.STRT starts only an erase that was chosen");
-                return;
-            }
-            let bank = if value & BKER != 0 { BANK_BYTES } else { 0 };
-            let page = (value >> 3 & 0x7F) as usize;
-            self.begin(What::Erase { offset: bank + page * PAGE_BYTES }, ERASE_TICKS, effects);
-        }
-    }
-
-    /// When the work under way ends.
+    /// End of the operation under way.
+    #[inline]
     pub fn next_event(&self) -> Ticks {
-        self.work.map_or(Ticks::MAX, |work| work.ends)
+        self.operation.map_or(Ticks::MAX, |operation| operation.done)
     }
 
-    /// The work under way is done.
+    /// The operation under way is done.
     pub fn advance(&mut self, effects: &mut Effects) {
-        if let Some(work) = self.work.take() {
-            self.apply(work.what, 1.0);
-        }
-        self.sr &= !BSY;
-        // RM0440, FLASH_SR.EOP: set only while its interrupt is enabled.
+        let Some(operation) = self.operation.take() else { return };
+        self.apply(operation.work, 1.0);
+        self.cr &= !STRT;
+        // RM0440, "FLASH_SR": EOP is set only if its interrupt is enabled.
         if self.cr & EOPIE != 0 {
             self.sr |= EOP;
         }
+        effects.forget_code();
         self.update_line(effects);
+    }
+
+    /// Reads cells; 1, 2 or 4 bytes at `offset`, aligned.
+    #[inline]
+    pub fn load(&mut self, offset: usize, width: u32, effects: &mut Effects) -> Option<u32> {
+        if self.operation.is_some() || self.array.has_torn() {
+            return self.load_carefully(offset, width, effects);
+        }
+        load(self.array.bytes(), offset, width)
+    }
+
+    /// Reads cells while some are torn or a bank is busy.
+    #[cold]
+    fn load_carefully(&mut self, offset: usize, width: u32, effects: &mut Effects) -> Option<u32> {
+        if let Some(operation) = self.operation.filter(|operation| operation.blocks(offset)) {
+            effects.stall_until(operation.done);
+            return Some(self.load_after(operation.work, offset, width));
+        }
+        if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
+            let bank = if offset >= BANK_BYTES { BK_ECC } else { 0 };
+            self.eccr = ECCD | bank | (offset % BANK_BYTES & !(DOUBLE_WORD_BYTES - 1)) as u32;
+            effects.raise_nmi();
+        }
+        load(self.array.bytes(), offset, width)
+    }
+
+    /// What cells hold once `work` is done: a stalled access sees nothing older.
+    fn load_after(&self, work: Work, offset: usize, width: u32) -> u32 {
+        let base = offset & !(DOUBLE_WORD_BYTES - 1);
+        let before = self.array.double_word(base);
+        let after = match work {
+            Work::Program { offset, data } if offset == base => before & data,
+            Work::Erase { offset, length } if (offset..offset + length).contains(&base) => u64::MAX,
+            _ => before,
+        };
+        let bytes = after.to_le_bytes();
+        load(&bytes, offset - base, width).expect("an aligned access lies within its double word")
+    }
+
+    /// Writes to cells, which programs them (RM0440, "Flash main memory programming sequences").
+    pub fn store(&mut self, offset: usize, width: u32, value: u32, effects: &mut Effects) {
+        let error = if self.cr & LOCK != 0 || self.cr & PG == 0 || self.cr & (PER | MER1 | MER2) != 0 {
+            Some((PGSERR, "flash is programmed only while PG alone is set"))
+        } else if self.operation.is_some() {
+            Some((PGSERR, "flash is programmed only while BSY = 0"))
+        } else if self.sr & ERRORS != 0 {
+            Some((PGSERR, "flash is programmed only after earlier error flags are cleared"))
+        } else if width != 4 {
+            Some((SIZERR, "flash is programmed by words"))
+        } else {
+            None
+        };
+        match error {
+            Some((flag, rule)) => self.fail(flag, value, rule, effects),
+            None => self.store_word(offset, value, effects),
+        }
+        self.update_line(effects);
+    }
+
+    fn store_word(&mut self, offset: usize, value: u32, effects: &mut Effects) {
+        match self.latch.take() {
+            None if offset % DOUBLE_WORD_BYTES == 0 => self.latch = Some((offset, value)),
+            Some((base, low)) if offset == base + 4 => {
+                let data = u64::from(low) | u64::from(value) << 32;
+                if self.array.double_word(base) != u64::MAX && data != 0 {
+                    self.fail(PROGERR, value, "a double word is programmed only after its erasure", effects);
+                } else {
+                    self.begin(Work::Program { offset: base, data }, PROGRAM_TICKS, effects);
+                }
+            }
+            _ => self.fail(PGAERR, value, "the two words of a double word are programmed one after the other", effects),
+        }
+    }
+
+    fn fail(&mut self, flag: u32, value: u32, rule: &'static str, effects: &mut Effects) {
+        self.latch = None;
+        self.sr |= flag;
+        effects.violation(value, rule);
+    }
+
+    fn key(&mut self, key: u32, effects: &mut Effects) {
+        if self.jammed || self.cr & LOCK == 0 {
+            effects.violation(key, "FLASH_KEYR is written only while the interface is locked");
+            return;
+        }
+        match (self.half_unlocked, key) {
+            (false, KEY1) => self.half_unlocked = true,
+            (true, KEY2) => {
+                self.half_unlocked = false;
+                self.cr &= !LOCK;
+            }
+            _ => {
+                self.jammed = true;
+                effects.violation(key, "a wrong key locks the flash until the next reset");
+            }
+        }
+    }
+
+    fn control(&mut self, value: u32, effects: &mut Effects) {
+        if self.cr & LOCK != 0 {
+            effects.violation(value, "FLASH_CR is written only after it is unlocked");
+            return;
+        }
+        if self.operation.is_some() {
+            effects.violation(value, "FLASH_CR is written only while BSY = 0");
+            return;
+        }
+        effects.unmodelled_bits(value & !CR_MODELLED);
+        self.cr = value & CR_MODELLED;
+        self.latch = None;
+        if value & STRT == 0 {
+            return;
+        }
+        match self.erasure() {
+            Some((offset, length)) if self.sr & ERRORS == 0 && value & PG == 0 => {
+                self.begin(Work::Erase { offset, length }, ERASE_TICKS, effects);
+            }
+            _ => self.fail(PGSERR, value, "STRT is set with one of PER, MER1, MER2 and without error flags", effects),
+        }
+        if self.operation.is_none() {
+            self.cr &= !STRT;
+        }
+    }
+
+    /// What FLASH_CR selects for erasure: offset and length.
+    fn erasure(&self) -> Option<(usize, usize)> {
+        match self.cr & (PER | MER1 | MER2) {
+            PER => {
+                let page = (self.cr >> 3 & 0x7F) as usize;
+                let bank = if self.cr & BKER != 0 { BANK_BYTES } else { 0 };
+                Some((bank + page * PAGE_BYTES, PAGE_BYTES))
+            }
+            MER1 => Some((0, BANK_BYTES)),
+            MER2 => Some((BANK_BYTES, BANK_BYTES)),
+            _ => None,
+        }
+    }
+
+    fn begin(&mut self, work: Work, duration: Ticks, effects: &mut Effects) {
+        let operation = Operation { work, started: effects.now(), done: effects.now() + duration };
+        self.operation = Some(operation);
+        // The core cannot fetch from a busy bank: it stands still where it is.
+        let fetching = effects.pc.wrapping_sub(FLASH_BASE) as usize;
+        if fetching < FLASH_BYTES && operation.blocks(fetching) {
+            effects.stall_until(operation.done);
+        }
+    }
+
+    fn apply(&mut self, work: Work, complete: f64) {
+        match work {
+            Work::Program { offset, data } => self.array.program(offset, data, complete),
+            Work::Erase { offset, length } => self.array.erase(offset, length, complete),
+        }
     }
 
     fn update_line(&self, effects: &mut Effects) {
@@ -287,24 +342,19 @@ impl Flash {
     }
 }
 
-/// Where flash lies, as an offset; `None` elsewhere. It is also seen at address 0.
-#[inline]
-pub fn offset_of(address: u32) -> Option<usize> {
-    let offset = if address < crate::memory::FLASH_BYTES as u32 { address } else { address.wrapping_sub(FLASH_BASE) };
-    (offset < crate::memory::FLASH_BYTES as u32).then_some(offset as usize)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const AT: usize = BANK_BYTES + 16;
+    /// Page 3 of bank 2.
+    const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
+    const ERASE_PAGE_3: u32 = PER | BKER | 3 << 3 | STRT;
 
     fn unlocked() -> (Flash, Effects) {
         let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
-        for key in KEYS {
-            flash.write(KEYR, key, &mut effects);
-        }
+        flash.write(KEYR, KEY1, &mut effects);
+        flash.write(KEYR, KEY2, &mut effects);
+        assert_eq!(flash.read(CR, &mut effects) & LOCK, 0);
         (flash, effects)
     }
 
@@ -313,68 +363,111 @@ mod tests {
         flash.advance(effects);
     }
 
+    fn program(flash: &mut Flash, effects: &mut Effects, words: [u32; 2]) {
+        flash.write(CR, PG | EOPIE, effects);
+        flash.store(OFFSET, 4, words[0], effects);
+        flash.store(OFFSET + 4, 4, words[1], effects);
+    }
+
     #[test]
-    fn a_double_word_is_programmed_and_erased() {
+    fn programs_a_double_word_and_reports_the_end() {
         let (mut flash, mut effects) = unlocked();
-        flash.write(CR, PG | EOPIE, &mut effects);
-        flash.program(AT, 4, 0x1111_2222, &mut effects);
-        assert_eq!(flash.next_event(), Ticks::MAX, "half a double word is nothing");
-        flash.program(AT + 4, 4, 0x3333_4444, &mut effects);
-        assert_eq!((flash.read(SR, &mut effects), flash.next_event()), (BSY, PROGRAM_TICKS));
+        program(&mut flash, &mut effects, [0x1234_5678, 0x9ABC_DEF0]);
+        assert_eq!(flash.read(SR, &mut effects), BSY);
+        assert_eq!(flash.next_event(), PROGRAM_TICKS);
         finish(&mut flash, &mut effects);
-        assert_eq!(flash.cells.double_word(AT), 0x3333_4444_1111_2222);
-        assert_eq!((flash.read(SR, &mut effects), effects.lines()[0]), (EOP, 1 << interrupt::FLASH));
+        assert_eq!(flash.read(SR, &mut effects), EOP);
+        assert_eq!(effects.lines()[0], 1 << interrupt::FLASH);
+        assert_eq!(flash.load(OFFSET + 4, 2, &mut effects), Some(0xDEF0));
         flash.write(SR, EOP, &mut effects);
         assert_eq!(effects.lines()[0], 0);
-
-        flash.write(CR, PER | BKER | STRT, &mut effects);
-        assert_eq!(flash.next_event() - effects.now(), ERASE_TICKS);
-        finish(&mut flash, &mut effects);
-        assert_eq!(flash.cells.double_word(AT), u64::MAX);
-        assert_eq!(effects.violation_count(), 0);
+        assert_eq!(effects.violations(), []);
     }
 
     #[test]
-    fn rules_of_programming() {
+    fn refuses_what_is_locked_narrow_askew_or_not_erased() {
         let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
-        flash.program(AT, 4, 0, &mut effects);
         flash.write(CR, PG, &mut effects);
-        assert_eq!(effects.violation_count(), 2, "locked");
+        flash.store(OFFSET, 4, 0, &mut effects);
+        assert_eq!((flash.read(SR, &mut effects), effects.violation_count()), (PGSERR, 2));
         let (mut flash, mut effects) = unlocked();
         flash.write(CR, PG, &mut effects);
-        flash.program(AT + 4, 4, 0, &mut effects);
-        assert_eq!(flash.read(SR, &mut effects) & ERRORS, PGAERR);
-        flash.program(AT, 2, 0, &mut effects);
-        assert_eq!(flash.read(SR, &mut effects) & ERRORS, PGAERR | SIZERR);
-        flash.cells.load(AT, &[0x55; 8]);
-        flash.program(AT, 4, 1, &mut effects);
-        flash.program(AT + 4, 4, 1, &mut effects);
-        assert_ne!(flash.read(SR, &mut effects) & PROGERR, 0);
+        flash.store(OFFSET, 2, 0, &mut effects);
+        assert_eq!(flash.read(SR, &mut effects), SIZERR);
+        flash.write(SR, SIZERR, &mut effects);
+        flash.store(OFFSET + 4, 4, 0, &mut effects);
+        assert_eq!(flash.read(SR, &mut effects), PGAERR);
+        flash.write(SR, PGAERR, &mut effects);
+        program(&mut flash, &mut effects, [1, 2]);
+        finish(&mut flash, &mut effects);
+        flash.write(SR, EOP, &mut effects);
+        program(&mut flash, &mut effects, [0, 2]);
+        assert_eq!(flash.read(SR, &mut effects), PROGERR);
+        flash.write(SR, PROGERR, &mut effects);
+        program(&mut flash, &mut effects, [0, 0]);
+        assert_eq!(flash.read(SR, &mut effects), BSY, "zeros may be programmed over anything");
     }
 
     #[test]
-    fn a_cut_leaves_torn_memory_that_answers_with_an_nmi() {
-        let (mut flash, mut effects) = unlocked();
-        flash.write(CR, PG, &mut effects);
-        flash.program(AT, 4, 0, &mut effects);
-        flash.program(AT + 4, 4, 0, &mut effects);
-        effects.now = PROGRAM_TICKS / 2;
-        flash.reset(&mut effects);
-        assert!(!effects.nmi);
-        flash.note_read(AT, &mut effects);
-        assert!(effects.nmi);
-        assert_eq!(flash.read(ECCR, &mut effects), ECCD | ECC_BANK2 | 2);
-        flash.write(ECCR, ECCD, &mut effects);
-        assert_eq!(flash.read(ECCR, &mut effects) & ECCD, 0);
+    fn erases_one_page_of_bank_2() {
+        let mut array = FlashArray::erased();
+        array.load(OFFSET - 1, &[0; PAGE_BYTES + 2]);
+        let (mut flash, mut effects) = (Flash::new(array), Effects::default());
+        flash.write(KEYR, KEY1, &mut effects);
+        flash.write(KEYR, KEY2, &mut effects);
+        flash.write(CR, ERASE_PAGE_3, &mut effects);
+        assert_eq!(effects.stalled_until, 0, "the core runs on from the other bank");
+        finish(&mut flash, &mut effects);
+        assert_eq!(effects.now(), ERASE_TICKS);
+        let bytes = flash.array().bytes();
+        assert!(bytes[OFFSET..OFFSET + PAGE_BYTES].iter().all(|&byte| byte == 0xFF));
+        assert_eq!((bytes[OFFSET - 1], bytes[OFFSET + PAGE_BYTES]), (0, 0));
     }
 
     #[test]
-    fn reading_waits_for_its_own_bank_only() {
+    fn a_busy_bank_stalls_and_then_gives_the_new_content() {
         let (mut flash, mut effects) = unlocked();
-        flash.write(CR, PER | BKER | STRT, &mut effects);
-        flash.note_read(0x100, &mut effects);
+        program(&mut flash, &mut effects, [5, 6]);
+        assert_eq!(flash.load(0, 4, &mut effects), Some(u32::MAX));
         assert_eq!(effects.stalled_until, 0);
-        flash.note_read(AT, &mut effects);
+        assert_eq!(flash.load(OFFSET, 4, &mut effects), Some(5));
+        assert_eq!(effects.stalled_until, PROGRAM_TICKS);
+    }
+
+    #[test]
+    fn erasing_the_running_bank_stalls_the_core() {
+        let (mut flash, mut effects) = unlocked();
+        effects.pc = FLASH_BASE + 0x100;
+        flash.write(CR, PER | 127 << 3 | STRT, &mut effects);
         assert_eq!(effects.stalled_until, ERASE_TICKS);
+    }
+
+    #[test]
+    fn a_torn_double_word_raises_the_nmi_once_per_flag() {
+        let (mut flash, mut effects) = unlocked();
+        program(&mut flash, &mut effects, [0, 1]);
+        flash.reset(PROGRAM_TICKS / 2);
+        assert!(!effects.nmi);
+        flash.load(OFFSET + 4, 4, &mut effects);
+        assert!(std::mem::take(&mut effects.nmi));
+        assert_eq!(flash.read(ECCR, &mut effects), ECCD | BK_ECC | 3 * PAGE_BYTES as u32);
+        flash.load(OFFSET, 4, &mut effects);
+        assert!(!effects.nmi);
+        flash.write(ECCR, ECCD, &mut effects);
+        flash.load(OFFSET, 4, &mut effects);
+        assert!(effects.nmi);
+    }
+
+    #[test]
+    fn a_wrong_key_jams_until_reset() {
+        let (mut flash, mut effects) = (Flash::new(FlashArray::erased()), Effects::default());
+        flash.write(KEYR, 1, &mut effects);
+        flash.write(KEYR, KEY1, &mut effects);
+        flash.write(KEYR, KEY2, &mut effects);
+        assert_ne!(flash.read(CR, &mut effects) & LOCK, 0);
+        flash.reset(0);
+        flash.write(KEYR, KEY1, &mut effects);
+        flash.write(KEYR, KEY2, &mut effects);
+        assert_eq!(flash.read(CR, &mut effects) & LOCK, 0);
     }
 }

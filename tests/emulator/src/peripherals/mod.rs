@@ -29,15 +29,18 @@
 //!   model knows are [`Effects::unmodelled`].
 
 pub mod adc;
+pub mod backup;
+pub mod crs;
 pub mod dac;
 pub mod dma;
 mod effects;
+pub mod exti;
 pub mod flash;
 pub mod gpio;
 pub mod lpuart;
 pub mod power;
 pub mod rcc;
-pub mod store;
+pub mod syscfg;
 pub mod timer;
 pub mod usb;
 pub mod watchdog;

@@ -1,84 +1,113 @@
-//! Power control, the supply detector, and the external interrupt line it is on (RM0440, "PWR"
-//! and "EXTI"). The detector's hysteresis is not modelled.
+//! Power control: backup-domain access, voltage scaling and the voltage detector (RM0440,
+//! "Power control").
 
-use super::{Effects, interrupt};
+use super::Effects;
 
 const CR1: u32 = 0x00;
 const CR2: u32 = 0x04;
+const CR3: u32 = 0x08;
 const CR4: u32 = 0x0C;
 const SR1: u32 = 0x10;
 const SR2: u32 = 0x14;
 const SCR: u32 = 0x18;
+const PUCRA: u32 = 0x20;
+const PDCRG: u32 = 0x54;
 const CR5: u32 = 0x80;
 
 const DBP: u32 = 1 << 8;
+/// Low-power modes, voltage range 2 and low-power run.
+const CR1_UNMODELLED: u32 = 0b111 | 1 << 10 | 1 << 14;
+const CR1_RESET: u32 = 0x0200;
 const PVDE: u32 = 1;
 const PVDO: u32 = 1 << 11;
+/// Main regulator started, as SR2 shows it.
+const REGLPS: u32 = 1 << 8;
+const R1MODE: u32 = 1 << 8;
+const CR3_RESET: u32 = 0x8000;
 
-/// Thresholds that PLS selects, in volts (data sheet, V_PVD0 to V_PVD6, falling, typical).
-const THRESHOLDS_V: [f64; 7] = [2.05, 2.20, 2.36, 2.52, 2.64, 2.81, 2.91];
+/// Falling thresholds of the voltage detector by PLS code, in volts (data sheet, "Embedded
+/// reset and power control block characteristics", V_PVD0 to V_PVD6, typical). The seventh code
+/// compares an external pin, which is not modelled.
+const PVD_FALLING_V: [f64; 7] = [2.05, 2.20, 2.36, 2.52, 2.64, 2.81, 2.92];
+/// Hysteresis of the detector (data sheet, V_hyst_BOR_PVD).
+const PVD_HYSTERESIS_V: f64 = 0.1;
 
-/// Below this the device is held in reset (data sheet, V_BOR0).
-pub const BROWN_OUT_V: f64 = 1.7;
-
-const IMR1: u32 = 0x00;
-const EMR1: u32 = 0x04;
-const RTSR1: u32 = 0x08;
-const FTSR1: u32 = 0x0C;
-const SWIER1: u32 = 0x10;
-const PR1: u32 = 0x14;
-const IMR2: u32 = 0x20;
-const PR2: u32 = 0x34;
-
-/// The detector's line.
-const PVD_LINE: u32 = 1 << 16;
-
-/// Power control and external interrupts.
+/// Power control.
 #[derive(Debug)]
 pub struct Power {
-    cr: [u32; 4],
+    cr1: u32,
+    cr2: u32,
+    cr3: u32,
+    cr4: u32,
     cr5: u32,
     supply_v: f64,
-    was_low: bool,
-    imr: u32,
-    emr: u32,
-    rtsr: u32,
-    ftsr: u32,
-    pr: u32,
+    /// PVDO: the supply is below the threshold.
+    low: bool,
 }
 
 impl Power {
-    /// State after power-on with `supply_v` volts.
+    /// State after power-on, at `supply_v` volts.
     pub fn new(supply_v: f64) -> Self {
-        Self {
-            cr: [0x0200, 0, 0x8000, 0],
-            cr5: 0x0100,
-            supply_v,
-            was_low: false,
-            imr: 0x1F84_0000,
-            emr: 0,
-            rtsr: 0,
-            ftsr: 0,
-            pr: 0,
+        Self { cr1: CR1_RESET, cr2: 0, cr3: CR3_RESET, cr4: 0, cr5: R1MODE, supply_v, low: false }
+    }
+
+    /// State after reset.
+    pub fn reset(&mut self) {
+        *self = Self::new(self.supply_v);
+    }
+
+    /// Value of a register.
+    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
+        match offset {
+            CR1 => self.cr1,
+            CR2 => self.cr2,
+            CR3 => self.cr3,
+            CR4 => self.cr4,
+            CR5 => self.cr5,
+            SR1 | SCR => 0,
+            SR2 => REGLPS | if self.low { PVDO } else { 0 },
+            _ => {
+                effects.unmodelled();
+                0
+            }
         }
     }
 
-    /// State after any reset of the device.
-    pub fn reset(&mut self, effects: &mut Effects) {
-        *self = Self::new(self.supply_v);
-        self.update_line(effects);
+    /// Writes a register.
+    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
+        match offset {
+            CR1 => {
+                effects.unmodelled_bits(value & CR1_UNMODELLED);
+                self.cr1 = value;
+            }
+            CR2 => {
+                effects.unmodelled_bits(value & !0xF);
+                effects.unmodelled_bits(u32::from(value >> 1 & 7 == 7));
+                self.cr2 = value & 0xF;
+            }
+            // Wake-up from standby and pulls in standby have no meaning without standby.
+            CR3 => self.cr3 = value,
+            CR4 => self.cr4 = value,
+            CR5 => self.cr5 = value & R1MODE,
+            SCR | PUCRA..=PDCRG => {}
+            _ => effects.unmodelled(),
+        }
+        self.compare();
     }
 
-    /// State after the reset bit of PWR alone.
-    pub fn reset_control(&mut self) {
-        let fresh = Self::new(self.supply_v);
-        (self.cr, self.cr5) = (fresh.cr, fresh.cr5);
+    /// Whether the backup domain may be written (DBP).
+    pub fn backup_access(&self) -> bool {
+        self.cr1 & DBP != 0
     }
 
-    /// Whether the backup domain may be written.
-    #[inline]
-    pub fn may_write_backup(&self) -> bool {
-        self.cr[0] & DBP != 0
+    /// Whether range 1 runs in boost mode, which the core needs above 150 MHz.
+    pub fn is_boosted(&self) -> bool {
+        self.cr5 & R1MODE == 0
+    }
+
+    /// PVDO, which goes to EXTI line 16.
+    pub fn is_low(&self) -> bool {
+        self.low
     }
 
     /// The supply, in volts.
@@ -87,100 +116,19 @@ impl Power {
     }
 
     /// Sets the supply.
-    pub fn set_supply(&mut self, volts: f64, effects: &mut Effects) {
+    pub fn set_supply_v(&mut self, volts: f64) {
         self.supply_v = volts;
-        self.detect(effects);
+        self.compare();
     }
 
-    /// Value of a register of PWR.
-    pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            CR1..=CR4 => self.cr[(offset / 4) as usize],
-            SR1 => 0,
-            SR2 => {
-                if self.is_low() {
-                    PVDO
-                } else {
-                    0
-                }
+    fn compare(&mut self) {
+        let threshold = PVD_FALLING_V.get((self.cr2 >> 1 & 7) as usize);
+        self.low = match threshold {
+            Some(falling) if self.cr2 & PVDE != 0 => {
+                self.supply_v < falling + if self.low { PVD_HYSTERESIS_V } else { 0.0 }
             }
-            CR5 => self.cr5,
-            _ => {
-                effects.unmodelled();
-                0
-            }
-        }
-    }
-
-    /// Writes a register of PWR.
-    pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            CR1..=CR4 => self.cr[(offset / 4) as usize] = value,
-            SCR => {}
-            CR5 => self.cr5 = value,
-            SR1 | SR2 => effects.violation(value, "PWR_SRx are read-only"),
-            _ => effects.unmodelled(),
-        }
-        if offset == CR2 {
-            self.detect(effects);
-        }
-    }
-
-    /// Value of a register of EXTI.
-    pub fn read_lines(&mut self, offset: u32, effects: &mut Effects) -> u32 {
-        match offset {
-            IMR1 => self.imr,
-            EMR1 => self.emr,
-            RTSR1 => self.rtsr,
-            FTSR1 => self.ftsr,
-            SWIER1 => 0,
-            PR1 => self.pr,
-            IMR2..=PR2 => 0,
-            _ => {
-                effects.unmodelled();
-                0
-            }
-        }
-    }
-
-    /// Writes a register of EXTI.
-    pub fn write_lines(&mut self, offset: u32, value: u32, effects: &mut Effects) {
-        match offset {
-            IMR1 => self.imr = value,
-            EMR1 => self.emr = value,
-            RTSR1 => self.rtsr = value,
-            FTSR1 => self.ftsr = value,
-            SWIER1 => self.pr |= value & self.imr,
-            PR1 => self.pr &= !value,
-            _ => effects.unmodelled(),
-        }
-        if value & !PVD_LINE != 0 && matches!(offset, RTSR1 | FTSR1 | SWIER1) {
-            // Other lines have no source here.
-            effects.unmodelled();
-        }
-        self.update_line(effects);
-    }
-
-    fn is_low(&self) -> bool {
-        let threshold = THRESHOLDS_V.get((self.cr[1] >> 1 & 7) as usize);
-        self.cr[1] & PVDE != 0 && threshold.is_some_and(|&threshold| self.supply_v < threshold)
-    }
-
-    /// The detector's output rises as the supply falls.
-    fn detect(&mut self, effects: &mut Effects) {
-        let is_low = self.is_low();
-        let edge = match (self.was_low, is_low) {
-            (false, true) => self.rtsr,
-            (true, false) => self.ftsr,
-            _ => 0,
+            _ => false,
         };
-        self.pr |= edge & PVD_LINE;
-        self.was_low = is_low;
-        self.update_line(effects);
-    }
-
-    fn update_line(&self, effects: &mut Effects) {
-        effects.set_line(interrupt::PVD_PVM, self.pr & self.imr & PVD_LINE != 0);
     }
 }
 
@@ -189,20 +137,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_falling_supply_interrupts_once() {
-        let mut effects = Effects::default();
-        let mut power = Power::new(3.3);
-        power.write(CR2, 6 << 1 | PVDE, &mut effects);
-        power.write_lines(RTSR1, PVD_LINE, &mut effects);
-        power.write_lines(IMR1, PVD_LINE, &mut effects);
-        power.set_supply(2.95, &mut effects);
-        assert_eq!(effects.lines()[0], 0);
-        power.set_supply(2.85, &mut effects);
-        assert_eq!(effects.lines()[0], 1 << interrupt::PVD_PVM);
-        assert_eq!(power.read(SR2, &mut effects), PVDO);
-        power.write_lines(PR1, PVD_LINE, &mut effects);
-        assert_eq!(effects.lines()[0], 0);
-        power.set_supply(3.3, &mut effects);
-        assert_eq!((effects.lines()[0], power.read(SR2, &mut effects)), (0, 0));
+    fn detector_has_its_threshold_and_hysteresis() {
+        let (mut power, mut effects) = (Power::new(3.3), Effects::default());
+        power.set_supply_v(2.5);
+        assert!(!power.is_low(), "the detector is off");
+        power.set_supply_v(3.3);
+        power.write(CR2, PVDE | 5 << 1, &mut effects);
+        let seen = [2.85, 2.80, 2.88, 2.92].map(|volts| {
+            power.set_supply_v(volts);
+            (power.is_low(), power.read(SR2, &mut effects) & PVDO != 0)
+        });
+        assert_eq!(seen, [(false, false), (true, true), (true, true), (false, false)]);
+    }
+
+    #[test]
+    fn boost_and_backup_access_follow_their_bits() {
+        let (mut power, mut effects) = (Power::new(3.3), Effects::default());
+        assert!(!power.is_boosted() && !power.backup_access());
+        power.write(CR5, 0, &mut effects);
+        power.write(CR1, CR1_RESET | DBP, &mut effects);
+        assert!(power.is_boosted() && power.backup_access());
     }
 }

@@ -1,12 +1,13 @@
-//! Reset and clock control (RM0440, "RCC"): which peripherals have a clock, and why the device
-//! was reset.
+//! Reset and clock control (RM0440, "Reset and clock control").
 //!
-//! Oscillators and the PLL are ready as soon as they are switched on. Frequencies are not
-//! followed: the machine's tick is the core clock, whatever it is made of.
+//! Oscillators and the PLL are ready as soon as they are switched on. Time does not follow the
+//! clock tree: the core clock is taken as 170 MHz throughout, and a program that settles on
+//! another one is recorded as unmodelled.
 
 use super::{Effects, ResetCause};
 
 const CR: u32 = 0x00;
+const ICSCR: u32 = 0x04;
 const CFGR: u32 = 0x08;
 const PLLCFGR: u32 = 0x0C;
 const CIER: u32 = 0x18;
@@ -15,6 +16,9 @@ const CICR: u32 = 0x20;
 const AHB1RSTR: u32 = 0x28;
 const APB2RSTR: u32 = 0x40;
 const AHB1ENR: u32 = 0x48;
+const AHB2ENR: u32 = 0x4C;
+const APB1ENR1: u32 = 0x58;
+const APB1ENR2: u32 = 0x5C;
 const APB2ENR: u32 = 0x60;
 const AHB1SMENR: u32 = 0x68;
 const APB2SMENR: u32 = 0x80;
@@ -23,197 +27,257 @@ const BDCR: u32 = 0x90;
 const CSR: u32 = 0x94;
 const CRRCR: u32 = 0x98;
 const CCIPR2: u32 = 0x9C;
-const END: u32 = 0xA0;
+const WORDS: usize = 0xA0 / 4;
 
 const PLLON: u32 = 1 << 24;
-/// On bits of CR and the ready bits that follow them.
+/// (enable, ready) bits of HSI, HSE and PLL in RCC_CR.
 const CR_READY: [(u32, u32); 3] = [(1 << 8, 1 << 10), (1 << 16, 1 << 17), (PLLON, 1 << 25)];
+const SW: u32 = 0b11;
+const SW_PLL: u32 = 0b11;
+const PRESCALERS: u32 = 0b11_1111 << 8 | 0b1111 << 4;
+const PLLPEN: u32 = 1 << 16;
+const PLLPEN_AND_DIVIDER: u32 = 0xF803_0000;
+const PLLQEN: u32 = 1 << 20;
 const BDRST: u32 = 1 << 16;
 const RMVF: u32 = 1 << 23;
-const CSR_FLAGS: u32 = 0xFE00_0000;
+const RESET_FLAGS: u32 = 0xFE00_0000;
 const PINRSTF: u32 = 1 << 26;
 const BORRSTF: u32 = 1 << 27;
 const SFTRSTF: u32 = 1 << 28;
 const IWDGRSTF: u32 = 1 << 29;
-const HSI48ON: u32 = 1;
 
-/// A bit in the enable and reset registers: the offset of the enable register, and the bit.
+/// High-speed internal oscillator, and the crystal of the NUCLEO-G474RE, in hertz.
+const HSI_HZ: u64 = 16_000_000;
+const HSE_HZ: u64 = 24_000_000;
+
+/// A bit of one of the clock-enable registers; the reset register has the same layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gate {
+    /// Offset of the enable register.
     register: u32,
     bit: u32,
 }
 
+#[allow(missing_docs)]
 impl Gate {
-    /// Bit `bit` of AHB1ENR.
-    pub const fn ahb1(bit: u32) -> Self {
-        Self { register: AHB1ENR, bit }
+    pub const DMA1: Self = Self { register: AHB1ENR, bit: 0 };
+    pub const DMA2: Self = Self { register: AHB1ENR, bit: 1 };
+    pub const DMAMUX1: Self = Self { register: AHB1ENR, bit: 2 };
+    pub const FLASH: Self = Self { register: AHB1ENR, bit: 8 };
+    pub const ADC12: Self = Self { register: AHB2ENR, bit: 13 };
+    pub const ADC345: Self = Self { register: AHB2ENR, bit: 14 };
+    pub const CRS: Self = Self { register: APB1ENR1, bit: 8 };
+    pub const RTC_APB: Self = Self { register: APB1ENR1, bit: 10 };
+    pub const USB: Self = Self { register: APB1ENR1, bit: 23 };
+    pub const PWR: Self = Self { register: APB1ENR1, bit: 28 };
+    pub const LPUART1: Self = Self { register: APB1ENR2, bit: 0 };
+    pub const SYSCFG: Self = Self { register: APB2ENR, bit: 0 };
+
+    /// Port `index`, 0 for GPIOA.
+    pub const fn gpio(index: u32) -> Self {
+        Self { register: AHB2ENR, bit: index }
     }
 
-    /// Bit `bit` of AHB2ENR.
-    pub const fn ahb2(bit: u32) -> Self {
-        Self { register: 0x4C, bit }
+    /// TIM2 to TIM5 for `index` 0 to 3.
+    pub const fn timer(index: u32) -> Self {
+        Self { register: APB1ENR1, bit: index }
     }
 
-    /// Bit `bit` of APB1ENR1.
-    pub const fn apb1(bit: u32) -> Self {
-        Self { register: 0x58, bit }
-    }
-
-    /// Bit `bit` of APB1ENR2.
-    pub const fn apb1_2(bit: u32) -> Self {
-        Self { register: 0x5C, bit }
-    }
-
-    /// Bit `bit` of APB2ENR.
-    pub const fn apb2(bit: u32) -> Self {
-        Self { register: APB2ENR, bit }
-    }
-}
-
-/// What a write asks of others.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// Nothing.
-    None,
-    /// A peripheral's reset bit was set.
-    Reset(u32, u32),
-    /// The backup domain is reset.
-    BackupReset,
-    /// Kernel clocks may have changed.
-    Clocks,
-}
-
-impl Order {
-    /// Whether the peripheral behind `gate` is reset.
-    pub fn resets(self, gate: Gate) -> bool {
-        // Reset registers lie in the same order as the enable registers, 0x20 before.
-        matches!(self, Self::Reset(register, bits) if register + 0x20 == gate.register && bits >> gate.bit & 1 != 0)
+    /// DAC1 or DAC2 for `index` 0 or 1.
+    pub const fn dac(index: u32) -> Self {
+        Self { register: AHB2ENR, bit: 16 + index }
     }
 }
 
-/// The registers.
+/// Reset lines that a write has pulled.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Pulled {
+    /// The enable register of the same layout.
+    register: u32,
+    bits: u32,
+}
+
+impl Pulled {
+    /// Whether nothing was pulled.
+    pub fn is_empty(self) -> bool {
+        self.bits == 0
+    }
+
+    /// Whether the peripheral behind `gate` is among them.
+    pub fn includes(self, gate: Gate) -> bool {
+        gate.register == self.register && self.bits >> gate.bit & 1 != 0
+    }
+}
+
+/// Clock and reset control.
 #[derive(Debug)]
 pub struct Rcc {
-    words: [u32; (END / 4) as usize],
+    /// Registers without their ready bits.
+    words: [u32; WORDS],
 }
 
 impl Rcc {
     /// State after power-on.
     pub fn new() -> Self {
-        let mut rcc = Self { words: [0; (END / 4) as usize] };
-        rcc.set_reset_values();
-        rcc.note_reset(ResetCause::PowerOn);
+        let mut rcc = Self { words: [0; WORDS] };
+        rcc.reset(ResetCause::PowerOn);
         rcc
     }
 
-    /// State after a system reset for `cause`: the backup domain's register and earlier flags stay.
+    /// Reset of the device. RCC_BDCR belongs to the backup domain and stays; flags add up.
     pub fn reset(&mut self, cause: ResetCause) {
-        let (bdcr, csr) = (self.word(BDCR), self.word(CSR));
-        self.words = [0; (END / 4) as usize];
-        self.set_reset_values();
-        self.set(BDCR, bdcr);
-        self.set(CSR, csr & CSR_FLAGS);
-        self.note_reset(cause);
-    }
-
-    fn set_reset_values(&mut self) {
-        self.set(CR, 0x0000_0500);
-        self.set(CFGR, 0x0000_0005);
-        self.set(PLLCFGR, 0x0000_1000);
-        self.set(AHB1ENR, 0x0000_0100);
-        self.set(0x58, 0x0000_0400);
-    }
-
-    /// Every internal reset also pulls NRST low and shows as a pin reset.
-    fn note_reset(&mut self, cause: ResetCause) {
-        let flag = match cause {
-            ResetCause::PowerOn | ResetCause::BrownOut => BORRSTF,
-            ResetCause::Pin => 0,
-            ResetCause::Software => SFTRSTF,
-            ResetCause::Watchdog => IWDGRSTF,
+        let (backup, flags) = (self.get(BDCR), self.get(CSR) & RESET_FLAGS);
+        self.words = [0; WORDS];
+        self.set(CR, 1 << 8);
+        self.set(ICSCR, 0x4000_0000);
+        self.set(CFGR, 1);
+        self.set(PLLCFGR, 0x1000);
+        self.set(AHB1ENR, 1 << 8);
+        self.set(BDCR, backup);
+        // Every internal reset also pulls the NRST pin.
+        let flags = match cause {
+            ResetCause::PowerOn => BORRSTF,
+            ResetCause::BrownOut => flags | BORRSTF,
+            ResetCause::Pin => flags,
+            ResetCause::Software => flags | SFTRSTF,
+            ResetCause::Watchdog => flags | IWDGRSTF,
         };
-        self.set(CSR, self.word(CSR) | flag | PINRSTF);
+        self.set(CSR, flags | PINRSTF);
     }
 
-    /// Whether the peripheral behind `gate` has its clock.
-    #[inline]
-    pub fn is_enabled(&self, gate: Gate) -> bool {
-        self.words[(gate.register / 4) as usize] >> gate.bit & 1 != 0
-    }
-
-    /// Whether the 48 MHz oscillator runs, which USB needs.
-    pub fn has_hsi48(&self) -> bool {
-        self.word(CRRCR) & HSI48ON != 0
-    }
-
-    /// Period of the converters' asynchronous clock in half ticks, for ADC1/2 and for ADC3 to 5;
-    /// 0: none selected. Only the system clock is modelled.
-    pub fn adc_half_ticks(&self) -> [u64; 2] {
-        const SYSTEM: u32 = 2;
-        [28, 30].map(|at| if self.word(CCIPR) >> at & 3 == SYSTEM { 2 } else { 0 })
+    /// The backup domain has lost its supply.
+    pub fn reset_backup_domain(&mut self) {
+        self.set(BDCR, 0);
     }
 
     /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
-        if !is_known(offset) {
-            effects.unmodelled();
-        }
-        self.words.get((offset / 4) as usize).copied().unwrap_or(0)
-    }
-
-    /// Writes a register. `may_write_backup`: PWR_CR1.DBP.
-    pub fn write(&mut self, offset: u32, value: u32, may_write_backup: bool, effects: &mut Effects) -> Order {
-        if !is_known(offset) {
-            effects.unmodelled();
-            return Order::None;
-        }
-        let before = self.word(offset);
         match offset {
-            CR => self.set(CR, CR_READY.iter().fold(value, |value, &(on, ready)| follow(value, on, ready))),
-            CFGR => self.set(CFGR, value & !0xC | (value & 3) << 2),
-            PLLCFGR => {
-                if self.word(CR) & PLLON != 0 {
-                    effects.violation(value, "RCC_PLLCFGR is written only while the PLL is off");
-                }
-                self.set(PLLCFGR, value);
+            CR => CR_READY.iter().fold(self.get(CR), |cr, &(on, ready)| cr | if cr & on != 0 { ready } else { 0 }),
+            CFGR => self.get(CFGR) | (self.get(CFGR) & SW) << 2,
+            BDCR | CSR | CRRCR => self.get(offset) | (self.get(offset) & 1) << 1,
+            CIFR => 0,
+            _ if is_register(offset) => self.get(offset),
+            _ => {
+                effects.unmodelled();
+                0
             }
-            BDCR if !may_write_backup => {
-                if value != before {
-                    effects.violation(value, "RCC_BDCR is written only while PWR_CR1.DBP = 1");
-                }
-            }
-            BDCR if value & BDRST != 0 => {
-                self.set(BDCR, BDRST);
-                return Order::BackupReset;
-            }
-            BDCR => self.set(BDCR, follow(value, 1, 1 << 1)),
-            CSR => {
-                let flags = if value & RMVF != 0 { 0 } else { before & CSR_FLAGS };
-                self.set(CSR, follow(value & !CSR_FLAGS, 1, 1 << 1) | flags);
-            }
-            CRRCR => self.set(CRRCR, follow(value, HSI48ON, 1 << 1)),
-            CIFR => {}
-            CICR => self.set(CIFR, self.word(CIFR) & !value),
-            AHB1RSTR..=APB2RSTR => {
-                self.set(offset, value);
-                return Order::Reset(offset, value & !before);
-            }
-            CCIPR => {
-                self.set(CCIPR, value);
-                return Order::Clocks;
-            }
-            _ => self.set(offset, value),
         }
-        if offset == CRRCR { Order::Clocks } else { Order::None }
     }
 
-    fn word(&self, offset: u32) -> u32 {
+    /// Writes a register. `backup_access`: PWR_CR1.DBP. Returns the resets that it pulls.
+    pub fn write(&mut self, offset: u32, value: u32, backup_access: bool, effects: &mut Effects) -> Pulled {
+        let before = if is_register(offset) { self.get(offset) } else { 0 };
+        match offset {
+            CR => self.write_cr(value, effects),
+            CFGR => self.write_cfgr(value, effects),
+            PLLCFGR => self.write_pllcfgr(value, effects),
+            CIER | CICR => effects.unmodelled_bits(value & if offset == CIER { u32::MAX } else { 0 }),
+            BDCR if !backup_access => effects.violation(value, "RCC_BDCR is written only while PWR_CR1.DBP = 1"),
+            BDCR => self.set(BDCR, if value & BDRST != 0 { BDRST } else { value & !0b10 }),
+            CSR => {
+                let flags = if value & RMVF != 0 { 0 } else { before & RESET_FLAGS };
+                self.set(CSR, flags | value & 1);
+            }
+            CRRCR => self.set(CRRCR, value & 1),
+            AHB1RSTR..=APB2RSTR if is_register(offset) => {
+                self.set(offset, value);
+                return Pulled { register: offset + AHB1ENR - AHB1RSTR, bits: value & !before };
+            }
+            _ if is_register(offset) => self.set(offset, value),
+            _ => effects.unmodelled(),
+        }
+        Pulled::default()
+    }
+
+    /// Whether the clock behind `gate` is on.
+    #[inline]
+    pub fn is_on(&self, gate: Gate) -> bool {
+        self.words[(gate.register / 4) as usize] >> gate.bit & 1 != 0
+    }
+
+    /// Whether the core runs from the PLL.
+    pub fn runs_from_pll(&self) -> bool {
+        self.get(CFGR) & SW == SW_PLL
+    }
+
+    /// Whether the backup domain is held in reset.
+    pub fn holds_backup_domain(&self) -> bool {
+        self.get(BDCR) & BDRST != 0
+    }
+
+    /// Period in half ticks of the asynchronous clock of ADC1/2 (group 0) or ADC3/4/5 (group 1);
+    /// 0: none selected. The PLL's oscillator runs at twice the core clock.
+    pub fn adc_clock_half_ticks(&self, group: u32) -> u64 {
+        match self.get(CCIPR) >> (28 + 2 * group) & 3 {
+            1 if self.get(PLLCFGR) & PLLPEN != 0 => {
+                let pll = self.get(PLLCFGR);
+                match (u64::from(pll >> 27), pll >> 17 & 1) {
+                    (0, 0) => 7,
+                    (0, _) => 17,
+                    (divider, _) => divider,
+                }
+            }
+            2 => 2,
+            _ => 0,
+        }
+    }
+
+    /// Whether the USB block gets its 48 MHz.
+    pub fn has_usb_clock(&self) -> bool {
+        match self.get(CCIPR) >> 26 & 3 {
+            0 => self.get(CRRCR) & 1 != 0,
+            2 => self.get(CR) & PLLON != 0 && self.get(PLLCFGR) & PLLQEN != 0,
+            _ => false,
+        }
+    }
+
+    fn get(&self, offset: u32) -> u32 {
         self.words[(offset / 4) as usize]
     }
 
     fn set(&mut self, offset: u32, value: u32) {
         self.words[(offset / 4) as usize] = value;
+    }
+
+    fn write_cr(&mut self, value: u32, effects: &mut Effects) {
+        if self.runs_from_pll() && value & PLLON == 0 {
+            effects.violation(value, "the PLL is switched off only while it is not the system clock");
+        }
+        self.set(CR, CR_READY.iter().fold(value, |cr, &(_, ready)| cr & !ready));
+    }
+
+    fn write_cfgr(&mut self, value: u32, effects: &mut Effects) {
+        self.set(CFGR, value & !0b1100);
+        if !self.runs_from_pll() {
+            return;
+        }
+        if self.get(CR) & PLLON == 0 {
+            effects.violation(value, "the PLL is selected only while it is ready");
+        }
+        effects.unmodelled_bits(value & PRESCALERS);
+        effects.unmodelled_bits(u32::from(self.pll_hz() != super::TICKS_PER_SECOND));
+    }
+
+    fn write_pllcfgr(&mut self, value: u32, effects: &mut Effects) {
+        // The outputs can be switched, and P divided, while the PLL runs; its loop cannot change.
+        let fixed = !(PLLPEN_AND_DIVIDER | PLLQEN | 1 << 24);
+        if self.get(CR) & PLLON != 0 && (value ^ self.get(PLLCFGR)) & fixed != 0 {
+            effects.violation(value, "RCC_PLLCFGR is written only while the PLL is off");
+        }
+        self.set(PLLCFGR, value);
+    }
+
+    /// Frequency of the PLL's R output.
+    fn pll_hz(&self) -> u64 {
+        let pll = self.get(PLLCFGR);
+        let source = match pll & 3 {
+            2 => HSI_HZ,
+            3 => HSE_HZ,
+            _ => 0,
+        };
+        let (m, n, r) = (u64::from(pll >> 4 & 0xF) + 1, u64::from(pll >> 8 & 0x7F), 2 * (u64::from(pll >> 25 & 3) + 1));
+        source * n / m / r
     }
 }
 
@@ -223,53 +287,70 @@ impl Default for Rcc {
     }
 }
 
-fn is_known(offset: u32) -> bool {
-    matches!(offset, CR..=PLLCFGR | CIER..=CICR | AHB1RSTR..=APB2RSTR | AHB1ENR..=APB2ENR | AHB1SMENR..=APB2SMENR)
-        || matches!(offset, CCIPR | BDCR | CSR | CRRCR | CCIPR2)
-}
-
-/// `value` with bit `ready` as bit `on` says.
-fn follow(value: u32, on: u32, ready: u32) -> u32 {
-    if value & on != 0 { value | ready } else { value & !ready }
+fn is_register(offset: u32) -> bool {
+    matches!(offset,
+        CR..=PLLCFGR | CIER..=CICR | AHB1RSTR..=0x30 | 0x38..=APB2RSTR | AHB1ENR..=0x50 | APB1ENR1..=APB2ENR
+        | AHB1SMENR..=0x70 | 0x78..=APB2SMENR | CCIPR | BDCR..=CCIPR2)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn resets_leave_their_flags_until_they_are_removed() {
-        let mut effects = Effects::default();
-        let mut rcc = Rcc::new();
-        assert_eq!(rcc.read(CSR, &mut effects), BORRSTF | PINRSTF);
-        rcc.reset(ResetCause::Watchdog);
-        assert_eq!(rcc.read(CSR, &mut effects), BORRSTF | PINRSTF | IWDGRSTF);
-        rcc.write(CSR, RMVF, false, &mut effects);
-        assert_eq!(rcc.read(CSR, &mut effects) & CSR_FLAGS, 0);
-        rcc.reset(ResetCause::Software);
-        assert_eq!(rcc.read(CSR, &mut effects) & CSR_FLAGS, PINRSTF | SFTRSTF);
-    }
+    /// HSI / 4 × 85 / 2.
+    const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
 
     #[test]
-    fn rules_of_pll_and_backup_domain() {
-        let mut effects = Effects::default();
-        let mut rcc = Rcc::new();
-        rcc.write(PLLCFGR, 0x1234, false, &mut effects);
-        rcc.write(CR, 0x500 | PLLON, false, &mut effects);
-        assert_eq!(effects.violation_count(), 0);
-        assert_ne!(rcc.read(CR, &mut effects) & 1 << 25, 0, "ready");
-        rcc.write(PLLCFGR, 0x1235, false, &mut effects);
-        rcc.write(BDCR, 1, false, &mut effects);
+    fn oscillators_become_ready_and_the_switch_follows() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
+        rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+        assert_eq!(rcc.read(CR, &mut effects), 1 << 8 | 1 << 10 | PLLON | 1 << 25);
+        rcc.write(CFGR, 3, false, &mut effects);
+        assert_eq!(rcc.read(CFGR, &mut effects), 0b1111);
+        assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (0, 0));
+        rcc.write(PLLCFGR, PLL_170_MHZ + (1 << 8), false, &mut effects);
+        rcc.write(CR, 1 << 8, false, &mut effects);
         assert_eq!(effects.violation_count(), 2);
-        assert_eq!(rcc.write(BDCR, BDRST, true, &mut effects), Order::BackupReset);
     }
 
     #[test]
-    fn a_reset_bit_finds_its_gate() {
-        let mut rcc = Rcc::new();
-        let order = rcc.write(0x38, 1, false, &mut Effects::default());
-        assert!(order.resets(Gate::apb1(0)) && !order.resets(Gate::apb1(1)) && !order.resets(Gate::ahb1(0)));
-        rcc.write(0x58, 1, false, &mut Effects::default());
-        assert!(rcc.is_enabled(Gate::apb1(0)) && !rcc.is_enabled(Gate::apb1(3)));
+    fn another_core_clock_is_unmodelled() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(PLLCFGR, PLL_170_MHZ - (1 << 8), false, &mut effects);
+        rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+        rcc.write(CFGR, 3, false, &mut effects);
+        assert_eq!(effects.unmodelled_accesses().len(), 1);
+    }
+
+    #[test]
+    fn reset_flags_add_up_until_removed() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        assert_eq!(rcc.read(CSR, &mut effects), BORRSTF | PINRSTF);
+        rcc.write(CSR, RMVF, false, &mut effects);
+        assert_eq!(rcc.read(CSR, &mut effects), 0);
+        rcc.reset(ResetCause::Watchdog);
+        rcc.reset(ResetCause::Software);
+        assert_eq!(rcc.read(CSR, &mut effects), IWDGRSTF | SFTRSTF | PINRSTF);
+    }
+
+    #[test]
+    fn backup_domain_is_guarded_and_survives() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(BDCR, 0x8200, false, &mut effects);
+        assert_eq!((rcc.read(BDCR, &mut effects), effects.violation_count()), (0, 1));
+        rcc.write(BDCR, 0x8200, true, &mut effects);
+        rcc.reset(ResetCause::Pin);
+        assert_eq!(rcc.read(BDCR, &mut effects), 0x8200);
+    }
+
+    #[test]
+    fn gates_and_reset_lines_match() {
+        let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+        rcc.write(APB1ENR1, 0b1001, false, &mut effects);
+        assert!(rcc.is_on(Gate::timer(3)) && !rcc.is_on(Gate::timer(1)));
+        let pulled = rcc.write(0x38, 0b1000, false, &mut effects);
+        assert!(pulled.includes(Gate::timer(3)) && !pulled.includes(Gate::timer(0)));
+        assert!(rcc.write(0x38, 0b1000, false, &mut effects).is_empty());
     }
 }

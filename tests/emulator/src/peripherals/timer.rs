@@ -185,7 +185,7 @@ impl Timer {
         match offset {
             CR1 => self.write_cr1(value, effects),
             CR2 => {
-                note_unmodelled(value & !(CR2_CCDS | CR2_MMS), effects);
+                effects.unmodelled_bits(value & !(CR2_CCDS | CR2_MMS));
                 self.cr2 = value & (CR2_CCDS | CR2_MMS);
             }
             DIER => self.write_dier(value, effects),
@@ -197,7 +197,7 @@ impl Timer {
             PSC => self.psc = value & 0xFFFF,
             ARR => self.write_arr(value & self.wiring.maximum),
             CCR1..=CCR4 => self.write_ccr(channel_of(offset), value & self.wiring.maximum, effects),
-            _ => note_unmodelled(value, effects),
+            _ => effects.unmodelled_bits(value),
         }
         self.update_line(effects);
         self.schedule();
@@ -273,7 +273,7 @@ impl Timer {
     }
 
     fn write_cr1(&mut self, value: u32, effects: &mut Effects) {
-        note_unmodelled(value & !CR1_MODELLED, effects);
+        effects.unmodelled_bits(value & !CR1_MODELLED);
         let (was_running, count) = (self.running(), self.done);
         self.cr1 = value & CR1_MODELLED;
         if self.running() != was_running {
@@ -286,7 +286,7 @@ impl Timer {
     }
 
     fn write_dier(&mut self, value: u32, effects: &mut Effects) {
-        note_unmodelled(value & !DIER_MODELLED, effects);
+        effects.unmodelled_bits(value & !DIER_MODELLED);
         self.withdraw(self.dier & !value, effects);
         self.dier = value & DIER_MODELLED;
     }
@@ -302,7 +302,7 @@ impl Timer {
 
     fn write_ccmr(&mut self, half: usize, value: u32, effects: &mut Effects) {
         // CCxS ≠ 0 is capture, OCxCE and OCxFE need pins; OCxM bit 3 selects modes beyond PWM 2.
-        note_unmodelled(value & !0x7878, effects);
+        effects.unmodelled_bits(value & !0x7878);
         self.ccmr[half] = value & 0x7878;
         for channel in [2 * half, 2 * half + 1] {
             if !self.preloaded(channel) {
@@ -343,7 +343,7 @@ impl Timer {
 
     /// EGR: events by software.
     fn generate(&mut self, value: u32, effects: &mut Effects) {
-        note_unmodelled(value & !EGR_MODELLED, effects);
+        effects.unmodelled_bits(value & !EGR_MODELLED);
         if value & UIF != 0 {
             if self.cr1 & CR1_UDIS == 0 {
                 self.load_preloads();
@@ -459,9 +459,7 @@ impl Timer {
     }
 
     fn set_reference(&mut self, channel: usize, level: bool, effects: &mut Effects) {
-        if std::mem::replace(&mut self.reference[channel], level) != level
-            && self.master_mode() == 4 + channel as u32
-        {
+        if std::mem::replace(&mut self.reference[channel], level) != level && self.master_mode() == 4 + channel as u32 {
             effects.trigger(self.wiring.trigger, if level { Edge::Rising } else { Edge::Falling });
         }
     }
@@ -495,18 +493,17 @@ fn channel_of(offset: u32) -> usize {
     ((offset - CCR1) / 4) as usize
 }
 
-fn note_unmodelled(bits: u32, effects: &mut Effects) {
-    if bits != 0 {
-        effects.unmodelled();
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     /// Runs `timer` to `end` and returns the ticks at which `seen` became true.
-    fn run(timer: &mut Timer, effects: &mut Effects, end: Ticks, mut seen: impl FnMut(&mut Effects) -> bool) -> Vec<Ticks> {
+    fn run(
+        timer: &mut Timer,
+        effects: &mut Effects,
+        end: Ticks,
+        mut seen: impl FnMut(&mut Effects) -> bool,
+    ) -> Vec<Ticks> {
         let mut at = Vec::new();
         while timer.next_event() <= end {
             effects.now = timer.next_event();
@@ -535,7 +532,7 @@ mod tests {
 
     #[test]
     fn updates_come_every_period_to_the_tick() {
-        let (mut timer, mut effects) = (Timer::tim2(), Effects { now: 7, ..Effects::default() });
+        let (mut timer, mut effects) = (Timer::tim2(), Effects::starting_at(7));
         start(&mut timer, &mut effects, &[(PSC, 2), (ARR, 9), (EGR, 1), (SR, 0), (DIER, UDE), (CR1, CR1_CEN)]);
         let at = run(&mut timer, &mut effects, 100, take(Request::TIM2_UP));
         assert_eq!(at, [37, 67, 97]);
@@ -594,7 +591,7 @@ mod tests {
 
     #[test]
     fn a_preset_clock_wraps_when_it_should() {
-        let (mut timer, mut effects) = (Timer::tim5(), Effects { now: 1_000, ..Effects::default() });
+        let (mut timer, mut effects) = (Timer::tim5(), Effects::starting_at(1_000));
         start(&mut timer, &mut effects, &[(CR1, CR1_CEN)]);
         assert_eq!(timer.origin(), Some(1_000));
         timer.preset(u32::MAX - 9, &effects);

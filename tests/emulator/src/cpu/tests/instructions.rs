@@ -59,7 +59,7 @@ fn branches_link_and_return() {
     let mut board = Board::new(&[0xf000, 0xf808]);
     board.place(PROGRAM + 20, &[0x4770]);
     assert_eq!(board.run(1), 3);
-    assert_eq!((board.r(15), board.r(14)), (PROGRAM + 20, PROGRAM + 4 | 1));
+    assert_eq!((board.r(15), board.r(14)), (PROGRAM + 20, (PROGRAM + 4) | 1));
     board.run(1);
     assert_eq!(board.r(15), PROGRAM + 4);
     // tbb [pc, r0], table {1, 3}

@@ -66,7 +66,7 @@ impl Board {
         board.store(0x0800_0000, STACK);
         board.store(0x0800_0004, PROGRAM | 1);
         for exception in 2..48 {
-            board.store(0x0800_0000 + 4 * exception, HANDLERS + 64 * exception | 1);
+            board.store(0x0800_0000 + 4 * exception, (HANDLERS + 64 * exception) | 1);
             board = board.with_handler(exception, &[0x4770]);
         }
         board.place(PROGRAM, program);

@@ -1,0 +1,781 @@
+//! Everything but the core: memories, peripherals, the wires between them, and the address map.
+//!
+//! The board moves in time from event to event. All that happens in one tick is done in this
+//! order: converters hold their samples; timers and the others have their events; trigger edges
+//! reach the converters; DMA requests are served by priority.
+
+use crate::cpu::{Bus, BusFault, Size};
+use crate::memory::{
+    BOOT_LOADER_BASE, BOOT_LOADER_END, Bits, CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE,
+    RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL, load, store, system_word,
+};
+use crate::peripherals::adc::AdcGroup;
+use crate::peripherals::backup::Backup;
+use crate::peripherals::crs::Crs;
+use crate::peripherals::dac::Dac;
+use crate::peripherals::dma::Dma;
+use crate::peripherals::exti::{Exti, PVD_LINE};
+use crate::peripherals::flash::Flash;
+use crate::peripherals::gpio::{PORTS, Port};
+use crate::peripherals::lpuart::Lpuart;
+use crate::peripherals::power::Power;
+use crate::peripherals::rcc::{Gate, Pulled, Rcc};
+use crate::peripherals::syscfg::Syscfg;
+use crate::peripherals::timer::Timer;
+use crate::peripherals::usb::Usb;
+use crate::peripherals::watchdog::Watchdog;
+use crate::peripherals::{Edge, Effects, ResetCause, Ticks};
+use crate::usb_host::UsbHost;
+use crate::world::World;
+
+/// Start of system memory, and behind its end.
+const SYSTEM_MEMORY: std::ops::Range<u32> = 0x1FFF_0000..0x2000_0000;
+/// Peripherals on APB and AHB.
+const PERIPHERALS: std::ops::Range<u32> = 0x4000_0000..0x6000_0000;
+/// Registers of the debug block (RM0440, "MCU debug component"): identity of a category 3 device.
+const DBGMCU: u32 = 0xE004_2000;
+const DEVICE_IDENTITY: u32 = 0x2003_6469;
+/// Every unit has a kilobyte of the address map; this much counts from its base.
+const OFFSET_MASK: u32 = 0x3FF;
+/// Extra cycles of an access through the AHB-APB bridge: an estimate, not in the manual.
+const APB_WAIT: u32 = 2;
+/// Extra cycles of an access to a peripheral on AHB: an estimate, not in the manual.
+const AHB_WAIT: u32 = 1;
+/// Flash wait states that the core needs at 170 MHz (RM0440, "Number of wait states according
+/// to CPU clock frequency", range 1 boost mode).
+const LATENCY_AT_170_MHZ: u32 = 4;
+
+/// The port that switches the emitters, and the shift of its first gate (PC6).
+const GATE_PORT: usize = 2;
+const FIRST_GATE: u32 = 6;
+/// PC6 to PC11.
+const GATES: u16 = 0x3F;
+
+/// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0).
+const BROWN_OUT_V: f64 = 1.7;
+/// Below this the backup registers are lost, in volts (data sheet, V_BAT minimum).
+const BACKUP_V: f64 = 1.55;
+/// Supply during the factory's calibration of temperature sensor and reference, in volts.
+const CALIBRATION_V: f64 = 3.0;
+
+/// A change of the emitter gates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GateEdge {
+    /// When.
+    pub at: Ticks,
+    /// Gates from then on: bit k for PC(6 + k).
+    pub gates: u8,
+}
+
+/// Memories and peripherals.
+#[derive(Debug)]
+pub struct Board<W> {
+    /// Light and electronics around the board.
+    pub world: W,
+    /// Signals between the peripherals, and the record of broken rules.
+    pub effects: Effects,
+    /// TIM2 to TIM5.
+    pub timers: [Timer; 4],
+    /// ADC1 and ADC2.
+    pub adc12: AdcGroup<2>,
+    /// ADC3 to ADC5.
+    pub adc345: AdcGroup<3>,
+    /// DMA1, DMA2 and DMAMUX.
+    pub dma: Dma,
+    /// USB device.
+    pub usb: Usb,
+    /// The host at the other end of the USB cable.
+    pub usb_host: UsbHost,
+    /// The serial port.
+    pub lpuart: Lpuart,
+    ram: Box<[u8]>,
+    flash: Flash,
+    rcc: Rcc,
+    power: Power,
+    exti: Exti,
+    syscfg: Syscfg,
+    backup: Backup,
+    ports: [Port; PORTS],
+    dacs: [Dac; 2],
+    watchdog: Watchdog,
+    crs: Crs,
+    debug: [u32; 4],
+    /// Temperature of the chip, in degrees Celsius.
+    temperature_c: f64,
+    /// Output of the voltage detector, as the interrupt controller last saw it.
+    pvd: bool,
+    gates: u8,
+    levels: [u16; 2],
+    gate_log: Option<Vec<GateEdge>>,
+    next_event: Ticks,
+}
+
+impl<W: World> Board<W> {
+    /// A board at 3.3 V and 30 °C whose flash holds `array`, after power-on at tick 0.
+    pub fn new(array: FlashArray, world: W) -> Self {
+        let mut board = Self {
+            world,
+            effects: Effects::default(),
+            timers: [Timer::tim2(), Timer::tim3(), Timer::tim4(), Timer::tim5()],
+            adc12: AdcGroup::adc12(),
+            adc345: AdcGroup::adc345(),
+            dma: Dma::new(),
+            usb: Usb::new(),
+            usb_host: UsbHost::new(),
+            lpuart: Lpuart::new(),
+            ram: vec![0; RAM_BYTES].into_boxed_slice(),
+            flash: Flash::new(array),
+            rcc: Rcc::new(),
+            power: Power::new(3.3),
+            exti: Exti::new(),
+            syscfg: Syscfg::new(),
+            backup: Backup::new(),
+            ports: std::array::from_fn(Port::new),
+            dacs: [Dac::new(), Dac::new()],
+            watchdog: Watchdog::new(),
+            crs: Crs::new(),
+            debug: [0; 4],
+            temperature_c: 30.0,
+            pvd: false,
+            gates: 0,
+            levels: [0; 2],
+            gate_log: None,
+            next_event: Ticks::MAX,
+        };
+        board.scramble_ram();
+        board.find_next_event();
+        board
+    }
+
+    /// The present, in ticks since the machine was made.
+    #[inline]
+    pub fn now(&self) -> Ticks {
+        self.effects.now()
+    }
+
+    /// The next tick at which something happens without the core.
+    #[inline]
+    pub fn next_event(&self) -> Ticks {
+        self.next_event
+    }
+
+    /// Lets time pass until `end`, or until an event asks for a reset.
+    pub fn advance_to(&mut self, end: Ticks) {
+        while self.next_event <= end {
+            self.effects.now = self.next_event;
+            self.handle_events();
+            self.settle();
+            if self.effects.reset.is_some() {
+                return;
+            }
+        }
+        self.effects.now = end;
+    }
+
+    /// Resets all that `cause` resets. RAM outlives all but a loss of power; backup registers
+    /// outlive all but that of the backup supply; flash outlives everything, but an operation
+    /// that was under way leaves torn cells.
+    pub fn reset(&mut self, cause: ResetCause) {
+        self.effects.clear_signals();
+        self.flash.reset(self.effects.now());
+        self.effects.forget_code();
+        self.rcc.reset(cause);
+        self.power.reset();
+        self.pvd = false;
+        self.exti.reset(&mut self.effects);
+        self.syscfg.reset();
+        self.ports.iter_mut().for_each(Port::reset);
+        for timer in &mut self.timers {
+            timer.reset(&mut self.effects);
+        }
+        self.adc12.reset(&mut self.effects);
+        self.adc345.reset(&mut self.effects);
+        self.dacs.iter_mut().for_each(Dac::reset);
+        for controller in 0..2 {
+            self.dma.reset_controller(controller, &mut self.effects);
+        }
+        self.dma.reset_multiplexer();
+        self.usb.reset(&mut self.effects);
+        self.lpuart.reset(&mut self.effects);
+        self.crs.reset();
+        self.watchdog = Watchdog::new();
+        if matches!(cause, ResetCause::PowerOn | ResetCause::BrownOut) {
+            self.debug = [0; 4];
+            self.scramble_ram();
+        }
+        self.update_clocks();
+        self.update_drive();
+        self.settle();
+    }
+
+    /// The supply is gone, and with it the content of the backup registers.
+    pub fn lose_power(&mut self) {
+        self.reset(ResetCause::PowerOn);
+        self.lose_backup();
+    }
+
+    /// Sets the supply, in volts. Returns whether it is high enough for the device to run.
+    pub fn set_supply_v(&mut self, volts: f64) -> bool {
+        self.power.set_supply_v(volts);
+        if volts < BACKUP_V {
+            self.lose_backup();
+        }
+        self.update_pvd();
+        volts >= BROWN_OUT_V
+    }
+
+    /// The supply, in volts.
+    pub fn supply_v(&self) -> f64 {
+        self.power.supply_v()
+    }
+
+    /// Sets the chip's temperature, in degrees Celsius.
+    pub fn set_temperature_c(&mut self, temperature_c: f64) {
+        self.temperature_c = temperature_c;
+    }
+
+    /// Sets the level that comes from outside to `pin` of port `port` (0: A).
+    pub fn set_input(&mut self, port: usize, pin: u8, level: bool) {
+        if self.ports[port].set_input(pin, level) && self.syscfg.port_of_line(pin) == port {
+            let edge = if level { Edge::Rising } else { Edge::Falling };
+            self.exti.edge(pin, edge, &mut self.effects);
+        }
+    }
+
+    /// Pins of port `port` (0: A) that a push-pull output drives high.
+    pub fn driven_high(&self, port: usize) -> u16 {
+        self.ports[port].driven_high()
+    }
+
+    /// The cells of the flash.
+    pub fn flash_array(&self) -> &FlashArray {
+        self.flash.array()
+    }
+
+    /// The RAM, from [`RAM_BASE`] on.
+    pub fn ram(&self) -> &[u8] {
+        &self.ram
+    }
+
+    /// Word of RAM at `address`, as a debugger reads it; `None` outside RAM.
+    pub fn ram_word(&self, address: u32) -> Option<u32> {
+        load(&self.ram, address.checked_sub(RAM_BASE)? as usize, 4)
+    }
+
+    /// Starts to log the changes of the emitter gates.
+    pub fn log_gates(&mut self) {
+        self.gate_log.get_or_insert_default();
+    }
+
+    /// The gate edges since the last call, in order.
+    pub fn take_gate_log(&mut self) -> Vec<GateEdge> {
+        self.gate_log.as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
+    /// Sets the counter of TIM2 to TIM5 (`index` 0 to 3), as a write to CNT does.
+    pub fn preset_timer(&mut self, index: usize, count: u32) {
+        self.timers[index].preset(count, &self.effects);
+        self.find_next_event();
+    }
+
+    /// Fault injection: sets OVR of ADC1 (`index` 0) or ADC2 (1).
+    pub fn force_adc_overrun(&mut self, index: usize) {
+        self.adc12.force_overrun(index, &mut self.effects);
+    }
+
+    /// Tells that something outside (a USB cable, a serial line) has been moved between steps.
+    pub fn outside_changed(&mut self) {
+        self.find_next_event();
+    }
+
+    fn scramble_ram(&mut self) {
+        let mut bits = Bits::seeded(self.effects.now());
+        for chunk in self.ram.chunks_exact_mut(8) {
+            chunk.copy_from_slice(&bits.next().to_le_bytes());
+        }
+    }
+
+    fn lose_backup(&mut self) {
+        self.backup.clear();
+        self.rcc.reset_backup_domain();
+    }
+
+    fn handle_events(&mut self) {
+        let now = self.effects.now();
+        if self.adc12.next_event() == now {
+            let world = &mut self.world;
+            self.adc12.advance(&mut self.effects, &mut |adc, channel| world.sample(now, adc, channel));
+        }
+        for timer in &mut self.timers {
+            if timer.next_event() == now {
+                timer.advance(&mut self.effects);
+            }
+        }
+        if self.lpuart.next_event() == now {
+            self.lpuart.advance(&mut self.effects);
+        }
+        if self.usb.next_event() == now {
+            self.usb.advance(&mut self.effects);
+        }
+        if self.usb_host.next_event() == now {
+            self.usb_host.advance(now, &mut self.usb.port(&mut self.effects));
+        }
+        if self.flash.next_event() == now {
+            self.flash.advance(&mut self.effects);
+        }
+        if self.adc345.next_event() == now {
+            let codes = InternalCodes { supply_v: self.power.supply_v(), temperature_c: self.temperature_c };
+            self.adc345.advance(&mut self.effects, &mut |_, channel| codes.code(channel));
+        }
+        if self.watchdog.next_event() == now {
+            self.watchdog.advance(&mut self.effects);
+        }
+    }
+
+    /// Lets all consequences of an access or event run out, then looks for the next event.
+    fn settle(&mut self) {
+        loop {
+            let edges = self.effects.take_triggers();
+            if edges != 0 {
+                self.adc12.trigger(edges, &self.effects);
+                self.adc345.trigger(edges, &self.effects);
+            }
+            let ready = self.effects.pending_requests() & self.dma.wanted();
+            if ready == 0 {
+                break;
+            }
+            self.serve(ready);
+        }
+        self.find_next_event();
+    }
+
+    fn serve(&mut self, ready: u128) {
+        let Some((channel, request)) = self.dma.select(ready) else { return };
+        // Acknowledged first: the access itself may raise the next request.
+        self.effects.withdraw(request);
+        let moved = self.dma.transfer(channel).is_some_and(|transfer| {
+            let value = self.access_read(transfer.source, transfer.source_width);
+            value.is_ok_and(|value| {
+                let mask = u32::MAX >> (32 - 8 * transfer.destination_width);
+                self.access_write(transfer.destination, transfer.destination_width, value & mask).is_ok()
+            })
+        });
+        self.dma.finish(channel, moved, &mut self.effects);
+    }
+
+    #[inline]
+    fn find_next_event(&mut self) {
+        let timers = self.timers.iter().map(Timer::next_event).fold(Ticks::MAX, Ticks::min);
+        self.next_event = timers
+            .min(self.adc12.next_event())
+            .min(self.lpuart.next_event())
+            .min(self.usb.next_event())
+            .min(self.usb_host.next_event())
+            .min(self.flash.next_event())
+            .min(self.adc345.next_event())
+            .min(self.watchdog.next_event());
+    }
+
+    /// Tells the world, if gates or levels have changed.
+    fn update_drive(&mut self) {
+        let gates = (self.ports[GATE_PORT].driven_high() >> FIRST_GATE & GATES) as u8;
+        let levels = [self.dacs[0].output(), self.dacs[1].output()];
+        if (gates, levels) == (self.gates, self.levels) {
+            return;
+        }
+        let at = self.effects.now();
+        if gates != self.gates
+            && let Some(log) = &mut self.gate_log
+        {
+            log.push(GateEdge { at, gates });
+        }
+        (self.gates, self.levels) = (gates, levels);
+        self.world.drive(at, gates, levels);
+    }
+
+    /// Carries the detector's output to its interrupt line.
+    fn update_pvd(&mut self) {
+        let low = self.power.is_low();
+        if low != self.pvd {
+            self.pvd = low;
+            self.exti.edge(PVD_LINE, if low { Edge::Rising } else { Edge::Falling }, &mut self.effects);
+        }
+    }
+
+    /// Tells the peripherals with a clock of their own what RCC selects.
+    fn update_clocks(&mut self) {
+        self.adc12.set_kernel_clock(self.rcc.adc_clock_half_ticks(0));
+        self.adc345.set_kernel_clock(self.rcc.adc_clock_half_ticks(1));
+        self.usb.set_clock(self.rcc.has_usb_clock(), &mut self.effects);
+    }
+
+    fn write_rcc(&mut self, offset: u32, value: u32) {
+        let slow = !self.rcc.runs_from_pll();
+        let pulled = self.rcc.write(offset, value, self.power.backup_access(), &mut self.effects);
+        if slow && self.rcc.runs_from_pll() {
+            if self.flash.latency() < LATENCY_AT_170_MHZ {
+                self.effects.violation(value, "170 MHz need four wait states of the flash");
+            }
+            if !self.power.is_boosted() {
+                self.effects.violation(value, "170 MHz need range 1 boost mode");
+            }
+        }
+        if self.rcc.holds_backup_domain() {
+            self.backup.clear();
+        }
+        self.update_clocks();
+        if !pulled.is_empty() {
+            self.reset_pulled(pulled);
+        }
+    }
+
+    /// Resets the peripherals whose reset bits were set in RCC.
+    fn reset_pulled(&mut self, pulled: Pulled) {
+        let effects = &mut self.effects;
+        for (index, timer) in (0..).zip(&mut self.timers) {
+            if pulled.includes(Gate::timer(index)) {
+                timer.reset(effects);
+            }
+        }
+        for (index, port) in (0..).zip(&mut self.ports) {
+            if pulled.includes(Gate::gpio(index)) {
+                port.reset();
+            }
+        }
+        for (index, dac) in (0..).zip(&mut self.dacs) {
+            if pulled.includes(Gate::dac(index)) {
+                dac.reset();
+            }
+        }
+        for (controller, gate) in [Gate::DMA1, Gate::DMA2].into_iter().enumerate() {
+            if pulled.includes(gate) {
+                self.dma.reset_controller(controller, effects);
+            }
+        }
+        if pulled.includes(Gate::DMAMUX1) {
+            self.dma.reset_multiplexer();
+        }
+        if pulled.includes(Gate::ADC12) {
+            self.adc12.reset(effects);
+        }
+        if pulled.includes(Gate::ADC345) {
+            self.adc345.reset(effects);
+        }
+        if pulled.includes(Gate::USB) {
+            self.usb.reset(effects);
+        }
+        if pulled.includes(Gate::LPUART1) {
+            self.lpuart.reset(effects);
+        }
+        if pulled.includes(Gate::CRS) {
+            self.crs.reset();
+        }
+        if pulled.includes(Gate::PWR) {
+            self.power.reset();
+        }
+        if pulled.includes(Gate::SYSCFG) {
+            self.syscfg.reset();
+        }
+        self.update_drive();
+    }
+
+    /// Reads `width` bytes; the lane of the word for peripherals.
+    #[inline]
+    fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
+        let in_ram = address.wrapping_sub(RAM_BASE);
+        if in_ram < RAM_BYTES as u32 {
+            return load(&self.ram, in_ram as usize, width).ok_or(BusFault);
+        }
+        self.effects.address = address;
+        let in_flash = address & !FLASH_BASE;
+        if in_flash < FLASH_BYTES as u32 {
+            return self.flash.load(in_flash as usize, width, &mut self.effects).ok_or(BusFault);
+        }
+        self.access_read_beyond(address, width)
+    }
+
+    /// Reads what is neither RAM nor flash.
+    fn access_read_beyond(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
+        let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
+        if in_ccm < CCM_BYTES {
+            return load(&self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width).ok_or(BusFault);
+        }
+        let word = if PERIPHERALS.contains(&address) {
+            if let Some(offset) = packet_memory_offset(address) {
+                return Ok(self.read_packet_memory(offset, width));
+            }
+            self.read_peripheral(address & !3)
+        } else if SYSTEM_MEMORY.contains(&address) {
+            system_word(address)
+        } else if (DBGMCU..DBGMCU + 20).contains(&address) {
+            self.read_debug(address)
+        } else {
+            return Err(BusFault);
+        };
+        let lane = word >> (8 * (address % 4));
+        Ok(lane & (u32::MAX >> (32 - 8 * width)))
+    }
+
+    /// Writes `width` bytes.
+    #[inline]
+    fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
+        let in_ram = address.wrapping_sub(RAM_BASE);
+        if in_ram < RAM_BYTES as u32 {
+            return store(&mut self.ram, in_ram as usize, width, value).ok_or(BusFault);
+        }
+        self.effects.address = address;
+        self.access_write_beyond(address, width, value)
+    }
+
+    /// Writes what is not RAM.
+    fn access_write_beyond(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
+        let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
+        let in_flash = address & !FLASH_BASE;
+        if in_ccm < CCM_BYTES {
+            store(&mut self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width, value).ok_or(BusFault)
+        } else if in_flash < FLASH_BYTES as u32 {
+            self.flash.store(in_flash as usize, width, value, &mut self.effects);
+            Ok(())
+        } else if PERIPHERALS.contains(&address) {
+            if let Some(offset) = packet_memory_offset(address) {
+                self.write_packet_memory(offset, width, value);
+            } else {
+                self.write_peripheral(address & !3, repeat(value, width));
+            }
+            Ok(())
+        } else if (DBGMCU..DBGMCU + 20).contains(&address) {
+            let index = (address - DBGMCU) / 4;
+            self.debug[(index.max(1) - 1) as usize] = value;
+            Ok(())
+        } else {
+            Err(BusFault)
+        }
+    }
+
+    fn read_debug(&self, address: u32) -> u32 {
+        match (address - DBGMCU) / 4 {
+            0 => DEVICE_IDENTITY,
+            index => self.debug[(index - 1) as usize],
+        }
+    }
+
+    fn read_packet_memory(&mut self, offset: u32, width: u32) -> u32 {
+        if self.is_clocked(Gate::USB, 0) { self.usb.read_memory(offset, width as usize, &mut self.effects) } else { 0 }
+    }
+
+    fn write_packet_memory(&mut self, offset: u32, width: u32, value: u32) {
+        if self.is_clocked(Gate::USB, value) {
+            self.usb.write_memory(offset, width as usize, value, &mut self.effects);
+        }
+    }
+
+    /// Whether the clock behind `gate` is on; if not, the access breaks a rule.
+    #[inline]
+    fn is_clocked(&mut self, gate: Gate, value: u32) -> bool {
+        let on = self.rcc.is_on(gate);
+        if !on {
+            self.effects.violation(value, "a peripheral is accessed only while its clock is enabled in RCC");
+        }
+        on
+    }
+
+    fn read_peripheral(&mut self, address: u32) -> u32 {
+        let Some((unit, gate)) = unit_at(address) else {
+            self.effects.unmodelled();
+            return 0;
+        };
+        if gate.is_some_and(|gate| !self.is_clocked(gate, 0)) {
+            return 0;
+        }
+        let offset = address & OFFSET_MASK;
+        let effects = &mut self.effects;
+        match unit {
+            Unit::Timer(index) => self.timers[index].read(offset, effects),
+            Unit::Adc12 => self.adc12.read(offset, effects),
+            Unit::Adc345 => self.adc345.read(offset, effects),
+            Unit::Dma(controller) => self.dma.read(controller, offset, effects),
+            Unit::Dmamux => self.dma.read_multiplexer(offset, effects),
+            Unit::Gpio(index) => self.ports[index].read(offset, effects),
+            Unit::Dac(index) => self.dacs[index].read(offset, effects),
+            Unit::Usb => self.usb.read(offset, effects),
+            Unit::Lpuart => self.lpuart.read(offset, effects),
+            Unit::Rcc => self.rcc.read(offset, effects),
+            Unit::Flash => self.flash.read(offset, effects),
+            Unit::Power => self.power.read(offset, effects),
+            Unit::Exti => self.exti.read(offset, effects),
+            Unit::Syscfg => self.syscfg.read(offset, effects),
+            Unit::Backup => self.backup.read(offset, effects),
+            Unit::Watchdog => self.watchdog.read(offset, effects),
+            Unit::Crs => self.crs.read(offset, effects),
+        }
+    }
+
+    fn write_peripheral(&mut self, address: u32, value: u32) {
+        let Some((unit, gate)) = unit_at(address) else {
+            self.effects.unmodelled();
+            return;
+        };
+        if gate.is_some_and(|gate| !self.is_clocked(gate, value)) {
+            return;
+        }
+        let offset = address & OFFSET_MASK;
+        let effects = &mut self.effects;
+        match unit {
+            Unit::Timer(index) => self.timers[index].write(offset, value, effects),
+            Unit::Adc12 => self.adc12.write(offset, value, effects),
+            Unit::Adc345 => self.adc345.write(offset, value, effects),
+            Unit::Dma(controller) => self.dma.write(controller, offset, value, effects),
+            Unit::Dmamux => self.dma.write_multiplexer(offset, value, effects),
+            Unit::Gpio(index) => {
+                self.ports[index].write(offset, value, effects);
+                self.update_drive();
+            }
+            Unit::Dac(index) => {
+                self.dacs[index].write(offset, value, effects);
+                self.update_drive();
+            }
+            Unit::Usb => self.usb.write(offset, value, effects),
+            Unit::Lpuart => self.lpuart.write(offset, value, effects),
+            Unit::Rcc => self.write_rcc(offset, value),
+            Unit::Flash => self.flash.write(offset, value, effects),
+            Unit::Power => {
+                self.power.write(offset, value, effects);
+                self.update_pvd();
+            }
+            Unit::Exti => self.exti.write(offset, value, effects),
+            Unit::Syscfg => self.syscfg.write(offset, value, effects),
+            Unit::Backup => self.backup.write(offset, value, self.power.backup_access(), effects),
+            Unit::Watchdog => self.watchdog.write(offset, value, effects),
+            Unit::Crs => self.crs.write(offset, value, effects),
+        }
+    }
+}
+
+impl<W: World> Bus for Board<W> {
+    #[inline]
+    fn fetch(&mut self, address: u32) -> Result<u16, BusFault> {
+        if (BOOT_LOADER_BASE..BOOT_LOADER_END).contains(&address) {
+            self.effects.enter_boot_loader();
+            // Branch to itself: the factory's code is not executed.
+            return Ok(0xE7FE);
+        }
+        self.access_read(address, 2).map(|half| half as u16)
+    }
+
+    #[inline]
+    fn read(&mut self, address: u32, size: Size) -> Result<u32, BusFault> {
+        let value = self.access_read(address, size.bytes())?;
+        // Reading can have effects too: it takes a byte from a receiver.
+        if PERIPHERALS.contains(&address) {
+            self.settle();
+        }
+        Ok(value)
+    }
+
+    #[inline]
+    fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault> {
+        self.access_write(address, size.bytes(), value)?;
+        if address >= PERIPHERALS.start || address < RAM_BASE {
+            self.settle();
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn wait_states(&self, address: u32) -> u32 {
+        match address {
+            0x4000_0000..=0x4001_FFFF => APB_WAIT,
+            0x4002_0000..=0x5FFF_FFFF => AHB_WAIT,
+            _ if address & !FLASH_BASE < FLASH_BYTES as u32 => self.flash.latency(),
+            _ => 0,
+        }
+    }
+}
+
+/// What answers at an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Unit {
+    Timer(usize),
+    Adc12,
+    Adc345,
+    Dma(usize),
+    Dmamux,
+    Gpio(usize),
+    Dac(usize),
+    Usb,
+    Lpuart,
+    Rcc,
+    Flash,
+    Power,
+    Exti,
+    Syscfg,
+    Backup,
+    Watchdog,
+    Crs,
+}
+
+/// The address map (RM0440, "Memory map and peripheral register boundary addresses").
+#[inline]
+fn unit_at(address: u32) -> Option<(Unit, Option<Gate>)> {
+    let block = address & !OFFSET_MASK;
+    let index = block >> 10 & 7;
+    let (unit, gate) = match block {
+        0x4000_0000 | 0x4000_0400 | 0x4000_0800 | 0x4000_0C00 => (Unit::Timer(index as usize), Gate::timer(index)),
+        0x4000_2000 => (Unit::Crs, Gate::CRS),
+        0x4000_2400 => (Unit::Backup, Gate::RTC_APB),
+        0x4000_3000 => return Some((Unit::Watchdog, None)),
+        0x4000_5C00 => (Unit::Usb, Gate::USB),
+        0x4000_7000 => (Unit::Power, Gate::PWR),
+        0x4000_8000 => (Unit::Lpuart, Gate::LPUART1),
+        // VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
+        0x4001_0000 if address < 0x4001_0030 => (Unit::Syscfg, Gate::SYSCFG),
+        0x4001_0400 => return Some((Unit::Exti, None)),
+        0x4002_0000 => (Unit::Dma(0), Gate::DMA1),
+        0x4002_0400 => (Unit::Dma(1), Gate::DMA2),
+        0x4002_0800 => (Unit::Dmamux, Gate::DMAMUX1),
+        0x4002_1000 => return Some((Unit::Rcc, None)),
+        0x4002_2000 => (Unit::Flash, Gate::FLASH),
+        0x4800_0000..=0x4800_1800 => (Unit::Gpio(index as usize), Gate::gpio(index)),
+        0x5000_0000 => (Unit::Adc12, Gate::ADC12),
+        0x5000_0400 => (Unit::Adc345, Gate::ADC345),
+        0x5000_0800 => (Unit::Dac(0), Gate::dac(0)),
+        0x5000_0C00 => (Unit::Dac(1), Gate::dac(1)),
+        _ => return None,
+    };
+    Some((unit, Some(gate)))
+}
+
+fn packet_memory_offset(address: u32) -> Option<u32> {
+    Some(address.wrapping_sub(0x4000_6000)).filter(|&offset| offset < 1_024)
+}
+
+/// A narrow value written to a peripheral appears in all lanes (RM0440, "AHB/APB bridges").
+fn repeat(value: u32, width: u32) -> u32 {
+    match width {
+        1 => (value & 0xFF) * 0x0101_0101,
+        2 => (value & 0xFFFF) * 0x0001_0001,
+        _ => value,
+    }
+}
+
+/// What the internal channels of ADC3 to ADC5 convert.
+struct InternalCodes {
+    supply_v: f64,
+    temperature_c: f64,
+}
+
+impl InternalCodes {
+    /// Code of `channel` (data sheet, "Temperature sensor characteristics" and "Internal voltage
+    /// reference"): temperature on ADC5_IN4, reference on IN18; nothing else is connected.
+    fn code(&self, channel: u8) -> u16 {
+        let at_calibration_supply = match channel {
+            4 => {
+                let slope = f64::from(TS_CAL2 - TS_CAL1) / (130.0 - 30.0);
+                f64::from(TS_CAL1) + slope * (self.temperature_c - 30.0)
+            }
+            18 => f64::from(VREFINT_CAL),
+            _ => 0.0,
+        };
+        (at_calibration_supply * CALIBRATION_V / self.supply_v).round().clamp(0.0, 4_095.0) as u16
+    }
+}

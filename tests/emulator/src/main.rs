@@ -1,0 +1,246 @@
+//! `slitpose-emulator`: a board without a board, behind a pseudo-terminal.
+
+use std::io::{self, Read, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use clap::{Parser, ValueEnum};
+use slitpose::pace::Speed;
+use slitpose::scene_file::{SceneFile, SceneFileError};
+use slitpose::simulator::{PathError, Trajectory, TrajectoryKind};
+use slitpose_emulator::machine::Stop;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
+use slitpose_emulator::terminal::{Terminal, TerminalError};
+use slitpose_emulator::world::{NoiseSource, WorldError};
+use thiserror::Error;
+
+/// Device time between two looks at the terminal: half a USB frame.
+const SLICE_TICKS: Ticks = TICKS_PER_SECOND / 2_000;
+
+/// While a reader is this slow to take what has come, the board's time stands still; then it
+/// goes on, and the board sees a host that does not read.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Motions are planned for this long, in seconds.
+const HORIZON_S: f64 = 3600.0;
+
+/// An STM32G474 in software that runs the board's image in front of the head of a scene.
+///
+/// Prints the path of a pseudo-terminal that stands for the board's serial port, and runs until
+/// standard input is closed. Give the path to `slitpose run --device`.
+#[derive(Debug, Parser)]
+#[command(name = "slitpose-emulator", version, after_help = "Example:\n  slitpose-emulator wide < /dev/tty")]
+struct Args {
+    /// Scene file, or the name of a shipped scene
+    scene: String,
+    /// The image [default: what firmware/build made last]
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
+    /// still, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
+    #[arg(long, value_name = "MOTION", default_value = "smooth")]
+    trajectory: String,
+    /// Seed of motion and noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// No noise at all
+    #[arg(long)]
+    quiet: bool,
+    /// Device seconds a second, or max
+    #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0))]
+    speed: Speed,
+    /// The board's link that the terminal stands for
+    #[arg(long, value_enum, default_value_t = LinkKind::Usb)]
+    link: LinkKind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum LinkKind {
+    /// The controller's own USB
+    Usb,
+    /// The debugger's serial port
+    Uart,
+}
+
+#[derive(Debug, Error)]
+enum Failure {
+    #[error(transparent)]
+    Scene(#[from] SceneFileError),
+    #[error(transparent)]
+    Path(#[from] PathError),
+    #[error(transparent)]
+    Image(#[from] OpenError),
+    #[error(transparent)]
+    World(#[from] WorldError),
+    #[error(transparent)]
+    Terminal(#[from] TerminalError),
+    #[error("cannot write to standard output")]
+    Output(#[from] io::Error),
+    #[error("the board is dead: {0}")]
+    Dead(String),
+}
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            let mut text = failure.to_string();
+            let mut source = std::error::Error::source(&failure);
+            while let Some(cause) = source {
+                text = format!("{text}: {cause}");
+                source = cause.source();
+            }
+            eprintln!("slitpose-emulator: {text}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(args: &Args) -> Result<(), Failure> {
+    let scene = SceneFile::open(&args.scene)?;
+    let image = open_image(args.elf.as_deref())?;
+    let trajectory = match TrajectoryKind::from_str(&args.trajectory, false) {
+        Ok(kind) => Trajectory::of_kind(kind, args.seed, HORIZON_S),
+        Err(_) => Trajectory::from_table(&args.trajectory)?,
+    };
+    let noise = if args.quiet { NoiseSource::Off } else { NoiseSource::Seeded(args.seed) };
+    let link = match args.link {
+        LinkKind::Usb => Link::Usb,
+        LinkKind::Uart => Link::Uart,
+    };
+    let rig = Rig::boot(&image, &scene, trajectory, noise)?.with_link(link);
+    let terminal = Terminal::open()?;
+    let mut out = io::stdout();
+    writeln!(out, "{}", terminal.path().display())?;
+    out.flush()?;
+    let mut session = Session::new(rig, terminal, args.speed);
+    let outcome = session.follow(&stdin_closed());
+    session.report();
+    outcome
+}
+
+/// Becomes true when standard input ends.
+fn stdin_closed() -> Arc<AtomicBool> {
+    let closed = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&closed);
+    thread::spawn(move || {
+        let mut sink = [0; 256];
+        while matches!(io::stdin().read(&mut sink), Ok(bytes) if bytes > 0) {}
+        told.store(true, Ordering::Relaxed);
+    });
+    closed
+}
+
+/// A board at a terminal.
+struct Session {
+    rig: Rig,
+    terminal: Terminal,
+    speed: Speed,
+    started: Instant,
+    /// Wall time lost to a reader that was waited for.
+    waited: Duration,
+    /// What the terminal has not taken yet, and since when.
+    pending: Vec<u8>,
+    stuck: Option<Instant>,
+    first_tick: Ticks,
+    first_instruction: u64,
+}
+
+impl Session {
+    fn new(mut rig: Rig, terminal: Terminal, speed: Speed) -> Self {
+        let first_tick = rig.now();
+        let first_instruction = rig.machine().cpu.instructions();
+        Self {
+            rig,
+            terminal,
+            speed,
+            started: Instant::now(),
+            waited: Duration::ZERO,
+            pending: Vec::new(),
+            stuck: None,
+            first_tick,
+            first_instruction,
+        }
+    }
+
+    fn follow(&mut self, closed: &AtomicBool) -> Result<(), Failure> {
+        let mut from_terminal = [0; 4096];
+        while !closed.load(Ordering::Relaxed) {
+            let open = self.terminal.is_open()?;
+            self.rig.set_open(open);
+            if open {
+                let bytes = self.terminal.read(&mut from_terminal)?;
+                self.rig.send_bytes(bytes);
+            } else {
+                self.pending.clear();
+            }
+            let end = self.rig.now() + SLICE_TICKS;
+            match self.rig.run_until(end) {
+                Stop::Reached => {}
+                Stop::BootLoader => return Err(Failure::Dead("it has started its boot loader".to_owned())),
+                stop => return Err(Failure::Dead(format!("{stop:?}"))),
+            }
+            let bytes = self.rig.take_bytes();
+            if open {
+                self.pending.extend(bytes);
+                self.hand_over()?;
+            }
+            self.pace();
+        }
+        Ok(())
+    }
+
+    /// Gives the terminal what has come, and waits a while for a slow reader.
+    fn hand_over(&mut self) -> Result<(), Failure> {
+        let begun = Instant::now();
+        loop {
+            let taken = self.terminal.write(&self.pending)?;
+            self.pending.drain(..taken);
+            if taken > 0 || self.pending.is_empty() {
+                self.stuck = None;
+            }
+            if self.pending.is_empty() {
+                self.rig.stop_reading(false);
+                break;
+            }
+            if self.stuck.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                self.rig.stop_reading(true);
+                break;
+            }
+            thread::sleep(Duration::from_micros(100));
+        }
+        self.waited += begun.elapsed();
+        Ok(())
+    }
+
+    fn device_s(&self) -> f64 {
+        (self.rig.now() - self.first_tick) as f64 / TICKS_PER_SECOND as f64
+    }
+
+    fn pace(&self) {
+        if let Speed::Times(times) = self.speed {
+            let due = Duration::from_secs_f64(self.device_s() / times) + self.waited;
+            thread::sleep(due.saturating_sub(self.started.elapsed()));
+        }
+    }
+
+    fn report(&mut self) {
+        let device_s = self.device_s();
+        let wall_s = self.started.elapsed().as_secs_f64();
+        let instructions = self.rig.machine().cpu.instructions() - self.first_instruction;
+        eprintln!(
+            "slitpose-emulator: {device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
+             {:.1} million instructions a second; stack {} bytes at most",
+            device_s / wall_s,
+            instructions as f64 / wall_s / 1e6,
+            self.rig.stack_bytes(),
+        );
+        for fault in self.rig.faults() {
+            eprintln!("slitpose-emulator: {fault}");
+        }
+    }
+}
