@@ -32,9 +32,6 @@ use crate::world::World;
 const SYSTEM_MEMORY: std::ops::Range<u32> = 0x1FFF_0000..0x2000_0000;
 /// Peripherals on APB and AHB.
 const PERIPHERALS: std::ops::Range<u32> = 0x4000_0000..0x6000_0000;
-/// Registers of the debug block (RM0440, "MCU debug component"): identity of a category 3 device.
-const DBGMCU: u32 = 0xE004_2000;
-const DEVICE_IDENTITY: u32 = 0x2003_6469;
 /// Every unit has a kilobyte of the address map; this much counts from its base.
 const OFFSET_MASK: u32 = 0x3FF;
 /// Extra cycles of an access through the AHB-APB bridge: an estimate, not in the manual.
@@ -99,7 +96,6 @@ pub struct Board<W> {
     dacs: [Dac; 2],
     watchdog: Watchdog,
     crs: Crs,
-    debug: [u32; 4],
     /// Temperature of the chip, in degrees Celsius.
     temperature_c: f64,
     /// Output of the voltage detector, as the interrupt controller last saw it.
@@ -134,7 +130,6 @@ impl<W: World> Board<W> {
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
             crs: Crs::new(),
-            debug: [0; 4],
             temperature_c: 30.0,
             pvd: false,
             gates: 0,
@@ -200,7 +195,6 @@ impl<W: World> Board<W> {
         self.crs.reset();
         self.watchdog = Watchdog::new();
         if matches!(cause, ResetCause::PowerOn | ResetCause::BrownOut) {
-            self.debug = [0; 4];
             self.scramble_ram();
         }
         self.update_clocks();
@@ -247,6 +241,11 @@ impl<W: World> Board<W> {
         self.ports[port].driven_high()
     }
 
+    /// Whether the watchdog was started.
+    pub fn watchdog_runs(&self) -> bool {
+        self.watchdog.next_event() != Ticks::MAX
+    }
+
     /// The cells of the flash.
     pub fn flash_array(&self) -> &FlashArray {
         self.flash.array()
@@ -283,7 +282,8 @@ impl<W: World> Board<W> {
         self.adc12.force_overrun(index, &mut self.effects);
     }
 
-    /// Tells that something outside (a USB cable, a serial line) has been moved between steps.
+    /// Tells that something outside (a USB cable, a serial line) was moved past the bus. A run
+    /// begins with it.
     pub fn outside_changed(&mut self) {
         self.find_next_event();
     }
@@ -507,8 +507,6 @@ impl<W: World> Board<W> {
             self.read_peripheral(address & !3)
         } else if SYSTEM_MEMORY.contains(&address) {
             system_word(address)
-        } else if (DBGMCU..DBGMCU + 20).contains(&address) {
-            self.read_debug(address)
         } else {
             return Err(BusFault);
         };
@@ -543,19 +541,8 @@ impl<W: World> Board<W> {
                 self.write_peripheral(address & !3, repeat(value, width));
             }
             Ok(())
-        } else if (DBGMCU..DBGMCU + 20).contains(&address) {
-            let index = (address - DBGMCU) / 4;
-            self.debug[(index.max(1) - 1) as usize] = value;
-            Ok(())
         } else {
             Err(BusFault)
-        }
-    }
-
-    fn read_debug(&self, address: u32) -> u32 {
-        match (address - DBGMCU) / 4 {
-            0 => DEVICE_IDENTITY,
-            index => self.debug[(index - 1) as usize],
         }
     }
 
@@ -675,7 +662,7 @@ impl<W: World> Bus for Board<W> {
     #[inline]
     fn write(&mut self, address: u32, size: Size, value: u32) -> Result<(), BusFault> {
         self.access_write(address, size.bytes(), value)?;
-        if address >= PERIPHERALS.start || address < RAM_BASE {
+        if !(RAM_BASE..PERIPHERALS.start).contains(&address) {
             self.settle();
         }
         Ok(())
@@ -779,3 +766,6 @@ impl InternalCodes {
         (at_calibration_supply * CALIBRATION_V / self.supply_v).round().clamp(0.0, 4_095.0) as u16
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -22,7 +22,7 @@ pub enum Stop {
     PoweredOff,
     /// The core has jumped into the factory's boot loader, which is not executed.
     BootLoader,
-    /// A fault that no handler could take. Time stands still until a reset.
+    /// A fault that no handler could take, and no watchdog runs. Only a reset helps.
     Lockup(FaultReport),
 }
 
@@ -73,9 +73,12 @@ impl<W: World> Machine<W> {
     /// Runs until tick `end`, or until something stops the core for good. An instruction that
     /// has begun is finished, so time may be a few ticks beyond `end`.
     pub fn run_until(&mut self, end: Ticks) -> Stop {
+        // Between runs the caller may have moved what is outside.
+        self.board.outside_changed();
         while self.now() < end {
             if !self.powered || self.browned_out {
-                self.board.effects.now = end;
+                // The computer at the USB cable lives on.
+                self.board.advance_to(end);
                 return Stop::PoweredOff;
             }
             if self.board.next_event() <= self.now() {
@@ -97,6 +100,8 @@ impl<W: World> Machine<W> {
                 }
                 Step::Asleep => self.sleep(end),
                 Step::ResetRequested => self.reset(ResetCause::Software),
+                // Only a reset helps now, and the watchdog may bring one.
+                Step::Lockup(_) if self.board.watchdog_runs() => self.wait_locked_up(end),
                 Step::Lockup(report) => return Stop::Lockup(report),
             }
         }
@@ -121,26 +126,20 @@ impl<W: World> Machine<W> {
     pub fn power_on(&mut self) {
         if !self.powered {
             self.powered = true;
-            self.reset(ResetCause::PowerOn);
+            if !self.browned_out {
+                self.reset(ResetCause::PowerOn);
+            }
         }
     }
 
     /// Sets the supply, in volts. Below 1.7 V the brown-out reset stops the device; it starts
     /// again when the supply is back.
     pub fn set_supply_v(&mut self, volts: f64) {
-        let enough = self.board.set_supply_v(volts);
-        if !self.powered {
-            return;
-        }
-        match (self.browned_out, enough) {
-            (false, false) => {
-                self.browned_out = true;
-                self.board.reset(ResetCause::BrownOut);
-            }
-            (true, true) => {
-                self.browned_out = false;
-                self.reset(ResetCause::BrownOut);
-            }
+        let low = !self.board.set_supply_v(volts);
+        let was_low = std::mem::replace(&mut self.browned_out, low);
+        match (was_low, low) {
+            (false, true) if self.powered => self.board.reset(ResetCause::BrownOut),
+            (true, false) if self.powered => self.reset(ResetCause::BrownOut),
             _ => {}
         }
     }
@@ -210,6 +209,13 @@ impl<W: World> Machine<W> {
         self.board.effects.attention |= self.now() < stalled_until;
     }
 
+    /// Lets time pass for a core that stands still after a fault.
+    fn wait_locked_up(&mut self, end: Ticks) {
+        let before = self.now();
+        self.board.advance_to(self.board.next_event().min(end).max(before));
+        self.awake += self.now() - before;
+    }
+
     /// Lets time pass until something happens that may wake the core.
     fn sleep(&mut self, end: Ticks) {
         let before = self.now();
@@ -218,3 +224,6 @@ impl<W: World> Machine<W> {
         self.cpu.sleep_for(self.now() - before);
     }
 }
+
+#[cfg(test)]
+mod tests;

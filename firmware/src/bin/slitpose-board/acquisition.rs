@@ -5,7 +5,7 @@
 //! frame timer ─update────▶ transfer ─▶ emitter gates           (table: one word a slot)
 //!             ─compare 2─▶ converters ─▶ transfers ─▶ rings of words
 //!             ─compare 2─▶ transfer ─▶ its own next period     (only with an idle rest)
-//!             ─compare 4─▶ transfer ─▶ all gates off           (only behind a lit slot)
+//!             ─compare 4─▶ transfer ─▶ all gates off           (only with a rest behind a lit slot)
 //!             ─compare 1, 3─▶ transfers ─▶ level lines         (only where levels differ)
 //! ```
 //! Which frame a word belongs to follows from the device clock, which runs from the same

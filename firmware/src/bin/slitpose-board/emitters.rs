@@ -22,13 +22,14 @@ const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
 /// clear in the upper.
 static SLOT_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
 
-/// What to write to the port to go dark at the end of the last slot.
-static DARK_GATES: [AtomicU32; 1] = [AtomicU32::new(GATES << 16)];
+/// What to write to the port near the end of each slot: nothing, but all gates off in the
+/// last one.
+static LATE_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
 
 /// On every update of the frame timer: gates of the slot that begins.
 const GATE_TRANSFER: Channel = Channel::new(2, 60);
-/// On compare 4 of the frame timer: all gates off.
-const DARK_TRANSFER: Channel = Channel::new(3, 59);
+/// On compare 4 of the frame timer, once a slot: all gates off, if it is the last.
+const LATE_TRANSFER: Channel = Channel::new(3, 59);
 
 /// Gates, as outputs, and the converters behind the level lines.
 pub struct Emitters {
@@ -54,7 +55,7 @@ impl Emitters {
     }
 
     /// Readies the gates for the first slot of `slots` at the next update of the frame
-    /// timer; `goes_dark` at its compare 4, too.
+    /// timer; with `goes_dark`, the last slot ends at its compare 4.
     pub fn arm(&mut self, slots: &[u8], goes_dark: bool) {
         for (word, &lit) in SLOT_GATES.iter().zip(slots) {
             let set = u32::from(lit) << FIRST_PIN;
@@ -63,7 +64,12 @@ impl Emitters {
         let port = pac::GPIOC.bsrr().as_ptr().cast();
         GATE_TRANSFER.feed(port, Table::of_words(&SLOT_GATES[..slots.len()]));
         if goes_dark {
-            DARK_TRANSFER.feed(port, Table::of_words(&DARK_GATES));
+            let late = &LATE_GATES[..slots.len()];
+            for (slot, word) in late.iter().enumerate() {
+                let is_last = slot + 1 == slots.len();
+                word.store(if is_last { GATES << 16 } else { 0 }, Ordering::Relaxed);
+            }
+            LATE_TRANSFER.feed(port, Table::of_words(late));
         }
     }
 
@@ -74,7 +80,7 @@ impl Emitters {
 
     /// Whether a transfer has failed.
     pub fn has_failed(&self) -> bool {
-        GATE_TRANSFER.has_failed() || DARK_TRANSFER.has_failed()
+        GATE_TRANSFER.has_failed() || LATE_TRANSFER.has_failed()
     }
 
     /// Sets a level line.
@@ -106,6 +112,6 @@ fn lines() -> [Dac; LEVEL_LINES] {
 pub fn darken() {
     pac::TIM2.cr1().modify(|w| w.set_cen(false));
     GATE_TRANSFER.stop();
-    DARK_TRANSFER.stop();
+    LATE_TRANSFER.stop();
     pac::GPIOC.bsrr().write_value(pac::gpio::regs::Bsrr(GATES << 16));
 }

@@ -654,7 +654,7 @@ impl<const N: usize> AdcGroup<N> {
         effects.unmodelled_bits(value & !CCR_MODELLED);
         self.ccr = value;
         let clock = clock_ticks(value, self.kernel_half_ticks);
-        if clock == 0 && value >> 16 & 3 == 0 && self.kernel_half_ticks * prescaler(value) % 2 != 0 {
+        if clock == 0 && value >> 16 & 3 == 0 && !(self.kernel_half_ticks * prescaler(value)).is_multiple_of(2) {
             // Only whole ticks are modelled.
             effects.unmodelled();
         }
@@ -690,7 +690,7 @@ fn clock_ticks(ccr: u32, kernel_half_ticks: u64) -> u64 {
     match ccr >> 16 & 3 {
         0 => {
             let half_ticks = kernel_half_ticks * prescaler(ccr);
-            if half_ticks % 2 == 0 { half_ticks / 2 } else { 0 }
+            if half_ticks.is_multiple_of(2) { half_ticks / 2 } else { 0 }
         }
         1 => 1,
         2 => 2,

@@ -144,7 +144,8 @@ pub struct Effects {
 
 impl Effects {
     /// Nothing has happened yet, and it is tick `now`.
-    pub fn starting_at(now: Ticks) -> Self {
+    #[cfg(test)]
+    pub(crate) fn starting_at(now: Ticks) -> Self {
         Self { now, ..Self::default() }
     }
 

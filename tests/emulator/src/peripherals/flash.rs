@@ -200,7 +200,7 @@ impl Flash {
         }
         if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
             let bank = if offset >= BANK_BYTES { BK_ECC } else { 0 };
-            self.eccr = ECCD | bank | (offset % BANK_BYTES & !(DOUBLE_WORD_BYTES - 1)) as u32;
+            self.eccr = ECCD | bank | ((offset % BANK_BYTES) & !(DOUBLE_WORD_BYTES - 1)) as u32;
             effects.raise_nmi();
         }
         load(self.array.bytes(), offset, width)
@@ -241,7 +241,7 @@ impl Flash {
 
     fn store_word(&mut self, offset: usize, value: u32, effects: &mut Effects) {
         match self.latch.take() {
-            None if offset % DOUBLE_WORD_BYTES == 0 => self.latch = Some((offset, value)),
+            None if offset.is_multiple_of(DOUBLE_WORD_BYTES) => self.latch = Some((offset, value)),
             Some((base, low)) if offset == base + 4 => {
                 let data = u64::from(low) | u64::from(value) << 32;
                 if self.array.double_word(base) != u64::MAX && data != 0 {
@@ -450,7 +450,7 @@ mod tests {
         assert!(!effects.nmi);
         flash.load(OFFSET + 4, 4, &mut effects);
         assert!(std::mem::take(&mut effects.nmi));
-        assert_eq!(flash.read(ECCR, &mut effects), ECCD | BK_ECC | 3 * PAGE_BYTES as u32);
+        assert_eq!(flash.read(ECCR, &mut effects), ECCD | BK_ECC | (3 * PAGE_BYTES as u32));
         flash.load(OFFSET, 4, &mut effects);
         assert!(!effects.nmi);
         flash.write(ECCR, ECCD, &mut effects);

@@ -130,7 +130,7 @@ mod tests {
         let (mut port, mut effects) = (Port::new(2), Effects::default());
         port.write(BSRR, 0x0FC0, &mut effects);
         assert_eq!(port.driven_high(), 0);
-        port.write(MODER, 0xFFFF_FFFF & !(0b10 << 12) & !(0b10 << 14), &mut effects);
+        port.write(MODER, !(0b10 << 12 | 0b10 << 14), &mut effects);
         assert_eq!(port.driven_high(), 0x00C0);
         port.write(OTYPER, 0x0080, &mut effects);
         assert_eq!(port.driven_high(), 0x0040);
