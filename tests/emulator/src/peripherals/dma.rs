@@ -27,6 +27,8 @@ const MUX_CFR: u32 = 0x84;
 const MUX_RGSR: u32 = 0x140;
 const MUX_RGCFR: u32 = 0x144;
 const MUX_REQUEST: u32 = 0x7F;
+/// Event generation, which nothing here listens to.
+const MUX_EVENTS: u32 = 1 << 9;
 
 const EN: u32 = 1;
 const TCIE: u32 = 1 << 1;
@@ -210,10 +212,10 @@ impl Dma {
                 if channel.enabled() && channel.mux != value {
                     effects.violation(value, "DMAMUX_CxCR is written only while its DMA channel is disabled");
                 }
-                if value & !MUX_REQUEST != 0 {
+                if value & !(MUX_REQUEST | MUX_EVENTS) != 0 {
                     effects.unmodelled();
                 }
-                channel.mux = value & MUX_REQUEST;
+                channel.mux = value & (MUX_REQUEST | MUX_EVENTS);
                 self.find_wanted();
                 self.watch_sharing(value, effects);
             }

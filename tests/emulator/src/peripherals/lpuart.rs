@@ -1,8 +1,9 @@
 //! The serial port LPUART1, and the line to its other end (RM0440, "Low-power universal
 //! asynchronous receiver transmitter").
 //!
-//! Eight data bits without parity, no FIFOs, no flow control; the kernel clock is PCLK1. The other
-//! end talks at the rate that BRR sets.
+//! Eight data bits without parity, no flow control; the kernel clock is PCLK1. The other end talks
+//! at the rate that BRR sets. FIFOs, when they are on, are one byte deep here: a program that moves
+//! bytes by DMA cannot tell.
 
 use std::collections::VecDeque;
 
@@ -28,7 +29,8 @@ const CR1_IDLEIE: u32 = 1 << 4;
 const CR1_RXNEIE: u32 = 1 << 5;
 const CR1_TCIE: u32 = 1 << 6;
 const CR1_TXEIE: u32 = 1 << 7;
-const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE;
+const CR1_FIFOEN: u32 = 1 << 29;
+const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
 /// Word length, parity, driver-enable times and FIFO mode: only to be changed while disabled.
 const CR1_FORMAT: u32 = 1 << 29 | 1 << 28 | 0x3ff << 16 | 1 << 12 | 1 << 11 | 1 << 10 | 1 << 9;
 

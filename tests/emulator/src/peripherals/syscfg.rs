@@ -3,6 +3,7 @@
 
 use super::Effects;
 
+const MEMRMP: u32 = 0x00;
 const CFGR1: u32 = 0x04;
 const EXTICR1: u32 = 0x08;
 const EXTICR4: u32 = 0x14;
@@ -34,7 +35,8 @@ impl Syscfg {
         match offset {
             CFGR1 => self.cfgr1,
             EXTICR1..=EXTICR4 => self.exticr[((offset - EXTICR1) / 4) as usize],
-            SCSR | CFGR2 => 0,
+            // Flash at 0, banks not swapped.
+            MEMRMP | SCSR | CFGR2 => 0,
             _ => {
                 effects.unmodelled();
                 0
@@ -45,6 +47,8 @@ impl Syscfg {
     /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32, effects: &mut Effects) {
         match offset {
+            // The boot loader is not executed, so what it finds at 0 does not matter.
+            MEMRMP => {}
             CFGR1 => self.cfgr1 = value,
             EXTICR1..=EXTICR4 => self.exticr[((offset - EXTICR1) / 4) as usize] = value & 0x7777,
             _ => effects.unmodelled(),
