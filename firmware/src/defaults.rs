@@ -43,10 +43,11 @@ pub fn default_configuration() -> Configuration {
 }
 
 /// What a word of the board's own front end is worth: 10 µA from the code at zero current,
-/// 64 codes below the top, down to code 0. Its last 16 codes are not relied on.
+/// 64 codes below the top, down to code 0. The last 32 codes, 26 mV, are not relied on: an
+/// amplifier does not swing to the very end of its supply.
 pub fn default_scaling() -> AdcScaling {
     let zero_code = 4095.0 - 64.0;
-    AdcScaling { zero_code, amperes_per_code: -FULL_SCALE_A / zero_code, bits: 12, saturation_code: 16 }
+    AdcScaling { zero_code, amperes_per_code: -FULL_SCALE_A / zero_code, bits: 12, saturation_code: 32 }
 }
 
 /// Photocurrent of an electrode at the end of the converters' range.

@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn nothing_is_driven_beyond_its_limits() {
         let (levels, _) = settle(FALLING, 0.02, 400);
-        assert_eq!(levels[2], Level(u16::MAX));
+        assert_eq!(levels[2], highest_level(&default_configuration().schedule));
         let (levels, _) = settle(FALLING, 100.0, 400);
         assert_eq!(levels[2], LOWEST);
     }

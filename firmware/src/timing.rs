@@ -42,9 +42,8 @@ const TRANSFER_TICKS: u32 = 170;
 /// behind the last hold: that is a conversion before the end, 60 ticks at least.
 const OFF_LEAD_TICKS: u32 = 32;
 
-/// Codes of the level converters at nominal and at the highest level.
+/// Code of the level converters at nominal level: the middle of their range.
 const NOMINAL_CODE: u32 = 2048;
-const HIGHEST_CODE: u32 = 4095;
 
 /// What a frame is made of, ready to be written to registers and transfer tables.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -187,8 +186,8 @@ fn line_codes(schedule: &Schedule, levels: &[Level], line: usize) -> Vec<u16, BO
 }
 
 fn level_code(level: Level) -> u16 {
-    let code = (u32::from(level.0) * NOMINAL_CODE + u32::from(Level::NOMINAL.0) / 2) / u32::from(Level::NOMINAL.0);
-    code.min(HIGHEST_CODE) as u16
+    let nominal = u32::from(Level::NOMINAL.0);
+    ((u32::from(level.0) * NOMINAL_CODE + nominal / 2) / nominal) as u16
 }
 
 #[cfg(test)]
@@ -241,10 +240,10 @@ mod tests {
     #[test]
     fn levels_follow_the_slots() {
         let mut configuration = default_configuration();
-        let levels = [0x8000, 0x4000, 0xffff, 0x8000, 0x8000, 0x8000].map(Level);
+        let levels = [0x8000, 0x4000, 0xf000, 0x8000, 0x8000, 0x8000].map(Level);
         configuration.levels = levels.into_iter().collect();
         let plan = FramePlan::new(&configuration).unwrap();
-        assert_eq!(plan.level_codes[0][..], [2_048, 1_024, 4_095, 4_095]);
+        assert_eq!(plan.level_codes[0][..], [2_048, 1_024, 3_840, 3_840]);
         assert_eq!(plan.level_codes[1][..], [2_048; 4]);
         assert!(!plan.is_level_constant(0) && plan.is_level_constant(1));
     }

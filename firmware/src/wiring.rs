@@ -14,6 +14,10 @@ pub const fn level_line(emitter: usize) -> usize {
     if emitter < CHANNELS as usize / LEVEL_LINES { 0 } else { 1 }
 }
 
+/// As far as a level line follows: its converter's output buffer ends 0.2 V below the
+/// supply, at code 3847 of 4095.
+const HIGHEST: Level = Level(0xf000);
+
 /// Longest pulse for which the emitters may carry more than their continuous current,
 /// seconds. Of the same length as the pulse in data sheets' surge and peak ratings.
 const PULSE_S: f32 = 100e-6;
@@ -21,13 +25,13 @@ const PULSE_S: f32 = 100e-6;
 /// Largest share of time an emitter may be lit at more than its continuous current.
 const DUTY: f32 = 0.25;
 
-/// The highest level an emitter may be driven at by `schedule`: anything in short pulses
-/// and long pauses, which on average is less than half the continuous current; else
+/// The highest level an emitter may be driven at by `schedule`: 1.875 times nominal in short
+/// pulses with long pauses, which on average is less than half the continuous current; else
 /// nominal, which is the emitters' continuous rating.
 pub fn highest_level(schedule: &Schedule) -> Level {
     let (lit, frame) = (schedule.slot_ticks as f32, schedule.frame_ticks as f32);
     let is_pulse = lit <= PULSE_S * schedule.tick_hz as f32 && lit <= DUTY * frame;
-    if is_pulse { Level(u16::MAX) } else { Level::NOMINAL }
+    if is_pulse { HIGHEST } else { Level::NOMINAL }
 }
 
 /// Checks that the emitters can be driven as `configuration` says.
@@ -79,8 +83,11 @@ mod tests {
     #[test]
     fn short_pulses_may_be_brighter() {
         let mut configuration = default_configuration();
-        configuration.levels[4] = Level(u16::MAX);
+        configuration.levels[4] = HIGHEST;
         assert_eq!(check_levels(&configuration), Ok(()));
+        configuration.levels[4] = Level(HIGHEST.0 + 1);
+        assert_eq!(check_levels(&configuration), Err(HardwareFault::Emitters));
+        configuration.levels[4] = HIGHEST;
         // Half of the time: no more than nominal.
         configuration.schedule.frame_ticks = 2 * configuration.schedule.slot_ticks;
         assert_eq!(check_levels(&configuration), Err(HardwareFault::Emitters));
