@@ -147,7 +147,7 @@ mod tests {
     #[test]
     fn brings_light_into_the_range_and_leaves_the_others_alone() {
         for scaling in [FALLING, RISING] {
-            for (share, expected) in [(0.16, 0.32), (0.4, 0.4), (0.86, 0.6), (0.95, 0.6), (3.0, 0.75)] {
+            for (share, expected) in [(0.16, 0.30), (0.4, 0.4), (0.86, 0.6), (0.95, 0.6), (3.0, 0.75)] {
                 let (levels, seen) = settle(scaling, share, 400);
                 assert!((seen - expected).abs() < 0.02, "{share}: {seen}, {levels:?}");
                 assert_eq!(levels[0], Level::NOMINAL);

@@ -47,9 +47,9 @@
 //! `bytes` command keys (8 bytes little endian for each kind, see [`schema`]) ·
 //! `[u8; 12]` device id · enum kind (0 physical, 1 simulated) · `str` board ·
 //! `str` firmware · enum reset cause (0 unknown, 1 power on, 2 brown-out, 3 pin,
-//! 4 software, 5 watchdog, 6 panic) · `?u64` scene hash · `?u64` calibration hash · scaling (`f64` zero code, `f64` amperes
-//! per code, `u8` bits, `u16` saturation code: [`AdcScaling`]) · `u16` configuration ·
-//! schedule.
+//! 4 software, 5 watchdog, 6 panic) · `?u64` scene hash · `?u64` calibration hash ·
+//! scaling (`f64` zero code, `f64` amperes per code, `u8` bits, `u16` saturation code:
+//! [`AdcScaling`]) · `u16` configuration · schedule.
 //! It comes when the link is opened, when it is asked for, and whenever the schedule has
 //! changed, ahead of the batches taken by the new one.
 //!
