@@ -22,6 +22,10 @@ pub const HOST_GONE_MS: u64 = 500;
 /// A status is sent this often, in milliseconds.
 pub const STATUS_MS: u64 = 500;
 
+/// What has been handed to the transport is surely sent this many milliseconds later, if the
+/// host takes it: a kilobyte takes a UART of 3 Mbaud 3.4.
+const SENDING_MS: u64 = 10;
+
 /// Bytes handed to the transport at once: any packet fits, and sixteen of full-speed
 /// USB's 64 are filled.
 pub const TRANSFER_BYTES: usize = MAX_MESSAGE_BYTES;
@@ -111,7 +115,8 @@ pub struct Board<H, M> {
 /// A Store or Forget that has not been answered yet.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Storing {
-    pub number: u16,
+    /// The number to answer; `None` if whoever asked has gone.
+    pub number: Option<u16>,
     pub hashes: Hashes,
 }
 
@@ -233,6 +238,9 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 self.outbox.close();
                 self.decoder.reset();
                 self.status_due = false;
+                if let Some(storing) = &mut self.storing {
+                    storing.number = None;
+                }
             }
             _ => {}
         }
@@ -256,14 +264,14 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         } else {
             Indicator::Idle
         };
-        let due = self.link == Link::Open && now.saturating_sub(self.status_tick) >= self.ticks(STATUS_MS);
+        let due = now.saturating_sub(self.status_tick) >= self.ticks(STATUS_MS);
         if due || indicator != self.indicator {
             self.indicator = indicator;
             self.health = self.hardware.housekeeping(indicator);
         }
         if due {
             self.status_tick = now;
-            self.status_due = true;
+            self.status_due = self.link == Link::Open;
         }
     }
 
@@ -299,11 +307,19 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     }
 
     fn reboot_if_due(&mut self, now: u64) {
-        if let Some(Reboot { target, latest }) = self.reboot
-            && (now >= latest || self.link == Link::Closed || self.outbox.is_empty())
-            && self.emitters == Emitters::Off
-        {
+        let sent = now.saturating_add(self.ticks(SENDING_MS));
+        let is_done = self.outbox.is_empty() && self.storing.is_none();
+        let Some(reboot) = &mut self.reboot else {
+            return;
+        };
+        if is_done {
+            reboot.latest = reboot.latest.min(sent);
+        }
+        if now >= reboot.latest {
+            let target = reboot.target;
             self.reboot = None;
+            // Whatever has been started in the meantime.
+            let _ = self.stop();
             self.hardware.reboot(target);
         }
     }
@@ -332,13 +348,18 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     fn darken(&mut self) -> Result<(), HardwareFault> {
         let result = self.hardware.acquire(None);
         let before = self.emitters;
-        self.emitters = if result.is_ok() { Emitters::Off } else { Emitters::Unconfirmed };
+        self.emitters = Emitters::Off;
         if let Err(fault) = result {
             self.faulty = true;
-            // Once: it is tried again at every poll.
-            if before != Emitters::Unconfirmed {
-                let tick = self.hardware.now_ticks();
-                self.tell(tick, Severity::Error, format_args!("emitters may still be lit: {fault}"));
+            let tick = self.hardware.now_ticks();
+            if fault != HardwareFault::Emitters {
+                self.tell(tick, Severity::Error, format_args!("sampling may not have stopped: {fault}"));
+            } else {
+                self.emitters = Emitters::Unconfirmed;
+                // Once: it is tried again at every poll.
+                if before != Emitters::Unconfirmed {
+                    self.tell(tick, Severity::Error, format_args!("emitters may still be lit: {fault}"));
+                }
             }
         }
         result

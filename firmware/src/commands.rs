@@ -26,23 +26,18 @@ use crate::hardware::{Hardware, StorageError};
 use crate::settings::Settings;
 use crate::timing::FramePlan;
 
-/// A reboot waits this long for its reply to be taken.
-const REBOOT_MS: u64 = 100;
+/// A reboot waits this long for its reply to be taken, and for settings to be stored.
+const REBOOT_MS: u64 = 200;
 
 impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// Takes bytes from the host, cut anywhere, and carries out the commands that are
     /// complete. A command is a sign of life, whatever the link is said to be.
-    pub fn receive(&mut self, mut bytes: &[u8]) {
+    /// The number of commands there were, carried out or not.
+    pub fn receive(&mut self, mut bytes: &[u8]) -> usize {
+        let mut commands = 0;
         while let Some(result) = self.decoder.next::<Request>(&mut bytes) {
             let (number, outcome) = match result {
-                Ok(Request { number, command }) => match self.carry_out(number, command) {
-                    Ok(Done::Now) => (number, Ok(())),
-                    Ok(Done::Later) => {
-                        self.host_tick = self.hardware.now_ticks();
-                        continue;
-                    }
-                    Err(rejection) => (number, Err(rejection)),
-                },
+                Ok(Request { number, command }) => (number, self.carry_out(number, command)),
                 Err(FrameError::Payload(PayloadError::UnknownCommand { number, kind })) => {
                     (number, Err(Rejection::Unsupported { kind }))
                 }
@@ -54,9 +49,15 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                     continue;
                 }
             };
+            commands += 1;
             self.host_tick = self.hardware.now_ticks();
-            self.reply(number, outcome);
+            match outcome {
+                Ok(Done::Now) => self.reply(number, Ok(())),
+                Ok(Done::Later) => {}
+                Err(rejection) => self.reply(number, Err(rejection)),
+            }
         }
+        commands
     }
 
     fn reply(&mut self, number: u16, outcome: Result<(), Rejection>) {
@@ -83,7 +84,9 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             Command::Store(hashes) => return self.store(number, Some(hashes)),
             Command::Forget => return self.store(number, None),
             Command::Reboot(target) => {
-                self.stop().map_err(Rejection::Hardware)?;
+                // Nothing is darker than a reset: hardware that does not stop is no reason
+                // to refuse it.
+                let _ = self.stop();
                 let latest = self.hardware.now_ticks().saturating_add(self.ticks(REBOOT_MS));
                 self.reboot = Some(Reboot { target, latest });
             }
@@ -96,7 +99,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             return Err(Rejection::Storing);
         }
         let settings = hashes.map(|hashes| Settings { configuration: self.configuration.clone(), hashes });
-        self.storing = Some(Storing { number, hashes: hashes.unwrap_or_default() });
+        self.storing = Some(Storing { number: Some(number), hashes: hashes.unwrap_or_default() });
         self.hardware.store(settings.as_ref());
         Ok(Done::Later)
     }
@@ -114,7 +117,9 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             self.identity.hashes = hashes;
             self.introduce();
         }
-        self.reply(number, result.map_err(|StorageError| Rejection::Storage));
+        if let Some(number) = number {
+            self.reply(number, result.map_err(|StorageError| Rejection::Storage));
+        }
     }
 
     fn start(&mut self) -> Result<(), Rejection> {

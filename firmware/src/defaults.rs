@@ -5,6 +5,9 @@ use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, 
 use crate::collector::BATCH_SCANS;
 use crate::queue::HEADER_BYTES;
 
+/// Device ticks a second: the controller's clock.
+pub const TICK_HZ: u32 = 170_000_000;
+
 /// Bytes of the queue of a board that streams the default configuration: 100 ms.
 pub const DEFAULT_QUEUE_BYTES: usize = 25 * 1024;
 
@@ -28,7 +31,7 @@ pub fn default_configuration() -> Configuration {
     let slots = [EmitterSet::of(&[0, 3]), EmitterSet::of(&[1, 4]), EmitterSet::of(&[2, 5]), EmitterSet::DARK];
     Configuration {
         schedule: Schedule {
-            tick_hz: 170_000_000,
+            tick_hz: TICK_HZ,
             frame_ticks: 42_500,
             slots: slots.into_iter().collect(),
             slot_ticks: 5_800,

@@ -17,7 +17,8 @@ pub trait Hardware {
     fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault>;
 
     /// `Some`: light and sample by this configuration from the next frame on. `None`:
-    /// emitters off and sampling stopped, both done when the call returns.
+    /// emitters off and sampling stopped, both done when the call returns. With any fault
+    /// but [`HardwareFault::Emitters`] the emitters are off all the same.
     ///
     /// Scans of an earlier configuration are not handed out after this call; those that
     /// had not been collected are gone, and the sequence shows it.
@@ -40,7 +41,7 @@ pub trait Hardware {
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError>;
 
     /// Shows the indicator and measures the board's health. Called when the indicator
-    /// changes and with every status.
+    /// changes and twice a second.
     fn housekeeping(&mut self, indicator: Indicator) -> Health;
 
     /// Begins to keep `settings` beyond the loss of supply, or to forget what is kept.
@@ -53,8 +54,8 @@ pub trait Hardware {
     /// [`StorageError`] if it cannot be done.
     fn stored(&mut self) -> Option<Result<(), StorageError>>;
 
-    /// Starts anew. Emitters are off and everything said has been handed to the link
-    /// when this is called. A simulator may have nothing to start.
+    /// Starts anew. Everything said has been sent when this is called, or waited for long
+    /// enough. A simulator may have nothing to start.
     fn reboot(&mut self, target: BootTarget);
 }
 

@@ -51,5 +51,5 @@ extern crate std;
 pub use board::{Board, HOST_GONE_MS, Identity, Link, STATUS_MS, TRANSFER_BYTES, Transfer};
 pub use collector::{BATCH_SCANS, BATCH_SPAN_MS};
 pub use commands::can_run;
-pub use defaults::{DEFAULT_QUEUE_BYTES, default_configuration, default_scaling};
+pub use defaults::{DEFAULT_QUEUE_BYTES, TICK_HZ, default_configuration, default_scaling};
 pub use hardware::{Hardware, Health, Indicator, ScanError, StorageError};

@@ -14,6 +14,7 @@
 use heapless::Vec;
 use slitpose_protocol::{Configuration, HardwareFault, Level, Schedule};
 
+use crate::defaults::TICK_HZ;
 use crate::wiring::{CHANNELS, LEVEL_LINES, check_levels, level_line};
 
 /// Ticks of one period of the converters' clock: 170 MHz / 4 = 42.5 MHz, under the limit
@@ -36,6 +37,12 @@ pub const BOARD_SLOTS: usize = CHANNELS as usize + 1;
 
 /// Ticks after the end of the last conversion until its word is surely in memory.
 const TRANSFER_TICKS: u32 = 170;
+
+/// Shorter frames come faster than they can be read and sent: 20 kHz.
+pub const LEAST_FRAME_TICKS: u32 = TICK_HZ / 20_000;
+
+/// Longer frames are left to nobody: 12 seconds, within half the range of the counter.
+pub const LONGEST_FRAME_TICKS: u32 = i32::MAX as u32;
 
 /// By so much the emitters of a last slot with an idle rest go off early. The compare that
 /// does it comes in every slot, must stay clear of the next one's start, and is still
@@ -87,6 +94,9 @@ impl FramePlan {
         }
         if !schedule.oversampling.is_power_of_two() {
             return Err(HardwareFault::Oversampling { oversampling: schedule.oversampling });
+        }
+        if !(LEAST_FRAME_TICKS..=LONGEST_FRAME_TICKS).contains(&schedule.frame_ticks) {
+            return Err(HardwareFault::Timing);
         }
         check_levels(configuration)?;
         let sampling_code = sampling_code(schedule.conversion_ticks)?;
@@ -230,10 +240,11 @@ mod tests {
         assert_eq!((&plan.periods[..], plan.off_ticks), (&[42_500][..], Some(5_768)));
         assert_eq!(plan.lit_at[..], [0, 1, 2, 3, 4, 5]);
         assert!(plan.dark_at.is_empty());
-        configuration.schedule.frame_ticks = 5_800;
+        configuration.schedule.slot_ticks = 8_500;
+        configuration.schedule.frame_ticks = 8_500;
         configuration.levels.iter_mut().for_each(|level| *level = Level(0x4000));
         let plan = FramePlan::new(&configuration).unwrap();
-        assert_eq!((&plan.periods[..], plan.off_ticks), (&[5_800][..], None));
+        assert_eq!((&plan.periods[..], plan.off_ticks), (&[8_500][..], None));
         assert_eq!(plan.level_codes[0][..], [1_024]);
     }
 
@@ -259,6 +270,25 @@ mod tests {
         let mut configuration = default_configuration();
         configuration.schedule.settling_ticks = 107;
         assert_eq!(FramePlan::new(&configuration).unwrap().trigger_ticks, 1);
+    }
+
+    #[test]
+    fn frames_beyond_reading_or_counting_are_refused() {
+        let frame = |ticks| {
+            let mut configuration = default_configuration();
+            let schedule = &mut configuration.schedule;
+            schedule.slots.truncate(1);
+            schedule.slots[0] = EmitterSet::of(&[0]);
+            (schedule.cells, schedule.slot_ticks, schedule.frame_ticks) = (1, ticks, ticks);
+            schedule.settling_ticks = ticks - 4 * 148;
+            configuration.levels.truncate(1);
+            assert_eq!(configuration.schedule.validate(), Ok(()));
+            FramePlan::new(&configuration)
+        };
+        assert_eq!(frame(LEAST_FRAME_TICKS - 1), Err(HardwareFault::Timing));
+        assert_eq!(frame(u32::MAX), Err(HardwareFault::Timing));
+        assert!(frame(LEAST_FRAME_TICKS).is_ok());
+        assert!(frame(LONGEST_FRAME_TICKS).is_ok_and(|plan| plan.done_ticks > LONGEST_FRAME_TICKS));
     }
 
     #[test]

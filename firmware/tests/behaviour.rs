@@ -200,7 +200,7 @@ fn a_stop_that_fails_is_tried_until_it_is_dark() {
     board.receive(&request(2, Command::Stop));
     let heard = turn(&mut board, &mut listener);
     assert!(is_event(&heard[0], "may still be lit"), "{heard:?}");
-    assert_eq!(heard[1..], [rejected(2, Rejection::Hardware(HardwareFault::Converters))]);
+    assert_eq!(heard[1..], [rejected(2, Rejection::Hardware(HardwareFault::Emitters))]);
     assert!(!board.is_acquiring() && board.hardware_mut().running.is_some());
     assert_eq!(board.hardware_mut().indicator, Some(Indicator::Fault));
     assert_eq!(turn(&mut board, &mut listener), [], "told once");
@@ -390,13 +390,29 @@ fn a_reboot_waits_for_its_reply_but_not_for_ever() {
     assert_eq!(board.hardware_mut().rebooted, None);
     let heard = turn(&mut board, &mut listener);
     assert_eq!((sequences(&heard).len(), heard.last()), (1, Some(&accepted(2))));
+    // The link has it, but may still be sending it.
+    board.poll(Link::Open);
+    assert_eq!(board.hardware_mut().rebooted, None);
+    board.hardware_mut().now += 10 * MS;
     board.poll(Link::Open);
     assert_eq!(board.hardware_mut().rebooted.take(), Some(BootTarget::BootLoader));
 
     board.receive(&request(3, Command::Reboot(BootTarget::Firmware)));
     board.poll(Link::Open);
     assert_eq!(board.hardware_mut().rebooted, None);
-    board.hardware_mut().now += 100 * MS;
+    // Nobody reads; and what was started meanwhile is stopped.
+    board.receive(&request(4, Command::Start));
+    board.hardware_mut().now += 200 * MS;
+    board.poll(Link::Open);
+    assert_eq!(board.hardware_mut().rebooted.take(), Some(BootTarget::Firmware));
+    assert!(!board.is_acquiring());
+
+    // Hardware that does not go dark does not hold a reset up.
+    board.receive(&request(5, Command::Start));
+    board.hardware_mut().refuse_dark = u32::MAX;
+    board.receive(&request(6, Command::Reboot(BootTarget::Firmware)));
+    board.hardware_mut().running = None;
+    board.hardware_mut().now += 200 * MS;
     board.poll(Link::Open);
     assert_eq!(board.hardware_mut().rebooted, Some(BootTarget::Firmware));
 }
@@ -434,4 +450,30 @@ fn exposure_changes_levels_between_batches() {
     board.hardware_mut().sample(1);
     let heard = turn(&mut board, &mut listener);
     assert!(matches!(&heard[0], Heard::Scan { scan, .. } if scan.levels() == [halved; 2]), "{heard:?}");
+}
+
+#[test]
+fn a_host_that_has_gone_gets_no_reply_through_the_next_one() {
+    let (mut board, mut listener) = opened();
+    board.hardware_mut().storing_polls = 3;
+    board.receive(&request(1, Command::Store(Hashes { scene: Some(7), calibration: None })));
+    board.poll(Link::Closed);
+    let heard = turn(&mut board, &mut listener);
+    assert!(matches!(heard[..], [Heard::Hello { .. }]), "{heard:?}");
+    let heard: Vec<_> = (0..3).flat_map(|_| turn(&mut board, &mut listener)).collect();
+    assert!(matches!(heard[..], [Heard::Hello { hashes: Hashes { scene: Some(7), .. }, .. }]), "{heard:?}");
+}
+
+#[test]
+fn converters_that_do_not_stop_leave_no_doubt_about_the_light() {
+    let (mut board, mut listener) = opened();
+    board.receive(&request(1, Command::Start));
+    board.hardware_mut().deaf_converters = true;
+    board.receive(&request(2, Command::Stop));
+    let heard = turn(&mut board, &mut listener);
+    assert!(is_event(&heard[1], "sampling may not have stopped"), "{heard:?}");
+    assert_eq!(heard[2..], [rejected(2, Rejection::Hardware(HardwareFault::Converters))]);
+    let asked = board.hardware_mut().asked_dark;
+    board.poll(Link::Open);
+    assert_eq!(board.hardware_mut().asked_dark, asked, "it is dark");
 }

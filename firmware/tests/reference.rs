@@ -158,6 +158,10 @@ impl Life {
         let now = self.board.hardware_mut().now;
         self.board.poll(if self.reference.open { Link::Open } else { Link::Closed });
         self.reference.poll(now);
+        if self.board.hardware_mut().rebooted.take().is_some() {
+            // Whatever was started between the command and the reboot.
+            self.reference.acquiring = false;
+        }
         assert_eq!(self.board.is_acquiring(), self.reference.acquiring);
         let lit = self.board.hardware_mut().running.is_some();
         assert_eq!(lit, self.reference.acquiring, "light only while acquiring");
@@ -174,7 +178,9 @@ impl Life {
     fn step(&mut self, step: Step) {
         match step {
             Step::Order(command) => self.order(command),
-            Step::Noise(bytes) => self.board.receive(&bytes),
+            Step::Noise(bytes) => {
+                self.board.receive(&bytes);
+            }
             Step::Sample(count) => self.board.hardware_mut().sample(count),
             Step::Overrun(count) => self.board.hardware_mut().overrun(count),
             Step::Level(level) => self.board.hardware_mut().set_level(Level(level)),

@@ -35,6 +35,8 @@ pub struct Fake {
     pub refuse_light: Option<HardwareFault>,
     /// How many attempts to go dark will fail.
     pub refuse_dark: u32,
+    /// The next attempt to stop goes dark, but the converters do not answer.
+    pub deaf_converters: bool,
     /// How often the core asked for darkness.
     pub asked_dark: u32,
     pub indicator: Option<Indicator>,
@@ -108,6 +110,10 @@ impl Hardware for Fake {
             self.asked_dark += 1;
             if self.refuse_dark > 0 {
                 self.refuse_dark -= 1;
+                return Err(HardwareFault::Emitters);
+            }
+            if std::mem::take(&mut self.deaf_converters) {
+                self.running = None;
                 return Err(HardwareFault::Converters);
             }
         }

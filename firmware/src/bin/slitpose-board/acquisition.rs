@@ -9,16 +9,18 @@
 //!             ─compare 1, 3─▶ transfers ─▶ level lines         (only where levels differ)
 //! ```
 //! Which frame a word belongs to follows from the device clock, which runs from the same
-//! oscillator: frame n of a run starts n periods after the run did. Where the transfers
-//! are in their tables is compared with that at every poll; when they disagree, or words
-//! were lost on the way, everything is stopped and started again in step, and the frames
-//! in between are missing from the sequence.
+//! oscillator: frame n of a run starts n periods after the run did. Where all transfers are
+//! in their tables is compared with that at every poll, before anything is handed out; when
+//! they disagree, or words were lost on the way, everything is stopped and started again in
+//! step, and the frames in between are missing from the sequence. If that does not help
+//! either, it ends in a fault.
 
 use core::sync::atomic::{AtomicU16, AtomicU32, Ordering, fence};
 
 use embassy_stm32::pac::timer::vals::{Mms, Ocm, Urs};
 use embassy_stm32::peripherals::{ADC1, ADC2, DMA1_CH1, TIM2};
 use embassy_stm32::{Peri, pac, rcc};
+use heapless::Vec;
 use slitpose_firmware::ScanError;
 use slitpose_firmware::timing::{BOARD_SLOTS, FramePlan};
 use slitpose_firmware::wiring::LEVEL_LINES;
@@ -26,7 +28,7 @@ use slitpose_protocol::{Configuration, HardwareFault, Levels, RawScan};
 
 use crate::clock::Clock;
 use crate::converters::{Converters, Unresponsive};
-use crate::emitters::Emitters;
+use crate::emitters::{Emitters, GATE_TRANSFER, LATE_TRANSFER};
 use crate::supply;
 use crate::transfers::{Channel, Table};
 
@@ -36,9 +38,12 @@ const RING_WORDS: usize = 2048;
 /// Frames of a ring that are not read any more because they may be overwritten meanwhile.
 const MARGIN_FRAMES: u64 = 2;
 
-/// Ticks around a slot's start in which the transfers may be done or not: looking at the
-/// clock and at them takes some twenty.
-const SLOT_EDGE_TICKS: u32 = 128;
+/// Ticks around an event in which its transfer may be done or not: looking at the clock and
+/// at all transfers takes less than half of that.
+const EDGE_TICKS: u32 = 128;
+
+/// So many restarts without a frame in between are a fault.
+const RESTARTS: u32 = 3;
 
 static WORDS: [[AtomicU16; RING_WORDS]; 2] = [const { [const { AtomicU16::new(0) }; RING_WORDS] }; 2];
 static PERIODS: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
@@ -68,6 +73,20 @@ struct Run {
     sequence: u64,
     tick: u64,
     place: u32,
+    /// Frames from there on that are known to be whole.
+    proven: u64,
+    /// Restarts since the last whole frame.
+    restarts: u32,
+    /// Transfers that make a round of the slots, and when in a slot they do their step.
+    rounds: Vec<(Channel, u32), 5>,
+}
+
+/// Where everything was at one instant.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    now: u64,
+    words_left: [u32; 2],
+    rounds_left: [u16; 5],
 }
 
 impl Acquisition {
@@ -91,8 +110,11 @@ impl Acquisition {
         clock: &mut Clock,
     ) -> Result<(), HardwareFault> {
         let plan = FramePlan::new(configuration)?;
+        // What the supply once did is forgiven at a start, not at a change under way.
+        if self.run.is_none() {
+            supply::forgive();
+        }
         self.stop(emitters, clock)?;
-        supply::forgive();
         let run = Run {
             frames_in_ring: (RING_WORDS / plan.words()) as u32,
             plan,
@@ -100,6 +122,9 @@ impl Acquisition {
             sequence: self.next_sequence,
             tick: 0,
             place: 0,
+            proven: 0,
+            restarts: 0,
+            rounds: Vec::new(),
         };
         self.launch(run, emitters, clock)
     }
@@ -125,17 +150,14 @@ impl Acquisition {
         let Some(run) = &mut self.run else {
             return Ok(false);
         };
-        // Behind an overrun the converters' words move up in the rings.
-        if self.converters.has_overrun() {
-            return self.restart(emitters, clock);
-        }
-        let now = clock.now();
-        if now < run.tick + u64::from(run.plan.done_ticks) {
-            return if run.is_in_step(now, emitters) { Ok(false) } else { self.restart(emitters, clock) };
-        }
-        let behind = now - run.tick;
-        if behind >= (u64::from(run.frames_in_ring) - MARGIN_FRAMES) * u64::from(run.plan.frame_ticks) {
-            return self.restart(emitters, clock);
+        if run.proven == 0 {
+            // Behind an overrun the converters' words move up in the rings.
+            let proven = if self.converters.has_overrun() { None } else { run.prove(run.look(clock)) };
+            match proven {
+                Some(0) => return Ok(false),
+                Some(frames) => run.proven = frames,
+                None => return self.restart(emitters, clock),
+            }
         }
         run.read(scan);
         run.advance();
@@ -155,27 +177,33 @@ impl Acquisition {
         let Some(mut run) = self.run.take() else {
             return Ok(false);
         };
-        let lost = run.finished(clock.now()).max(1);
-        run.sequence += lost;
+        run.sequence += run.finished(clock.now()).max(1);
+        run.restarts += 1;
         self.next_sequence = run.sequence;
-        self.halt(emitters).and_then(|()| self.launch(run, emitters, clock)).map_err(ScanError::Fault)?;
+        self.halt(emitters).map_err(ScanError::Fault)?;
+        if run.restarts > RESTARTS {
+            return Err(ScanError::Fault(HardwareFault::Converters));
+        }
+        self.launch(run, emitters, clock).map_err(ScanError::Fault)?;
         Err(ScanError::Overrun)
     }
 
     fn halt(&mut self, emitters: &mut Emitters) -> Result<(), HardwareFault> {
         let is_dark = emitters.darken();
-        let timer = pac::TIM2;
-        timer.dier().write(|_| {});
+        pac::TIM2.dier().write(|_| {});
+        let converters = self.converters.stop();
         for channel in WORD_TRANSFERS.into_iter().chain(LEVEL_TRANSFERS).chain([PERIOD_TRANSFER]) {
             channel.stop();
         }
-        self.converters.disarm().map_err(|Unresponsive| HardwareFault::Converters)?;
-        if is_dark { Ok(()) } else { Err(HardwareFault::Emitters) }
+        if !is_dark {
+            return Err(HardwareFault::Emitters);
+        }
+        converters.map_err(|Unresponsive| HardwareFault::Converters)
     }
 
     /// Sets everything up at a standstill and lets go.
     fn launch(&mut self, mut run: Run, emitters: &mut Emitters, clock: &mut Clock) -> Result<(), HardwareFault> {
-        run.place = 0;
+        (run.place, run.proven) = (0, 0);
         // The timer starts at the very end of a period: its first update begins slot 0, like
         // all that follow.
         let timer = pac::TIM2;
@@ -217,11 +245,13 @@ impl Acquisition {
                 LEVEL_TRANSFERS[line].feed(Emitters::level_register(line), table);
             }
         }
+        run.rounds = rounds(plan, has_rest, varies);
+        self.converters.prepare(plan).map_err(|Unresponsive| HardwareFault::Converters)?;
         let ring = run.frames_in_ring as usize * plan.words();
         for ((channel, register), words) in WORD_TRANSFERS.into_iter().zip(Converters::data()).zip(&WORDS) {
             channel.collect(register, Table::of_halves(&words[..ring]));
         }
-        self.converters.arm(plan).map_err(|Unresponsive| HardwareFault::Converters)?;
+        self.converters.start();
         timer.sr().write(|_| {});
         timer.dier().write(|w| {
             w.set_ude(true);
@@ -255,6 +285,8 @@ impl Run {
     }
 
     fn advance(&mut self) {
+        self.proven -= 1;
+        self.restarts = 0;
         self.sequence += 1;
         self.tick += u64::from(self.plan.frame_ticks);
         self.place = if self.place + 1 == self.frames_in_ring { 0 } else { self.place + 1 };
@@ -280,38 +312,88 @@ impl Run {
         }
     }
 
-    /// Whether the transfers are where they must be at `now`, which lies in the frame that
-    /// is handed out next, or in the idle rest before it.
-    fn is_in_step(&self, now: u64, emitters: &Emitters) -> bool {
-        if emitters.has_failed() || WORD_TRANSFERS.iter().any(|channel| channel.has_failed()) {
-            return false;
+    /// Looks at the clock and at all transfers, with nothing in between.
+    fn look(&self, clock: &mut Clock) -> Look {
+        cortex_m::interrupt::free(|_| {
+            let mut rounds_left = [0; 5];
+            let now = clock.now();
+            for (left, (channel, _)) in rounds_left.iter_mut().zip(&self.rounds) {
+                *left = channel.remaining();
+            }
+            Look { now, words_left: WORD_TRANSFERS.map(|channel| channel.remaining().into()), rounds_left }
+        })
+    }
+
+    /// The number of whole frames there are, if all transfers are where they must be.
+    fn prove(&self, look: Look) -> Option<u64> {
+        if WORD_TRANSFERS.iter().chain(self.rounds.iter().map(|(channel, _)| channel)).any(|c| c.has_failed()) {
+            return None;
+        }
+        let finished = self.finished(look.now);
+        if finished >= u64::from(self.frames_in_ring) - MARGIN_FRAMES {
+            return None;
         }
         let (words, ranks) = (self.plan.words() as u32, u32::from(self.plan.ranks));
         let ring = self.frames_in_ring * words;
-        let written = WORD_TRANSFERS.map(|channel| ring - u32::from(channel.remaining()));
-        let [first, second] = written.map(|at| (at + ring - self.place * words) % ring);
-        let Some((slot, is_at_edge)) = self.slot_at(now) else {
-            return first == 0 && second == 0;
+        let [first, second] = look.words_left.map(|left| {
+            let written = (ring - left + ring - self.place * words) % ring;
+            written.wrapping_sub(finished as u32 * words)
+        });
+        let Some(at) = self.slot_at(look.now, finished) else {
+            // In the idle rest before the next frame.
+            return (first == 0 && second == 0).then_some(finished);
         };
         // Within a slot its words come in; at its edges it may be the one before or after.
-        let slack = if is_at_edge { ranks } else { 0 };
-        let least = (slot * ranks).saturating_sub(slack);
-        let most = (slot + 1) * ranks + slack;
-        let are_words_in_step = first.abs_diff(second) <= 1 && (least..=most).contains(&first);
-        let slots = self.plan.periods.len();
-        are_words_in_step && (is_at_edge || emitters.next_slot(slots) == (slot as usize + 1) % slots)
+        let slack = if at.is_at_edge { ranks } else { 0 };
+        let expected = (at.slot * ranks).saturating_sub(slack)..=(at.slot + 1) * ranks + slack;
+        let is_in_step = first.abs_diff(second) <= 1 && expected.contains(&first) && self.rounds_fit(&at, look);
+        is_in_step.then_some(finished)
     }
 
-    /// The slot that `now` lies in, and whether near one of its ends; `None` before the
-    /// frame begins.
-    fn slot_at(&self, now: u64) -> Option<(u32, bool)> {
-        let into_frame = now.checked_sub(self.tick)? as u32;
+    fn rounds_fit(&self, at: &At, look: Look) -> bool {
+        let slots = self.plan.periods.len() as u32;
+        self.rounds.iter().zip(look.rounds_left).all(|(&(_, step), left)| {
+            let is_near = at.is_at_edge || at.into_slot.abs_diff(step) < EDGE_TICKS;
+            let done = at.slot + u32::from(at.into_slot > step);
+            is_near || u32::from(left) == slots - done % slots
+        })
+    }
+
+    /// Where `now` lies in the frame behind `finished` ones; `None` before that begins.
+    fn slot_at(&self, now: u64, finished: u64) -> Option<At> {
+        let start = self.tick + finished * u64::from(self.plan.frame_ticks);
+        let into_frame = now.checked_sub(start)? as u32;
         let last = self.plan.periods.len() as u32 - 1;
         let period = self.plan.periods[0];
         // All slots but the last are as long as the first.
         let slot = if last == 0 { 0 } else { (into_frame / period).min(last) };
         let into_slot = into_frame - slot * period;
         let to_next = self.plan.periods[slot as usize].saturating_sub(into_slot);
-        Some((slot, into_slot < SLOT_EDGE_TICKS || to_next < SLOT_EDGE_TICKS))
+        Some(At { slot, into_slot, is_at_edge: into_slot < EDGE_TICKS || to_next < EDGE_TICKS })
     }
+}
+
+/// A place in a frame.
+#[derive(Debug, Clone, Copy)]
+struct At {
+    slot: u32,
+    into_slot: u32,
+    /// Near the beginning or the end of the slot.
+    is_at_edge: bool,
+}
+
+/// The transfers of a run that make one step a slot, and when they do.
+fn rounds(plan: &FramePlan, has_rest: bool, varies: [bool; LEVEL_LINES]) -> Vec<(Channel, u32), 5> {
+    let mut rounds = Vec::new();
+    let levels = LEVEL_TRANSFERS.into_iter().zip(varies).filter(|&(_, varies)| varies);
+    let all = [(GATE_TRANSFER, 0)]
+        .into_iter()
+        .chain(levels.map(|(channel, _)| (channel, 1)))
+        .chain(has_rest.then_some((PERIOD_TRANSFER, plan.trigger_ticks)))
+        .chain(plan.off_ticks.map(|off_ticks| (LATE_TRANSFER, off_ticks)));
+    for round in all {
+        // One of each: they fit.
+        let _ = rounds.push(round);
+    }
+    rounds
 }

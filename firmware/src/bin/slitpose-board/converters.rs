@@ -6,6 +6,7 @@ use embassy_stm32::pac::adc::vals::{Adstp, Dmacfg, Dmaen, Exten, Ovrmod, Rovsm, 
 use embassy_stm32::pac::adccommon::vals::Ckmode;
 use embassy_stm32::peripherals::{ADC1, ADC2};
 use embassy_stm32::{Peri, pac, rcc};
+use slitpose_firmware::TICK_HZ;
 use slitpose_firmware::timing::FramePlan;
 use slitpose_firmware::wiring::CHANNELS;
 
@@ -18,7 +19,11 @@ const INPUTS: [[u8; CHANNELS as usize]; 2] = [[1, 2, 6, 7, 8, 9], [4, 5, 11, 12,
 const TRIGGER: u8 = 11;
 
 /// Core cycles the converters' regulator takes to come up: 20 µs (data sheet, t_ADCVREG).
-const REGULATOR_CYCLES: u32 = 20 * 170;
+const REGULATOR_CYCLES: u32 = TICK_HZ / 1_000_000 * 20;
+
+/// Core cycles between the last change at the trigger's input and listening to it: several
+/// periods of the converters' clock.
+const TRIGGER_CYCLES: u32 = 64;
 
 /// How often a flag is looked at before it is given up: some 60 µs, several times what
 /// any of them takes but calibration.
@@ -58,8 +63,8 @@ impl Converters {
         both().map(|adc| adc.dr().as_ptr().cast())
     }
 
-    /// Arms both for scans of `plan`: the next edge starts the first.
-    pub fn arm(&mut self, plan: &FramePlan) -> Result<(), Unresponsive> {
+    /// Readies both for scans of `plan`, with no word and no request left of earlier ones.
+    pub fn prepare(&mut self, plan: &FramePlan) -> Result<(), Unresponsive> {
         if !self.is_up {
             power_up()?;
             self.is_up = true;
@@ -67,21 +72,34 @@ impl Converters {
         for (adc, inputs) in both().into_iter().zip(&INPUTS) {
             configure(adc, inputs, plan);
         }
-        for adc in both() {
-            adc.cr().modify(|w| w.set_adstart(true));
-        }
         Ok(())
     }
 
-    /// Ends sampling; a conversion under way is dropped.
-    pub fn disarm(&mut self) -> Result<(), Unresponsive> {
+    /// From now on each edge of the trigger starts a scan. Whoever takes the words is ready.
+    pub fn start(&mut self) {
+        for adc in both() {
+            adc.cfgr().modify(|w| w.set_dmaen(Dmaen::ENABLE));
+        }
+        cortex_m::asm::delay(TRIGGER_CYCLES);
+        for adc in both() {
+            adc.cr().modify(|w| w.set_adstart(true));
+        }
+    }
+
+    /// Ends sampling; a conversion under way is dropped, and so is a word that has not been
+    /// fetched: its request would outlive the stop and put it ahead of the next run's words.
+    pub fn stop(&mut self) -> Result<(), Unresponsive> {
+        let mut outcome = Ok(());
         for adc in both() {
             if adc.cr().read().adstart() {
                 adc.cr().modify(|w| w.set_adstp(Adstp::STOP));
-                wait(PATIENCE, || !adc.cr().read().adstart())?;
+                outcome = outcome.and(wait(PATIENCE, || !adc.cr().read().adstart()));
             }
+            adc.cfgr().modify(|w| w.set_dmaen(Dmaen::DISABLE));
+            let _ = adc.dr().read();
+            forget(adc);
         }
-        Ok(())
+        outcome
     }
 
     /// Whether a word of either was overwritten before it was fetched.
@@ -92,7 +110,11 @@ impl Converters {
 
 /// RM0440, ADC: regulator, calibration, enable, in this order, each waited for.
 fn power_up() -> Result<(), Unresponsive> {
-    // A quarter of the bus clock: exact ratio to the timers, so no jitter at the trigger.
+    // From the beginning, also if an earlier attempt got half-way.
+    pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(true));
+    pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(false));
+    // A quarter of the bus clock: with slots of whole periods of it the trigger has no
+    // jitter, with others up to one period.
     pac::ADC12_COMMON.ccr().modify(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
     for adc in both() {
         adc.cr().modify(|w| w.set_deeppwd(false));
@@ -145,13 +167,18 @@ fn configure(adc: Adc, inputs: &[u8], plan: &FramePlan) {
         w.set_rovsm(Rovsm::CONTINUED);
     });
     adc.cfgr().write(|w| {
-        w.set_dmaen(Dmaen::ENABLE);
+        w.set_dmaen(Dmaen::DISABLE);
         w.set_dmacfg(Dmacfg::CIRCULAR);
         w.set_extsel(TRIGGER);
         w.set_exten(Exten::RISING_EDGE);
         w.set_ovrmod(Ovrmod::PRESERVE);
         w.set_jqdis(true);
     });
+    forget(adc);
+}
+
+/// Clears the flags of what has been converted.
+fn forget(adc: Adc) {
     adc.isr().write(|w| {
         w.set_eoc(true);
         w.set_eos(true);

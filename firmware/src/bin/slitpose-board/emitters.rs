@@ -7,6 +7,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::dac::Dac;
 use embassy_stm32::peripherals::{DAC1, DAC2};
 use embassy_stm32::{Peri, rcc};
+use slitpose_firmware::TICK_HZ;
 use slitpose_firmware::timing::BOARD_SLOTS;
 use slitpose_firmware::wiring::{CHANNELS, LEVEL_LINES};
 
@@ -18,6 +19,9 @@ const FIRST_PIN: u32 = 6;
 /// All gates, as bits of the port.
 const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
 
+/// Core cycles in which a pin surely follows: a microsecond.
+const PIN_CYCLES: u32 = TICK_HZ / 1_000_000;
+
 /// What to write to the port for each slot: gates to set in the lower half word, gates to
 /// clear in the upper.
 static SLOT_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
@@ -27,19 +31,23 @@ static SLOT_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOAR
 static LATE_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
 
 /// On every update of the frame timer: gates of the slot that begins.
-const GATE_TRANSFER: Channel = Channel::new(2, 60);
+pub const GATE_TRANSFER: Channel = Channel::new(2, 60);
 /// On compare 4 of the frame timer, once a slot: all gates off, if it is the last.
-const LATE_TRANSFER: Channel = Channel::new(3, 59);
+pub const LATE_TRANSFER: Channel = Channel::new(3, 59);
 
 /// Gates, as outputs, and the converters behind the level lines.
 pub struct Emitters {
     _gates: [Output<'static>; CHANNELS as usize],
+    /// Switches the emitters' supply on: a pin that the controller's own boot loader leaves
+    /// alone, unlike the gates.
+    _supply: Output<'static>,
 }
 
 impl Emitters {
     /// All dark, at level zero.
     pub fn new(
         gates: [Output<'static>; CHANNELS as usize],
+        supply: Output<'static>,
         _first: Peri<'static, DAC1>,
         _second: Peri<'static, DAC2>,
     ) -> Self {
@@ -51,7 +59,7 @@ impl Emitters {
             dac.dhr12r(0).write(|w| w.set_dhr(0));
             dac.cr().write(|w| w.set_en(0, true));
         }
-        Self { _gates: gates }
+        Self { _gates: gates, _supply: supply }
     }
 
     /// Readies the gates for the first slot of `slots` at the next update of the frame
@@ -73,28 +81,19 @@ impl Emitters {
         }
     }
 
-    /// The slot whose gates come next.
-    pub fn next_slot(&self, slots: usize) -> usize {
-        slots - usize::from(GATE_TRANSFER.remaining())
-    }
-
-    /// Whether a transfer has failed.
-    pub fn has_failed(&self) -> bool {
-        GATE_TRANSFER.has_failed() || LATE_TRANSFER.has_failed()
-    }
-
     /// Sets a level line.
     pub fn set_level(&mut self, line: usize, code: u16) {
         lines()[line].dhr12r(0).write(|w| w.set_dhr(code));
     }
 
-    /// Dark, and level lines at zero. Whether the gates are off is read back.
+    /// Dark, and level lines at zero. Whether the gates are low is read back at the pins.
     pub fn darken(&mut self) -> bool {
         darken();
         for line in lines() {
             line.dhr12r(0).write(|w| w.set_dhr(0));
         }
-        pac::GPIOC.odr().read().0 & GATES == 0
+        cortex_m::asm::delay(PIN_CYCLES);
+        pac::GPIOC.idr().read().0 & GATES == 0
     }
 
     /// Address of the register that sets a level line.

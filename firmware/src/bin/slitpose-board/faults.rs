@@ -18,6 +18,9 @@ const PANICKED: u32 = 0x736c_6970;
 /// It ended to start the boot loader.
 const BOOT_LOADER: u32 = 0x736c_6962;
 
+/// How often the access to the word is looked at before it is taken for granted.
+const WRITE_ACCESS_LOOKS: u32 = 100;
+
 /// The controller's boot loader in system memory.
 const BOOT_LOADER_VECTORS: *const u32 = 0x1fff_0000 as *const u32;
 
@@ -70,6 +73,7 @@ pub fn give_up() -> ! {
 
 fn recall() -> u32 {
     pac::RCC.apb1enr1().modify(|w| w.set_rtcapben(true));
+    let _ = pac::RCC.apb1enr1().read();
     pac::TAMP.bkpr(0).read().bkp()
 }
 
@@ -81,10 +85,21 @@ fn remember(word: u32) {
     // Read back, so that the clocks are on before they are needed.
     let _ = pac::RCC.apb1enr1().read();
     pac::PWR.cr1().modify(|w| w.set_dbp(true));
+    // Takes effect a few cycles later.
+    let _ = (0..WRITE_ACCESS_LOOKS).any(|_| pac::PWR.cr1().read().dbp());
     pac::TAMP.bkpr(0).write(|w| w.set_bkp(word));
+    // Read back, so that it has been written before anything else happens.
+    let _ = pac::TAMP.bkpr(0).read();
 }
 
 fn start_boot_loader() -> ! {
+    // It takes its interrupts from address 0, where system memory is to be seen for that
+    // (RM0440, SYSCFG_MEMRMP).
+    pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
+    let _ = pac::RCC.apb2enr().read();
+    pac::SYSCFG.memrmp().modify(|w| w.set_mem_mode(1));
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
     // SAFETY: system memory starts with a vector table, and nothing has been set up yet
     // that the boot loader would have to find undone.
     #[allow(unsafe_code)]
@@ -108,19 +123,23 @@ unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
     give_up()
 }
 
-/// Flash memory that was torn by a power cut answers with two wrong bits: what is read is
-/// rubbish, which its reader finds out. Anything else that cannot be masked ends here.
+/// Flash memory that was torn by a power cut answers with two wrong bits. In the second
+/// bank, which holds settings only, what is read is rubbish, and its reader finds out. In
+/// the first bank it is the program itself that cannot be trusted.
 // SAFETY: it only looks at the memory's error flags.
 #[allow(unsafe_code)]
 #[exception]
 unsafe fn NonMaskableInt() {
     let errors = pac::FLASH.eccr().read();
-    if errors.eccd() || errors.eccd2() {
-        pac::FLASH.eccr().modify(|w| {
-            w.set_eccd(true);
-            w.set_eccd2(true);
-        });
-    } else {
+    let is_settings = errors.bk_ecc() && !errors.sysf_ecc();
+    if (errors.eccd() || errors.eccd2()) && !is_settings {
         give_up();
     }
+    pac::FLASH.eccr().modify(|w| {
+        w.set_eccd(true);
+        w.set_eccd2(true);
+    });
+    // Cleared before the way back, or it would come again.
+    let _ = pac::FLASH.eccr().read();
+    cortex_m::asm::dsb();
 }

@@ -70,7 +70,7 @@ const WATCHDOG_US: u32 = 100_000;
 const POLL: Duration = Duration::from_millis(1);
 
 #[embassy_executor::main]
-async fn main(spawner: Spawner) {
+async fn main(#[allow(unused_variables, reason = "an image may have no tasks")] spawner: Spawner) {
     let reset_cause = faults::reset_cause();
     let mut p = embassy_stm32::init(config());
     supply::boost();
@@ -87,12 +87,14 @@ async fn main(spawner: Spawner) {
     supply::watch();
 
     #[cfg(feature = "storage")]
-    let (flash, settings) = storage::open(p.FLASH);
+    let (store, settings) = storage::open(p.FLASH).unzip();
+    #[cfg(feature = "storage")]
+    let settings = settings.flatten();
     #[cfg(not(feature = "storage"))]
     let settings: Option<slitpose_firmware::settings::Settings> = None;
 
     let hardware = BoardHardware::new(
-        emitters::Emitters::new(emitters, p.DAC1, p.DAC2),
+        emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
         Acquisition::new(p.ADC1, p.ADC2, p.TIM2, p.DMA1_CH1),
         clock::Clock::start(p.TIM5),
         Output::new(p.PA5, Level::Low, Speed::Low),
@@ -125,10 +127,9 @@ async fn main(spawner: Spawner) {
     #[cfg(feature = "uart")]
     link::uart::spawn(spawner, links, p.LPUART1, p.PA3, p.PA2, p.DMA2_CH1, p.DMA2_CH2);
     #[cfg(feature = "storage")]
-    if let Ok(task) = storage::keep(flash) {
+    if let Some(Ok(task)) = store.map(storage::keep) {
         spawner.spawn(task);
     }
-    let _ = spawner;
 
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
     watchdog.unleash();

@@ -1,9 +1,11 @@
 //! Settings in the flash memory's second bank, written while the program runs from the
 //! first.
 
-use embassy_stm32::Peri;
+use core::sync::atomic::{AtomicBool, Ordering};
+
 use embassy_stm32::flash::{Async, Bank2Region, Flash};
 use embassy_stm32::peripherals::FLASH;
+use embassy_stm32::{Peri, pac};
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_sync::signal::Signal;
 use slitpose_firmware::StorageError;
@@ -29,18 +31,29 @@ pub struct Store {
     pages: &'static mut Pages,
 }
 
-/// Opens the memory and reads what is kept there.
-pub fn open(flash: Peri<'static, FLASH>) -> (Store, Option<Settings>) {
+/// Whether there is a second bank: without it the settings' pages are the program's.
+static HAS_BANK: AtomicBool = AtomicBool::new(false);
+
+/// Opens the memory and reads what is kept there; `None` without a second bank.
+pub fn open(flash: Peri<'static, FLASH>) -> Option<(Store, Option<Settings>)> {
+    if !pac::FLASH.optr().read().dbank() {
+        return None;
+    }
+    HAS_BANK.store(true, Ordering::Relaxed);
     let bank = Flash::new(flash, Interrupts).into_regions().bank2_region;
     let mut store = Store { bank, pages: PAGES.take() };
     let settings = if store.load() { settings::stored(store.pages) } else { None };
-    (store, settings)
+    Some((store, settings))
 }
 
 /// Begins to keep `settings`.
 pub fn begin(settings: Option<Settings>) {
     DONE.reset();
-    WANTED.signal(settings);
+    if HAS_BANK.load(Ordering::Relaxed) {
+        WANTED.signal(settings);
+    } else {
+        DONE.signal(Err(StorageError));
+    }
 }
 
 /// How it went, once it is over.
@@ -78,7 +91,8 @@ impl Store {
         }
         let offset = page + append.offset as u32;
         self.bank.write(offset, &append.record).await.map_err(|_| StorageError)?;
-        // Believed only when read back.
+        // Believed only when read back: the driver's interrupt clears the error flags before
+        // the driver looks at them (embassy-stm32 0.6.0).
         let is_kept = self.load() && settings::stored(self.pages).as_ref() == settings;
         if is_kept { Ok(()) } else { Err(StorageError) }
     }

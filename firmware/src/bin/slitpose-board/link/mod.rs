@@ -11,7 +11,7 @@ use embassy_executor::{SpawnError, SpawnToken, Spawner};
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_time::Duration;
-use slitpose_firmware::{Link, Transfer};
+use slitpose_firmware::{Link, TICK_HZ, Transfer};
 
 use crate::Core;
 
@@ -32,12 +32,14 @@ pub struct Links {
     owner: Cell<Option<Port>>,
     /// There may be something to send by this port.
     outgoing: [Signal<ThreadModeRawMutex, ()>; 2],
+    /// The board has become free.
+    freed: Signal<ThreadModeRawMutex, ()>,
 }
 
 impl Links {
     /// Nobody talks yet.
     pub fn new(core: &'static Core) -> Self {
-        Self { core, owner: Cell::new(None), outgoing: [Signal::new(), Signal::new()] }
+        Self { core, owner: Cell::new(None), outgoing: [Signal::new(), Signal::new()], freed: Signal::new() }
     }
 
     /// Polls the core; gives how long it can be left alone.
@@ -55,13 +57,17 @@ impl Links {
     }
 
     /// Whether `port` has the board, or has it from now on.
+    #[cfg(feature = "usb")]
     fn claim(&self, port: Port) -> bool {
-        let is_free = self.owner.get().is_none();
-        if is_free {
-            self.owner.set(Some(port));
-            self.poll();
+        if self.owner.get().is_none() {
+            self.take(port);
         }
-        is_free || self.owns(port)
+        self.owns(port)
+    }
+
+    fn take(&self, port: Port) {
+        self.owner.set(Some(port));
+        self.poll();
     }
 
     /// `port` has been closed.
@@ -69,6 +75,7 @@ impl Links {
         if self.owns(port) {
             self.owner.set(None);
             self.poll();
+            self.freed.signal(());
         }
     }
 
@@ -82,12 +89,18 @@ impl Links {
         self.owner.get() == Some(port)
     }
 
-    /// Hands on what came in by `port`, unless another has the board.
-    fn receive(&self, port: Port, bytes: &[u8]) {
-        if self.owner.get().is_none_or(|owner| owner == port) {
-            self.core.lock(|core| core.borrow_mut().receive(bytes));
-            self.wake();
+    /// Hands on what came in by `port`, unless another has the board. Whether there was a
+    /// command in it; with one, `port` has the board.
+    fn receive(&self, port: Port, bytes: &[u8]) -> bool {
+        if !self.owner.get().is_none_or(|owner| owner == port) {
+            return false;
         }
+        let commands = self.core.lock(|core| core.borrow_mut().receive(bytes));
+        if commands > 0 && !self.owns(port) {
+            self.take(port);
+        }
+        self.wake();
+        commands > 0
     }
 
     /// What is to be sent by `port`, as soon as there is something.
@@ -105,7 +118,7 @@ impl Links {
     }
 }
 
-const TICKS_PER_US: u64 = 170;
+const TICKS_PER_US: u64 = TICK_HZ as u64 / 1_000_000;
 
 /// Starts a task. Only one that runs already can be refused, and each is started once.
 fn start<S>(spawner: Spawner, task: Result<SpawnToken<S>, SpawnError>) {

@@ -1,14 +1,15 @@
 //! The link over the debugger's serial port: 3 Mbaud, eight bits, no parity, one stop bit.
 //!
-//! No line says whether anybody listens. The link is open while the host says something,
-//! a ping at least, every [`SILENCE`].
+//! No line says whether anybody listens. The link is open while commands come, a ping at
+//! least every [`SILENCE`]; noise and other programs' probes are no commands.
 
 use embassy_executor::Spawner;
 use embassy_stm32::Peri;
+use embassy_stm32::gpio::Pull;
 use embassy_stm32::mode::Async;
 use embassy_stm32::peripherals::{DMA2_CH1, DMA2_CH2, LPUART1, PA2, PA3};
 use embassy_stm32::usart::{Config, RingBufferedUartRx, Uart, UartTx};
-use embassy_time::{Duration, with_timeout};
+use embassy_time::{Duration, Instant, with_deadline};
 use slitpose_firmware::TRANSFER_BYTES;
 use static_cell::StaticCell;
 
@@ -18,7 +19,7 @@ use crate::Interrupts;
 /// 4 000 frames of 60 bytes a second take 2.4 Mbaud.
 const BAUD: u32 = 3_000_000;
 
-/// A host that says nothing for this long has gone.
+/// A host that commands nothing for this long has gone.
 const SILENCE: Duration = Duration::from_secs(2);
 
 /// Bytes that may arrive between two looks: the longest command and some.
@@ -36,6 +37,8 @@ pub fn spawn(
 ) {
     let mut config = Config::default();
     config.baudrate = BAUD;
+    // Quiet also when the debugger is not powered.
+    config.rx_pull = Pull::Up;
     let Ok(uart) = Uart::new(port, rx, tx, tx_transfer, rx_transfer, Interrupts, config) else {
         return;
     };
@@ -51,26 +54,28 @@ async fn send(links: &'static Links, mut sender: UartTx<'static, Async>) {
     let mut transfer = [0; TRANSFER_BYTES];
     loop {
         let bytes = links.transmit(Port::Uart, &mut transfer).await;
-        // Only a wrong configuration can make it fail, and then there is no link.
-        if sender.write(bytes).await.is_err() {
-            return;
-        }
+        // Fails only by a wrong configuration, which was refused at the start.
+        let _ = sender.write(bytes).await;
     }
 }
 
 #[embassy_executor::task]
 async fn receive(links: &'static Links, mut receiver: RingBufferedUartRx<'static>) {
     let mut bytes = [0; 64];
+    let mut deadline = Instant::now() + SILENCE;
     loop {
-        match with_timeout(SILENCE, receiver.read(&mut bytes)).await {
+        match with_deadline(deadline, receiver.read(&mut bytes)).await {
             Ok(Ok(length)) => {
-                if links.claim(Port::Uart) {
-                    links.receive(Port::Uart, &bytes[..length]);
+                if links.receive(Port::Uart, &bytes[..length]) {
+                    deadline = Instant::now() + SILENCE;
                 }
             }
             // Noise or too much at once: the checksum of what was hit fails.
             Ok(Err(_)) => {}
-            Err(_) => links.release(Port::Uart),
+            Err(_) => {
+                links.release(Port::Uart);
+                deadline = Instant::now() + SILENCE;
+            }
         }
     }
 }

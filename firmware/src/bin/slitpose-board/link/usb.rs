@@ -6,7 +6,7 @@
 use core::cell::Cell;
 
 use embassy_executor::Spawner;
-use embassy_futures::select::{Either, select};
+use embassy_futures::select::{Either, select, select3};
 use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{PA11, PA12, USB};
 use embassy_stm32::usb::Driver;
@@ -125,7 +125,7 @@ async fn open(links: &'static Links, control: ControlChanged<'static>) {
             links.release(Port::Usb);
             CLOSED.signal(());
         }
-        select(control.control_changed(), WAKING.wait()).await;
+        select3(control.control_changed(), WAKING.wait(), links.freed.wait()).await;
     }
 }
 
@@ -152,7 +152,12 @@ async fn receive(links: &'static Links, mut receiver: Receiver<'static, Bus>) {
     let mut packet = [0; PACKET];
     loop {
         match receiver.read_packet(&mut packet).await {
-            Ok(length) => links.receive(Port::Usb, &packet[..length]),
+            // The first command may come before the link has been seen to open.
+            Ok(length) => {
+                if receiver.dtr() && IS_AWAKE.lock(Cell::get) && links.claim(Port::Usb) {
+                    links.receive(Port::Usb, &packet[..length]);
+                }
+            }
             Err(_) => receiver.wait_connection().await,
         }
     }
