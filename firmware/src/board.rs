@@ -326,12 +326,17 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
 
     /// Ends acquisition in good order.
     pub(crate) fn stop(&mut self) -> Result<(), HardwareFault> {
-        if self.acquiring {
+        let was_acquiring = self.acquiring;
+        if was_acquiring {
             self.collect();
-            self.collector.flush(&mut self.outbox);
             self.acquiring = false;
         }
-        if self.emitters == Emitters::Off { Ok(()) } else { self.darken() }
+        // Dark first: making a batch takes its time, in which another scan would be taken.
+        let outcome = if self.emitters == Emitters::Off { Ok(()) } else { self.darken() };
+        if was_acquiring {
+            self.collector.flush(&mut self.outbox);
+        }
+        outcome
     }
 
     /// Ends acquisition because the hardware failed, and says so.

@@ -145,7 +145,6 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             // What the old configuration has finished still belongs to it. Should that
             // end in a fault, the board is idle and the rest is as for an idle one.
             self.collect();
-            self.collector.flush(&mut self.outbox);
         }
         if self.acquiring
             && let Err(fault) = self.hardware.acquire(Some(&new))
@@ -153,6 +152,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             self.fail(fault);
             return Err(Rejection::Hardware(fault));
         }
+        self.collector.flush(&mut self.outbox);
         self.configuration = new;
         self.configuration_number = self.configuration_number.wrapping_add(1);
         self.collector.configure(self.configuration_number, &self.configuration.schedule);

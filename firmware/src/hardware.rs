@@ -20,8 +20,10 @@ pub trait Hardware {
     /// emitters off and sampling stopped, both done when the call returns. With any fault
     /// but [`HardwareFault::Emitters`] the emitters are off all the same.
     ///
-    /// Scans of an earlier configuration are not handed out after this call; those that
-    /// had not been collected are gone, and the sequence shows it.
+    /// Scans of an earlier configuration are not handed out after this call. Those that
+    /// were there at the last [`next_scan`](Self::next_scan) are gone, and the sequence
+    /// shows it; what has been sampled since is cut off like the frame under way and does
+    /// not count.
     ///
     /// # Errors
     /// What cannot be done or has failed. The caller then asks for `None`.

@@ -48,11 +48,25 @@ impl Line {
 /// and covariance exactly when the status says so, finite numbers, a unit quaternion, a symmetric
 /// covariance with positive variances.
 pub fn parse(text: &str) -> Vec<Line> {
-    assert!(text.is_empty() || text.ends_with('\n'), "the last line is cut off");
-    text.lines().map(|line| parse_line(line).unwrap_or_else(|fault| panic!("{fault}: {line}"))).collect()
+    parse_lines(text, true)
 }
 
-fn parse_line(text: &str) -> Result<Line, String> {
+/// Reads all lines of a run that measured.
+///
+/// # Panics
+/// As [`parse`], or if one has a truth.
+pub fn parse_measured(text: &str) -> Vec<Line> {
+    let lines = parse_lines(text, false);
+    assert!(lines.iter().all(|line| line.truth.is_none()), "a measured pose with a truth");
+    lines
+}
+
+fn parse_lines(text: &str, simulated: bool) -> Vec<Line> {
+    assert!(text.is_empty() || text.ends_with('\n'), "the last line is cut off");
+    text.lines().map(|line| parse_line(line, simulated).unwrap_or_else(|fault| panic!("{fault}: {line}"))).collect()
+}
+
+fn parse_line(text: &str, simulated: bool) -> Result<Line, String> {
     let object: Map<String, Value> = serde_json::from_str(text).map_err(|error| error.to_string())?;
     let get = |key: &str| object.get(key).ok_or_else(|| format!("no `{key}`"));
     let status = get("status")?.as_str().ok_or("`status` is no text")?.to_owned();
@@ -60,8 +74,8 @@ fn parse_line(text: &str) -> Result<Line, String> {
     if !has_pose && !WITHOUT_POSE.contains(&status.as_str()) {
         return Err(format!("unknown status `{status}`"));
     }
-    if get("simulated")? != &Value::Bool(true) {
-        return Err("a simulated pose that does not say so".to_owned());
+    if get("simulated")? != &Value::Bool(simulated) {
+        return Err(format!("`simulated` is not {simulated}"));
     }
     let estimate = if has_pose {
         let pose = pose(get("translation_m")?, get("rotation_xyzw")?)?;

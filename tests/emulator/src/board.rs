@@ -251,6 +251,11 @@ impl<W: World> Board<W> {
         self.flash.array()
     }
 
+    /// When the flash operation under way will be done; `None` if there is none.
+    pub fn flash_busy_until(&self) -> Option<Ticks> {
+        Some(self.flash.next_event()).filter(|&done| done != Ticks::MAX)
+    }
+
     /// The RAM, from [`RAM_BASE`] on.
     pub fn ram(&self) -> &[u8] {
         &self.ram
@@ -259,6 +264,11 @@ impl<W: World> Board<W> {
     /// Word of RAM at `address`, as a debugger reads it; `None` outside RAM.
     pub fn ram_word(&self, address: u32) -> Option<u32> {
         load(&self.ram, address.checked_sub(RAM_BASE)? as usize, 4)
+    }
+
+    /// The emitter gates: bit k for PC(6 + k).
+    pub fn gates(&self) -> u8 {
+        self.gates
     }
 
     /// Starts to log the changes of the emitter gates.

@@ -13,7 +13,7 @@ use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
 use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
-use crate::world::{NoiseSource, OpticsWorld, WorldError};
+use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
 const TOLERANCE: f64 = 1e-6;
@@ -76,8 +76,8 @@ pub enum Link {
 
 /// A running board and what is around it.
 #[derive(Debug)]
-pub struct Rig {
-    machine: Machine<OpticsWorld>,
+pub struct Rig<W = OpticsWorld> {
+    machine: Machine<W>,
     link: Link,
     next_number: u16,
 }
@@ -95,6 +95,17 @@ impl Rig {
         noise: NoiseSource,
     ) -> Result<Self, WorldError> {
         let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise)?;
+        let mut rig = Self::power_on(image, world);
+        if let Some(origin) = rig.machine.device_clock_origin() {
+            rig.machine.board.world.set_origin(origin);
+        }
+        Ok(rig)
+    }
+}
+
+impl<W: World> Rig<W> {
+    /// Powers a board with `image` in `world`, its host at its USB, and lets it start its clock.
+    pub fn power_on(image: &Image, world: W) -> Self {
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
         let mut rig = Self { machine: Machine::new(flash, world), link: Link::Usb, next_number: 0 };
@@ -103,10 +114,7 @@ impl Rig {
                 break;
             }
         }
-        if let Some(origin) = rig.machine.device_clock_origin() {
-            rig.machine.board.world.set_origin(origin);
-        }
-        Ok(rig)
+        rig
     }
 
     /// The same with its host at another link.
@@ -120,7 +128,7 @@ impl Rig {
     }
 
     /// The board.
-    pub fn machine(&mut self) -> &mut Machine<OpticsWorld> {
+    pub fn machine(&mut self) -> &mut Machine<W> {
         &mut self.machine
     }
 

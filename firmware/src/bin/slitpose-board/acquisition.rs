@@ -114,7 +114,7 @@ impl Acquisition {
         if self.run.is_none() {
             supply::forgive();
         }
-        self.stop(emitters, clock)?;
+        self.stop(emitters)?;
         let run = Run {
             frames_in_ring: (RING_WORDS / plan.words()) as u32,
             plan,
@@ -130,9 +130,10 @@ impl Acquisition {
     }
 
     /// Dark and still when it returns without an error.
-    pub fn stop(&mut self, emitters: &mut Emitters, clock: &mut Clock) -> Result<(), HardwareFault> {
+    pub fn stop(&mut self, emitters: &mut Emitters) -> Result<(), HardwareFault> {
+        // What has finished since the last look is cut off like the frame under way.
         if let Some(run) = self.run.take() {
-            self.next_sequence = run.sequence + run.finished(clock.now());
+            self.next_sequence = run.sequence + run.proven;
         }
         self.halt(emitters)
     }
@@ -340,8 +341,10 @@ impl Run {
             written.wrapping_sub(finished as u32 * words)
         });
         let Some(at) = self.slot_at(look.now, finished) else {
-            // In the idle rest before the next frame.
-            return (first == 0 && second == 0).then_some(finished);
+            // In the idle rest before the next frame, which may begin while one looks.
+            let start = self.tick + finished * u64::from(self.plan.frame_ticks);
+            let most = if start - look.now < u64::from(EDGE_TICKS) { ranks } else { 0 };
+            return (first <= most && second <= most).then_some(finished);
         };
         // Within a slot its words come in; at its edges it may be the one before or after.
         let slack = if at.is_at_edge { ranks } else { 0 };

@@ -65,7 +65,7 @@ impl Hardware for BoardHardware {
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
         match configuration {
             Some(configuration) => self.acquisition.start(configuration, &mut self.emitters, &mut self.clock),
-            None => self.acquisition.stop(&mut self.emitters, &mut self.clock),
+            None => self.acquisition.stop(&mut self.emitters),
         }
     }
 

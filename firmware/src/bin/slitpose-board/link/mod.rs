@@ -57,17 +57,12 @@ impl Links {
     }
 
     /// Whether `port` has the board, or has it from now on.
-    #[cfg(feature = "usb")]
     fn claim(&self, port: Port) -> bool {
         if self.owner.get().is_none() {
-            self.take(port);
+            self.owner.set(Some(port));
+            self.poll();
         }
         self.owns(port)
-    }
-
-    fn take(&self, port: Port) {
-        self.owner.set(Some(port));
-        self.poll();
     }
 
     /// `port` has been closed.
@@ -89,16 +84,13 @@ impl Links {
         self.owner.get() == Some(port)
     }
 
-    /// Hands on what came in by `port`, unless another has the board. Whether there was a
-    /// command in it; with one, `port` has the board.
+    /// Hands on what came in by `port`, if it has the board. Whether there was a command
+    /// in it.
     fn receive(&self, port: Port, bytes: &[u8]) -> bool {
-        if !self.owner.get().is_none_or(|owner| owner == port) {
+        if !self.owns(port) {
             return false;
         }
         let commands = self.core.lock(|core| core.borrow_mut().receive(bytes));
-        if commands > 0 && !self.owns(port) {
-            self.take(port);
-        }
         self.wake();
         commands > 0
     }

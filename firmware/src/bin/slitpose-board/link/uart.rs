@@ -11,6 +11,7 @@ use embassy_stm32::peripherals::{DMA2_CH1, DMA2_CH2, LPUART1, PA2, PA3};
 use embassy_stm32::usart::{Config, RingBufferedUartRx, Uart, UartTx};
 use embassy_time::{Duration, Instant, with_deadline};
 use slitpose_firmware::TRANSFER_BYTES;
+use slitpose_protocol::{Decoder, FrameError, MAX_REQUEST_BYTES, Request};
 use static_cell::StaticCell;
 
 use super::{Links, Port, start};
@@ -59,14 +60,30 @@ async fn send(links: &'static Links, mut sender: UartTx<'static, Async>) {
     }
 }
 
+/// Whether a command ends in `bytes`, known to this firmware or not.
+fn holds_command(probe: &mut Decoder<MAX_REQUEST_BYTES>, mut bytes: &[u8]) -> bool {
+    let mut found = false;
+    while let Some(packet) = probe.next::<Request>(&mut bytes) {
+        found |= matches!(packet, Ok(_) | Err(FrameError::Payload(_)));
+    }
+    found
+}
+
 #[embassy_executor::task]
 async fn receive(links: &'static Links, mut receiver: RingBufferedUartRx<'static>) {
     let mut bytes = [0; 64];
     let mut deadline = Instant::now() + SILENCE;
+    let mut probe = Decoder::new();
     loop {
         match with_deadline(deadline, receiver.read(&mut bytes)).await {
             Ok(Ok(length)) => {
-                if links.receive(Port::Uart, &bytes[..length]) {
+                let bytes = &bytes[..length];
+                // The first command opens the link, and is carried out if it is whole here:
+                // hosts ask again.
+                if !links.owns(Port::Uart) && holds_command(&mut probe, bytes) {
+                    links.claim(Port::Uart);
+                }
+                if links.receive(Port::Uart, bytes) {
                     deadline = Instant::now() + SILENCE;
                 }
             }
