@@ -9,7 +9,9 @@ use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use slitpose::scene_file::WIDE;
-use slitpose_protocol::{BoardKind, Command, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, Rejection, Request};
+use slitpose_protocol::{
+    BoardKind, Command, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
+};
 use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::worst_axis;
 use slitpose_tests::ndjson::{self, Line};
@@ -275,7 +277,7 @@ fn a_board_of_another_version_is_named_as_such() {
         Some(Message::Hello(hello))
     });
     let (finished, log, path) = run(device, &[]);
-    finished.assert_refused(1, &[&path, "protocol 7.0", "1.0", "update"]);
+    finished.assert_refused(1, &[&path, "protocol 7.0", &PROTOCOL.to_string(), "update"]);
     assert!(log.commands().iter().all(|command| *command == Command::Hello));
 }
 
