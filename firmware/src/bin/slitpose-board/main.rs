@@ -47,6 +47,9 @@ use crate::link::Links;
 #[cfg(feature = "defmt")]
 use defmt_rtt as _;
 
+#[cfg(not(any(feature = "usb", feature = "uart")))]
+compile_error!("an image needs a link to its host: add the feature `usb` or `uart`");
+
 bind_interrupts!(struct Interrupts {
     #[cfg(feature = "usb")]
     USB_LP => embassy_stm32::usb::InterruptHandler<embassy_stm32::peripherals::USB>;
@@ -70,7 +73,7 @@ const WATCHDOG_US: u32 = 100_000;
 const POLL: Duration = Duration::from_millis(1);
 
 #[embassy_executor::main]
-async fn main(#[allow(unused_variables, reason = "an image may have no tasks")] spawner: Spawner) {
+async fn main(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
     let mut p = embassy_stm32::init(config());
     supply::boost();
