@@ -13,6 +13,9 @@ pub enum Speed {
     Times(f64),
 }
 
+/// Slower than this nothing seems to happen at all.
+const SLOWEST: f64 = 1e-3;
+
 impl FromStr for Speed {
     type Err = &'static str;
 
@@ -20,8 +23,8 @@ impl FromStr for Speed {
         match text {
             "max" => Ok(Self::Max),
             _ => match text.parse::<f64>() {
-                Ok(times) if times > 0.0 && times.is_finite() => Ok(Self::Times(times)),
-                _ => Err("give `max`, or how many device seconds pass a second, such as 1 or 0.5"),
+                Ok(times) if times >= SLOWEST && times.is_finite() => Ok(Self::Times(times)),
+                _ => Err("give `max`, or how many device seconds pass a second, 0.001 at least, such as 1 or 0.5"),
             },
         }
     }
@@ -35,6 +38,9 @@ impl fmt::Display for Speed {
         }
     }
 }
+
+/// Longest sleep after which an interrupt is answered.
+const MOMENT: Duration = Duration::from_millis(20);
 
 /// Holds a stream to a multiple of device time.
 #[derive(Debug)]
@@ -51,10 +57,24 @@ impl Pace {
 
     /// Sleeps until `device_s` may have passed.
     pub fn wait(&self, device_s: f64) {
-        if let Speed::Times(times) = self.speed {
-            let due = Duration::from_secs_f64(device_s / times);
-            std::thread::sleep(due.saturating_sub(self.started.elapsed()));
-        }
+        while !self.nap(device_s) {}
+    }
+
+    /// Sleeps the same, but for a moment at most; whether `device_s` may have passed then.
+    pub fn nap(&self, device_s: f64) -> bool {
+        let Speed::Times(times) = self.speed else {
+            return true;
+        };
+        // A clock that has gone back is not waited for, nor one that is beyond all reason.
+        let due = Duration::try_from_secs_f64((device_s / times).max(0.0)).unwrap_or(Duration::MAX);
+        let left = due.saturating_sub(self.started.elapsed());
+        std::thread::sleep(left.min(MOMENT));
+        left <= MOMENT
+    }
+
+    /// Starts so much later: time that is nobody's fault here.
+    pub fn excuse(&mut self, lost: Duration) {
+        self.started += lost;
     }
 }
 
@@ -66,8 +86,15 @@ mod tests {
     fn speeds_are_read_or_refused() {
         assert_eq!("max".parse(), Ok(Speed::Max));
         assert_eq!("2.5".parse(), Ok(Speed::Times(2.5)));
-        for text in ["", "0", "-1", "inf", "nan", "fast"] {
+        for text in ["", "0", "1e-30", "-1", "inf", "nan", "fast"] {
             assert!(text.parse::<Speed>().is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn clocks_that_jump_are_survived() {
+        let pace = Pace::new(Speed::Times(1.0));
+        assert!(pace.nap(-5.0) && pace.nap(f64::NAN));
+        assert!(!pace.nap(60.0) && !pace.nap(1e300), "at most a moment each");
     }
 }

@@ -39,6 +39,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let path = &args.file;
     let open_error = |source| StreamError::Open { path: path.clone(), source };
     let mut capture = File::open(path).map_err(open_error)?;
+    // It is looked at for its scene first, and a pipe gives its bytes only once.
+    if capture.metadata().is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
+        let source = io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file; save it to one first");
+        return Err(open_error(source).into());
+    }
     let recorded_with = scene_hash(path).map_err(open_error)?;
     let (file, scene_match) = choose_scene(args.scene.as_deref(), recorded_with)?;
     let pipeline = Pipeline::new(file, args.poses.tier(), scene_match).until(args.poses.duration);
@@ -55,7 +60,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             Err(source) => return Err(open_error(source).into()),
         }
         stream.tick()?;
-        pace.wait(stream.elapsed_s());
+        while !stream.is_over() && !pace.nap(stream.elapsed_s()) {}
     }
     let (outcome, counts) = stream.finish()?;
     if counts.scans == 0 {

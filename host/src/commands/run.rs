@@ -110,8 +110,8 @@ impl Session<'_> {
         let keep = if self.stream.is_complete() { Keep::Replies } else { Keep::All };
         let stopped = match self.board.stop(keep) {
             Err(error @ DeviceError::NoReply { .. }) => {
-                talk(format_args!("{error}; its emitters may still be lit"));
-                Ok(())
+                talk(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
+                Err(error.into())
             }
             stopped => stopped.map_err(CommandError::from),
         };

@@ -173,7 +173,11 @@ impl Conversation {
         self.started = false;
         self.forget();
         self.decoder.reset();
-        self.ask(Command::Stop, keep, STOP_WITHIN)?;
+        match self.ask(Command::Stop, keep, STOP_WITHIN) {
+            // Once more: it may have been damaged on its way.
+            Err(DeviceError::NoReply { .. }) => self.ask(Command::Stop, keep, STOP_WITHIN)?,
+            outcome => outcome?,
+        };
         Ok(())
     }
 
@@ -249,10 +253,12 @@ impl Conversation {
 
     fn command(&mut self, command: Command) -> Result<u16, DeviceError> {
         self.number += 1;
-        let mut buffer = [0; MAX_REQUEST_BYTES];
+        // Behind a delimiter, which ends whatever half a packet went before.
+        let mut buffer = [DELIMITER; MAX_REQUEST_BYTES + 1];
         let request = Request { number: self.number, command };
-        let packet = encode(&request, &mut buffer).expect("no request is longer than MAX_REQUEST_BYTES");
-        self.device.send(packet).map_err(|source| self.gone(source))?;
+        let packet = encode(&request, &mut buffer[1..]).expect("no request is longer than MAX_REQUEST_BYTES");
+        let length = 1 + packet.len();
+        self.device.send(&buffer[..length]).map_err(|source| self.gone(source))?;
         Ok(self.number)
     }
 

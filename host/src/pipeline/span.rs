@@ -8,6 +8,7 @@ const ROUNDING_S: f64 = 1e-9;
 pub(super) struct Span {
     until_s: Option<f64>,
     first_s: Option<f64>,
+    last_s: f64,
     elapsed_s: f64,
     complete: bool,
 }
@@ -20,7 +21,13 @@ impl Span {
 
     /// Whether a scan at `device_time_s` belongs to it; the next one comes `period_s` later.
     pub(super) fn admits(&mut self, device_time_s: f64, period_s: f64) -> bool {
-        let elapsed_s = device_time_s - *self.first_s.get_or_insert(device_time_s);
+        let first_s = self.first_s.get_or_insert(device_time_s);
+        if device_time_s < self.last_s {
+            // The clock started anew: what follows comes behind what was.
+            *first_s = device_time_s - self.elapsed_s - period_s;
+        }
+        self.last_s = device_time_s;
+        let elapsed_s = device_time_s - *first_s;
         let ends_by = |time_s: f64| self.until_s.is_some_and(|until_s| time_s >= until_s - ROUNDING_S);
         let admitted = !ends_by(elapsed_s);
         self.complete |= !admitted || ends_by(elapsed_s + period_s);
@@ -58,6 +65,13 @@ mod tests {
         let mut span = Span::until(Some(1.0));
         assert!(span.admits(0.0, 0.25) && !span.is_complete());
         assert!(!span.admits(1.0, 0.25) && span.is_complete());
+
+        // The board was restarted: its clock begins at 0 again.
+        let mut span = Span::until(Some(1.0));
+        for (device_time_s, admitted) in [(7.0, true), (7.25, true), (0.5, true), (0.75, true), (1.0, false)] {
+            assert_eq!(span.admits(device_time_s, 0.25), admitted, "{device_time_s}");
+        }
+        assert!(span.is_complete());
 
         let mut endless = Span::until(None);
         assert!(endless.admits(0.0, 0.25) && endless.admits(1e9, 0.25) && !endless.is_complete());

@@ -218,29 +218,6 @@ impl<W: World> Board<W> {
         volts >= BROWN_OUT_V
     }
 
-    /// The supply, in volts.
-    pub fn supply_v(&self) -> f64 {
-        self.power.supply_v()
-    }
-
-    /// Sets the chip's temperature, in degrees Celsius.
-    pub fn set_temperature_c(&mut self, temperature_c: f64) {
-        self.temperature_c = temperature_c;
-    }
-
-    /// Sets the level that comes from outside to `pin` of port `port` (0: A).
-    pub fn set_input(&mut self, port: usize, pin: u8, level: bool) {
-        if self.ports[port].set_input(pin, level) && self.syscfg.port_of_line(pin) == port {
-            let edge = if level { Edge::Rising } else { Edge::Falling };
-            self.exti.edge(pin, edge, &mut self.effects);
-        }
-    }
-
-    /// Pins of port `port` (0: A) that a push-pull output drives high.
-    pub fn driven_high(&self, port: usize) -> u16 {
-        self.ports[port].driven_high()
-    }
-
     /// Whether the watchdog was started.
     pub fn watchdog_runs(&self) -> bool {
         self.watchdog.next_event() != Ticks::MAX
@@ -254,11 +231,6 @@ impl<W: World> Board<W> {
     /// When the flash operation under way will be done; `None` if there is none.
     pub fn flash_busy_until(&self) -> Option<Ticks> {
         Some(self.flash.next_event()).filter(|&done| done != Ticks::MAX)
-    }
-
-    /// The RAM, from [`RAM_BASE`] on.
-    pub fn ram(&self) -> &[u8] {
-        &self.ram
     }
 
     /// Word of RAM at `address`, as a debugger reads it; `None` outside RAM.

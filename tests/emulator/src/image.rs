@@ -12,7 +12,7 @@ use crate::memory::{FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The file is not an ELF file of 32 bits, or is damaged.
-    #[error("not a 32-bit ELF file: {0}; give the file that cargo writes to target/thumbv7em-none-eabihf")]
+    #[error("not a 32-bit ELF file; give the file that firmware/build makes")]
     Elf(#[from] object::Error),
     /// A segment lies outside flash.
     #[error("a segment of {bytes} bytes at {address:#010x} lies outside flash; check memory.x")]
@@ -67,12 +67,7 @@ impl Image {
         }
     }
 
-    /// A symbol by its name; of Rust items the mangled one.
-    pub fn symbol(&self, name: &str) -> Option<Symbol> {
-        self.symbols.get(name).copied()
-    }
-
-    /// All symbols, by name.
+    /// All symbols, by name; of Rust items the mangled one.
     pub fn symbols(&self) -> impl Iterator<Item = (&str, Symbol)> {
         self.symbols.iter().map(|(name, symbol)| (name.as_str(), *symbol))
     }

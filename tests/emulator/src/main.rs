@@ -1,5 +1,6 @@
 //! `slitpose-emulator`: a board without a board, behind a pseudo-terminal.
 
+use std::fmt;
 use std::io::{self, Read, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -9,9 +10,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::{Parser, ValueEnum};
-use slitpose::pace::Speed;
+use slitpose::pace::{Pace, Speed};
 use slitpose::scene_file::{SceneFile, SceneFileError};
 use slitpose::simulator::{PathError, Trajectory, TrajectoryKind};
+use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
@@ -51,7 +53,7 @@ struct Args {
     #[arg(long)]
     quiet: bool,
     /// Device seconds a second, or max
-    #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0))]
+    #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
     speed: Speed,
     /// The board's link that the terminal stands for
     #[arg(long, value_enum, default_value_t = LinkKind::Usb)]
@@ -80,8 +82,10 @@ enum Failure {
     Terminal(#[from] TerminalError),
     #[error("cannot write to standard output")]
     Output(#[from] io::Error),
+    #[error("the board has started its boot loader, which is not emulated")]
+    BootLoader,
     #[error("the board is dead: {0}")]
-    Dead(String),
+    Lockup(FaultReport),
 }
 
 fn main() -> ExitCode {
@@ -94,10 +98,15 @@ fn main() -> ExitCode {
                 text = format!("{text}: {cause}");
                 source = cause.source();
             }
-            eprintln!("slitpose-emulator: {text}");
+            talk(format_args!("{text}"));
             ExitCode::FAILURE
         }
     }
+}
+
+/// Says something on standard error, if that is open.
+fn talk(text: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stderr(), "slitpose-emulator: {text}");
 }
 
 fn run(args: &Args) -> Result<(), Failure> {
@@ -139,10 +148,8 @@ fn stdin_closed() -> Arc<AtomicBool> {
 struct Session {
     rig: Rig,
     terminal: Terminal,
-    speed: Speed,
+    pace: Pace,
     started: Instant,
-    /// Wall time lost to a reader that was waited for.
-    waited: Duration,
     /// What the terminal has not taken yet, and since when.
     pending: Vec<u8>,
     stuck: Option<Instant>,
@@ -157,9 +164,8 @@ impl Session {
         Self {
             rig,
             terminal,
-            speed,
+            pace: Pace::new(speed),
             started: Instant::now(),
-            waited: Duration::ZERO,
             pending: Vec::new(),
             stuck: None,
             first_tick,
@@ -170,32 +176,35 @@ impl Session {
     fn follow(&mut self, closed: &AtomicBool) -> Result<(), Failure> {
         let mut from_terminal = [0; 4096];
         while !closed.load(Ordering::Relaxed) {
+            // What was written before the port was closed still goes to the board.
             let open = self.terminal.is_open()?;
-            self.rig.set_open(open);
-            if open {
-                let bytes = self.terminal.read(&mut from_terminal)?;
-                self.rig.send_bytes(bytes);
-            } else {
+            let bytes = self.terminal.read(&mut from_terminal)?;
+            self.rig.send_bytes(bytes);
+            if open || bytes.is_empty() {
+                self.rig.set_open(open);
+            }
+            if !open {
                 self.pending.clear();
             }
             let end = self.rig.now() + SLICE_TICKS;
             match self.rig.run_until(end) {
-                Stop::Reached => {}
-                Stop::BootLoader => return Err(Failure::Dead("it has started its boot loader".to_owned())),
-                stop => return Err(Failure::Dead(format!("{stop:?}"))),
+                // Nothing here takes its supply away.
+                Stop::Reached | Stop::PoweredOff => {}
+                Stop::BootLoader => return Err(Failure::BootLoader),
+                Stop::Lockup(report) => return Err(Failure::Lockup(report)),
             }
             let bytes = self.rig.take_bytes();
             if open {
                 self.pending.extend(bytes);
-                self.hand_over()?;
+                self.hand_over(closed)?;
             }
-            self.pace();
+            self.pace.wait(self.device_s());
         }
         Ok(())
     }
 
     /// Gives the terminal what has come, and waits a while for a slow reader.
-    fn hand_over(&mut self) -> Result<(), Failure> {
+    fn hand_over(&mut self, closed: &AtomicBool) -> Result<(), Failure> {
         let begun = Instant::now();
         loop {
             let taken = self.terminal.write(&self.pending)?;
@@ -211,9 +220,12 @@ impl Session {
                 self.rig.stop_reading(true);
                 break;
             }
+            if closed.load(Ordering::Relaxed) || !self.terminal.is_open()? {
+                break;
+            }
             thread::sleep(Duration::from_micros(100));
         }
-        self.waited += begun.elapsed();
+        self.pace.excuse(begun.elapsed());
         Ok(())
     }
 
@@ -221,26 +233,19 @@ impl Session {
         (self.rig.now() - self.first_tick) as f64 / TICKS_PER_SECOND as f64
     }
 
-    fn pace(&self) {
-        if let Speed::Times(times) = self.speed {
-            let due = Duration::from_secs_f64(self.device_s() / times) + self.waited;
-            thread::sleep(due.saturating_sub(self.started.elapsed()));
-        }
-    }
-
     fn report(&mut self) {
         let device_s = self.device_s();
         let wall_s = self.started.elapsed().as_secs_f64();
         let instructions = self.rig.machine().cpu.instructions() - self.first_instruction;
-        eprintln!(
-            "slitpose-emulator: {device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
+        talk(format_args!(
+            "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
              {:.1} million instructions a second; stack {} bytes at most",
             device_s / wall_s,
             instructions as f64 / wall_s / 1e6,
             self.rig.stack_bytes(),
-        );
+        ));
         for fault in self.rig.faults() {
-            eprintln!("slitpose-emulator: {fault}");
+            talk(format_args!("{fault}"));
         }
     }
 }

@@ -27,8 +27,10 @@ const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 /// The file that `firmware/build` made last: in the target directory of the environment, or that
 /// of the sources this was built from.
 pub fn default_image_path() -> PathBuf {
-    let target = std::env::var_os("CARGO_TARGET_DIR")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);
+    // Relative to the project, as for firmware/build.
+    let project = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let target = std::env::var_os("CARGO_TARGET_DIR").filter(|target| !target.is_empty());
+    let target = project.join(target.map_or_else(|| PathBuf::from("target"), PathBuf::from));
     target.join("firmware/thumbv7em-none-eabihf/firmware/slitpose-board")
 }
 
@@ -84,7 +86,8 @@ pub struct Rig<W = OpticsWorld> {
 
 impl Rig {
     /// Powers a board with `image` in front of the head of `scene`, its host at its USB, and
-    /// lets it start its clock: the tool's time is that clock's.
+    /// lets it start its clock: the tool's time is that clock's, and goes on if the board is
+    /// reset.
     ///
     /// # Errors
     /// If the board cannot be connected to such a head.

@@ -14,7 +14,7 @@ use thiserror::Error;
 
 /// The operating system refuses.
 #[derive(Debug, Error)]
-#[error("pseudo-terminal: {action}: {source}")]
+#[error("pseudo-terminal: {action}")]
 pub struct TerminalError {
     action: &'static str,
     source: Errno,

@@ -7,6 +7,7 @@ use slitpose::front_end::Stage;
 use slitpose::scene_file::{SceneFile, Shipped};
 use slitpose::simulator::{Trajectory, TrajectoryKind};
 use slitpose_emulator::image::Image;
+use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
@@ -173,7 +174,8 @@ impl Bench {
     }
 
     pub fn run_until(&mut self, end: Ticks) {
-        self.rig.run_until(end);
+        let stop = self.rig.run_until(end);
+        assert!(matches!(stop, Stop::Reached | Stop::PoweredOff), "{stop:?}");
         self.listen();
     }
 
