@@ -81,15 +81,17 @@ impl Conversation {
         }
     }
 
-    /// Asks the board who it is; `admit` decides whether that will do. What was received is forgotten.
+    /// Asks the board who it is; `admit` decides whether that will do. It has answered when its reply
+    /// has come, too: a hello alone may be left over from before. What was received is forgotten.
     ///
     /// # Errors
     /// If no board answers, or `admit` refuses it.
     pub fn greet<E: From<DeviceError>>(&mut self, mut admit: impl FnMut(&Hello<'_>) -> Result<(), E>) -> Result<(), E> {
         let asked = Instant::now();
         let mut ask_at = asked;
-        let mut admitted = false;
-        while !admitted {
+        let first = self.number + 1;
+        let (mut admitted, mut replied, mut answered) = (false, false, false);
+        while !answered {
             let now = Instant::now();
             if now >= asked + HELLO_WITHIN {
                 return Err(self.no_hello().into());
@@ -106,6 +108,7 @@ impl Conversation {
                         admit(&hello)?;
                         admitted = true;
                     }
+                    Ok(Message::Reply(reply)) => replied |= (first..=self.number).contains(&reply.number),
                     Err(FrameError::Payload(source @ PayloadError::Version { .. })) => {
                         return Err(DeviceError::Version { name: self.name(), source }.into());
                     }
@@ -113,7 +116,8 @@ impl Conversation {
                 }
             }
             self.forget();
-            if !more && !admitted {
+            answered = admitted && replied;
+            if !more && !answered {
                 return Err(self.no_hello().into());
             }
         }
