@@ -121,7 +121,10 @@ fn a_pose_is_printed_before_the_next_scan_comes() {
     let first = Instant::now();
     let finished = Finished::from(child.wait_with_output().expect("ends"));
     assert!(finished.stderr.contains("no data"), "{}", finished.stderr);
-    assert!(first.elapsed() > Duration::from_millis(400), "the first line came with the last");
+    // Half a second of silence lies between them, of which a busy machine may have taken its part;
+    // lines that wait for the end would come within milliseconds of it.
+    let before_end = first.elapsed();
+    assert!(before_end > Duration::from_millis(100), "the first line came {before_end:?} before the end");
 }
 
 #[test]
