@@ -153,6 +153,13 @@ impl AdcScaling {
         Ok(())
     }
 
+    /// The current at the end of the converter's range, in amperes: the most that could be
+    /// measured if the stage in front of it followed that far.
+    pub fn full_scale_a(&self) -> f64 {
+        let end = if self.amperes_per_code < 0.0 { 0.0 } else { f64::from((1_u32 << self.bits.min(16)) - 1) };
+        (end - self.zero_code) * self.amperes_per_code
+    }
+
     /// Whether a word of `oversampling` conversions reaches the saturation code on
     /// average, so that it no longer measures the current.
     pub fn is_saturated(&self, word: u16, oversampling: u16) -> bool {
@@ -202,6 +209,13 @@ mod tests {
         let rising = AdcScaling { amperes_per_code: 2.5e-9, saturation_code: 4000, ..FALLING };
         assert!(rising.is_saturated(4 * 4000, 4));
         assert!(!rising.is_saturated(4 * 4000 - 1, 4));
+    }
+
+    #[test]
+    fn full_scale_lies_at_the_far_end_of_the_range() {
+        assert_eq!(FALLING.full_scale_a(), 3900.0 * 2.5e-9);
+        let rising = AdcScaling { amperes_per_code: 2.5e-9, zero_code: 95.0, ..FALLING };
+        assert_eq!(rising.full_scale_a(), 4000.0 * 2.5e-9);
     }
 
     #[test]

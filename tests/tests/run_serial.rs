@@ -316,6 +316,23 @@ fn a_refused_command_is_named_with_its_reason() {
 }
 
 #[test]
+fn a_board_with_another_full_scale_is_pointed_out() {
+    let device = edited(Board::wide(72), |message| match message {
+        Message::Hello(mut hello) => {
+            hello.scaling.amperes_per_code *= 0.9;
+            Some(Message::Hello(hello))
+        }
+        message => Some(message),
+    });
+    let (finished, _, _) = run(device, &["--duration", "50ms"]);
+    for word in ["up to 9.000 uA", "up to 10.000 uA", "full_scale_a"] {
+        assert!(finished.stderr.contains(word), "{}", finished.stderr);
+    }
+    let (finished, _, _) = run(Board::wide(73), &["--duration", "50ms"]);
+    assert_eq!(finished.stderr, "");
+}
+
+#[test]
 fn the_scene_of_the_board_is_looked_after() {
     let real = |hash| {
         edited(Board::wide(71), move |message| match message {

@@ -56,16 +56,28 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     };
     let record = args.record.as_deref().map(Output::file).transpose()?;
     let name = file.name.clone();
+    let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
     let pipeline = Pipeline::new(file, tier, SceneMatch::Required).until(args.poses.duration);
 
     let mut board = Conversation::open(device)?;
     let mut greeted = None;
     board.greet(|hello| {
         pipeline.check(hello)?;
-        greeted.get_or_insert_with(|| hello.hashes.scene.is_some());
+        greeted.get_or_insert_with(|| (hello.hashes.scene.is_some(), hello.scaling.full_scale_a()));
         Ok::<_, CommandError>(())
     })?;
-    if greeted == Some(false) {
+    if let (Some((_, board_a)), Some(scene_a)) = (greeted, full_scale_a)
+        && (board_a / scene_a - 1.0).abs() > FULL_SCALE_SLACK
+    {
+        talk(format_args!(
+            "the board on {} measures up to {:.3} uA, the front end of `{name}` up to {:.3} uA: the board's is taken; \
+             correct front_end.full_scale_a, or flash the firmware of this front end",
+            args.device,
+            board_a * 1e6,
+            scene_a * 1e6
+        ));
+    }
+    if greeted.is_some_and(|(has_scene, _)| !has_scene) {
         talk(format_args!(
             "the board on {} has no scene stored; taking `{name}` for the scene of its head: give another with --scene",
             args.device
@@ -78,6 +90,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let followed = session.follow();
     session.end(followed)
 }
+
+/// Full scales that differ by more are not those of one front end: resistors are better than that.
+const FULL_SCALE_SLACK: f64 = 0.01;
 
 /// A board that has been started, and where its poses go.
 struct Session<'a> {
