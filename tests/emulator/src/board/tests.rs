@@ -3,6 +3,8 @@
 use std::time::Instant;
 
 use super::*;
+use crate::cpu::{Bus, BusFault, Size};
+use crate::memory::CCM_BASE;
 use crate::peripherals::{TICKS_PER_SECOND, interrupt};
 
 const RCC: u32 = 0x4002_1000;
