@@ -21,7 +21,7 @@ use slitpose_protocol::{
 };
 
 use crate::board::{Board, Emitters, Reboot, Storing};
-use crate::defaults::default_configuration;
+use crate::defaults::TICK_HZ;
 use crate::hardware::{Hardware, StorageError};
 use crate::settings::Settings;
 use crate::timing::FramePlan;
@@ -171,8 +171,7 @@ enum Done {
 
 /// Whether the board of the image could run `configuration`.
 pub fn can_run(configuration: &Configuration) -> bool {
-    let board_hz = default_configuration().schedule.tick_hz;
-    check(configuration, board_hz).is_ok() && FramePlan::new(configuration).is_ok()
+    check(configuration, TICK_HZ).is_ok() && FramePlan::new(configuration).is_ok()
 }
 
 /// Whether a board of `board_hz` ticks a second could run `configuration`, hardware aside.

@@ -12,4 +12,4 @@ mod timing;
 pub use noise::ROOM_TEMPERATURE_K;
 pub use settling::Settling;
 pub use stage::Stage;
-pub use timing::{TICK_HZ, TimingError, configuration};
+pub use timing::{TimingError, configuration};

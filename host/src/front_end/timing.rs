@@ -1,14 +1,12 @@
 //! From a scene's lighting and electronics to the schedule a board runs.
 
+use slitpose_firmware::TICK_HZ;
 use slitpose_protocol::{
     Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
 };
 use thiserror::Error;
 
 use crate::scene_file::SceneFile;
-
-/// Timer clock of the board: the STM32G474's 170 MHz.
-pub const TICK_HZ: u32 = 170_000_000;
 
 /// Why a scene cannot be run by a board.
 #[derive(Debug, Error)]

@@ -3,12 +3,11 @@
 //! Time is cut into stretches. At both ends of a stretch the optics are evaluated, between them
 //! light is linear in time; each switching of an emitter begins a new stretch, so edges stay sharp.
 
-use slitpose::front_end::TICK_HZ;
 use slitpose::simulator::Trajectory;
 use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
 
 use super::BOARD_CELLS;
-use crate::peripherals::Ticks;
+use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 
 /// Length of a stretch: 35 µs, a little above one lighting slot of the default schedule. At 0.5 m/s
 /// the tool moves 17 µm in it, and light bends by less than a hundredth of a converter step.
@@ -110,7 +109,7 @@ impl Illumination {
     }
 
     fn knot(&self, at: Ticks) -> Knot {
-        let time_s = (at as f64 - self.origin as f64) / f64::from(TICK_HZ);
+        let time_s = (at as f64 - self.origin as f64) / TICKS_PER_SECOND as f64;
         Knot { at, pose: self.trajectory.pose(time_s), known: 0, ..self.to }
     }
 

@@ -9,14 +9,13 @@ mod light;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose::front_end::TICK_HZ;
 use slitpose::scene_file::SceneFile;
 use slitpose::simulator::{CellNoise, Electrode, Electronics, Trajectory};
 use slitpose_model::{SceneError, Tier};
 use slitpose_protocol::AdcScaling;
 use thiserror::Error;
 
-use crate::peripherals::Ticks;
+use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use light::Illumination;
 
 /// Cells a board has converter inputs for.
@@ -232,7 +231,7 @@ fn input(adc: u8, channel: u8) -> Option<(usize, Electrode)> {
 }
 
 fn seconds(ticks: Ticks) -> f64 {
-    ticks as f64 / f64::from(TICK_HZ)
+    ticks as f64 / TICKS_PER_SECOND as f64
 }
 
 #[cfg(test)]
