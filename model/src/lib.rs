@@ -43,6 +43,6 @@ pub use scene::{
     SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, BOLTZMANN_J_PER_K, Cells, Directions, ELEMENTARY_CHARGE_C, Estimate, MotionPrior, Outcome, Photocurrents,
-    Reading, Solution, Solver, Tracker, Weakness,
+    AXES, BOLTZMANN_J_PER_K, Cells, Directions, ELEMENTARY_CHARGE_C, Effort, Estimate, MotionPrior, Outcome,
+    Photocurrents, Reading, Solution, Solver, Tracker, Weakness,
 };

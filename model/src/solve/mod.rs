@@ -59,6 +59,18 @@ const DISTINCT_SIGMAS: f64 = 6.0;
 /// calibration has not settled stay well below.
 const ELSEWHERE: f64 = 0.1;
 
+/// How far a solve goes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Effort {
+    /// The pose on the planes that the positions of the light give: no currents, no weights.
+    Planes,
+    /// At most so many steps of refinement on the currents.
+    Steps(usize),
+    /// To the minimum.
+    #[default]
+    Full,
+}
+
 /// Estimates poses from the photocurrents of one scene.
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
@@ -70,6 +82,7 @@ pub struct Solver<S: Scalar> {
     limits: Vec<Limits, MAX_CELLS>,
     exposure: Vec<S, MAX_CELLS>,
     arm: S,
+    effort: Effort,
     /// Directions that the head cannot tell at home, with all cells lit: mirror images of every
     /// other pose fit as well, so that it has no pose to give anywhere.
     blind: Option<Directions>,
@@ -126,6 +139,7 @@ impl<S: Scalar> Solver<S> {
             // A lone emitter at the tool's origin has no arm: any length scale serves.
             arm: S::of(if arm_m > 0.0 { arm_m } else { 0.01 }),
             plan,
+            effort: Effort::Full,
             blind: None,
         };
         solver.blind = solver.blind_at_home();
@@ -161,6 +175,31 @@ impl<S: Scalar> Solver<S> {
         self
     }
 
+    /// Stops after `effort`: for those who weigh error against time. A pose that is not at its
+    /// minimum is [`Weakness::Unfinished`].
+    #[must_use]
+    pub fn with_effort(mut self, effort: Effort) -> Self {
+        self.effort = effort;
+        self
+    }
+
+    /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
+    /// of this scene's photocurrents can have, the tool at rest and all cells with light used.
+    /// m², m·rad, rad²; `None` where the data leave a direction free.
+    pub fn bound(&self, pose: &Pose) -> Option<[[f64; 6]; 6]> {
+        let currents = Photocurrents::of_pairs((0..self.plan.cell_count()).map(|cell| {
+            let pair = self.plan.photocurrents(cell, pose);
+            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
+        }));
+        let sorted = Sorted::of(&currents, &self.limits);
+        if sorted.usable.len() < 3 {
+            return None;
+        }
+        let problem = self.problem(&sorted, &MotionPrior::default());
+        let pose = Transform::of(pose);
+        observability::covariance(&problem.expand(&pose, &problem.whiteners(&pose)).information, self.arm)
+    }
+
     /// The compiled scene.
     pub fn plan(&self) -> &Plan<S> {
         &self.plan
@@ -174,10 +213,30 @@ impl<S: Scalar> Solver<S> {
     /// The pose from `readings`, with no idea where the tool is but some of how it moves.
     pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
         let sorted = Sorted::of(readings, &self.limits);
-        match self.too_few(&sorted) {
-            Some(solution) => solution,
-            None => self.search(&sorted, &self.problem(&sorted, motion)),
+        if let Some(solution) = self.too_few(&sorted) {
+            return solution;
         }
+        let problem = self.problem(&sorted, motion);
+        if self.effort == Effort::Full {
+            return self.search(&sorted, &problem);
+        }
+        let start = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
+        self.unfinished(&sorted, &problem, start)
+    }
+
+    /// As far as the effort goes from `start`, and no word on whether the data fit.
+    fn unfinished(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, start: Transform<S>) -> Solution {
+        let whiteners = problem.whiteners(&start);
+        let refined = match self.effort {
+            Effort::Planes => problem.refine(start, &whiteners, 0),
+            Effort::Steps(steps) => problem.refine(start, &whiteners, steps),
+            Effort::Full => problem.refine(start, &whiteners, MAX_ITERATIONS),
+        };
+        let mut solution = self.conclude(sorted, &refined, refined.iterations, true);
+        if solution.outcome.has_pose() && !refined.converged {
+            solution.outcome = Outcome::Degraded(Weakness::Unfinished);
+        }
+        solution
     }
 
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
@@ -189,6 +248,9 @@ impl<S: Scalar> Solver<S> {
         }
         let problem = self.problem(&sorted, motion);
         let start = Transform::of(prior);
+        if self.effort != Effort::Full {
+            return self.unfinished(&sorted, &problem, start);
+        }
         let whiteners = problem.whiteners(&start);
         let refined = problem.refine(start, &whiteners, MAX_ITERATIONS);
         if self.fit(&sorted, &problem, &refined) != Fit::None {

@@ -34,6 +34,8 @@ pub enum Weakness {
     FewerCells,
     /// The residuals are larger than the noise explains.
     Misfit,
+    /// The solver was told to stop before the minimum.
+    Unfinished,
 }
 
 impl Outcome {
