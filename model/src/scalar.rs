@@ -9,10 +9,19 @@ use core::ops::{Add, AddAssign, Mul, Neg, Sub};
 use glam::{DVec3, Vec3};
 use num_traits::{Float, FloatConst, NumAssignOps};
 
+use crate::real::Real;
+
 /// A real number the optics compute with, and the glam vector that goes with it.
 pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + Sync + 'static {
     /// Three components of this number type.
     type Vec3: Vector3<Self>;
+
+    /// As many of this number type as the processor computes with at once.
+    type Lanes: Real<Element = Self>;
+
+    /// Terms of a binomial series in δ ≤ 1/64 that reach this type's last digit, for exponents of some
+    /// units.
+    const POWER_TERMS: usize;
 
     /// The nearest representable number to an `f64`.
     fn of(value: f64) -> Self;
@@ -35,6 +44,9 @@ pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + S
     /// Angle of the point (`x`, self), in −π…π.
     fn angle_from(self, x: Self) -> Self;
 
+    /// Significand in 1…2 and exponent of a positive, normal number.
+    fn split(self) -> (Self, i32);
+
     /// √(x² + y²) of lengths, which never come near the ends of the number range.
     #[inline(always)]
     fn norm(x: Self, y: Self) -> Self {
@@ -54,8 +66,8 @@ pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + S
     }
 }
 
-/// The operations the optics need of a three-component vector.
-pub trait Vector3<S>:
+/// The operations branch-free optics need of a three-component vector.
+pub trait Linear3<S>:
     Copy
     + Debug
     + Default
@@ -71,10 +83,6 @@ pub trait Vector3<S>:
 {
     /// From components.
     fn new(x: S, y: S, z: S) -> Self;
-    /// From an `f64` vector, rounded.
-    fn of(value: DVec3) -> Self;
-    /// To an `f64` vector (exact).
-    fn as_dvec3(self) -> DVec3;
     /// First component.
     fn x(self) -> S;
     /// Second component.
@@ -89,10 +97,20 @@ pub trait Vector3<S>:
     fn length(self) -> S;
 }
 
+/// A three-component vector of one scalar: glam's.
+pub trait Vector3<S>: Linear3<S> {
+    /// From an `f64` vector, rounded.
+    fn of(value: DVec3) -> Self;
+    /// To an `f64` vector (exact).
+    fn as_dvec3(self) -> DVec3;
+}
+
 macro_rules! implement_scalar {
-    ($scalar:ty, $vec3:ty, $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $atan2:ident]) => {
+    ($scalar:ty, $vec3:ty, $lanes:ty, $terms:expr, $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $atan2:ident]) => {
         impl Scalar for $scalar {
             type Vec3 = $vec3;
+            type Lanes = $lanes;
+            const POWER_TERMS: usize = $terms;
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $scalar
@@ -104,6 +122,14 @@ macro_rules! implement_scalar {
             #[inline(always)]
             fn power(self, exponent: Self) -> Self {
                 libm::$pow(self, exponent)
+            }
+            #[inline(always)]
+            fn split(self) -> (Self, i32) {
+                let bits = self.to_bits();
+                let exponent = (bits >> (<$scalar>::MANTISSA_DIGITS - 1)) as i32 - (<$scalar>::MAX_EXP - 1);
+                let one = (1.0 as $scalar).to_bits();
+                let fraction = bits & ((1 << (<$scalar>::MANTISSA_DIGITS - 1)) - 1);
+                (<$scalar>::from_bits(one | fraction), exponent)
             }
             #[inline(always)]
             fn arc_tangent(self) -> Self {
@@ -123,18 +149,10 @@ macro_rules! implement_scalar {
             }
         }
 
-        impl Vector3<$scalar> for $vec3 {
+        impl Linear3<$scalar> for $vec3 {
             #[inline(always)]
             fn new(x: $scalar, y: $scalar, z: $scalar) -> Self {
                 <$vec3>::new(x, y, z)
-            }
-            #[inline(always)]
-            fn of(value: DVec3) -> Self {
-                $of_dvec3(value)
-            }
-            #[inline(always)]
-            fn as_dvec3(self) -> DVec3 {
-                $as_dvec3(self)
             }
             #[inline(always)]
             fn x(self) -> $scalar {
@@ -161,8 +179,27 @@ macro_rules! implement_scalar {
                 <$vec3>::length(self)
             }
         }
+
+        impl Vector3<$scalar> for $vec3 {
+            #[inline(always)]
+            fn of(value: DVec3) -> Self {
+                $of_dvec3(value)
+            }
+            #[inline(always)]
+            fn as_dvec3(self) -> DVec3 {
+                $as_dvec3(self)
+            }
+        }
     };
 }
 
-implement_scalar!(f32, Vec3, |v: Vec3| v.as_dvec3(), |v: DVec3| v.as_vec3(), [powf, atanf, acosf, cosf, atan2f]);
-implement_scalar!(f64, DVec3, |v| v, |v| v, [pow, atan, acos, cos, atan2]);
+implement_scalar!(
+    f32,
+    Vec3,
+    f32,
+    4,
+    |v: Vec3| v.as_dvec3(),
+    |v: DVec3| v.as_vec3(),
+    [powf, atanf, acosf, cosf, atan2f]
+);
+implement_scalar!(f64, DVec3, wide::f64x2, 8, |v| v, |v| v, [pow, atan, acos, cos, atan2]);

@@ -5,7 +5,7 @@ use core::fmt;
 use crate::pose::Pose;
 use crate::scene::MAX_CELLS;
 
-use super::algebra::{self, Matrix6};
+use super::algebra::{Factor, Matrix6};
 
 /// The coordinates of a pose, in the order of the covariance.
 pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
@@ -32,6 +32,8 @@ pub enum Outcome {
 pub enum Weakness {
     /// Some cells are saturated, faint or missing; the others decide.
     FewerCells,
+    /// A cell contradicted all others and was left out.
+    CellExcluded,
     /// The residuals are larger than the noise explains.
     Misfit,
     /// The solver was told to stop before the minimum.
@@ -99,6 +101,15 @@ impl Cells {
         self.0 |= 1 << cell;
     }
 
+    pub(crate) fn remove(&mut self, cell: usize) {
+        self.0 &= !(1 << cell);
+    }
+
+    /// The cells of the set, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..MAX_CELLS).filter(|&cell| self.contains(cell))
+    }
+
     /// Whether `cell` belongs to the set.
     pub fn contains(&self, cell: usize) -> bool {
         cell < MAX_CELLS && self.0 & (1 << cell) != 0
@@ -136,9 +147,8 @@ impl Estimate {
         let scaled: Matrix6<f64> =
             core::array::from_fn(|i| core::array::from_fn(|j| self.covariance[i][j] / (sigma[i] * sigma[j])));
         let right: [f64; 6] = core::array::from_fn(|i| error[i] / sigma[i]);
-        let factor = algebra::Cholesky::factorise(&scaled, 0.0, f64::EPSILON)?;
-        let weighted = factor.solve(&right);
-        Some(right.iter().zip(weighted).map(|(a, b)| a * b).sum())
+        let factor = Factor::of_matrix(&scaled, 0.0, f64::EPSILON)?;
+        Some(factor.forward(&right).iter().map(|value| value * value).sum())
     }
 }
 
@@ -157,20 +167,66 @@ pub struct Solution {
     pub iterations: usize,
     /// The cells whose currents entered.
     pub cells_used: Cells,
-    /// Information matrix in scaled coordinates; see [`Self::condition`].
-    pub(crate) information: Option<Matrix6<f64>>,
+    /// Cells with light that contradict all others, and were left out for that.
+    pub excluded: Cells,
+    /// How far one lying cell can have moved the pose, in σ of the pose, before χ² is as likely as
+    /// not to tell; infinite where nothing is left over to check with.
+    pub unnoticed_sigmas: f64,
+    /// Factor of the information in scaled coordinates; see [`Self::condition`].
+    pub(crate) factor: Option<Factor<f64>>,
+}
+
+/// How well the data checked a pose that carries no other doubt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verified {
+    /// A cell that lies enough to move the pose by 10 σ shows.
+    Well,
+    /// A cell can move the pose by more than 10 σ unnoticed, but not by more than 100 σ.
+    Weakly,
+    /// Nothing, or next to nothing, is left over to check with.
+    Not,
+}
+
+impl Verified {
+    /// The word used in messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Well => "well",
+            Self::Weakly => "weakly",
+            Self::Not => "not",
+        }
+    }
 }
 
 impl Solution {
     pub(crate) fn without_pose(outcome: Outcome, cells_used: Cells) -> Self {
-        Self { outcome, estimate: None, chi2: f64::NAN, redundancy: 0, iterations: 0, cells_used, information: None }
+        Self {
+            outcome,
+            estimate: None,
+            chi2: f64::NAN,
+            redundancy: 0,
+            iterations: 0,
+            cells_used,
+            excluded: Cells::default(),
+            unnoticed_sigmas: f64::INFINITY,
+            factor: None,
+        }
+    }
+
+    /// How well redundancy checked the pose: see [`Self::unnoticed_sigmas`].
+    pub fn verified(&self) -> Verified {
+        match self.unnoticed_sigmas {
+            shift if shift <= 10.0 => Verified::Well,
+            shift if shift <= 100.0 => Verified::Weakly,
+            _ => Verified::Not,
+        }
     }
 
     /// Condition number (ratio of the extreme singular values) of the whitened Jacobian, with
     /// translations counted in units of the emitters' root-mean-square distance from the tool's
     /// origin, so that metres and radians compare. `None` without solution.
     pub fn condition(&self) -> Option<f64> {
-        let pairs = algebra::eigen(self.information.as_ref()?);
-        Some(libm::sqrt(pairs[5].0 / pairs[0].0.max(0.0)))
+        let pairs = self.factor.as_ref()?.singular();
+        Some(pairs[5].0 / pairs[0].0)
     }
 }

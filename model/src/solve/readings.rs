@@ -81,4 +81,11 @@ impl<S: Scalar> Sorted<S> {
         }
         sorted
     }
+
+    /// The same without the usable reading `index`; its cell counts as not measured.
+    pub(super) fn without(&self, index: usize) -> Self {
+        let mut sorted = self.clone();
+        sorted.used.remove(sorted.usable.remove(index).cell);
+        sorted
+    }
 }
