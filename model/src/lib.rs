@@ -46,5 +46,5 @@ pub use scene::{
 };
 pub use solve::{
     AXES, BOLTZMANN_J_PER_K, Cells, Directions, ELEMENTARY_CHARGE_C, Effort, Estimate, MotionPrior, Outcome,
-    Photocurrents, Reading, Solution, Solver, Tracker, Verified, Weakness,
+    Photocurrents, Reading, Smoothed, Solution, Solver, Tracked, Tracker, TwistEstimate, Verified, Weakness,
 };

@@ -30,6 +30,16 @@ enum Faces<R> {
     Thick([Face<R>; 2]),
 }
 
+impl<R: Real> Span<R> {
+    fn of_lanes(span: impl Fn(usize) -> Span<R::Element>) -> Self {
+        Self {
+            low: R::of_lanes(|i| span(i).low),
+            high: R::of_lanes(|i| span(i).high),
+            length: R::of_lanes(|i| span(i).length),
+        }
+    }
+}
+
 /// The cells of a plan as packs; `None` if any of them is of another kind.
 pub(super) fn packs<S: Scalar>(cells: &[CompiledCell<S>]) -> Option<Vec<Pack<S::Lanes>, MAX_CELLS>> {
     cells.chunks(<S::Lanes as Real>::LANES).map(Pack::of).collect()
@@ -41,24 +51,23 @@ impl<R: Real> Pack<R> {
         let last = cells.len() - 1;
         let cell = |i: usize| &cells[i.min(last)];
         let number = |of: &dyn Fn(&CompiledCell<R::Element>) -> R::Element| R::of_lanes(|i| of(cell(i)));
-        let vector = |of: &dyn Fn(&CompiledCell<R::Element>) -> <R::Element as Real>::Vec3| {
+        let vector = |of: &dyn Fn(&CompiledCell<_>) -> <R::Element as Real>::Vec3| {
             R::Vec3::new(number(&|c| of(c).x()), number(&|c| of(c).y()), number(&|c| of(c).z()))
         };
-        let face = |of: &dyn Fn(&CompiledCell<R::Element>) -> Option<Face<R::Element>>| {
-            let faces: Vec<Face<R::Element>, 2> = (0..R::LANES).map(|i| of(cell(i))).collect::<Option<_>>()?;
-            let span = |of: &dyn Fn(&Face<R::Element>) -> Span<R::Element>| Span {
-                low: R::of_lanes(|i| of(&faces[i]).low),
-                high: R::of_lanes(|i| of(&faces[i]).high),
-                length: R::of_lanes(|i| of(&faces[i]).length),
-            };
-            Some(Face { z: R::of_lanes(|i| faces[i].z), x: span(&|face| face.x), y: span(&|face| face.y) })
+        let face = |of: &dyn Fn(&Aperture<_>) -> Option<Face<R::Element>>| {
+            let faces: Vec<Face<_>, 2> = (0..R::LANES).map(|i| of(&cell(i).aperture)).collect::<Option<_>>()?;
+            Some(Face {
+                z: R::of_lanes(|i| faces[i].z),
+                x: Span::of_lanes(|i| faces[i].x),
+                y: Span::of_lanes(|i| faces[i].y),
+            })
         };
-        let thin = face(&|cell| match &cell.aperture {
+        let thin = face(&|aperture| match aperture {
             Aperture::Thin(face) => Some(*face),
             _ => None,
         });
         let thick = |index: usize| {
-            face(&|cell| match &cell.aperture {
+            face(&|aperture| match aperture {
                 Aperture::Thick(lower, upper) => Some([*lower, *upper][index]),
                 _ => None,
             })

@@ -14,6 +14,7 @@ mod planes;
 mod readings;
 mod refine;
 mod search;
+mod smooth;
 mod track;
 mod weights;
 
@@ -27,7 +28,8 @@ use crate::scene::{MAX_CELLS, Scene, SceneError};
 
 pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Verified, Weakness};
 pub use readings::{Photocurrents, Reading};
-pub use track::Tracker;
+pub use smooth::{Smoothed, TwistEstimate};
+pub use track::{Tracked, Tracker};
 pub use weights::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C};
 
 use normal::{Motion, Problem, Workspace};
@@ -241,6 +243,17 @@ impl<S: Scalar> Solver<S> {
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
     pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution {
+        let solution = self.solve_next(readings, prior, motion);
+        if solution.outcome != Outcome::Diverged {
+            return solution;
+        }
+        let mut searched = self.solve_moving(readings, motion);
+        searched.iterations += solution.iterations;
+        searched
+    }
+
+    /// The pose from `readings` near `prior`, or none.
+    fn solve_next(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
@@ -257,12 +270,21 @@ impl<S: Scalar> Solver<S> {
         if fit != Fit::None {
             return self.conclude(&sorted, &problem, &refined, room, fit);
         }
-        let mut solution = match self.without_liar(&sorted, motion, Some(start), room) {
-            Some(solution) => solution,
-            None => self.search(&sorted, &problem, motion, room),
-        };
+        let mut solution = self
+            .without_liar(&sorted, motion, Some(start), room)
+            .unwrap_or_else(|| Solution::without_pose(Outcome::Diverged, sorted.used));
         solution.iterations += refined.iterations;
         solution
+    }
+
+    /// A displacement in σ of a solution's pose, squared; infinite without a pose.
+    fn squared_sigmas(&self, solution: &Solution, translation_m: glam::DVec3, rotation_rad: glam::DVec3) -> f64 {
+        let t = translation_m / self.arm.as_f64();
+        let scaled = [t.x, t.y, t.z, rotation_rad.x, rotation_rad.y, rotation_rad.z];
+        solution.factor.map_or(f64::INFINITY, |factor| {
+            let length = factor.length(&scaled);
+            length * length
+        })
     }
 
     fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {

@@ -52,6 +52,5 @@ pub(super) fn distinct<S: Scalar>(factor: &Factor<S>, a: &Transform<S>, b: &Tran
     let (dt, dr) = b.to_pose().displacement_from(&a.to_pose());
     let dt = dt / arm.as_f64();
     let sigmas = factor.length(&[dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].map(S::of));
-    // Written so that NaN is distinct.
-    !(sigmas.as_f64() <= DISTINCT_SIGMAS)
+    sigmas.is_nan() || sigmas.as_f64() > DISTINCT_SIGMAS
 }

@@ -40,6 +40,18 @@ pub enum Weakness {
     Unfinished,
 }
 
+impl Weakness {
+    /// The word used in tables and messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::FewerCells => "fewer_cells",
+            Self::CellExcluded => "cell_excluded",
+            Self::Misfit => "misfit",
+            Self::Unfinished => "unfinished",
+        }
+    }
+}
+
 impl Outcome {
     /// Whether the solution carries a pose.
     pub fn has_pose(&self) -> bool {
@@ -113,6 +125,11 @@ impl Cells {
     /// Whether `cell` belongs to the set.
     pub fn contains(&self, cell: usize) -> bool {
         cell < MAX_CELLS && self.0 & (1 << cell) != 0
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.0 == 0
     }
 
     /// How many there are.
@@ -228,5 +245,15 @@ impl Solution {
     pub fn condition(&self) -> Option<f64> {
         let pairs = self.factor.as_ref()?.singular();
         Some(pairs[5].0 / pairs[0].0)
+    }
+}
+
+impl fmt::Display for Cells {
+    /// The numbers joined by `;`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, cell) in self.iter().enumerate() {
+            write!(f, "{}{cell}", if i == 0 { "" } else { ";" })?;
+        }
+        Ok(())
     }
 }

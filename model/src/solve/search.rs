@@ -6,7 +6,7 @@ use crate::scalar::{Scalar, Vector3};
 use super::normal::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution, Weakness};
 use super::planes::pose_on_planes;
-use super::readings::Sorted;
+use super::readings::{Photocurrents, Sorted};
 use super::refine::{Ending, Refined};
 use super::{COLD_LEFTOVER, Fit, MAX_ITERATIONS, MotionPrior, Solver, observability, redundancy};
 
@@ -39,6 +39,23 @@ const WITNESSES: usize = 5;
 const CONVICTION: f64 = 20.0;
 
 impl<S: Scalar> Solver<S> {
+    /// A quick look for the tool: what the planes lead to, or nothing.
+    pub(super) fn glance(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
+        let sorted = Sorted::of(readings, &self.limits);
+        if let Some(solution) = self.too_few(&sorted) {
+            return solution;
+        }
+        let problem = self.problem(&sorted, motion);
+        let room = &mut Workspace::new();
+        let start = pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
+        let refined = descend(&problem, &problem.whiteners(), start, false, room);
+        let fit = self.fit(&sorted, &problem, &refined);
+        if fit == Fit::Full && sorted.usable.len() >= UNIQUE_FROM {
+            return self.conclude(&sorted, &problem, &refined, room, fit);
+        }
+        Solution { iterations: refined.iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) }
+    }
+
     /// Cold start: the pose on the planes first, then turned and shifted starts until the data fit.
     pub(super) fn search(
         &self,
