@@ -1,17 +1,18 @@
 //! What a pose costs, and what it is worth: the board's solver in `f32` against the host's in
 //! `f64` and against the truth.
 
+use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose::scene_file::SceneFile;
-use slitpose_model::{Estimate, MotionPrior, Outcome, Photocurrents, Plan, Pose, SceneError, Solver, Tier, Vector3};
+use slitpose_model::{Estimate, MotionPrior, Outcome, Photocurrents, Plan, Pose, SceneError, Solver, Tier};
 use slitpose_stopwatch::Solved;
 use thiserror::Error;
 
 use crate::stopwatch::{Stopwatch, StopwatchError};
 
-/// A warm start's prior is this far off on every axis: what a tool at 0.5 m/s and 50 rad/s that was
-/// followed at 4 kHz moves unforeseen, and more.
+/// A warm start's prior is this far off on every axis, one way or the other: some four standard
+/// deviations of a pose, more than a tool that is followed at 4 kHz moves unforeseen.
 const PRIOR_OFF_M: f64 = 3e-6;
 const PRIOR_OFF_RAD: f64 = 0.3e-3;
 
@@ -132,8 +133,9 @@ impl Trial {
             if samples.len() == count {
                 break;
             }
-            let pose = Pose::from_vectors(signed(&mut rng, false) * metres, signed(&mut rng, false) * radians);
-            let prior = pose.perturbed(signed(&mut rng, true) * PRIOR_OFF_M, signed(&mut rng, true) * PRIOR_OFF_RAD);
+            let pose = Pose::from_vectors(within_one(&mut rng) * metres, within_one(&mut rng) * radians);
+            let (shift, turn) = (within_one(&mut rng).signum(), within_one(&mut rng).signum());
+            let prior = pose.perturbed(shift * PRIOR_OFF_M, turn * PRIOR_OFF_RAD);
             if !is_lit(&truth, &pose) {
                 continue;
             }
@@ -157,13 +159,9 @@ fn truth_of(tier: Tier) -> Tier {
     }
 }
 
-/// A vector whose components are within ±1, or at one end of that.
-fn signed(rng: &mut ChaCha8Rng, at_end: bool) -> <f64 as slitpose_model::Scalar>::Vec3 {
-    let mut component = || {
-        let value: f64 = rng.random_range(-1.0..1.0);
-        if at_end { value.signum() } else { value }
-    };
-    Vector3::new(component(), component(), component())
+/// A vector whose components lie within ±1.
+fn within_one(rng: &mut ChaCha8Rng) -> DVec3 {
+    DVec3::from([0; 3].map(|_| rng.random_range(-1.0..1.0)))
 }
 
 fn is_lit(plan: &Plan<f64>, pose: &Pose) -> bool {

@@ -27,6 +27,7 @@ pub enum Request {
 
 /// What the image answers.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "no heap on the board, and one at a time")]
 pub enum Answer {
     /// It is done.
     Done,
