@@ -26,7 +26,7 @@ fn cost(tier: Tier, start: Start) -> Cost {
 fn a_followed_tool_is_solved_for_in_the_paper_tier() {
     let cost = cost(Tier::Paper, Start::Warm);
     // Two currents with six derivatives each are hundreds of operations a cell: less is no solve.
-    assert!((6_000..200_000).contains(&cost.median_cycles));
+    assert!((6_000..75_000).contains(&cost.median_cycles));
     // Neither exact, which f32 is not, nor worse than its rounding.
     assert!((1e-11..1e-8).contains(&cost.rms_error_m) && (1e-9..2e-6).contains(&cost.rms_error_rad));
 }
@@ -34,7 +34,7 @@ fn a_followed_tool_is_solved_for_in_the_paper_tier() {
 #[test]
 fn a_lost_tool_is_found_in_the_paper_tier() {
     let cost = cost(Tier::Paper, Start::Cold);
-    assert!((6_000..200_000).contains(&cost.median_cycles) && cost.max_cycles >= cost.median_cycles);
+    assert!((6_000..90_000).contains(&cost.median_cycles) && cost.max_cycles >= cost.median_cycles);
     assert!((1e-11..1e-8).contains(&cost.rms_error_m) && (1e-9..2e-6).contains(&cost.rms_error_rad));
 }
 
@@ -42,7 +42,7 @@ fn a_lost_tool_is_found_in_the_paper_tier() {
 fn the_exact_tier_costs_more_and_errs_by_its_tolerance() {
     let coarse = cost(Tier::Exact { tolerance: 1e-4 }, Start::Warm);
     let fine = cost(Tier::Exact { tolerance: 1e-6 }, Start::Warm);
-    assert!(coarse.median_cycles < fine.median_cycles && fine.median_cycles < 250_000);
+    assert!(coarse.median_cycles < fine.median_cycles && fine.median_cycles < 130_000);
     // A ten-thousandth of the spot's millimetre is 0.1 µm.
     assert!(coarse.rms_error_m < 1e-7 && (1e-11..1e-8).contains(&fine.rms_error_m));
 }
@@ -61,7 +61,7 @@ fn a_profile_accounts_for_every_cycle() {
     let functions = profile.functions(&image);
     assert_eq!(functions.iter().map(|function| function.cycles).sum::<u64>(), profile.total());
     assert!(functions.iter().all(|function| !function.name.is_empty()), "{functions:?}");
-    assert!(functions.iter().any(|function| function.name.starts_with("slitpose_model::") && function.calls > 0));
+    assert!(functions.iter().any(|function| function.name.contains("slitpose_model::") && function.calls > 0));
 }
 
 fn slitpose_cycles(arguments: &[&str]) -> (Option<i32>, String, String) {
