@@ -121,8 +121,9 @@ impl<R: Real> Rays<R> {
         let [x0, x1] = [spot.x.low.position, spot.x.high.position];
         let [y0, y1] = [spot.y.low.position, spot.y.high.position];
         let squares = [x0 * x0 + y2, x1 * x1 + y2, y0 * y0 + x2, y1 * y1 + x2];
-        let lengths = squares.map(|square| (square + h2).root());
-        Self { lengths, inverses: lengths.map(R::inverse) }
+        let squares = squares.map(|square| square + h2);
+        let inverses = squares.map(R::inverse_root);
+        Self { lengths: core::array::from_fn(|i| squares[i] * inverses[i]), inverses }
     }
 
     /// The two half angles of the plate: along x and along y.
@@ -165,7 +166,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let centroid = SideGradient { value: spot.x.middle, by_side: [half, half, zero, zero], ..SideGradient::default() };
     let rays = Rays::of(spot);
     let sum = rays.sum(spot);
-    let inverse = sum.dot(sum).root().inverse();
+    let inverse = sum.dot(sum).inverse_root();
     let direction = sum * inverse;
     let cosine = axis.dot(direction);
     // Behind the horizon there is no light; the profile is not asked there.

@@ -134,7 +134,7 @@ impl<S: Scalar> Transform<S> {
     #[inline]
     fn of_parts(quaternion: [S; 4], translation: <S as Scalar>::Vec3) -> Self {
         let [x, y, z, w] = quaternion;
-        let inverse = (x * x + y * y + z * z + w * w).sqrt().recip();
+        let inverse = Scalar::inverse_root(x * x + y * y + z * z + w * w);
         let rotation @ [x, y, z, w] = quaternion.map(|component| component * inverse);
         let (one, two) = (S::one(), S::two());
         let (x2, y2, z2) = (two * x, two * y, two * z);

@@ -40,6 +40,8 @@ pub trait Real:
     fn lane(self, i: usize) -> Self::Element;
     /// √.
     fn root(self) -> Self;
+    /// 1/√.
+    fn inverse_root(self) -> Self;
     /// Lane by lane: `yes` where a ≥ b, else `no`.
     fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
@@ -77,7 +79,11 @@ impl<S: Scalar> Real for S {
     }
     #[inline(always)]
     fn root(self) -> S {
-        self.sqrt()
+        self.square_root()
+    }
+    #[inline(always)]
+    fn inverse_root(self) -> S {
+        Scalar::inverse_root(self)
     }
     #[inline(always)]
     fn where_at_least(a: S, b: S, yes: S, no: S) -> S {
@@ -101,6 +107,10 @@ impl Real for f64x2 {
     #[inline(always)]
     fn root(self) -> Self {
         self.sqrt()
+    }
+    #[inline(always)]
+    fn inverse_root(self) -> Self {
+        Self::constant(1.0) / self.sqrt()
     }
     #[inline(always)]
     fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {

@@ -38,16 +38,22 @@ const DETECTOR: f64 = -1.0;
 impl<R: Real> Extent<R> {
     /// Intersection of the beam through `spans` (with their magnifications) and the detector; empty
     /// if its half length is not positive. Second: where an end of the detector cuts the beam, 1.
+    /// Third: how far the nearest other edge is from taking over.
     #[inline(always)]
-    fn of_beam<const N: usize>(spans: [(Span<R>, R); N], e: R, detector_half: R) -> (Self, R) {
+    fn of_beam<const N: usize>(spans: [(Span<R>, R); N], e: R, detector_half: R) -> (Self, R, R) {
         let (one, half) = (R::constant(1.0), R::constant(0.5));
         let mut low = Edge { position: -detector_half - e, magnification: one };
         let mut high = Edge { position: detector_half - e, magnification: one };
         let (mut from_low, mut from_high) = (R::constant(DETECTOR), R::constant(DETECTOR));
         let mut length = R::constant(0.0);
+        let mut slack = R::constant(f64::MAX);
         for (index, (span, k)) in spans.into_iter().enumerate() {
             let index = R::constant(index as f64);
             let (a, b) = ((span.low - e) * k, (span.high - e) * k);
+            for apart in [a - low.position, high.position - b] {
+                let apart = R::where_at_least(apart, -apart, apart, -apart);
+                slack = R::where_at_least(slack, apart, apart, slack);
+            }
             let at_low = |yes, no| R::where_at_least(a, low.position, yes, no);
             let raised = Edge { position: at_low(a, low.position), magnification: at_low(k, low.magnification) };
             from_low = at_low(index, from_low);
@@ -66,7 +72,7 @@ impl<R: Real> Extent<R> {
         let extent = R::where_at_least(from_high, from_low, one_face, difference);
         let extent = R::where_at_least(zero, cut, extent, difference);
         let middle = half * (low.position + high.position);
-        (Self { low, high, middle, half: half * extent }, cut)
+        (Self { low, high, middle, half: half * extent }, cut, slack)
     }
 }
 
@@ -83,11 +89,12 @@ impl<R: Real> Rectangle<R> {
         let (zero, one) = (R::constant(0.0), R::constant(1.0));
         let behind = faces.iter().fold(zero, |behind, face| R::where_at_least(face.z, ez, one, behind));
         let magnified = faces.map(|face| (face, ez / (ez - face.z)));
-        let (x, cut) = Extent::of_beam(magnified.map(|(face, k)| (face.x, k)), ex, detector_half[0]);
-        let (y, _) = Extent::of_beam(magnified.map(|(face, k)| (face.y, k)), ey, detector_half[1]);
+        let (x, cut, slack_x) = Extent::of_beam(magnified.map(|(face, k)| (face.x, k)), ex, detector_half[0]);
+        let (y, _, slack_y) = Extent::of_beam(magnified.map(|(face, k)| (face.y, k)), ey, detector_half[1]);
         // A pose that is no number makes both extents none, and the spot dark.
         let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
-        (Self { x, y, height: ez }, Verdict { behind, cut, narrower })
+        let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
+        (Self { x, y, height: ez }, Verdict { behind, cut, narrower, slack })
     }
 
     /// Corners in order around the spot, relative to the emitter's foot point.
@@ -107,9 +114,17 @@ pub(crate) struct Verdict<R> {
     cut: R,
     /// The smaller half extent.
     narrower: R,
+    /// How far the spot's sides are from being those of another edge, metres on the detector: there
+    /// the derivatives jump.
+    slack: R,
 }
 
 impl<R: Real> Verdict<R> {
+    #[inline(always)]
+    pub(crate) fn slack_m(&self, lane: usize) -> R::Element {
+        self.slack.lane(lane)
+    }
+
     #[inline(always)]
     pub(crate) fn status(&self, lane: usize) -> Status {
         let zero = R::Element::default();

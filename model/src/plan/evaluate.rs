@@ -13,12 +13,12 @@ use crate::response::{Flags, Pair, Response, Status};
 use crate::scalar::{Linear3, Scalar};
 use crate::solid_angle;
 
-use super::optics::{Light, Receiver, Seen, of_sides};
+use super::optics::{Light, Place, Receiver, Seen, of_sides};
 use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
 
 impl<S: Scalar> CompiledCell<S> {
     #[inline(always)]
-    fn spot(&self, seen: &Seen<S>) -> Result<(Spot<S>, Status), Status> {
+    fn spot(&self, seen: &Seen<S>) -> Result<(Spot<S>, Status, S), Status> {
         let e = seen.position;
         let (emitter, half) = ([e.x(), e.y(), e.z()], self.receiver.half);
         let (rectangle, verdict) = match &self.aperture {
@@ -26,11 +26,11 @@ impl<S: Scalar> CompiledCell<S> {
             Aperture::Thick(lower, upper) => Rectangle::of_beam([*lower, *upper], emitter, half),
             Aperture::Turned(_) => {
                 return Polygon::of_beam(&self.aperture, e, half)
-                    .map(|(polygon, status)| (Spot::Polygon(polygon), status));
+                    .map(|(polygon, status)| (Spot::Polygon(polygon), status, S::zero()));
             }
         };
         let status = verdict.status(0);
-        if status.has_spot() { Ok((Spot::Rectangle(rectangle), status)) } else { Err(status) }
+        if status.has_spot() { Ok((Spot::Rectangle(rectangle), status, verdict.slack_m(0))) } else { Err(status) }
     }
 }
 
@@ -61,7 +61,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let (power, centroid) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
             match exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission, orders, rules) {
-                Some(light) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, seen)),
+                Some(light) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, seen, true)),
                 None => divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen)?,
             }
         }
@@ -70,12 +70,12 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         }
         (_, _, Spot::Rectangle(rectangle)) => {
             let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
-            return Some(of_sides::<S, GRADIENT>(&light, rectangle, seen));
+            return Some(of_sides::<S, GRADIENT>(&light, rectangle, seen, false));
         }
         (_, _, Spot::Polygon(polygon)) => paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission),
     };
     let x_a = EmitterGradient { value: seen.position.x() + centroid.value, ..centroid };
-    Some(Light { power, x_a })
+    Some(Light { power, x_a: Place::Weighted(x_a) })
 }
 
 /// The exact light of a rectangular spot that one tensor rule cannot do.
@@ -130,13 +130,13 @@ fn photocurrents_of<S: Scalar>(
     base_from_tool: &Transform<S>,
 ) -> Pair<S> {
     let seen = cell.receiver.see(&emitter.source, base_from_tool);
-    let Ok((spot, _)) = cell.spot(&seen) else {
+    let Ok((spot, ..)) = cell.spot(&seen) else {
         return Pair::default();
     };
     match emitter.light_on::<false>(plan, cell, &seen, &spot) {
         Some(light) => {
             let photocurrent = cell.receiver.responsivity * emitter.source.intensity * light.power.value;
-            plan.above_dark(&cell.receiver, photocurrent, light.x_a.value)
+            plan.above_dark(&cell.receiver, photocurrent, light.x_a.value())
         }
         None => Pair::default(),
     }
@@ -146,7 +146,7 @@ fn photocurrents_of<S: Scalar>(
 pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
-    let (spot, status) = match cell.spot(&seen) {
+    let (spot, status, slack_m) = match cell.spot(&seen) {
         Ok(spot) => spot,
         Err(status) => return CellTerms::dark(status),
     };
@@ -154,7 +154,7 @@ pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
         return CellTerms::dark(status);
     };
     let (pair, jacobian) = cell.receiver.linearise(&cell.emitter.source, &light, &seen, plan.rules.is_none());
-    CellTerms { status, pair, jacobian }
+    CellTerms { status, pair, jacobian, slack_m }
 }
 
 pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
@@ -162,7 +162,7 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
     let CompiledCell { receiver, emitter, .. } = cell;
     let seen = receiver.see(&emitter.source, base_from_tool);
     let half_dark = S::half() * receiver.dark;
-    let (spot, status) = match cell.spot(&seen) {
+    let (spot, status, _) = match cell.spot(&seen) {
         Ok(spot) => spot,
         Err(status) => {
             return Response {
@@ -183,7 +183,7 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
     let light = emitter.light_on::<false>(plan, cell, &seen, &spot);
     let power = light.as_ref().map_or(S::zero(), |light| light.power.value);
     let photocurrent = receiver.responsivity * emitter.source.intensity * power;
-    let x_a = light.as_ref().map(|light| light.x_a.value);
+    let x_a = light.as_ref().map(|light| light.x_a.value());
     let above_dark = plan.above_dark(receiver, photocurrent, x_a.unwrap_or_default());
     let i_o = photocurrent + receiver.dark;
     Response {
@@ -221,8 +221,8 @@ pub(super) fn outline<S: Scalar>(
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
     let on_detector = |[x, y]: [S; 2]| [x + seen.position.x(), y + seen.position.y()];
     match cell.spot(&seen) {
-        Ok((Spot::Rectangle(rectangle), _)) => rectangle.corners().into_iter().map(on_detector).collect(),
-        Ok((Spot::Polygon(polygon), _)) => polygon.corners().iter().copied().map(on_detector).collect(),
+        Ok((Spot::Rectangle(rectangle), ..)) => rectangle.corners().into_iter().map(on_detector).collect(),
+        Ok((Spot::Polygon(polygon), ..)) => polygon.corners().iter().copied().map(on_detector).collect(),
         Err(_) => Vec::new(),
     }
 }

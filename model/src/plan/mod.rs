@@ -71,11 +71,14 @@ pub(crate) struct CellTerms<S> {
     /// Photocurrents above dark.
     pub(crate) pair: [S; 2],
     pub(crate) jacobian: CurrentsJacobian<S>,
+    /// How far the spot may change, metres on the detector, before the derivatives jump; zero where
+    /// nobody knows.
+    pub(crate) slack_m: S,
 }
 
 impl<S: Scalar> CellTerms<S> {
     fn dark(status: Status) -> Self {
-        Self { status, pair: [S::zero(); 2], jacobian: [[S::zero(); 6]; 2] }
+        Self { status, pair: [S::zero(); 2], jacobian: [[S::zero(); 6]; 2], slack_m: S::zero() }
     }
 }
 
@@ -119,7 +122,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn linearise(&self, cell: usize, pose: &Pose) -> (Status, Pair<S>, CurrentsJacobian<S>) {
-        let CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian } =
+        let CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian, .. } =
             evaluate::linearise(self, cell, &Transform::of(pose));
         (status, Pair { i_x1_a, i_x2_a }, jacobian)
     }

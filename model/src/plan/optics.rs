@@ -62,7 +62,25 @@ impl<S: Scalar> Instant<'_, S> {
 /// derivatives by the emitter in the cell frame.
 pub(super) struct Light<R: Real> {
     pub(super) power: EmitterGradient<R>,
-    pub(super) x_a: EmitterGradient<R>,
+    pub(super) x_a: Place<R>,
+}
+
+/// X_A with its derivatives.
+pub(super) enum Place<R: Real> {
+    /// Weighted by power: it depends on all of the emitter.
+    Weighted(EmitterGradient<R>),
+    /// The middle of a rectangle: value, and derivatives by the emitter's x and z.
+    Middle(R, [R; 2]),
+}
+
+impl<R: Real> Place<R> {
+    #[inline(always)]
+    pub(super) fn value(&self) -> R {
+        match self {
+            Self::Weighted(gradient) => gradient.value,
+            Self::Middle(value, _) => *value,
+        }
+    }
 }
 
 impl<R: Real> Receiver<R> {
@@ -125,12 +143,19 @@ impl<R: Real> Receiver<R> {
         let photocurrent = gain * light.power.value;
         let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
         let per_length = self.length.inverse();
-        let share = light.x_a.value * per_length;
+        let share = light.x_a.value() * per_length;
         let (half, imbalance) = (R::constant(0.5) * photocurrent, divided * share);
 
         // I_X1 + I_X2 = I and I_X1 = I/2 − (I + I_D')·X_A/Lx, with I_D' = I_D or 0.
         let total = self.of_pose(&light.power, seen);
-        let position = self.of_pose(&light.x_a, seen);
+        let position = match &light.x_a {
+            Place::Weighted(gradient) => self.of_pose(gradient, seen),
+            Place::Middle(_, [by_x, by_z]) => {
+                let by_position = self.axes[0] * *by_x + self.axes[2] * *by_z;
+                let turn = seen.arm.cross(by_position);
+                [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
+            }
+        };
         let (of_power, of_position) = (gain * (R::constant(0.5) - share), divided * per_length);
         let first: [R; 6] = core::array::from_fn(|i| total[i] * of_power - position[i] * of_position);
         let second = core::array::from_fn(|i| total[i] * gain - first[i]);
@@ -149,17 +174,22 @@ impl<R: Real> Receiver<R> {
 }
 
 /// From derivatives by the sides of a rectangle to derivatives by the emitter: ∂X/∂e = −k,
-/// ∂X/∂e_z = −X·(k − 1)/e_z (see [`crate::rectangle::Edge`]).
+/// ∂X/∂e_z = −X·(k − 1)/e_z (see [`crate::rectangle::Edge`]). `weighted`: whether the centroid is
+/// more than the middle of the sides.
 #[inline(always)]
 pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
     light: &RectangleLight<R>,
     spot: &Rectangle<R>,
     seen: &Seen<R>,
+    weighted: bool,
 ) -> Light<R> {
     let one = R::constant(1.0);
     let x_a = seen.position.x() + light.centroid.value;
     if !GRADIENT {
-        return Light { power: EmitterGradient::of_value(light.power.value), x_a: EmitterGradient::of_value(x_a) };
+        return Light {
+            power: EmitterGradient::of_value(light.power.value),
+            x_a: Place::Middle(x_a, [R::constant(0.0); 2]),
+        };
     }
     let edges = [spot.x.low, spot.x.high, spot.y.low, spot.y.high];
     let per_height = spot.height.inverse();
@@ -176,10 +206,16 @@ pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
             by_position: chain(&light.power),
             by_axis: light.power.by_axis,
         },
-        x_a: EmitterGradient {
-            value: x_a,
-            by_position: chain(&light.centroid) + R::Vec3::new(one, R::constant(0.0), R::constant(0.0)),
-            by_axis: light.centroid.by_axis,
+        x_a: if weighted {
+            Place::Weighted(EmitterGradient {
+                value: x_a,
+                by_position: chain(&light.centroid) + R::Vec3::new(one, R::constant(0.0), R::constant(0.0)),
+                by_axis: light.centroid.by_axis,
+            })
+        } else {
+            let half = R::constant(0.5);
+            let along = one - half * (edges[0].magnification + edges[1].magnification);
+            Place::Middle(x_a, [along, -(half * (rises[0] + rises[1]))])
         },
     }
 }

@@ -115,7 +115,7 @@ impl<R: Real> Pack<R> {
             Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
         };
         let light = paper::rectangle_light::<R, _, GRADIENT>(&spot, seen.axis, &self.emission);
-        (of_sides::<R, GRADIENT>(&light, &spot, seen), verdict)
+        (of_sides::<R, GRADIENT>(&light, &spot, seen, false), verdict)
     }
 }
 
@@ -140,6 +140,7 @@ pub(super) fn linearise<R: Real>(
                     status,
                     pair: pair.map(|value| value.lane(lane)),
                     jacobian: jacobian.map(|row| row.map(|value| value.lane(lane))),
+                    slack_m: verdict.slack_m(lane),
                 }
             } else {
                 CellTerms::dark(status)
@@ -163,7 +164,7 @@ pub(super) fn currents<R: Real>(
         let seen = pack.see(first, instant, &pose);
         let (light, verdict) = pack.light::<false>(&seen);
         let gain = pack.receiver.responsivity * pack.source.intensity;
-        let pair = pack.receiver.divide(gain * light.power.value, light.x_a.value, true);
+        let pair = pack.receiver.divide(gain * light.power.value, light.x_a.value(), true);
         for lane in 0..R::LANES.min(count - first) {
             let lit = verdict.status(lane).has_spot();
             sink(first + lane, if lit { pair.map(|value| value.lane(lane)) } else { Default::default() });

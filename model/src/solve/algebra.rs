@@ -52,9 +52,8 @@ impl<S: Scalar> Factor<S> {
             if !safe {
                 return None;
             }
-            let root = pivot.sqrt();
-            lower[i][i] = root;
-            inverses[i] = root.recip();
+            inverses[i] = pivot.inverse_root();
+            lower[i][i] = pivot * inverses[i];
         }
         Some(Self { lower, inverses })
     }
@@ -132,11 +131,6 @@ impl<S: Scalar> Factor<S> {
     pub(crate) fn is_even(&self, ratio: S) -> bool {
         let diagonal = (0..6).map(|i| self.lower[i][i]);
         diagonal.clone().fold(S::infinity(), S::min) > ratio * diagonal.fold(S::zero(), S::max)
-    }
-
-    /// The same in `f64`.
-    pub(crate) fn widened(&self) -> Factor<f64> {
-        Factor { lower: self.lower.map(|row| row.map(S::as_f64)), inverses: self.inverses.map(S::as_f64) }
     }
 
     /// Singular values of Lᵀ (ascending) with their right vectors, by one-sided Jacobi rotations

@@ -24,7 +24,7 @@ use crate::plan::{Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
 use crate::response::Pair;
 use crate::scalar::{Scalar, Vector3};
-use crate::scene::{MAX_CELLS, Scene, SceneError};
+use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
 pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Verified, Weakness};
 pub use readings::{Photocurrents, Reading};
@@ -45,8 +45,9 @@ const MAX_ITERATIONS: usize = 40;
 /// sake of noise-free data.
 const COLD_LEFTOVER: f64 = 1e-7;
 
-/// What following a tool may leave: a thousandth of what noise does.
-const WARM_LEFTOVER: f64 = 1e-3;
+/// What following a tool may leave, by an estimate that is some four times too cautious: less than a
+/// thousandth of the variance.
+const WARM_LEFTOVER: f64 = 0.1;
 
 /// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
 const GATE_SIGMAS: f64 = 6.0;
@@ -77,7 +78,9 @@ pub struct Solver<S: Scalar> {
     plan: Plan<S>,
     planes: Vec<PlaneCell<S>, MAX_CELLS>,
     noise: Vec<CellNoise<S>, MAX_CELLS>,
-    limits: Vec<Limits, MAX_CELLS>,
+    limits: Vec<Limits<S>, MAX_CELLS>,
+    /// Largest χ² that noise explains, by the number of cells used.
+    gates: [S; MAX_CELLS + 1],
     /// Empty: all cells are exposed at the reference instant.
     offsets_s: Vec<S, MAX_CELLS>,
     arm: S,
@@ -132,12 +135,14 @@ impl<S: Scalar> Solver<S> {
         let mut solver = Self {
             noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
             limits: cells
-                .map(|cell| Limits {
-                    faint_a: cell.detector.faint_a,
-                    saturation_a: cell.detector.saturation_a,
-                    dark_a: cell.detector.dark_current_a,
+                .map(|Cell { detector, .. }| Limits {
+                    faint_a: S::of(detector.faint_a),
+                    saturation_a: detector
+                        .saturation_a
+                        .map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
                 })
                 .collect(),
+            gates: core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells)))),
             offsets_s: Vec::new(),
             arm,
             bend: refine::bend(&planes, arm),
@@ -195,7 +200,7 @@ impl<S: Scalar> Solver<S> {
     /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
     /// of this scene's photocurrents can have, the tool at rest and all cells with light used.
     /// m², m·rad, rad²; `None` where the data leave a direction free.
-    pub fn bound(&self, pose: &Pose) -> Option<[[f64; 6]; 6]> {
+    pub fn bound(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
         observability::covariance(&self.factor_at(pose)?, self.arm)
     }
 
@@ -205,12 +210,12 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// The pose from `readings` alone, the tool at rest.
-    pub fn solve(&self, readings: &Photocurrents) -> Solution {
+    pub fn solve(&self, readings: &Photocurrents) -> Solution<S> {
         self.solve_moving(readings, &MotionPrior::default())
     }
 
     /// The pose from `readings`, with no idea where the tool is but some of how it moves.
-    pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
+    pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
@@ -224,7 +229,7 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// As far as the effort goes from `start`, and no word on whether the data fit.
-    fn unfinished(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, start: Transform<S>) -> Solution {
+    fn unfinished(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, start: Transform<S>) -> Solution<S> {
         let room = &mut Workspace::new();
         let max_iterations = match self.effort {
             Effort::Planes => 0,
@@ -242,7 +247,7 @@ impl<S: Scalar> Solver<S> {
 
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
-    pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution {
+    pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
         let solution = self.solve_next(readings, prior, motion);
         if solution.outcome != Outcome::Diverged {
             return solution;
@@ -253,7 +258,7 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// The pose from `readings` near `prior`, or none.
-    fn solve_next(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution {
+    fn solve_next(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
@@ -278,11 +283,11 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// A displacement in σ of a solution's pose, squared; infinite without a pose.
-    fn squared_sigmas(&self, solution: &Solution, translation_m: glam::DVec3, rotation_rad: glam::DVec3) -> f64 {
+    fn squared_sigmas(&self, solution: &Solution<S>, translation_m: glam::DVec3, rotation_rad: glam::DVec3) -> f64 {
         let t = translation_m / self.arm.as_f64();
-        let scaled = [t.x, t.y, t.z, rotation_rad.x, rotation_rad.y, rotation_rad.z];
+        let scaled = [t.x, t.y, t.z, rotation_rad.x, rotation_rad.y, rotation_rad.z].map(S::of);
         solution.factor.map_or(f64::INFINITY, |factor| {
-            let length = factor.length(&scaled);
+            let length = factor.length(&scaled).as_f64();
             length * length
         })
     }
@@ -304,7 +309,7 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// Six unknowns need three cells.
-    fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution> {
+    fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
         if sorted.usable.len() >= 3 {
             return None;
         }
@@ -318,9 +323,8 @@ impl<S: Scalar> Solver<S> {
 
     /// How well `refined` explains the data: χ² by the noise, and no light where none was seen.
     fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> Fit {
-        let gate = chi2_gate(redundancy(sorted.usable.len()));
         // Written so that NaN does not fit.
-        let fits = refined.converged && refined.chi2.as_f64() <= gate;
+        let fits = refined.converged && refined.chi2 <= self.gates[sorted.usable.len()];
         if !fits {
             Fit::None
         } else if sorted.faint.count() == 0 || self.is_dark_where_dark(sorted, problem, refined) {
@@ -333,10 +337,7 @@ impl<S: Scalar> Solver<S> {
     /// Whether cells that were found without light are without light at the pose, too.
     fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
         let predicted = problem.predicted(&refined.pose);
-        sorted
-            .faint
-            .iter()
-            .all(|cell| (predicted[cell][0] + predicted[cell][1]).as_f64() < 2.0 * self.limits[cell].faint_a)
+        sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
     }
 
     /// What to tell of a refinement whose last expansion is in `room`.
@@ -347,13 +348,13 @@ impl<S: Scalar> Solver<S> {
         refined: &Refined<S>,
         room: &Workspace<S>,
         fit: Fit,
-    ) -> Solution {
+    ) -> Solution<S> {
         let redundancy = redundancy(sorted.usable.len());
         let mut solution = Solution {
-            chi2: refined.chi2.as_f64(),
+            chi2: refined.chi2,
             redundancy,
             iterations: refined.iterations,
-            factor: refined.factor.map(|factor| factor.widened()),
+            factor: refined.factor,
             ..Solution::without_pose(Outcome::Diverged, sorted.used)
         };
         if let Some(blind) = self.blind {
@@ -372,8 +373,8 @@ impl<S: Scalar> Solver<S> {
         if !pose.is_finite() {
             return solution;
         }
-        let visible = problem.least_visible(factor, room).as_f64();
-        solution.unnoticed_sigmas = unnoticed_sigmas(redundancy, visible);
+        let gate = self.gates[sorted.usable.len()];
+        solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, room));
         solution.outcome = if fit == Fit::None {
             Outcome::Degraded(Weakness::Misfit)
         } else if sorted.usable.len() < self.plan.cell_count() {
@@ -388,12 +389,13 @@ impl<S: Scalar> Solver<S> {
 
 /// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:
 /// of an error of length e in σ of its cell, r·e² stays visible and (1 − r)·e² is in the pose.
-fn unnoticed_sigmas(redundancy: usize, visible: f64) -> f64 {
+fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
     // Of next to nothing, rounding is what is left.
-    if redundancy == 0 || visible <= 1e-6 {
-        return f64::INFINITY;
+    let negligible = S::of(1e-6).max(S::of(64.0) * S::epsilon());
+    if redundancy == 0 || visible <= negligible {
+        return S::infinity();
     }
-    libm::sqrt((chi2_gate(redundancy) - redundancy as f64) * (1.0 - visible) / visible)
+    ((gate - S::of(redundancy as f64)) * (S::one() - visible) / visible).square_root()
 }
 
 /// Two currents a cell, less six unknowns.

@@ -11,10 +11,12 @@
 //! and likewise for the gradient and χ²: the twist is marginalised exactly, with the correlation
 //! between cells that it brings.
 
-use heapless::Vec;
+// heapless clears the room of a new vector; here that would take as long as the algebra.
+use arrayvec::ArrayVec;
 
 use crate::plan::{Instant, Plan};
 use crate::pose::Transform;
+use crate::real::Real;
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
@@ -25,6 +27,9 @@ use super::weights::{CellNoise, Whitener};
 
 /// How firmly a plane guides: its distance is worth one σ per so much.
 const GUIDE_M: f64 = 20e-6;
+
+/// Largest motion of a spot's side per motion of its emitter, with room for turns of long arms.
+const MOST_MAGNIFICATION: f64 = 10.0;
 
 /// Most planes that guide: more than three fix a pose.
 const MAX_GUIDES: usize = 4;
@@ -82,7 +87,7 @@ pub(super) struct Problem<'a, S: Scalar> {
 }
 
 /// One whitening per usable reading.
-pub(super) type Whiteners<S> = Vec<Whitener<S>, MAX_CELLS>;
+pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
 
 /// A whitened datum: derivatives by the scaled pose, residual.
 #[derive(Clone, Copy, Debug)]
@@ -95,16 +100,18 @@ struct Row<S> {
 #[derive(Debug)]
 pub(super) struct Workspace<S: Scalar> {
     /// Of each usable reading, in order, two each.
-    rows: Vec<[Row<S>; 2], MAX_CELLS>,
+    rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
     /// Readings whose cell has no spot: their plane is a third row.
-    guided: Vec<(usize, Row<S>), MAX_GUIDES>,
+    guided: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
+    /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
+    slack_m: S,
 }
 
 impl<S: Scalar> Workspace<S> {
     /// Nothing in it yet.
     #[inline(always)]
     pub(super) fn new() -> Self {
-        Self { rows: Vec::new(), guided: Vec::new() }
+        Self { rows: ArrayVec::new(), guided: ArrayVec::new(), slack_m: S::zero() }
     }
 }
 
@@ -165,8 +172,8 @@ impl<S: Scalar> Problem<'_, S> {
 
     /// The currents above dark that all cells deliver with the tool at `pose` at the reference
     /// instant.
-    pub(super) fn predicted(&self, pose: &Transform<S>) -> Vec<[S; 2], MAX_CELLS> {
-        let mut currents = Vec::new();
+    pub(super) fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
+        let mut currents = heapless::Vec::new();
         self.plan.currents_all(
             &self.instant(pose),
             |_| true,
@@ -201,7 +208,8 @@ impl<S: Scalar> Problem<'_, S> {
         whiteners: &Whiteners<S>,
         room: &mut Workspace<S>,
     ) -> Expansion<S> {
-        let Workspace { rows: all_rows, guided } = room;
+        let Workspace { rows: all_rows, guided, slack_m } = room;
+        *slack_m = S::infinity();
         all_rows.clear();
         guided.clear();
         let scale: [S; 6] = core::array::from_fn(|axis| if axis < 3 { self.arm } else { S::one() });
@@ -216,6 +224,7 @@ impl<S: Scalar> Problem<'_, S> {
                 let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
                     return;
                 };
+                *slack_m = slack_m.min(terms.slack_m);
                 let whitener = &whiteners[index];
                 let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
                 let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
@@ -233,13 +242,22 @@ impl<S: Scalar> Problem<'_, S> {
                     weight *= self.share(reading);
                 }
                 // As many as readings.
-                let _ = all_rows.push(rows);
+                all_rows.push(rows);
                 if let Some(guide) = guide {
                     // One that does not fit only shows the way less.
-                    let _ = guided.push((index, guide));
+                    let _ = guided.try_push((index, guide));
                 }
             },
         );
+        if !adds_squares::<S>() {
+            for moment in &mut moments[..order] {
+                for i in 0..6 {
+                    for j in i + 1..6 {
+                        moment[i][j] = moment[j][i];
+                    }
+                }
+            }
+        }
         let gradient = self.gradient(room);
         let [information, mixed, twist] = moments;
         let Some(elimination) = self.elimination(&mixed, &twist) else {
@@ -376,6 +394,12 @@ impl<S: Scalar> Problem<'_, S> {
         triangle.last_six()
     }
 
+    /// Whether `step` moves no spot of the last expansion so far that derivatives jump.
+    pub(super) fn is_smooth(&self, step: &Vector6<S>, room: &Workspace<S>) -> bool {
+        let length = step.iter().fold(S::zero(), |sum, &value| sum + value * value).square_root() * self.arm;
+        room.slack_m > S::of(MOST_MAGNIFICATION) * length
+    }
+
     /// The least share of an error in one cell's currents that stays visible in its residuals, over
     /// all cells: the smaller eigenvalue of I − A·C·Aᵀ, A the cell's rows and C = (L·Lᵀ)⁻¹. The rest
     /// of the error goes into the pose.
@@ -385,18 +409,24 @@ impl<S: Scalar> Problem<'_, S> {
             let dot = |a: &Vector6<S>, b: &Vector6<S>| a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y);
             let (uu, vv, uv) = (dot(&u, &u), dot(&v, &v), dot(&u, &v));
             let half_difference = S::half() * (uu - vv);
-            let radius = (half_difference * half_difference + uv * uv).sqrt();
+            let radius = (half_difference * half_difference + uv * uv).square_root();
             least.min(S::one() - S::half() * (uu + vv) - radius)
         })
     }
 }
 
-/// Adds `weight`·row·rowᵀ: the whole square, which processors do faster than half of it.
+/// Whether a processor does a whole square sooner than its lower half: with more than one lane.
+const fn adds_squares<S: Scalar>() -> bool {
+    <S::Lanes as Real>::LANES > 1
+}
+
+/// Adds `weight`·row·rowᵀ, at least its lower half.
 #[inline(always)]
 fn add_outer<S: Scalar>(matrix: &mut Matrix6<S>, weight: S, row: &Vector6<S>) {
     for i in 0..6 {
         let factor = weight * row[i];
-        for j in 0..6 {
+        let end = if adds_squares::<S>() { 6 } else { i + 1 };
+        for j in 0..end {
             matrix[i][j] += factor * row[j];
         }
     }

@@ -20,7 +20,7 @@ const EVEN: f64 = 1e-3;
 
 /// Covariance in metres and radians from the information in scaled coordinates; `None` if a
 /// direction is free.
-pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix6<f64>> {
+pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix6<S>> {
     if !factor.is_even(S::of(EVEN)) && free_directions(factor).is_some() {
         return None;
     }
@@ -31,7 +31,7 @@ pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix
         return None;
     }
     let scale = |axis: usize| if axis < 3 { arm } else { S::one() };
-    Some(core::array::from_fn(|i| core::array::from_fn(|j| (inverse[i][j] * scale(i) * scale(j)).as_f64())))
+    Some(core::array::from_fn(|i| core::array::from_fn(|j| inverse[i][j] * (scale(i) * scale(j)))))
 }
 
 /// The free directions; `None` if there is none.
@@ -52,5 +52,5 @@ pub(super) fn distinct<S: Scalar>(factor: &Factor<S>, a: &Transform<S>, b: &Tran
     let (dt, dr) = b.to_pose().displacement_from(&a.to_pose());
     let dt = dt / arm.as_f64();
     let sigmas = factor.length(&[dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].map(S::of));
-    sigmas.is_nan() || sigmas.as_f64() > DISTINCT_SIGMAS
+    sigmas.is_nan() || sigmas > S::of(DISTINCT_SIGMAS)
 }

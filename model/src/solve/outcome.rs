@@ -3,6 +3,7 @@
 use core::fmt;
 
 use crate::pose::Pose;
+use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Factor, Matrix6};
@@ -140,17 +141,22 @@ impl Cells {
 
 /// A pose with its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
+pub struct Estimate<S = f64> {
     /// `base_from_tool` at the reference instant.
     pub pose: Pose,
     /// Covariance of the perturbation (δt, δθ) in the base frame: m², m·rad, rad².
-    pub covariance: Matrix6<f64>,
+    pub covariance: Matrix6<S>,
 }
 
-impl Estimate {
+impl<S: Scalar> Estimate<S> {
     /// Standard deviations of (δt, δθ): m and rad.
-    pub fn sigma(&self) -> [f64; 6] {
-        core::array::from_fn(|i| libm::sqrt(self.covariance[i][i]))
+    pub fn sigma(&self) -> [S; 6] {
+        core::array::from_fn(|i| self.covariance[i][i].sqrt())
+    }
+
+    /// The same in `f64`.
+    pub fn widened(&self) -> Estimate {
+        Estimate { pose: self.pose, covariance: self.covariance.map(|row| row.map(S::as_f64)) }
     }
 
     /// Normalised estimation error squared against the `truth`: eᵀC⁻¹e with
@@ -160,9 +166,10 @@ impl Estimate {
         let (dt, dr) = self.pose.displacement_from(truth);
         let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
         // Metres and radians differ in size: scaled by σ the factorisation sees correlations.
-        let sigma = self.sigma();
+        let Estimate { covariance, .. } = self.widened();
+        let sigma: [f64; 6] = core::array::from_fn(|i| libm::sqrt(covariance[i][i]));
         let scaled: Matrix6<f64> =
-            core::array::from_fn(|i| core::array::from_fn(|j| self.covariance[i][j] / (sigma[i] * sigma[j])));
+            core::array::from_fn(|i| core::array::from_fn(|j| covariance[i][j] / (sigma[i] * sigma[j])));
         let right: [f64; 6] = core::array::from_fn(|i| error[i] / sigma[i]);
         let factor = Factor::of_matrix(&scaled, 0.0, f64::EPSILON)?;
         Some(factor.forward(&right).iter().map(|value| value * value).sum())
@@ -171,13 +178,13 @@ impl Estimate {
 
 /// The result of one solve.
 #[derive(Clone, Copy, Debug)]
-pub struct Solution {
+pub struct Solution<S: Scalar = f64> {
     /// What happened.
     pub outcome: Outcome,
     /// The pose; present exactly if the outcome carries one.
-    pub estimate: Option<Estimate>,
+    pub estimate: Option<Estimate<S>>,
     /// Sum of the squared whitened residuals.
-    pub chi2: f64,
+    pub chi2: S,
     /// Data minus unknowns: what χ² is distributed over, and what checked the pose.
     pub redundancy: usize,
     /// Refinement steps taken, over all starts.
@@ -188,9 +195,9 @@ pub struct Solution {
     pub excluded: Cells,
     /// How far one lying cell can have moved the pose, in σ of the pose, before χ² is as likely as
     /// not to tell; infinite where nothing is left over to check with.
-    pub unnoticed_sigmas: f64,
+    pub unnoticed_sigmas: S,
     /// Factor of the information in scaled coordinates; see [`Self::condition`].
-    pub(crate) factor: Option<Factor<f64>>,
+    pub(crate) factor: Option<Factor<S>>,
 }
 
 /// How well the data checked a pose that carries no other doubt.
@@ -215,17 +222,17 @@ impl Verified {
     }
 }
 
-impl Solution {
+impl<S: Scalar> Solution<S> {
     pub(crate) fn without_pose(outcome: Outcome, cells_used: Cells) -> Self {
         Self {
             outcome,
             estimate: None,
-            chi2: f64::NAN,
+            chi2: S::nan(),
             redundancy: 0,
             iterations: 0,
             cells_used,
             excluded: Cells::default(),
-            unnoticed_sigmas: f64::INFINITY,
+            unnoticed_sigmas: S::infinity(),
             factor: None,
         }
     }
@@ -233,8 +240,8 @@ impl Solution {
     /// How well redundancy checked the pose: see [`Self::unnoticed_sigmas`].
     pub fn verified(&self) -> Verified {
         match self.unnoticed_sigmas {
-            shift if shift <= 10.0 => Verified::Well,
-            shift if shift <= 100.0 => Verified::Weakly,
+            shift if shift <= S::of(10.0) => Verified::Well,
+            shift if shift <= S::of(100.0) => Verified::Weakly,
             _ => Verified::Not,
         }
     }
@@ -242,7 +249,7 @@ impl Solution {
     /// Condition number (ratio of the extreme singular values) of the whitened Jacobian, with
     /// translations counted in units of the emitters' root-mean-square distance from the tool's
     /// origin, so that metres and radians compare. `None` without solution.
-    pub fn condition(&self) -> Option<f64> {
+    pub fn condition(&self) -> Option<S> {
         let pairs = self.factor.as_ref()?.singular();
         Some(pairs[5].0 / pairs[0].0)
     }

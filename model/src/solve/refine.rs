@@ -79,10 +79,13 @@ impl<S: Scalar> Problem<'_, S> {
             iterations += 1;
             let gain = dot(&step, &at.descent).max(S::zero());
             // The derivatives change along the step by this share.
-            let change = self.bend * dot(&step, &step).sqrt();
+            let change = self.bend * dot(&step, &step).square_root();
             let trial = self.moved(&pose, &step);
-            let undamped = damping <= S::of(FIRST_DAMPING);
-            if undamped && (change * gain.sqrt() <= ending.leftover || change * change <= self.bend * S::epsilon()) {
+            // A damped step stops short of the minimum.
+            let undamped = damping == S::zero();
+            let is_tiny = change * change <= self.bend * S::epsilon();
+            let is_last = change * gain.square_root() <= ending.leftover && self.is_smooth(&step, room);
+            if undamped && (is_tiny || is_last) {
                 return ended(trial, (at.chi2 - gain).max(S::zero()), Some(factor), iterations);
             }
             if undamped && change <= S::of(KEEP) && iterations < ending.max_iterations {
@@ -90,10 +93,10 @@ impl<S: Scalar> Problem<'_, S> {
                 let (chi2, descent) = self.revisit(&trial, whiteners, &at, room);
                 let second = factor.solve(&descent);
                 let second_gain = dot(&second, &descent).max(S::zero());
-                let ratio = (second_gain / gain).sqrt();
+                let ratio = (second_gain / gain).square_root();
                 if ratio <= S::of(POOR) {
                     let end = self.moved(&trial, &second);
-                    if S::two() * ratio * second_gain.sqrt() <= ending.leftover {
+                    if S::two() * ratio * second_gain.square_root() <= ending.leftover {
                         return ended(end, (chi2 - second_gain).max(S::zero()), Some(factor), iterations);
                     }
                     pose = end;

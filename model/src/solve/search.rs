@@ -40,7 +40,7 @@ const CONVICTION: f64 = 20.0;
 
 impl<S: Scalar> Solver<S> {
     /// A quick look for the tool: what the planes lead to, or nothing.
-    pub(super) fn glance(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
+    pub(super) fn glance(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
@@ -63,7 +63,7 @@ impl<S: Scalar> Solver<S> {
         problem: &Problem<'_, S>,
         motion: &MotionPrior,
         room: &mut Workspace<S>,
-    ) -> Solution {
+    ) -> Solution<S> {
         let whiteners = problem.whiteners();
         let mut iterations = 0;
         let mut best: Option<(Refined<S>, Fit)> = None;
@@ -135,7 +135,7 @@ impl<S: Scalar> Solver<S> {
         motion: &MotionPrior,
         start: Option<Transform<S>>,
         room: &mut Workspace<S>,
-    ) -> Option<Solution> {
+    ) -> Option<Solution<S>> {
         if sorted.usable.len() <= WITNESSES {
             return None;
         }

@@ -46,9 +46,9 @@ const LONGEST_PAUSE: u32 = 256;
 
 /// What one frame tells.
 #[derive(Clone, Copy, Debug)]
-pub struct Tracked {
+pub struct Tracked<S: Scalar = f64> {
     /// From this frame alone, but for the twist.
-    pub solution: Solution,
+    pub solution: Solution<S>,
     /// Velocity at the reference instant, from this frame and a few before.
     pub twist: Option<TwistEstimate>,
     /// From many frames, if asked for.
@@ -98,14 +98,14 @@ impl<S: Scalar> Tracker<S> {
 
     /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
     /// gap in the numbers the tracker forgets how the tool moved.
-    pub fn track(&mut self, frame: u64, readings: &Photocurrents) -> Tracked {
+    pub fn track(&mut self, frame: u64, readings: &Photocurrents) -> Tracked<S> {
         match frame.checked_sub(self.next_frame) {
             Some(missed) if missed <= u64::from(MAX_COAST) => (0..missed).for_each(|_| self.coast()),
             _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
         let (solution, squared_error) = self.solve(readings);
-        match solution.estimate {
+        match solution.estimate.map(|estimate| estimate.widened()) {
             Some(estimate) if solution.outcome != Outcome::Degraded(Weakness::Misfit) => {
                 self.motion.update(&estimate.pose, squared_error);
                 if let Some(filter) = &mut self.filter {
@@ -149,7 +149,7 @@ impl<S: Scalar> Tracker<S> {
 
     /// The solution, and the squared error of the prediction per axis in units of what noise
     /// explains.
-    fn solve(&mut self, readings: &Photocurrents) -> (Solution, Option<f64>) {
+    fn solve(&mut self, readings: &Photocurrents) -> (Solution<S>, Option<f64>) {
         let Some(expected) = self.motion.predict() else {
             return (self.find(readings, &unknown_motion(&self.last_twist)), None);
         };
@@ -180,7 +180,7 @@ impl<S: Scalar> Tracker<S> {
     }
 
     /// Looks for the tool everywhere; the longer it is lost, the less often.
-    fn find(&mut self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
+    fn find(&mut self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
         let (wait, pause) = self.pause;
         if wait > 0 {
             self.pause.0 -= 1;

@@ -18,7 +18,7 @@ pub(crate) struct Whitener<S> {
 impl<S: Scalar> Whitener<S> {
     /// For two uncorrelated variances, A².
     fn of_variances(variances: [S; 2]) -> Self {
-        let [first, second] = variances.map(|variance| variance.sqrt().recip());
+        let [first, second] = variances.map(S::inverse_root);
         Self { rows: [[first, S::zero()], [S::zero(), second]] }
     }
 
@@ -29,7 +29,7 @@ impl<S: Scalar> Whitener<S> {
     /// direction that is known to nothing loses its weight, the other keeps its digits.
     fn loosened(&self, pair: [S; 2], variance: S) -> Self {
         let [a, b] = self.apply(pair);
-        let root = (S::one() + variance * (a * a + b * b)).sqrt();
+        let root = (S::one() + variance * (a * a + b * b)).square_root();
         let factor = variance / (root * (S::one() + root));
         let [w0, w1] = self.rows;
         let along = [0, 1].map(|k| factor * (a * w0[k] + b * w1[k]));

@@ -102,7 +102,7 @@ fn time(solver: &Solver<f32>, readings: &Photocurrents, prior: Option<&Pose>) ->
         cycles,
         iterations: solution.iterations as u32,
         converged: solution.outcome == Outcome::Converged,
-        estimate: solution.estimate.map(|estimate| (estimate.pose, estimate.covariance)),
+        estimate: solution.estimate.map(|estimate| (estimate.pose, estimate.widened().covariance)),
     }
 }
 
