@@ -19,6 +19,10 @@ const MOST_RATIO: f64 = 1.03;
 /// Distance of the mean NEES from 6: 2.6 σ of 10 000 poses.
 const NEES_BAND: f64 = 0.09;
 
+/// A lie that leaves so much χ² passes no test on six degrees of freedom: gated at 54 (1e-9), noise
+/// hides it in one of 500 000 cases. One that leaves less may pass any test.
+const HIDDEN_CHI2: f64 = 170.0;
+
 /// Share of the poses of `base` that a cold start must find; some spots are clipped there.
 const LEAST_SHARE_BASE: f64 = 0.9995;
 
@@ -85,7 +89,6 @@ fn cold(options: &Options, verdicts: &mut Verdicts) {
                 half_deg: HALF_DEG,
                 light: cold::Light::All,
                 tolerance,
-                tolerance_sigmas: 0.0,
             };
             let report = cold::study(conditions.clone(), options.trials(100_000));
             println!("{report}");
@@ -93,13 +96,7 @@ fn cold(options: &Options, verdicts: &mut Verdicts) {
             verdicts.check(report.share() >= least, &format!("at least {} % found", 100.0 * least));
             verdicts.check(report.tally.count("converged").wrong == 0, "no wrong pose called converged");
 
-            let further = cold::Conditions {
-                half_mm: 6.0,
-                half_deg: 25.0,
-                light: cold::Light::Any,
-                tolerance_sigmas: 0.1,
-                ..conditions
-            };
+            let further = cold::Conditions { half_mm: 6.0, half_deg: 25.0, light: cold::Light::Any, ..conditions };
             let report = cold::study(further, options.trials(100_000));
             println!("{report}");
             verdicts.check(report.failures.is_empty(), "each pose right, or a word for why there is none");
@@ -147,7 +144,8 @@ fn lies(options: &Options, verdicts: &mut Verdicts) {
         let report = lies::study(&scene(&WIDE), Tier::Paper, conduct, options.trials(100_000));
         println!("{report}");
         verdicts.check(report.failures.is_empty(), "honest data give the right pose");
-        verdicts.check(report.unflagged.is_empty(), "no wrong pose called converged");
+        let blatant = report.unflagged.iter().filter(|case| case.least_chi2 > HIDDEN_CHI2).count();
+        verdicts.check(blatant == 0, "no wrong pose called converged whose lie noise could not hide");
     }
 }
 
@@ -162,16 +160,13 @@ fn subsets(options: &Options, verdicts: &mut Verdicts) {
 fn main() -> ExitCode {
     let options = Options::parse();
     let mut verdicts = Verdicts::default();
-    let studies: [(Study, fn(&Options, &mut Verdicts)); 5] = [
-        (Study::Cold, cold),
-        (Study::Efficiency, efficiency),
-        (Study::Moving, moving),
-        (Study::Lies, lies),
-        (Study::Subsets, subsets),
-    ];
-    for (study, run) in studies {
-        if options.only.is_none_or(|only| only == study) {
-            run(&options, &mut verdicts);
+    for study in Study::value_variants().iter().filter(|&&study| options.only.is_none_or(|only| only == study)) {
+        match study {
+            Study::Cold => cold(&options, &mut verdicts),
+            Study::Efficiency => efficiency(&options, &mut verdicts),
+            Study::Moving => moving(&options, &mut verdicts),
+            Study::Lies => lies(&options, &mut verdicts),
+            Study::Subsets => subsets(&options, &mut verdicts),
         }
     }
     println!("{} out of bounds", verdicts.failed);

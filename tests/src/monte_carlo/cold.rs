@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use slitpose_model::{Photocurrents, Scene, Solver, Tier};
+use slitpose_model::{Outcome, Photocurrents, Scene, Solver, Tier};
 
 use super::data::{lit_count, pairs};
-use super::tally::{Case, Tally, list};
+use super::tally::{Case, Tally, Verdict, list};
 use super::trials::Trials;
 use crate::poses::{one_in_box, pose};
 
@@ -33,10 +33,41 @@ pub struct Conditions {
     pub half_deg: f64,
     /// Which of the box.
     pub light: Light,
-    /// A pose is right to so many mm and rad per axis…
+    /// A pose is right to so many mm and rad per axis.
     pub tolerance: f64,
-    /// …or to so many of its own σ, for poses that the data hold loosely.
-    pub tolerance_sigmas: f64,
+}
+
+/// Where data may be few, a pose is right, too, to this share of its σ: directions that are held
+/// loosely magnify rounding. (A minimum next to another is flat, so rounding enters by its root.)
+const RIGHT_SIGMAS: f64 = 1e-3;
+
+/// Two solutions that the data tell apart by less than this are one to any solver. Where nothing is
+/// redundant such twins do exist, and either may come out.
+const NEAR_SIGMAS: f64 = 6.0;
+
+impl Conditions {
+    fn judge(&self, case: &Case) -> Verdict {
+        let (mm, rad) = case.largest();
+        let sigmas = if self.light == Light::Any { case.worst_sigmas() } else { None }.unwrap_or(f64::INFINITY);
+        if mm.max(rad) <= self.tolerance || sigmas <= RIGHT_SIGMAS {
+            Verdict::Right
+        } else if sigmas <= NEAR_SIGMAS {
+            Verdict::Near
+        } else {
+            Verdict::Wrong
+        }
+    }
+
+    /// Where cells may be dark, no pose is an honest answer, except that nothing fits at all.
+    fn is_failure(&self, case: &Case) -> bool {
+        match self.judge(case) {
+            Verdict::Right => false,
+            _ if self.light == Light::All => true,
+            _ if case.error.is_none() => case.solution.outcome == Outcome::Diverged,
+            Verdict::Near => case.solution.redundancy > 0,
+            Verdict::Wrong => true,
+        }
+    }
 }
 
 /// What came out.
@@ -66,7 +97,7 @@ impl Report {
 /// # Panics
 /// If the scene cannot be compiled.
 pub fn study(conditions: Conditions, trials: Trials) -> Report {
-    let Conditions { scene, tier, half_mm, half_deg, light, tolerance, tolerance_sigmas, .. } = &conditions;
+    let Conditions { scene, tier, half_mm, half_deg, light, .. } = &conditions;
     let solver = Solver::<f64>::new(scene, *tier).unwrap_or_else(|error| panic!("{error}"));
     let cases = trials.run(|trial, rng| {
         loop {
@@ -77,19 +108,11 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
             }
         }
     });
-    let is_right = |case: &Case| {
-        let (mm, rad) = case.largest();
-        mm.max(rad) <= *tolerance || case.worst_sigmas().is_some_and(|sigmas| sigmas <= *tolerance_sigmas)
-    };
-    let (right, other): (Vec<Case>, Vec<Case>) = cases.iter().copied().partition(is_right);
-    // Where cells may be dark, no pose is an honest answer, except that nothing fits at all.
-    let failures = other.into_iter().filter(|case| {
-        *light == Light::All || case.error.is_some() || case.outcome() == slitpose_model::Outcome::Diverged.as_str()
-    });
+    let right = cases.iter().filter(|case| conditions.judge(case) == Verdict::Right).map(Case::largest);
     Report {
-        tally: Tally::of(&cases, is_right),
-        failures: failures.collect(),
-        worst: right.iter().map(Case::largest).fold((0.0, 0.0), |worst, (mm, rad)| (worst.0.max(mm), worst.1.max(rad))),
+        tally: Tally::of(&cases, |case| conditions.judge(case)),
+        failures: cases.iter().copied().filter(|case| conditions.is_failure(case)).collect(),
+        worst: right.fold((0.0, 0.0), |worst, (mm, rad)| (worst.0.max(mm), worst.1.max(rad))),
         steps: cases.iter().map(|case| case.solution.iterations as f64).sum::<f64>() / trials.count as f64,
         conditions,
         trials,
@@ -98,11 +121,14 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Conditions { name, tier, half_mm, half_deg, light, tolerance, tolerance_sigmas, .. } = &self.conditions;
+        let Conditions { name, tier, half_mm, half_deg, light, tolerance, .. } = &self.conditions;
         let Trials { count, seed } = self.trials;
-        let light = if *light == Light::All { "all cells lit" } else { "whatever is lit" };
-        writeln!(f, "cold start, {name}, {tier:?}, ±{half_mm} mm ±{half_deg}°, {light}, noise-free")?;
-        writeln!(f, "  {count} poses, seed {seed}; right: within {tolerance:e} mm and rad, or {tolerance_sigmas} σ")?;
+        let (lit, or) = match light {
+            Light::All => ("all cells lit", String::new()),
+            Light::Any => ("whatever is lit", format!(" or {RIGHT_SIGMAS} σ; near: within {NEAR_SIGMAS} σ")),
+        };
+        writeln!(f, "cold start, {name}, {tier:?}, ±{half_mm} mm ±{half_deg}°, {lit}, noise-free")?;
+        writeln!(f, "  {count} poses, seed {seed}; right: within {tolerance:e} mm and rad{or}")?;
         write!(f, "{}", self.tally)?;
         let (mm, rad) = self.worst;
         writeln!(

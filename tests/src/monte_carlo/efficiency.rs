@@ -6,7 +6,7 @@ use slitpose_model::{AXES, Scene, Solver, Tier, Uncertainty};
 
 use super::data::{Disturbance, lit_count, measured, pairs};
 use super::layout::Table;
-use super::tally::{Case, Tally, list};
+use super::tally::{Case, Tally, Verdict, list};
 use super::trials::Trials;
 use super::{HALF_DEG, HALF_MM};
 use crate::consistency::{nees, sigma};
@@ -36,7 +36,7 @@ impl Conditions {
 pub struct Report {
     conditions: Conditions,
     trials: Trials,
-    /// Outcomes; a pose is wrong beyond 10 σ.
+    /// Outcomes.
     pub tally: Tally,
     /// Solves without pose or with a wrong one.
     pub failures: Vec<Case>,
@@ -72,10 +72,9 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
             }
         }
     });
-    let is_right = |case: &Case| case.worst_sigmas().is_some_and(|sigmas| sigmas < 10.0);
     let right: Vec<(&Case, [f64; 6])> = solved
         .iter()
-        .filter(|trial| is_right(&trial.case))
+        .filter(|trial| trial.case.by_sigmas() == Verdict::Right)
         .filter_map(|trial| Some((&trial.case, trial.bound?)))
         .collect();
     let mean_over = |value: &dyn Fn(&Case, &[f64; 6]) -> f64| {
@@ -89,8 +88,8 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
         _ => 0.0,
     };
     Report {
-        tally: Tally::of(solved.iter().map(|trial| &trial.case), is_right),
-        failures: solved.iter().map(|trial| trial.case).filter(|case| !is_right(case)).collect(),
+        tally: Tally::of(solved.iter().map(|trial| &trial.case), Case::by_sigmas),
+        failures: solved.iter().map(|trial| trial.case).filter(|case| case.by_sigmas() == Verdict::Wrong).collect(),
         ratio: std::array::from_fn(in_bounds),
         nees: mean_over(&own_nees),
         bound: std::array::from_fn(|axis| median(right.iter().map(|(_, bound)| bound[axis]))),

@@ -7,8 +7,9 @@ use rand_chacha::ChaCha8Rng;
 use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Tier};
 
 use super::data::{Disturbance, lit_count, measured, pairs};
-use super::subsets::{WRONG_SIGMAS, thin_out};
-use super::tally::{Case, Tally, list};
+use super::layout::Table;
+use super::subsets::thin_out;
+use super::tally::{Case, Tally, Verdict, WRONG_SIGMAS, list};
 use super::trials::Trials;
 use super::{HALF_DEG, HALF_MM};
 use crate::poses::{one_in_box, pose};
@@ -41,13 +42,19 @@ pub struct Report {
     conduct: Conduct,
     trials: Trials,
     tier: Tier,
-    /// Outcomes; a pose is wrong beyond [`WRONG_SIGMAS`].
+    /// Outcomes.
     pub tally: Tally,
     /// Wrong poses that are called converged.
     pub unflagged: Vec<Case>,
     /// Honest data without a right pose.
     pub failures: Vec<Case>,
+    /// Lies by the χ² they leave at least: how many there were, and how many passed unflagged.
+    by_least_chi2: Vec<(f64, usize, usize)>,
 }
+
+/// Bands of [`least_chi2`], each up to this. 33 and 54: what noise alone exceeds with probability
+/// 1e-5 and 1e-9 on six degrees of freedom.
+const BANDS: [f64; 5] = [10.0, 33.0, 54.0, 100.0, f64::INFINITY];
 
 /// Solves for random poses of the box at which no cell is faint, with the scene's noise.
 ///
@@ -96,16 +103,21 @@ pub fn study(scene: &Scene, tier: Tier, conduct: Conduct, trials: Trials) -> Rep
         case.least_chi2 = least_chi2(solver.plan(), &disturbance, &pose(row), liar, whitened);
         case
     });
-    let is_right = |case: &Case| case.worst_sigmas().is_some_and(|sigmas| sigmas < WRONG_SIGMAS);
-    let is_wrong = |case: &&Case| case.error.is_some() && !is_right(case);
+    let is_wrong = |case: &&Case| case.by_sigmas() == Verdict::Wrong;
     let honest = matches!(conduct, Conduct::Honest | Conduct::OneMissing);
+    let in_band = |(i, &most): (usize, &f64)| {
+        let least = if i == 0 { 0.0 } else { BANDS[i - 1] };
+        let band = cases.iter().filter(|case| (least..most).contains(&case.least_chi2));
+        (most, band.clone().count(), band.filter(is_wrong).filter(|case| is_unflagged(case)).count())
+    };
     Report {
         conduct,
         trials,
         tier,
-        tally: Tally::of(&cases, is_right),
+        by_least_chi2: if honest { Vec::new() } else { BANDS.iter().enumerate().map(in_band).collect() },
+        tally: Tally::of(&cases, Case::by_sigmas),
         unflagged: cases.iter().filter(is_wrong).filter(|case| is_unflagged(case)).copied().collect(),
-        failures: cases.iter().filter(|case| honest && !is_right(case)).copied().collect(),
+        failures: cases.iter().filter(|case| honest && is_wrong(case)).copied().collect(),
     }
 }
 
@@ -158,6 +170,13 @@ impl fmt::Display for Report {
         writeln!(f, "lies, {conduct:?}, {tier:?}, ±{HALF_MM} mm ±{HALF_DEG}°, all cells lit, noise of the scene")?;
         writeln!(f, "  {count} poses, seed {seed}; wrong: beyond {WRONG_SIGMAS} σ")?;
         write!(f, "{}", self.tally)?;
+        if !self.by_least_chi2.is_empty() {
+            let mut table = Table::new(&["least χ² up to", "lies", "unflagged"]);
+            for (most, lies, unflagged) in &self.by_least_chi2 {
+                table.row([most.to_string(), lies.to_string(), unflagged.to_string()]);
+            }
+            write!(f, "{table}")?;
+        }
         list(f, "honest data without a right pose", &self.failures)?;
         list(f, "wrong and unflagged", &self.unflagged)
     }

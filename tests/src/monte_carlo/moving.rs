@@ -102,8 +102,8 @@ type Run = (Vec<Frame>, Vec<Frame>, usize);
 pub fn study(conditions: Conditions, trials: Trials) -> Report {
     let runs = trials.run(|run, _| follow(&conditions, trials.seed.wrapping_add(run as u64)));
     Report {
-        tracked: judge(runs.iter().map(|run| &run.0)),
-        known_twist: judge(runs.iter().map(|run| &run.1)),
+        tracked: judge(&runs, |run| &run.0),
+        known_twist: judge(&runs, |run| &run.1),
         unconverged: runs.iter().map(|run| run.2).sum(),
         conditions,
         trials,
@@ -147,15 +147,15 @@ fn twist(trajectory: &Trajectory, time_s: f64) -> Twist {
     Twist { linear_m_per_s: [vx, vy, vz].into(), angular_rad_per_s: [wx, wy, wz].into() }
 }
 
-fn judge<'a>(runs: impl Iterator<Item = &'a Vec<Frame>> + Clone) -> Judged {
+fn judge(runs: &[Run], part: fn(&Run) -> &Vec<Frame>) -> Judged {
     let mean = |frames: &[Frame]| frames.iter().map(|frame| frame.nees).sum::<f64>() / frames.len() as f64;
-    let frames = || runs.clone().flatten();
+    let frames = || runs.iter().flat_map(part);
     let count = frames().count() as f64;
     let root = |of: fn(&Frame) -> &[f64; 6]| {
         std::array::from_fn(|axis| (frames().map(|frame| of(frame)[axis]).sum::<f64>() / count).sqrt())
     };
     Judged {
-        batches: runs.clone().map(|frames| mean(frames)).collect(),
+        batches: runs.iter().map(|run| mean(part(run))).collect(),
         in_sigmas: root(|frame| &frame.in_sigmas),
         in_bounds: root(|frame| &frame.in_bounds),
         worst_sigmas: frames().map(|frame| frame.worst_sigmas).fold(0.0, f64::max),

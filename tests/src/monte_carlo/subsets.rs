@@ -7,13 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use slitpose_model::{Photocurrents, Reading, Scene, Solver, Tier};
 
 use super::data::{Disturbance, lit_count, measured, pairs};
-use super::tally::{Case, Tally, list};
+use super::tally::{Case, Tally, Verdict, WRONG_SIGMAS, list};
 use super::trials::Trials;
 use super::{HALF_DEG, HALF_MM};
 use crate::poses::{one_in_box, pose};
-
-/// A pose this many of its σ from the truth is another pose.
-pub const WRONG_SIGMAS: f64 = 10.0;
 
 /// What came out.
 #[derive(Clone, Debug)]
@@ -21,7 +18,7 @@ pub struct Report {
     cells: usize,
     trials: Trials,
     tier: Tier,
-    /// Outcomes; a pose is wrong beyond [`WRONG_SIGMAS`].
+    /// Outcomes.
     pub tally: Tally,
     /// Wrong poses.
     pub failures: Vec<Case>,
@@ -55,13 +52,16 @@ pub fn study(scene: &Scene, tier: Tier, cells: usize, trials: Trials) -> Report 
             }
         }
     });
-    let is_right = |case: &Case| case.worst_sigmas().is_some_and(|sigmas| sigmas < WRONG_SIGMAS);
     Report {
         cells,
         trials,
         tier,
-        tally: Tally::of(&cases, is_right),
-        failures: cases.iter().copied().filter(|case| case.error.is_some() && !is_right(case)).collect(),
+        tally: Tally::of(&cases, Case::by_sigmas),
+        failures: cases
+            .iter()
+            .copied()
+            .filter(|case| case.error.is_some() && case.by_sigmas() == Verdict::Wrong)
+            .collect(),
     }
 }
 

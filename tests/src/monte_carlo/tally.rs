@@ -9,6 +9,9 @@ use super::layout::Table;
 use crate::consistency::{error, sigma};
 use crate::poses::{self, PoseRow};
 
+/// A noisy pose this many of its σ from the truth, on any axis, is another pose.
+pub const WRONG_SIGMAS: f64 = 10.0;
+
 /// One solve, with all that is needed to repeat it.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
@@ -50,6 +53,14 @@ impl Case {
         self.sigmas().map(|sigmas| sigmas.iter().fold(0.0, |worst, value| f64::max(worst, value.abs())))
     }
 
+    /// For noisy data: a pose beyond [`WRONG_SIGMAS`] is wrong.
+    pub fn by_sigmas(&self) -> Verdict {
+        match self.worst_sigmas() {
+            Some(sigmas) if sigmas < WRONG_SIGMAS => Verdict::Right,
+            _ => Verdict::Wrong,
+        }
+    }
+
     /// The outcome in words, weakness included.
     pub fn outcome(&self) -> String {
         match self.solution.outcome {
@@ -87,56 +98,85 @@ impl fmt::Display for Case {
     }
 }
 
+/// What a pose is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Where it should be.
+    Right,
+    /// Off, but by no more than the data leave open.
+    Near,
+    /// Another pose.
+    Wrong,
+}
+
 /// How many solves ended with one outcome.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Count {
     /// With the right pose.
     pub right: usize,
+    /// With one nearby.
+    pub near: usize,
     /// With a wrong one.
     pub wrong: usize,
     /// With none.
     pub without: usize,
 }
 
-/// Outcomes counted by their words.
+impl Count {
+    fn add(&mut self, other: &Self) {
+        self.right += other.right;
+        self.near += other.near;
+        self.wrong += other.wrong;
+        self.without += other.without;
+    }
+}
+
+/// Outcomes counted by their words and the number of cells used.
 #[derive(Clone, Debug, Default)]
-pub struct Tally(BTreeMap<String, Count>);
+pub struct Tally(BTreeMap<(String, usize), Count>);
 
 impl Tally {
-    /// Counts `cases`; `is_right` judges those with a pose.
-    pub fn of<'a>(cases: impl IntoIterator<Item = &'a Case>, is_right: impl Fn(&Case) -> bool) -> Self {
+    /// Counts `cases`; `judge` is asked of those with a pose.
+    pub fn of<'a>(cases: impl IntoIterator<Item = &'a Case>, judge: impl Fn(&Case) -> Verdict) -> Self {
         let mut tally = Self::default();
         for case in cases {
-            let count = tally.0.entry(case.outcome()).or_default();
-            match case.error {
+            let key = (case.outcome(), case.solution.cells_used.count());
+            let count = tally.0.entry(key).or_default();
+            match case.error.map(|_| judge(case)) {
                 None => count.without += 1,
-                Some(_) if is_right(case) => count.right += 1,
-                Some(_) => count.wrong += 1,
+                Some(Verdict::Right) => count.right += 1,
+                Some(Verdict::Near) => count.near += 1,
+                Some(Verdict::Wrong) => count.wrong += 1,
             }
         }
         tally
     }
 
-    /// What ended with `outcome`.
+    /// What ended with `outcome`, from any number of cells.
     pub fn count(&self, outcome: &str) -> Count {
-        self.0.get(outcome).copied().unwrap_or_default()
+        self.sum(|word| word == outcome)
     }
 
     /// All outcomes together.
     pub fn total(&self) -> Count {
-        self.0.values().fold(Count::default(), |sum, count| Count {
-            right: sum.right + count.right,
-            wrong: sum.wrong + count.wrong,
-            without: sum.without + count.without,
-        })
+        self.sum(|_| true)
+    }
+
+    fn sum(&self, counts: impl Fn(&str) -> bool) -> Count {
+        let mut sum = Count::default();
+        for (_, count) in self.0.iter().filter(|((outcome, _), _)| counts(outcome)) {
+            sum.add(count);
+        }
+        sum
     }
 }
 
 impl fmt::Display for Tally {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut table = Table::new(&["outcome", "right", "wrong", "no pose"]);
-        for (outcome, count) in &self.0 {
-            table.row([outcome.clone(), count.right.to_string(), count.wrong.to_string(), count.without.to_string()]);
+        let mut table = Table::new(&["outcome", "cells", "right", "near", "wrong", "no pose"]);
+        for ((outcome, cells), count) in &self.0 {
+            let numbers = [*cells, count.right, count.near, count.wrong, count.without];
+            table.row([outcome.clone()].into_iter().chain(numbers.map(|number| number.to_string())));
         }
         table.fmt(f)
     }
