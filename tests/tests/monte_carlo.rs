@@ -147,8 +147,8 @@ fn too_few_cells_are_not_made_up_for() {
     for cells in [3, 4, 5] {
         let report = subsets::study(&read(&WIDE).scene, Tier::Paper, cells, trials(300));
         println!("{report}");
-        // Three cells have images nearly always, and one is overlooked in some 10 000: in 300, two or
-        // more in one draw of 2000. More cells have none.
+        // Three cells have images nearly always, and one in some 7000 is overlooked: of 300, two or more
+        // in one draw of 1000. More cells hardly have any.
         assert!(report.failures.len() <= usize::from(cells == 3));
         let (ambiguous, right) = (report.tally.count("ambiguous").without, report.tally.total().right);
         if cells == 3 {
