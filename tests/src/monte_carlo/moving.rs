@@ -129,8 +129,8 @@ fn follow(conditions: &Conditions, seed: u64) -> Run {
             continue;
         };
         let bound = sigma(&bound);
-        unconverged += usize::from(solution.outcome != Outcome::Converged);
-        tracked.extend(Frame::of(&solution, truth, &bound));
+        unconverged += usize::from(solution.solution.outcome != Outcome::Converged);
+        tracked.extend(Frame::of(&solution.solution, truth, &bound));
 
         let time_s = (scan.tick as f64 + schedule.reference_ticks()) / f64::from(schedule.tick_hz);
         let motion = MotionPrior { twist: twist(&trajectory, time_s), ..MotionPrior::default() };
