@@ -16,14 +16,14 @@ use super::algebra::Matrix6;
 use super::outcome::Estimate;
 
 /// Squared error above which more than chance is at work: the running mean of χ²₆/6 has a standard
-/// deviation of 0.09 about 1.
-const CHANCE: f64 = 1.3;
+/// deviation of 0.06 about 1.
+const CHANCE: f64 = 1.2;
 
 /// Frames from which on a parabola is fitted; before, a line.
 const PARABOLA_FROM: u32 = 4;
 
 /// Share of the newest frame in the running mean of squared errors.
-const NEWEST: f64 = 0.05;
+const NEWEST: f64 = 0.02;
 
 /// Velocity of the tool with its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -155,16 +155,13 @@ impl Smoother {
 
     pub(super) fn predict(&self) -> Option<Prediction> {
         let next = self.state?.advanced();
-        let strain = next.strain.max(1.0);
-        // What noise does not explain is motion that bends more than a parabola.
-        let bent = (strain - CHANCE).max(0.0) * (1.0 + next.spread[0][0]);
         Some(Prediction {
             pose: next.pose,
             twist: next.step.twist(self.period_s),
             pose_variance: next.spread[0][0],
-            step_variance: next.spread[1][1] + self.astray * self.astray * bent,
+            step_variance: next.spread[1][1] + self.bent(&next).1,
             frames: next.frames,
-            strain,
+            strain: next.strain.max(1.0),
         })
     }
 
@@ -201,18 +198,28 @@ impl Smoother {
     /// The state, where the covariance of a single pose is `covariance`.
     pub(super) fn smoothed(&self, covariance: &Matrix6<f64>) -> Option<Smoothed> {
         let state = self.state?;
-        let strain = if state.strain > CHANCE { state.strain } else { 1.0 };
-        let scaled = |factor: f64| covariance.map(|row| row.map(|value| value * factor * strain));
+        let scaled = |factor: f64| covariance.map(|row| row.map(|value| value * factor));
+        let (pose_bent, step_bent) = self.bent(&state);
         let per_second2 = (self.period_s * self.period_s).recip();
-        // Of a velocity that no second frame has shown yet nothing is known.
-        let of_step = if state.frames < 2 { f64::INFINITY } else { state.spread[1][1] };
-        Some(Smoothed {
-            estimate: Estimate { pose: state.pose, covariance: scaled(state.spread[0][0]) },
-            twist: TwistEstimate { twist: state.step.twist(self.period_s), covariance: scaled(of_step * per_second2) },
+        // Of one frame's velocity nothing is known.
+        (state.frames >= 2).then(|| Smoothed {
+            estimate: Estimate { pose: state.pose, covariance: scaled(state.spread[0][0] + pose_bent) },
+            twist: TwistEstimate {
+                twist: state.step.twist(self.period_s),
+                covariance: scaled((state.spread[1][1] + step_bent) * per_second2),
+            },
             lag_s: self.lag_s,
             frames: state.frames,
         })
-        .filter(|_| state.frames >= 2)
+    }
+
+    /// Mean square of what noise does not explain, in the pose after its correction and in the step:
+    /// motion that bends more than a parabola.
+    fn bent(&self, state: &State) -> (f64, f64) {
+        let excess = if state.strain > CHANCE { state.strain - 1.0 } else { 0.0 };
+        let square = excess * (1.0 + state.spread[0][0]);
+        let [alpha, ..] = self.fading.0;
+        ((1.0 - alpha) * (1.0 - alpha) * square, self.astray * self.astray * square)
     }
 }
 

@@ -16,7 +16,7 @@ use super::{MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
 /// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to a pose's, short enough for the bends of a fast hand.
-const MEMORY_FRAMES: f64 = 3.0;
+const MEMORY_FRAMES: f64 = 2.5;
 
 /// Frames without a pose that the motion is trusted across.
 const MAX_COAST: u32 = 8;
