@@ -16,7 +16,7 @@ mod strips;
 mod ticks;
 
 pub use canvas::{Anchor, Canvas, Stroke, TextStyle};
-pub use chart::{Axis, Chart, Curve, CurveStyle};
+pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;
 pub use palette::{Colour, cell_colour};
 pub use scene::scene_picture;
