@@ -5,7 +5,7 @@
 //! do better with rounded data, and a stable one does little worse, so that error over this is what
 //! an algorithm is to be judged by.
 
-use slitpose_model::{Cells, Plan, Pose, Scene};
+use slitpose_model::{Plan, Pose, Scene};
 
 use super::method::Precision;
 use super::singular::singular_values;
@@ -53,24 +53,10 @@ impl Attainable {
         }
     }
 
-    /// From all cells.
-    pub(super) fn of_all(scene: &Scene, plan: &Plan<f64>, pose: &Pose) -> Self {
-        Self::at(scene, plan, pose, |_| true)
-    }
-
-    /// From the cells that a solve used.
-    pub(super) fn of_used(scene: &Scene, plan: &Plan<f64>, pose: &Pose, used: Cells) -> Self {
-        Self::at(scene, plan, pose, |cell| used.contains(cell))
-    }
-
-    /// The translation's error in `precision`, root mean square, metres.
-    pub(super) fn translation_m(&self, precision: Precision) -> f64 {
-        precision.unit_roundoff() * self.translation_m
-    }
-
-    /// The rotation's error in `precision`, root mean square, radians.
-    pub(super) fn rotation_rad(&self, precision: Precision) -> f64 {
-        precision.unit_roundoff() * self.rotation_rad
+    /// How far rounding in `precision` moves the emitters of a tool with the given arm: root mean
+    /// square, metres.
+    pub(super) fn at_emitters_m(&self, precision: Precision, arm_m: f64) -> f64 {
+        precision.unit_roundoff() * self.translation_m.hypot(arm_m * self.rotation_rad)
     }
 }
 

@@ -21,6 +21,15 @@ impl Precision {
         }
     }
 
+    /// The exact tier at the tightest tolerance that the number type can keep. Asked for more, `f32`
+    /// divides spots for ever without coming nearer.
+    pub(super) fn tightest_tier(self) -> Tier {
+        match self {
+            Self::Double => Tier::Exact { tolerance: 1e-12 },
+            Self::Single => Tier::Exact { tolerance: 1e-6 },
+        }
+    }
+
     /// Largest relative error of a rounded number.
     pub(super) fn unit_roundoff(self) -> f64 {
         match self {
@@ -63,16 +72,6 @@ pub(super) struct Method {
 pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solution>;
 
 impl Method {
-    /// All the way, from a pose nearby.
-    pub(super) fn warm(tier: Tier, precision: Precision) -> Self {
-        Self { tier, precision, start: Start::Warm, effort: Effort::Full }
-    }
-
-    /// All the way, from nothing.
-    pub(super) fn cold(tier: Tier, precision: Precision) -> Self {
-        Self { start: Start::Cold, ..Self::warm(tier, precision) }
-    }
-
     /// For the cells of `scene`, all exposed at one instant.
     pub(super) fn compile(&self, scene: &Scene) -> Result<Compiled, SceneError> {
         match self.precision {
