@@ -24,6 +24,8 @@ pub enum Scale {
     Linear,
     /// Equal ratios are equal distances; every number must be above zero.
     Logarithmic,
+    /// As linear, but without ticks and numbers: what stands along it has names.
+    Bare,
 }
 
 /// One axis of a chart.
@@ -63,13 +65,14 @@ impl Axis {
 
     /// Whether the axis has a place for `value`.
     fn shows(&self, value: f64) -> bool {
-        value.is_finite() && (self.scale == Scale::Linear || value > 0.0)
+        value.is_finite() && (self.scale != Scale::Logarithmic || value > 0.0)
     }
 
-    fn share(&self, value: f64) -> f64 {
+    /// Where `value` stands: 0 at the beginning of the axis, 1 at its end.
+    pub fn share(&self, value: f64) -> f64 {
         let [from, to] = self.range;
         match self.scale {
-            Scale::Linear => (value - from) / (to - from),
+            Scale::Linear | Scale::Bare => (value - from) / (to - from),
             Scale::Logarithmic => (value / from).ln() / (to / from).ln(),
         }
     }
@@ -78,6 +81,7 @@ impl Axis {
     /// positions of grid lines without number.
     fn ticks(&self, count: usize) -> (Vec<(f64, String)>, Vec<f64>) {
         match self.scale {
+            Scale::Bare => (Vec::new(), Vec::new()),
             Scale::Linear => {
                 let (positions, decimals) = ticks(self.range, count);
                 (positions.into_iter().map(|tick| (tick, tick_text(tick, decimals))).collect(), Vec::new())

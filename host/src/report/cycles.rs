@@ -4,13 +4,11 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use glam::dvec2;
-
 use super::head::Head;
 use super::section::{Picture, Section, Table, Value, column};
 use super::sheet::{Sheet, curve};
 use super::{ReportError, Settings};
-use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour};
+use crate::plot::{Axis, Chart, CurveStyle};
 use crate::table::{TableError, TableReader};
 
 pub(super) const TITLE: &str = "On the board: cycles of the solver";
@@ -137,23 +135,17 @@ fn table(entries: &[Entry]) -> Table {
 }
 
 fn picture(entries: &[Entry]) -> Picture {
-    let point = |entry: &Entry| [entry.median_us, entry.rms_um];
-    let curves = vec![curve("", 0, CurveStyle::Markers, entries.iter().map(point).collect())];
-    let note = |entry: &Entry| Note {
-        at: point(entry),
-        offset: dvec2(8.0, -6.0),
-        anchor: Anchor::Start,
-        text: format!("{}, {}", entry.words.join(", "), Value::from(entry.cells).shown()),
-        colour: cell_colour(0),
+    let point = |(index, entry): (usize, &Entry)| {
+        let label = format!("{}, {} cells", entry.words.join(", "), entry.cells);
+        curve(&label, index, CurveStyle::Markers, vec![[entry.median_us, entry.rms_um]])
     };
-    let mut x = Axis::logarithmic("median time at 170 MHz / µs", entries.iter().map(|entry| entry.median_us));
-    // Room for the words beside the last point.
-    x.range[1] *= 3.0;
+    let x = Axis::logarithmic("median time at 170 MHz / µs", entries.iter().map(|entry| entry.median_us));
     let y = Axis::logarithmic("rms error of the translation / µm", entries.iter().map(|entry| entry.rms_um));
+    let curves = entries.iter().enumerate().map(point).collect();
     Sheet {
         title: TITLE.to_owned(),
-        note: "f32 on the emulated Cortex-M4F; scene, tier, start and number of cells beside each point".to_owned(),
-        panels: vec![(String::new(), Chart { x, y, curves, notes: entries.iter().map(note).collect() })],
+        note: "f32 on the emulated Cortex-M4F: scene, tier, start, number of cells".to_owned(),
+        panels: vec![(String::new(), Chart { x, y, curves, notes: Vec::new() })],
     }
     .draw("cycles", "Error of the translation against time on the board's processor.")
 }

@@ -10,7 +10,7 @@ use slitpose_model::{
 use super::head::{Head, STREAM, is_lit};
 use super::noise::NoiseSource;
 use super::section::{Section, Table, Value, column};
-use super::sheet::{Bar, bars};
+use super::sheet::{Row, ratios};
 use super::solver::{PRIOR_M, PRIOR_RAD};
 use super::stopwatch::{Candidate, Timing, race};
 use super::{ReportError, Settings};
@@ -50,20 +50,20 @@ struct Entry {
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
     let exact = measure(head, settings, STREAM)?;
     let paper = measure(head, settings, Tier::Paper)?;
-    let bar = |index: usize, first: &Entry, entry: &Entry| Bar {
+    let row = |index: usize, first: &Entry, entry: &Entry| Row {
         label: entry.variant.name.clone(),
-        lengths: vec![entry.forward.least_s / first.forward.least_s, entry.solve.least_s / first.solve.least_s],
+        ratios: vec![entry.forward.least_s / first.forward.least_s, entry.solve.least_s / first.solve.least_s],
         opens_group: index > 0 && std::ptr::eq(first, entry),
     };
-    let all: Vec<Bar> =
-        exact.iter().enumerate().map(|(index, entry)| bar(index, first_of_group(&exact, entry), entry)).collect();
-    let picture = bars(
+    let rows: Vec<Row> =
+        exact.iter().enumerate().map(|(index, entry)| row(index, first_of_group(&exact, entry), entry)).collect();
+    let picture = ratios(
         "economy",
         "What effects cost when they are there",
         "Time relative to the leanest of each group; exact tier at 1e-6, f64, least of interleaved rounds.",
-        "Ratios of time to the leanest variant of each group (dashed: 1).",
+        "Times as ratios to those of the leanest variant of each group.",
         &["forward evaluation of all cells", "warm solve"],
-        &all,
+        &rows,
     );
     Ok(Section {
         name: "economy",

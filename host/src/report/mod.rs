@@ -70,29 +70,31 @@ impl Settings {
     }
 }
 
+/// What makes a section.
+type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
+
 /// Studies `file`. `progress` is told the title of each section before it begins.
 ///
 /// # Errors
 /// If the scene gives no poses to study, or a table of cycles cannot be read.
 pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
     let head = Head::of(file, settings)?;
-    let sections: [(&str, fn(&Head<'_>, &Settings) -> Result<Section, ReportError>); 6] = [
-        (forward::TITLE, forward::section),
-        (solver::TITLE, solver::section),
-        (cycles::TITLE, cycles::section),
-        (economy::TITLE, economy::section),
-        (motion::TITLE, motion::section),
-        (stiff::TITLE, stiff::section),
-    ];
-    let mut done = Vec::new();
-    for (title, section) in sections {
+    // What somebody else has counted is read first: nothing is measured in vain if it is damaged.
+    progress(cycles::TITLE);
+    let cycles = cycles::section(&head, settings)?;
+    let mut measure = |title: &str, section: Measure| {
         progress(title);
-        done.push(section(&head, settings)?);
-    }
+        section(&head, settings)
+    };
+    let mut sections = vec![measure(forward::TITLE, forward::section)?, measure(solver::TITLE, solver::section)?];
+    sections.push(cycles);
+    sections.push(measure(economy::TITLE, economy::section)?);
+    sections.push(measure(motion::TITLE, motion::section)?);
+    sections.push(measure(stiff::TITLE, stiff::section)?);
     Ok(Report {
         scene: file.name.clone(),
         conditions: conditions::conditions(file, settings),
         warnings: conditions::warnings(),
-        sections: done,
+        sections,
     })
 }

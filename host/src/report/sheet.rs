@@ -2,8 +2,8 @@
 
 use glam::dvec2;
 
-use super::section::Picture;
-use crate::plot::{Anchor, Canvas, Chart, Colour, Curve, CurveStyle, Stroke, TextStyle, cell_colour};
+use super::section::{Picture, Value};
+use crate::plot::{Anchor, Axis, Canvas, Chart, Curve, CurveStyle, SOFT_INK, Scale, Stroke, TextStyle, cell_colour};
 
 const LEFT: f64 = 84.0;
 const GAP: f64 = 84.0;
@@ -54,60 +54,60 @@ pub(super) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[
     Curve { label: label.to_owned(), colour: cell_colour(colour), style, points }
 }
 
-/// One row of a chart of bars.
-pub(super) struct Bar {
+/// One row of a chart of ratios.
+pub(super) struct Row {
     pub(super) label: String,
-    /// Lengths, one for each kind of bar.
-    pub(super) lengths: Vec<f64>,
+    /// Ratios, one of each kind.
+    pub(super) ratios: Vec<f64>,
     /// Whether a gap precedes it.
     pub(super) opens_group: bool,
 }
 
-/// Horizontal bars with their numbers, several kinds of them for each row.
-pub(super) fn bars(
+/// Ratios as stalks that grow from 1 to either side, on a logarithmic axis, several kinds of them
+/// for each row.
+pub(super) fn ratios(
     name: &'static str,
     title: &str,
     note: &str,
     caption: &str,
     kinds: &[&str],
-    bars: &[Bar],
+    rows: &[Row],
 ) -> Picture {
-    const LABELS: f64 = 250.0;
-    const NUMBERS: f64 = 56.0;
-    const THICK: f64 = 9.0;
-    let row = THICK * kinds.len() as f64 + 7.0;
-    let groups = bars.iter().filter(|bar| bar.opens_group).count() as f64;
-    let top = 72.0 + 18.0 * kinds.len() as f64;
-    let mut canvas = Canvas::new(LABELS + ALONE, top + row * bars.len() as f64 + 12.0 * groups + 16.0, title);
+    const LABELS: f64 = 230.0;
+    const STALK: f64 = 13.0;
+    let height = STALK * kinds.len() as f64 + 5.0;
+    let gaps = 8.0 * rows.iter().filter(|row| row.opens_group).count() as f64;
+    let top = 76.0 + 18.0 * kinds.len() as f64;
+    let bottom = top + height * rows.len() as f64 + gaps + 6.0;
+    let mut canvas = Canvas::new(LABELS + ALONE, bottom + 56.0, title);
     canvas.text(dvec2(20.0, 30.0), title, TextStyle::new(16.0).bold());
     canvas.text(dvec2(20.0, 50.0), note, TextStyle::new(12.0));
-    let longest = bars.iter().flat_map(|bar| &bar.lengths).copied().filter(|l| l.is_finite()).fold(1.0, f64::max);
-    let scale = (ALONE - NUMBERS - RIGHT) / longest;
-    for (kind, label) in kinds.iter().enumerate() {
-        let y = 66.0 + 18.0 * kind as f64;
-        block(&mut canvas, [LABELS, y], [28.0, THICK], cell_colour(kind));
-        canvas.text(dvec2(LABELS + 36.0, y + 9.0), label, TextStyle::new(13.0));
-    }
-    let mut y = top;
-    for bar in bars {
-        y += if bar.opens_group { 12.0 } else { 0.0 };
-        let middle = y + 0.5 * THICK * kinds.len() as f64 + 4.5;
-        canvas.text(dvec2(LABELS - 10.0, middle), &bar.label, TextStyle::new(13.0).anchored(Anchor::End));
-        for (kind, &length) in bar.lengths.iter().enumerate().filter(|(_, length)| length.is_finite()) {
-            let at = y + THICK * kind as f64;
-            block(&mut canvas, [LABELS, at], [length * scale, THICK - 1.0], cell_colour(kind));
-            let number = dvec2(LABELS + length * scale + 6.0, at + THICK - 1.0);
-            canvas.text(number, &format!("{length:.2}"), TextStyle::new(10.5));
+    let all = || rows.iter().flat_map(|row| row.ratios.iter().copied());
+    // Room for the number beside the longest stalk.
+    let mut x = Axis::logarithmic("ratio of times", all().chain([0.5, 10.0]));
+    x.range[1] *= 2.0;
+    let kind = |(index, label): (usize, &&str)| curve(label, index, CurveStyle::Joined, Vec::new());
+    let y = Axis { label: String::new(), range: [0.0, 1.0], scale: Scale::Bare };
+    let chart = Chart { x, y, curves: kinds.iter().enumerate().map(kind).collect(), notes: Vec::new() };
+    let (top_left, bottom_right) = (dvec2(LABELS, top), dvec2(LABELS + ALONE - RIGHT, bottom));
+    chart.draw(&mut canvas, top_left, bottom_right);
+    let place = |ratio: f64| top_left.x + chart.x.share(ratio) * (bottom_right.x - top_left.x);
+    let one = place(1.0);
+    canvas.line(dvec2(one, top), dvec2(one, bottom), Stroke::new(SOFT_INK, 1.2));
+    let mut y = top + 4.0;
+    for row in rows {
+        y += if row.opens_group { 8.0 } else { 0.0 };
+        let middle = y + 0.5 * STALK * kinds.len() as f64 + 4.5;
+        canvas.text(dvec2(LABELS - 10.0, middle), &row.label, TextStyle::new(13.0).anchored(Anchor::End));
+        for (kind, &ratio) in row.ratios.iter().enumerate().filter(|(_, ratio)| **ratio > 0.0 && ratio.is_finite()) {
+            let (at, colour) = (dvec2(place(ratio), y + STALK * (kind as f64 + 0.5)), cell_colour(kind));
+            canvas.line(dvec2(one, at.y), at, Stroke::new(colour, 3.0));
+            canvas.disc(at, 3.4, colour, Stroke::new(colour, 0.5));
+            // Beside the end, never on the stalk.
+            let number = at.with_x(at.x.max(one)) + dvec2(8.0, 4.0);
+            canvas.text(number, &Value::from(ratio).shown(), TextStyle::new(11.0).coloured(SOFT_INK));
         }
-        y += row;
+        y += height;
     }
-    // What the ratios are of.
-    let one = LABELS + scale;
-    canvas.line(dvec2(one, top), dvec2(one, y), Stroke::new(crate::plot::SOFT_INK, 1.0).dashed(3.0, 3.0));
     Picture { name, caption: caption.to_owned(), svg: canvas.into_svg() }
-}
-
-fn block(canvas: &mut Canvas, [x, y]: [f64; 2], [width, height]: [f64; 2], fill: Colour) {
-    let corners = [dvec2(x, y), dvec2(x + width, y), dvec2(x + width, y + height), dvec2(x, y + height)];
-    canvas.area(&corners, fill, 1.0);
 }

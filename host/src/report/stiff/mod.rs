@@ -110,8 +110,9 @@ fn cells_picture(cases: &[Case]) -> Picture {
     };
     Sheet {
         title: "Currents of one cell in extreme places".to_owned(),
-        note: "Emitter a millimetre to a nanometre above the slit's plane; light from ever more aside.".to_owned(),
-        panels: vec![panel("near field"), panel("grazing light")],
+        note: "Near field: emitter a millimetre to a nanometre above the slit's plane. Horizon: γ = 90° crosses the spot, ever \
+               nearer to its end.".to_owned(),
+        panels: vec![panel("near field"), panel("horizon")],
     }
     .draw("stiff-cells", "Error of a cell's current against the condition of the problem.")
 }
