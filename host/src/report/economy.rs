@@ -7,7 +7,7 @@ use slitpose_model::{
     MotionPrior, Noise, Photocurrents, Plan, Pose, Profile, Scene, Solution, Solver, Tier, Twist, Uncertainty,
 };
 
-use super::head::{Head, STREAM, is_lit};
+use super::head::{Head, STREAM, exponent, is_lit};
 use super::noise::NoiseSource;
 use super::section::{Section, Table, Value, column};
 use super::sheet::{Row, ratios};
@@ -93,9 +93,7 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
         for cell in &mut scene.cells {
             cell.slit.thickness_m = 0.0;
             cell.slit.tilt_rad = DVec3::ZERO;
-            if let Profile::Table(_) = cell.emitter.profile {
-                cell.emitter.profile = Profile::from_half_angle(55f64.to_radians());
-            }
+            cell.emitter.profile = Profile::Cosine { exponent: exponent(&cell.emitter.profile) };
         }
         change(&mut scene);
         scene
@@ -154,14 +152,13 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
 
 /// The same profile as a table.
 fn tabulate(profile: &mut Profile) {
-    if let Profile::Cosine { exponent } = *profile {
-        let knots = (0..=90).step_by(KNOT_STEP_DEG).map(|degrees| {
-            let gamma = (degrees as f64).to_radians();
-            // cos 90° is no exact zero.
-            (gamma, if degrees == 90 { 0.0 } else { gamma.cos().powf(exponent) })
-        });
-        *profile = Profile::Table(knots.collect());
-    }
+    let exponent = exponent(profile);
+    let knots = (0..=90).step_by(KNOT_STEP_DEG).map(|degrees| {
+        let gamma = (degrees as f64).to_radians();
+        // cos 90° is no exact zero.
+        (gamma, if degrees == 90 { 0.0 } else { gamma.cos().powf(exponent) })
+    });
+    *profile = Profile::Table(knots.collect());
 }
 
 /// A variant compiled, with its data.

@@ -39,14 +39,17 @@ struct Entry {
     derivatives: Timing,
 }
 
+/// Currents of a cell at a pose.
 type Currents = Box<dyn Fn(usize, &Pose) -> Pair<f64>>;
+
+/// Evaluates all cells at all poses, for the stopwatch.
+type Work = Box<dyn FnMut(&[Pose])>;
 
 /// The plan of one entry, its number type forgotten.
 struct Compiled {
     currents: Currents,
-    /// Evaluates all cells at all poses, for the stopwatch.
-    time_currents: Box<dyn FnMut(&[Pose])>,
-    time_derivatives: Box<dyn FnMut(&[Pose])>,
+    time_currents: Work,
+    time_derivatives: Work,
 }
 
 fn compile<S: Scalar>(scene: &Scene, tier: Tier) -> Result<Compiled, SceneError> {

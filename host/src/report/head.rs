@@ -1,6 +1,6 @@
 //! The head under study: its scene as a solver weighs it, and poses at which every cell has light.
 
-use slitpose_model::{Pair, Photocurrents, Plan, Pose, Scalar, Scene, Solver, Tier};
+use slitpose_model::{Cell, Pair, Photocurrents, Plan, Pose, Profile, Scalar, Scene, Solver, Tier, Uncertainty};
 
 use super::{ReportError, Settings};
 use crate::front_end::{Stage, configuration};
@@ -10,6 +10,14 @@ use crate::survey::workspace_poses;
 
 /// What stands for the truth: integrals far better than anything under study needs.
 pub(super) const TRUTH: Tier = Tier::Exact { tolerance: 1e-12 };
+
+/// The same for profiles given as tables. Between knots they are smooth, across them they are not,
+/// and the exact tier pays for each further digit with twice the time.
+const TRUTH_OF_TABLES: Tier = Tier::Exact { tolerance: 1e-8 };
+
+/// Exponent of the profile that stands for one given as a table where only arithmetic is studied:
+/// half intensity at 55°.
+const EXPONENT: f64 = 1.246_972_446_943_724;
 
 /// What a solver is given by default.
 pub(super) const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };
@@ -26,8 +34,9 @@ pub(super) struct Head<'a> {
     pub(super) frame: Option<Frame>,
     /// Poses of the workspace at which every cell has light.
     pub(super) poses: Vec<Pose>,
-    /// The optics that stand for the truth.
+    /// The optics that stand for the truth, and their tier.
     pub(super) truth: Plan<f64>,
+    pub(super) truth_tier: Tier,
 }
 
 /// The times of one frame.
@@ -51,7 +60,9 @@ impl<'a> Head<'a> {
             }
             _ => (file.scene.clone(), None),
         };
-        let truth = Plan::compile(&scene, TRUTH)?;
+        let is_table = |cell: &Cell| matches!(cell.emitter.profile, Profile::Table(_));
+        let truth_tier = if scene.cells.iter().any(is_table) { TRUTH_OF_TABLES } else { TRUTH };
+        let truth = Plan::compile(&scene, truth_tier)?;
         let home = Solver::<f64>::new(&scene, STREAM)?.solve(&currents(&truth, &Pose::HOME));
         if home.estimate.is_none() {
             let (scene, cells) = (file.name.clone(), file.scene.cells.len());
@@ -64,7 +75,7 @@ impl<'a> Head<'a> {
             let (scene, found) = (file.name.clone(), poses.len());
             return Err(ReportError::TooFewLit { scene, found, tried, wanted });
         }
-        Ok(Self { file, scene, frame, poses, truth })
+        Ok(Self { file, scene, frame, poses, truth, truth_tier })
     }
 
     /// The true photocurrents at each of the poses.
@@ -75,6 +86,23 @@ impl<'a> Head<'a> {
     /// The scene without any noise: what is left is arithmetic.
     pub(super) fn silent(&self) -> Scene {
         Scene { noise: None, ..self.scene.clone() }
+    }
+
+    /// The scene without noise and with cosine profiles only: for the study of arithmetic.
+    pub(super) fn arithmetic(&self) -> Scene {
+        let mut scene = Scene { uncertainty: Uncertainty::default(), ..self.silent() };
+        for cell in &mut scene.cells {
+            cell.emitter.profile = Profile::Cosine { exponent: exponent(&cell.emitter.profile) };
+        }
+        scene
+    }
+}
+
+/// The exponent of a cosine profile, or the one that stands for a table.
+pub(super) fn exponent(profile: &Profile) -> f64 {
+    match profile {
+        Profile::Cosine { exponent } => *exponent,
+        Profile::Table(_) => EXPONENT,
     }
 }
 

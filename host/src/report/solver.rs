@@ -6,7 +6,7 @@ use glam::dvec2;
 use slitpose_model::{Effort, Photocurrents, Pose, Scene, Solver, Tier};
 
 use super::accuracy::{Errors, rms_of_covariances};
-use super::head::{Head, STREAM, TRUTH, currents};
+use super::head::{Head, STREAM, currents};
 use super::method::{Method, Precision, Start, effort_name, tier_name};
 use super::noise::NoiseSource;
 use super::section::{Picture, Section, Table, Value, column};
@@ -106,7 +106,7 @@ fn bound(head: &Head<'_>) -> Result<(f64, f64), ReportError> {
     Ok(rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose))))
 }
 
-fn runs() -> Vec<Run> {
+fn runs(head: &Head<'_>) -> Vec<Run> {
     let mut runs = Vec::new();
     for (tier, light) in [(STREAM, Light::Exact), (Tier::Paper, Light::Exact), (Tier::Paper, Light::Paper)] {
         for precision in Precision::BOTH {
@@ -121,7 +121,7 @@ fn runs() -> Vec<Run> {
     // What the tolerance costs and gives: once more at a tight one.
     for start in Start::BOTH {
         let efforts = STEPS.map(Effort::Steps).into_iter().chain([Effort::Full]);
-        let method = |effort| Method { tier: TRUTH, precision: Precision::Double, start, effort };
+        let method = |effort| Method { tier: head.truth_tier, precision: Precision::Double, start, effort };
         runs.extend(efforts.map(|effort| Run { method: method(effort), light: Light::Exact }));
     }
     runs
@@ -139,7 +139,7 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
     let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
     let of = |light| if light == Light::Exact { &exact } else { &paper };
 
-    let runs = runs();
+    let runs = runs(head);
     let solves = runs.iter().map(|run| run.method.compile(&head.scene)).collect::<Result<Vec<_>, _>>()?;
     let errors: Vec<[Errors; 2]> = runs
         .iter()
@@ -265,13 +265,13 @@ fn floor(head: &Head<'_>, settings: &Settings) -> Result<Table, ReportError> {
     let mut noise = NoiseSource::seeded(settings.seed);
     let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
     let mut rows = Vec::new();
-    for tier in [Tier::Paper, STREAM, TRUTH] {
+    for tier in [Tier::Paper, STREAM, head.truth_tier] {
         // Each tier on its own light: the model is no part of this error.
-        let own = if tier == Tier::Paper { tier } else { TRUTH };
+        let own = if tier == Tier::Paper { tier } else { head.truth_tier };
         let plan = slitpose_model::Plan::<f64>::compile(&silent, own)?;
         let readings: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&plan, pose)).collect();
         // What `f32` cannot keep it is not asked for.
-        let kept = Precision::BOTH.into_iter().filter(|p| *p == Precision::Double || tier != TRUTH);
+        let kept = Precision::BOTH.into_iter().filter(|p| *p == Precision::Double || tier != head.truth_tier);
         for precision in kept {
             for start in Start::BOTH {
                 let method = Method { tier, precision, start, effort: Effort::Full };
@@ -313,7 +313,8 @@ fn floor(head: &Head<'_>, settings: &Settings) -> Result<Table, ReportError> {
 /// Which half of a pose a picture shows.
 struct Half {
     name: &'static str,
-    title: &'static str,
+    /// What of the pose, in the picture's title.
+    what: &'static str,
     caption: &'static str,
     axis: &'static str,
     rms: fn(&Errors) -> f64,
@@ -321,7 +322,7 @@ struct Half {
 
 const TRANSLATION: Half = Half {
     name: "work-precision",
-    title: "Pose from six cells: error of the translation against time",
+    what: "translation",
     caption: "Error of the translation against time per solve. Each curve goes from the first guess to the full solve; \
               lower and further left is better, and nothing comes below the bound.",
     axis: "rms error of the translation / µm",
@@ -330,7 +331,7 @@ const TRANSLATION: Half = Half {
 
 const ROTATION: Half = Half {
     name: "work-precision-rotation",
-    title: "Pose from six cells: error of the rotation against time",
+    what: "rotation",
     caption: "The same for the rotation.",
     axis: "rms error of the rotation / µrad",
     rms: Errors::rms_rad,
@@ -340,16 +341,8 @@ const ROTATION: Half = Half {
 /// lies far to the right of all others; a word tells of it.
 const SEARCHED: f64 = 40.0;
 
-/// The curves of a picture: name, tier, start.
-const CURVES: [(&str, Tier, Start); 5] = [
-    ("exact tier, cold start", STREAM, Start::Cold),
-    ("exact tier, warm start", STREAM, Start::Warm),
-    ("paper tier, cold start", Tier::Paper, Start::Cold),
-    ("paper tier, warm start", Tier::Paper, Start::Warm),
-    ("exact tier at a tolerance of 1e-12, cold start", TRUTH, Start::Cold),
-];
-
 fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Half) -> Picture {
+    let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
     let panel = |heading: &str, errors: fn(&Entry) -> &Errors, floor: Option<f64>| {
         let point = |entry: &Entry| [entry.timing.least_s * 1e6, (half.rms)(errors(entry)) * 1e6];
         let chosen = |tier: Tier, start, precision| {
@@ -360,7 +353,16 @@ fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Half) -> Pictu
         };
         let is_shown = |entry: &&Entry| !searched(errors(entry));
         let mut curves = Vec::new();
-        for (colour, (name, tier, start)) in CURVES.into_iter().enumerate() {
+        for (colour, (name, tier, start)) in [
+            ("exact tier, cold start", STREAM, Start::Cold),
+            ("exact tier, warm start", STREAM, Start::Warm),
+            ("paper tier, cold start", Tier::Paper, Start::Cold),
+            ("paper tier, warm start", Tier::Paper, Start::Warm),
+            (tight.as_str(), head.truth_tier, Start::Cold),
+        ]
+        .into_iter()
+        .enumerate()
+        {
             let points = |precision| chosen(tier, start, precision).filter(is_shown).map(point).collect::<Vec<_>>();
             curves.push(curve(name, colour, CurveStyle::Joined, points(Precision::Double)));
             curves.push(curve("", colour, CurveStyle::DashedRings, points(Precision::Single)));
@@ -374,7 +376,7 @@ fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Half) -> Pictu
         };
         // The clearest curve says what its points are, as far as they do not lie on the bound.
         let is_apart = |entry: &&Entry| floor.is_none_or(|floor| (half.rms)(errors(entry)) > 2.0 * floor);
-        for entry in chosen(STREAM, Start::Cold, Precision::Double).take(3).filter(is_apart) {
+        for entry in chosen(STREAM, Start::Cold, Precision::Double).take(2).filter(is_apart) {
             let text = effort_name(entry.run.method.effort);
             note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &text, cell_colour(0));
         }
@@ -393,9 +395,9 @@ fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Half) -> Pictu
         (heading.to_owned(), Chart { x, y, curves, notes })
     };
     Sheet {
-        title: half.title.to_owned(),
+        title: format!("Pose from {} cells: error of the {} against time", head.scene.cells.len(), half.what),
         note: format!(
-            "{}; {} poses, one frame each. Discs f64, rings f32; each curve: planes (from a cold start), 1, 2, 3, 4 \
+            "{}; {} poses, one frame each; one thread. Discs f64, rings f32; each curve: planes (from a cold start), 1, 2, 3, 4 \
              steps, full.",
             head.file.name,
             head.poses.len()

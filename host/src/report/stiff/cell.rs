@@ -5,6 +5,7 @@ use slitpose_model::{Pair, Plan, Pose, Profile, Response, Scalar, Scene, SceneEr
 
 use super::case::{Case, Expected, Reached};
 use super::reference::Reference;
+use crate::report::head::exponent;
 use crate::report::method::Precision;
 
 /// As exact as `f64` can be asked to be: what it errs is the rounding's.
@@ -12,9 +13,6 @@ const TIGHTEST: Tier = Tier::Exact { tolerance: 1e-14 };
 
 /// A dark current, so that it can be seen to be all there is.
 const DARK_A: f64 = 20e-9;
-
-/// Exponent of a profile that is given as a table: half intensity at 55°.
-const EXPONENT: f64 = 1.246_972_446_943_724;
 
 const CURRENT: &str = "current / relative";
 
@@ -30,10 +28,7 @@ impl Lone {
     fn of(scene: &Scene) -> Self {
         let mut cell = scene.cells[0].clone();
         let height_m = (cell.emitter.position_tool_m - cell.detector.centre_base_m).dot(cell.detector.normal_base);
-        let exponent = match cell.emitter.profile {
-            Profile::Cosine { exponent } => exponent,
-            Profile::Table(_) => EXPONENT,
-        };
+        let exponent = exponent(&cell.emitter.profile);
         let (detector, slit) = (&mut cell.detector, &mut cell.slit);
         (detector.centre_base_m, detector.x_axis_base, detector.normal_base) = (DVec3::ZERO, DVec3::X, DVec3::Z);
         (detector.dark_current_a, detector.saturation_a, detector.faint_a) = (DARK_A, None, 0.0);

@@ -70,10 +70,10 @@ fn summary(cases: &[Case]) -> String {
 }
 
 /// Error and what is attainable against the condition number, of the chosen cases.
-fn against_condition<'a>(cases: impl Iterator<Item = &'a Case> + Clone, x: &str, y: &str) -> Chart {
+fn against_condition(cases: &[&Case], x: &str, y: &str) -> Chart {
     let points = |precision: Precision, value: fn(&case::Reached) -> Option<f64>| -> Vec<[f64; 2]> {
         let point = |case: &Case| Some([case.condition?, value(case.reached_in(precision)?)?]);
-        let mut points: Vec<_> = cases.clone().filter_map(point).collect();
+        let mut points: Vec<_> = cases.iter().copied().filter_map(point).collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         points
     };
@@ -90,8 +90,12 @@ fn against_condition<'a>(cases: impl Iterator<Item = &'a Case> + Clone, x: &str,
 
 fn layouts_picture(cases: &[Case]) -> Picture {
     let panel = |start: &'static str| {
-        let chosen = cases.iter().filter(move |case| case.study == pose::LAYOUTS && case.case.ends_with(start));
-        let chart = against_condition(chosen, "condition number", "error of the pose at the emitters / µm");
+        let chosen = cases.iter().filter(|case| case.study == pose::LAYOUTS && case.case.ends_with(start));
+        let chart = against_condition(
+            &chosen.collect::<Vec<_>>(),
+            "condition number",
+            "error of the pose at the emitters / µm",
+        );
         (format!("{start} start"), chart)
     };
     Sheet {
@@ -104,8 +108,8 @@ fn layouts_picture(cases: &[Case]) -> Picture {
 
 fn cells_picture(cases: &[Case]) -> Picture {
     let panel = |study: &'static str| {
-        let chosen = cases.iter().filter(move |case| case.study == study);
-        let chart = against_condition(chosen, "condition of the current", "relative error of a current");
+        let chosen: Vec<_> = cases.iter().filter(|case| case.study == study).collect();
+        let chart = against_condition(&chosen, "condition of the current", "relative error of a current");
         (study.to_owned(), chart)
     };
     Sheet {

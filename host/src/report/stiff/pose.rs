@@ -30,7 +30,7 @@ pub(super) fn layouts(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>,
     let mut cases = Vec::new();
     for start in Start::BOTH {
         for roll_deg in degrees {
-            let scene = rolled(&head.silent(), roll_deg);
+            let scene = rolled(&head.arithmetic(), roll_deg);
             let trial = Trial::within(scene, &Pose::HOME, roll_deg / degrees[0], settings.seed)?;
             let attainable = trial.attainable(|_| true);
             let mut reached = trial.solve_to_rounding(start, &attainable)?;
@@ -80,7 +80,7 @@ pub(super) fn masks(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, S
             if masked == 0 && mask != Reading::Saturated {
                 continue;
             }
-            let mut trial = Trial::around(head.silent(), &Pose::HOME, settings.seed)?;
+            let mut trial = Trial::around(head.arithmetic(), &Pose::HOME, settings.seed)?;
             for readings in &mut trial.readings {
                 readings.cells.iter_mut().take(masked).for_each(|reading| *reading = mask);
             }
@@ -124,7 +124,7 @@ pub(super) fn rotations(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case
     for short in [1.0, 1e-3, 1e-6, 0.0] {
         // The same head, its emitters written in a turned frame.
         let turn = rotation_exp(axis * (PI - short));
-        let mut scene = head.silent();
+        let mut scene = head.arithmetic();
         for cell in &mut scene.cells {
             cell.emitter.position_tool_m = turn.conjugate() * cell.emitter.position_tool_m;
             cell.emitter.axis_tool = turn.conjugate() * cell.emitter.axis_tool;
@@ -148,7 +148,7 @@ pub(super) fn rotations(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case
 pub(super) fn scales(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, SceneError> {
     let case = |exponent: i32| {
         let factor = 10f64.powi(exponent);
-        let mut scene = head.silent();
+        let mut scene = head.arithmetic();
         for cell in &mut scene.cells {
             cell.emitter.radiant_intensity_w_per_sr *= factor;
             cell.detector.faint_a *= factor;
@@ -175,7 +175,7 @@ pub(super) fn noises(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, 
     let case = |adc_a: f64| {
         let (shot_bandwidth_hz, johnson_bandwidth_hz, temperature_k) = (0.0, 0.0, ROOM_TEMPERATURE_K);
         let noise = Noise { shot_bandwidth_hz, johnson_bandwidth_hz, temperature_k, adc_a };
-        let scene = Scene { noise: Some(noise), ..head.silent() };
+        let scene = Scene { noise: Some(noise), ..head.arithmetic() };
         let mut trial = Trial::around(scene, &Pose::HOME, settings.seed)?;
         let mut noise = NoiseSource::seeded(settings.seed);
         let disturbed: Vec<Photocurrents> =
