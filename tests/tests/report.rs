@@ -193,8 +193,11 @@ fn a_head_without_a_pose_is_refused() {
     let output = folder.path().join("report");
     let finished = slitpose!().run(["report", "bench", "--output", output.to_str().expect("UTF-8")]);
     finished.assert_refused(1, &["1 cells gives no pose at home", "unobservable", "wide"]);
-    assert!(!output.exists());
     slitpose!().run(["report"]).assert_refused(2, &["--output"]);
+    let file = folder.path().join("a file");
+    fs::write(&file, "").expect("file");
+    let finished = slitpose!().run(["report", "--output", file.to_str().expect("UTF-8")]);
+    finished.assert_refused(1, &["a file", "folder that exists"]);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use super::{CommandError, Outcome};
-use crate::report::{POSES, QUICK_POSES, Settings, study, write};
+use crate::report::{Folder, POSES, QUICK_POSES, Settings, study};
 use crate::scene_file::{SceneFile, WIDE};
 
 /// Measures how exact and how fast everything is, for one scene, and makes a page of it.
@@ -48,13 +48,14 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         quick: args.quick,
         cycles: args.cycles.clone(),
     };
+    let folder = Folder::create(&args.output)?;
     // A closed standard error is no reason to stop.
     let tell = |text: &str| drop(writeln!(std::io::stderr(), "{text}"));
     let report = study(&file, &settings, |title| tell(&format!("{title} …")))?;
     for warning in &report.warnings {
         tell(warning);
     }
-    for path in write(&report, &args.output)? {
+    for path in folder.write(&report)? {
         tell(&format!("wrote {}", path.display()));
     }
     Ok(Outcome::Done)

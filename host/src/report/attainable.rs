@@ -66,3 +66,25 @@ pub(super) fn arm_m(scene: &Scene) -> f64 {
     let arm_m = (squares / scene.cells.len() as f64).sqrt();
     if arm_m > 0.0 { arm_m } else { 0.01 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene_file::WIDE;
+    use slitpose_model::Tier;
+
+    #[test]
+    fn rounding_moves_a_pose_by_a_few_roundings_of_the_heads_size() {
+        let scene = WIDE.read().unwrap().scene;
+        let plan = Plan::compile(&scene, Tier::Paper).unwrap();
+        let all = Attainable::at(&scene, &plan, &Pose::HOME, |_| true);
+        assert!((1.0..10.0).contains(&all.condition), "{}", all.condition);
+        for precision in Precision::BOTH {
+            // Detectors lie 25 mm from the middle.
+            let roundings = all.at_emitters_m(precision, arm_m(&scene)) / (precision.unit_roundoff() * 25e-3);
+            assert!((0.3..10.0).contains(&roundings), "{roundings}");
+        }
+        let half = Attainable::at(&scene, &plan, &Pose::HOME, |cell| cell > 1);
+        assert!(half.condition > all.condition, "fewer cells tell no more");
+    }
+}

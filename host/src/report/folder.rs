@@ -7,30 +7,49 @@ use super::section::{Report, Table, Value};
 use super::{markdown, page};
 use crate::table::{Output, OutputError, TableWriter};
 
-/// Makes `folder` with everything in it; gives the files written, the page first.
-///
-/// # Errors
-/// If something cannot be written.
-pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, OutputError> {
-    fs::create_dir_all(folder).map_err(|source| OutputError::Create { path: folder.to_owned(), source })?;
-    let mut written = Vec::new();
-    let mut text = |name: String, text: &str| {
-        let path = folder.join(name);
-        let done = Output::file(&path)?.write_text(text);
-        written.push(path);
-        done
-    };
-    text("index.html".to_owned(), &page::page(report))?;
-    text("report.md".to_owned(), &markdown::markdown(report))?;
-    for picture in report.sections.iter().flat_map(|section| &section.pictures) {
-        text(format!("{}.svg", picture.name), &picture.svg)?;
+/// Where a report goes. Made before anything is measured: an impossible place is told at once.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Makes the folder if it is not there.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub fn create(path: &Path) -> Result<Self, OutputError> {
+        let path = path.to_owned();
+        match fs::create_dir_all(&path) {
+            Ok(()) => Ok(Self { path }),
+            Err(source) => Err(OutputError::Create { path, source }),
+        }
     }
-    for table in report.sections.iter().flat_map(|section| &section.tables) {
-        let path = folder.join(format!("{}.csv", table.name));
-        write_table(table, Output::file(&path)?)?;
-        written.push(path);
+
+    /// Writes everything; gives the files, the page first.
+    ///
+    /// # Errors
+    /// If something cannot be written.
+    pub fn write(&self, report: &Report) -> Result<Vec<PathBuf>, OutputError> {
+        let mut written = Vec::new();
+        let mut text = |name: String, text: &str| {
+            let path = self.path.join(name);
+            let done = Output::file(&path)?.write_text(text);
+            written.push(path);
+            done
+        };
+        text("index.html".to_owned(), &page::page(report))?;
+        text("report.md".to_owned(), &markdown::markdown(report))?;
+        for picture in report.sections.iter().flat_map(|section| &section.pictures) {
+            text(format!("{}.svg", picture.name), &picture.svg)?;
+        }
+        for table in report.sections.iter().flat_map(|section| &section.tables) {
+            let path = self.path.join(format!("{}.csv", table.name));
+            write_table(table, Output::file(&path)?)?;
+            written.push(path);
+        }
+        Ok(written)
     }
-    Ok(written)
 }
 
 fn write_table(table: &Table, output: Output) -> Result<(), OutputError> {

@@ -1,7 +1,7 @@
 //! Error against run time, and what happens where numbers get difficult: `slitpose report`.
 //!
 //! [`study`] measures one scene and gives a [`Report`]: sections with tables and pictures. What a
-//! section says stands in its own file; [`write`](write()) makes one folder of it. Errors are reproducible
+//! section says stands in its own file; a [`Folder`] takes it. Errors are reproducible
 //! to the last digit for a seed, times are what the machine gave.
 //!
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
@@ -33,7 +33,7 @@ mod stopwatch;
 use std::path::PathBuf;
 
 pub use error::ReportError;
-pub use folder::write;
+pub use folder::Folder;
 pub use section::{Column, Picture, Report, Section, Table, Value};
 
 use crate::scene_file::SceneFile;
