@@ -9,6 +9,7 @@
 //! * [`paper`] calculates the source paper's experiments;
 //! * [`pipeline`] turns bytes into poses;
 //! * [`plot`] draws;
+//! * [`report`] studies error against run time;
 //! * [`simulator`] is a board made of arithmetic;
 //! * [`sink`] is where poses go;
 //! * [`survey`] tells what a scene can do;
@@ -28,6 +29,7 @@ pub mod pace;
 pub mod paper;
 pub mod pipeline;
 pub mod plot;
+pub mod report;
 pub mod scene_file;
 pub mod simulator;
 pub mod sink;

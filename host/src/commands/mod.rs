@@ -8,6 +8,7 @@ mod model;
 mod options;
 mod paper;
 mod replay;
+mod report;
 mod run;
 mod scene;
 mod simulate;
@@ -25,6 +26,7 @@ pub use stream::StreamError;
 
 use crate::front_end::TimingError;
 use crate::plot::PlotError;
+use crate::report::ReportError;
 use crate::scene_file::SceneFileError;
 use crate::simulator::{PathError, SimulatorError};
 use crate::table::{OutputError, TableError};
@@ -49,6 +51,7 @@ enum Verb {
     Solve(solve::Args),
     Identify(identify::Args),
     Paper(paper::Args),
+    Report(report::Args),
     Scene(scene::Args),
 }
 
@@ -116,6 +119,9 @@ pub enum CommandError {
     /// A stream of scans.
     #[error(transparent)]
     Stream(StreamError),
+    /// A study of errors and times.
+    #[error(transparent)]
+    Report(#[from] ReportError),
     /// The result.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -150,6 +156,7 @@ pub fn run(cli: Cli) -> Result<Outcome, CommandError> {
         Verb::Model(args) => model::run(&args),
         Verb::Solve(args) => solve::run(&args),
         Verb::Paper(args) => paper::run(&args),
+        Verb::Report(args) => report::run(&args),
         Verb::Scene(args) => scene::run(&args),
     }
 }

@@ -158,8 +158,14 @@ impl Figure<'_> {
                 style: CurveStyle::Markers,
                 points: self.lower,
             }],
+            notes: Vec::new(),
         };
-        let upper = Chart { x: x(""), y: if self.from_zero { y.from_zero() } else { y }, curves: self.curves };
+        let upper = Chart {
+            x: x(""),
+            y: if self.from_zero { y.from_zero() } else { y },
+            curves: self.curves,
+            notes: Vec::new(),
+        };
         let top = 64.0 + upper.legend_height();
         let lower_top = top + UPPER + 30.0 + lower.legend_height();
         let mut canvas = Canvas::new(WIDTH, lower_top + LOWER + 56.0, self.title);

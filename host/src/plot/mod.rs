@@ -16,9 +16,9 @@ mod strips;
 mod ticks;
 
 pub use canvas::{Anchor, Canvas, Stroke, TextStyle};
-pub use chart::{Axis, Chart, Curve, CurveStyle};
+pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;
-pub use palette::{Colour, cell_colour};
+pub use palette::{Colour, SOFT_INK, cell_colour};
 pub use scene::scene_picture;
 pub use size::PlotError;
 

@@ -9,6 +9,8 @@ pub const INK: Colour = "#222222";
 pub const SOFT_INK: Colour = "#666666";
 /// Grid lines, outlines of what is not the matter at hand.
 pub const PALE: Colour = "#d4d4d4";
+/// Grid lines between numbered ones.
+pub const FAINT: Colour = "#ededed";
 /// The tool's body.
 pub const TOOL: Colour = "#9a9a9a";
 /// Masks.

@@ -20,6 +20,43 @@ pub(super) fn round_step(wanted: f64) -> f64 {
     factor.unwrap_or(10.0) * power
 }
 
+/// Ticks of a logarithmic axis.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Decades {
+    /// Positions with a number, ascending.
+    pub(super) numbered: Vec<f64>,
+    /// Positions of a grid line only.
+    pub(super) minor: Vec<f64>,
+    /// Whether all numbers are short enough to be written without powers of ten.
+    pub(super) plain: bool,
+}
+
+/// Widest span of decades whose grid has lines within each: more would be a grey area.
+const FINE_DECADES: f64 = 8.0;
+
+/// Ticks at powers of ten inside a range of positive numbers, every so many of them that about
+/// `count` are numbered; at 2 and 5 times powers of ten, too, where those alone would be too few.
+pub(super) fn decades([from, to]: [f64; 2], count: usize) -> Decades {
+    let (low, high) = (from.log10(), to.log10());
+    let inside = |value: &f64| (from * (1.0 - 1e-9)..=to * (1.0 + 1e-9)).contains(value);
+    let step = ((high - low) / count.max(1) as f64).ceil().max(1.0) as i32;
+    let exponents = low.floor() as i32..=high.ceil() as i32;
+    let multiples = |factors: &'static [f64]| {
+        exponents.clone().flat_map(move |exponent| factors.iter().map(move |factor| factor * 10f64.powi(exponent)))
+    };
+    let powers: Vec<f64> = exponents
+        .clone()
+        .filter(|exponent| exponent.rem_euclid(step) == 0)
+        .map(|e| 10f64.powi(e))
+        .filter(inside)
+        .collect();
+    let few = high - low < 2.0 && 3 * powers.len() <= count;
+    let numbered: Vec<f64> = if few { multiples(&[1.0, 2.0, 5.0]).filter(inside).collect() } else { powers };
+    let all: &[f64] = if high - low <= FINE_DECADES { &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0] } else { &[1.0] };
+    let minor = multiples(all).filter(|tick| inside(tick) && !numbered.contains(tick)).collect();
+    Decades { numbered, minor, plain: low >= -3.0 && high <= 4.5 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -38,5 +75,23 @@ mod tests {
             let step = round_step(wanted);
             assert!(step >= wanted * 0.999_999 && step <= wanted * 10.0 / 4.9, "{wanted}: {step}");
         }
+    }
+
+    #[test]
+    fn decades_are_numbered_and_divided() {
+        let ticks = decades([0.05, 200.0], 5);
+        assert_eq!(ticks.numbered, [0.1, 1.0, 10.0, 100.0]);
+        assert!(ticks.plain && ticks.minor.contains(&0.2) && ticks.minor.contains(&90.0), "{ticks:?}");
+        assert!(ticks.minor.iter().all(|tick| (0.05..=200.0).contains(tick) && !ticks.numbered.contains(tick)));
+    }
+
+    #[test]
+    fn many_decades_skip_numbers_and_few_add_some() {
+        let many = decades([1e-16, 1.0], 6);
+        assert_eq!(many.numbered.len(), 6, "{many:?}");
+        assert!(!many.plain && many.minor.len() == 11, "{many:?}");
+        let few = decades([0.9, 9.0], 8);
+        assert_eq!(few.numbered, [1.0, 2.0, 5.0]);
+        assert_eq!(few.minor, [0.9, 3.0, 4.0, 6.0, 7.0, 8.0, 9.0]);
     }
 }

@@ -1,0 +1,62 @@
+//! `slitpose report`: error against run time, and what happens in extreme cases.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use super::{CommandError, Outcome};
+use crate::report::{Folder, POSES, QUICK_POSES, Settings, study};
+use crate::scene_file::{SceneFile, WIDE};
+
+/// Measures how exact and how fast everything is, for one scene, and makes a page of it.
+///
+/// The folder gets one page (index.html, needs nothing else), the same tables as Markdown
+/// (report.md) and as CSV, and the pictures as SVG. Sections: the forward model, the solver against
+/// the Cramér–Rao bound, cycles on the board's processor, what effects cost that a scene does not
+/// need, moving tools, and stiff and extreme cases. Errors follow from the seed; times are those of
+/// this machine, one thread, least and median of interleaved rounds. Nothing is measured on hardware.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  slitpose report --output report\n  slitpose report head.toml --output report --quick"
+)]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene [default: wide]
+    scene: Option<String>,
+    /// Make this folder with the page, its tables and pictures
+    #[arg(long, value_name = "DIR")]
+    output: PathBuf,
+    /// Poses of the workspace [default: 1000, quick: 100]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
+    poses: Option<u32>,
+    /// Seed of the noise
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Fewer poses and rounds: ten seconds instead of minutes
+    #[arg(long)]
+    quick: bool,
+    /// Table of cycles on the board, as `slitpose-cycles` prints it; without it that program is run
+    /// if it lies beside this one
+    #[arg(long, value_name = "FILE")]
+    cycles: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let file = SceneFile::open(args.scene.as_deref().unwrap_or(WIDE.name))?;
+    let default = if args.quick { QUICK_POSES } else { POSES };
+    let settings = Settings {
+        poses: args.poses.map_or(default, |poses| poses as usize),
+        seed: args.seed,
+        quick: args.quick,
+        cycles: args.cycles.clone(),
+    };
+    let folder = Folder::create(&args.output)?;
+    // A closed standard error is no reason to stop.
+    let tell = |text: &str| drop(writeln!(std::io::stderr(), "{text}"));
+    let report = study(&file, &settings, |title| tell(&format!("{title} …")))?;
+    for warning in &report.warnings {
+        tell(warning);
+    }
+    for path in folder.write(&report)? {
+        tell(&format!("wrote {}", path.display()));
+    }
+    Ok(Outcome::Done)
+}

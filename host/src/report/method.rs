@@ -1,0 +1,111 @@
+//! One way to solve, out of many.
+
+use slitpose_model::{Effort, MotionPrior, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier};
+
+/// The number type that is computed with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Precision {
+    /// `f64`.
+    Double,
+    /// `f32`, as on the board.
+    Single,
+}
+
+impl Precision {
+    pub(super) const BOTH: [Self; 2] = [Self::Double, Self::Single];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Double => "f64",
+            Self::Single => "f32",
+        }
+    }
+
+    /// The exact tier at the tightest tolerance that the number type can keep. Asked for more, `f32`
+    /// divides spots for ever without coming nearer.
+    pub(super) fn tightest_tier(self) -> Tier {
+        match self {
+            Self::Double => Tier::Exact { tolerance: 1e-12 },
+            Self::Single => Tier::Exact { tolerance: 1e-6 },
+        }
+    }
+
+    /// Largest relative error of a rounded number.
+    pub(super) fn unit_roundoff(self) -> f64 {
+        match self {
+            Self::Double => 0.5 * f64::EPSILON,
+            Self::Single => 0.5 * f64::from(f32::EPSILON),
+        }
+    }
+}
+
+/// What a solve starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    /// Nothing.
+    Cold,
+    /// A pose near the truth, as from the frame before.
+    Warm,
+}
+
+impl Start {
+    pub(super) const BOTH: [Self; 2] = [Self::Cold, Self::Warm];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Cold => "cold",
+            Self::Warm => "warm",
+        }
+    }
+}
+
+/// A way to solve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Method {
+    pub(super) tier: Tier,
+    pub(super) precision: Precision,
+    pub(super) start: Start,
+    pub(super) effort: Effort,
+}
+
+/// A method compiled for a scene: photocurrents and a pose to start from in, a solution out.
+pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solution>;
+
+impl Method {
+    /// For the cells of `scene`, all exposed at one instant.
+    pub(super) fn compile(&self, scene: &Scene) -> Result<Compiled, SceneError> {
+        match self.precision {
+            Precision::Double => self.compile_for::<f64>(scene),
+            Precision::Single => self.compile_for::<f32>(scene),
+        }
+    }
+
+    fn compile_for<S: Scalar>(&self, scene: &Scene) -> Result<Compiled, SceneError> {
+        let solver = Solver::<S>::new(scene, self.tier)?.with_effort(self.effort);
+        Ok(match self.start {
+            Start::Cold => Box::new(move |readings, _| solver.solve(readings)),
+            Start::Warm => {
+                let rest = MotionPrior::default();
+                Box::new(move |readings, prior| solver.solve_near(readings, prior, &rest))
+            }
+        })
+    }
+}
+
+/// The word for a tier in tables.
+pub(super) fn tier_name(tier: Tier) -> String {
+    match tier {
+        Tier::Paper => "paper".to_owned(),
+        Tier::Exact { tolerance } => format!("exact {tolerance:e}"),
+    }
+}
+
+/// The word for an effort in tables.
+pub(super) fn effort_name(effort: Effort) -> String {
+    match effort {
+        Effort::Planes => "planes".to_owned(),
+        Effort::Steps(1) => "1 step".to_owned(),
+        Effort::Steps(steps) => format!("{steps} steps"),
+        Effort::Full => "full".to_owned(),
+    }
+}

@@ -1,0 +1,168 @@
+//! What a report is made of, before anybody decides how it is written.
+
+/// One entry of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// A word or two.
+    Text(String),
+    /// A word that must not be overlooked.
+    Alert(String),
+    /// A number in the unit of its column.
+    Number(f64),
+    /// A number of things.
+    Count(usize),
+    /// There is no such number.
+    Missing,
+}
+
+impl Value {
+    /// A number; `None`, NaN and infinity are missing.
+    pub fn optional(value: Option<f64>) -> Self {
+        value.filter(|value| value.is_finite()).map_or(Self::Missing, Self::Number)
+    }
+
+    /// As people read it: three significant digits.
+    pub fn shown(&self) -> String {
+        match self {
+            Self::Text(text) | Self::Alert(text) => text.clone(),
+            Self::Number(value) => three_digits(*value),
+            Self::Count(count) => count.to_string(),
+            Self::Missing => "—".to_owned(),
+        }
+    }
+
+    /// Whether it stands at the right of its column.
+    pub fn is_number(&self) -> bool {
+        !matches!(self, Self::Text(_) | Self::Alert(_))
+    }
+}
+
+impl From<&str> for Value {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+impl From<String> for Value {
+    fn from(text: String) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl From<f64> for Value {
+    fn from(value: f64) -> Self {
+        Self::optional(Some(value))
+    }
+}
+
+impl From<usize> for Value {
+    fn from(count: usize) -> Self {
+        Self::Count(count)
+    }
+}
+
+/// A column: its name in CSV, with the unit, and its heading on a page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Column {
+    /// Such as `least_us`.
+    pub name: &'static str,
+    /// Such as `time / µs`.
+    pub heading: &'static str,
+}
+
+/// Shorthand for a [`Column`].
+pub(super) const fn column(name: &'static str, heading: &'static str) -> Column {
+    Column { name, heading }
+}
+
+/// A table.
+#[derive(Clone, Debug)]
+pub struct Table {
+    /// The stem of its CSV file.
+    pub name: &'static str,
+    /// What it shows.
+    pub caption: String,
+    /// Its columns.
+    pub columns: Vec<Column>,
+    /// Its rows, one value for each column.
+    pub rows: Vec<Vec<Value>>,
+}
+
+/// A picture.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// The stem of its SVG file.
+    pub name: &'static str,
+    /// What it shows.
+    pub caption: String,
+    /// The picture itself.
+    pub svg: String,
+}
+
+/// A chapter of a report.
+#[derive(Clone, Debug)]
+pub struct Section {
+    /// Where links lead.
+    pub name: &'static str,
+    /// Its heading.
+    pub title: &'static str,
+    /// What was done, and what follows from it.
+    pub paragraphs: Vec<String>,
+    /// Pictures, which come first.
+    pub pictures: Vec<Picture>,
+    /// Tables.
+    pub tables: Vec<Table>,
+}
+
+/// A whole report.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// The scene's name.
+    pub scene: String,
+    /// Under which conditions the numbers hold: names and what they are.
+    pub conditions: Vec<(&'static str, String)>,
+    /// What a reader must know before believing a number.
+    pub warnings: Vec<String>,
+    /// The chapters.
+    pub sections: Vec<Section>,
+}
+
+/// Three significant digits, powers of ten where zeros would have to be counted, a true minus sign.
+fn three_digits(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    // Rounded first: 999.7 is a number of four digits.
+    let rounded: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let exponent = rounded.abs().log10().floor();
+    let text = if (-3.0..5.0).contains(&exponent) {
+        format!("{rounded:.*}", (2.0 - exponent).max(0.0) as usize)
+    } else {
+        format!("{rounded:.1e}")
+    };
+    text.replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_shown_with_three_digits() {
+        let cases = [
+            (0.0, "0"),
+            (1.0, "1.00"),
+            (-2.345_678, "−2.35"),
+            (999.7, "1000"),
+            (12_345.0, "12300"),
+            (0.004_567, "0.00457"),
+            (4.567e-9, "4.6e−9"),
+            (1e300, "1.0e300"),
+        ];
+        for (value, text) in cases {
+            assert_eq!(Value::from(value).shown(), text);
+        }
+        assert_eq!(Value::from(f64::NAN), Value::Missing);
+        assert_eq!(Value::optional(None).shown(), "—");
+    }
+}

@@ -1,0 +1,113 @@
+//! Charts side by side on one sheet, as all pictures of a report are.
+
+use glam::dvec2;
+
+use super::section::{Picture, Value};
+use crate::plot::{Anchor, Axis, Canvas, Chart, Curve, CurveStyle, SOFT_INK, Scale, Stroke, TextStyle, cell_colour};
+
+const LEFT: f64 = 84.0;
+const GAP: f64 = 84.0;
+const RIGHT: f64 = 24.0;
+const HEIGHT: f64 = 380.0;
+
+/// Width of a plotting area that has the sheet for itself, and of one of two.
+const ALONE: f64 = 660.0;
+const OF_TWO: f64 = 400.0;
+
+/// Charts with a common legend: that of the first.
+pub(super) struct Sheet {
+    pub(super) title: String,
+    /// Conditions, in one line.
+    pub(super) note: String,
+    /// Heading and chart of each panel.
+    pub(super) panels: Vec<(String, Chart)>,
+}
+
+impl Sheet {
+    /// The finished picture.
+    pub(super) fn draw(mut self, name: &'static str, caption: &str) -> Picture {
+        for (_, chart) in self.panels.iter_mut().skip(1) {
+            for curve in &mut chart.curves {
+                curve.label.clear();
+            }
+        }
+        let width = if self.panels.len() == 1 { ALONE } else { OF_TWO };
+        let legend = self.panels.first().map_or(0.0, |(_, chart)| chart.legend_height());
+        let top = 66.0 + legend;
+        let full = LEFT + self.panels.len() as f64 * (width + GAP) - GAP + RIGHT;
+        let mut canvas = Canvas::new(full, top + HEIGHT + 56.0, &self.title);
+        canvas.text(dvec2(20.0, 30.0), &self.title, TextStyle::new(16.0).bold());
+        canvas.text(dvec2(20.0, 50.0), &self.note, TextStyle::new(12.0));
+        for (index, (heading, chart)) in self.panels.iter().enumerate() {
+            let left = LEFT + index as f64 * (width + GAP);
+            let (top_left, bottom_right) = (dvec2(left, top), dvec2(left + width, top + HEIGHT));
+            chart.draw(&mut canvas, top_left, bottom_right);
+            let at = dvec2(bottom_right.x, top - 10.0);
+            canvas.text(at, heading, TextStyle::new(13.0).bold().anchored(Anchor::End));
+        }
+        Picture { name, caption: caption.to_owned(), svg: canvas.into_svg() }
+    }
+}
+
+/// A curve of the report's own colours.
+pub(super) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
+    Curve { label: label.to_owned(), colour: cell_colour(colour), style, points }
+}
+
+/// One row of a chart of ratios.
+pub(super) struct Row {
+    pub(super) label: String,
+    /// Ratios, one of each kind.
+    pub(super) ratios: Vec<f64>,
+    /// Whether a gap precedes it.
+    pub(super) opens_group: bool,
+}
+
+/// Ratios as stalks that grow from 1 to either side, on a logarithmic axis, several kinds of them
+/// for each row.
+pub(super) fn ratios(
+    name: &'static str,
+    title: &str,
+    note: &str,
+    caption: &str,
+    kinds: &[&str],
+    rows: &[Row],
+) -> Picture {
+    const LABELS: f64 = 230.0;
+    const STALK: f64 = 13.0;
+    let height = STALK * kinds.len() as f64 + 5.0;
+    let gaps = 8.0 * rows.iter().filter(|row| row.opens_group).count() as f64;
+    let top = 76.0 + 18.0 * kinds.len() as f64;
+    let bottom = top + height * rows.len() as f64 + gaps + 6.0;
+    let mut canvas = Canvas::new(LABELS + ALONE, bottom + 56.0, title);
+    canvas.text(dvec2(20.0, 30.0), title, TextStyle::new(16.0).bold());
+    canvas.text(dvec2(20.0, 50.0), note, TextStyle::new(12.0));
+    let all = || rows.iter().flat_map(|row| row.ratios.iter().copied());
+    // Room for the number beside the longest stalk.
+    let mut x = Axis::logarithmic("ratio of times", all().chain([0.5, 10.0]));
+    x.range[1] *= 2.0;
+    let kind = |(index, label): (usize, &&str)| curve(label, index, CurveStyle::Joined, Vec::new());
+    let y = Axis { label: String::new(), range: [0.0, 1.0], scale: Scale::Bare };
+    let chart = Chart { x, y, curves: kinds.iter().enumerate().map(kind).collect(), notes: Vec::new() };
+    let (top_left, bottom_right) = (dvec2(LABELS, top), dvec2(LABELS + ALONE - RIGHT, bottom));
+    chart.draw(&mut canvas, top_left, bottom_right);
+    let place = |ratio: f64| top_left.x + chart.x.share(ratio) * (bottom_right.x - top_left.x);
+    let one = place(1.0);
+    canvas.line(dvec2(one, top), dvec2(one, bottom), Stroke::new(SOFT_INK, 1.2));
+    let mut y = top + 4.0;
+    for row in rows {
+        y += if row.opens_group { 8.0 } else { 0.0 };
+        let middle = y + 0.5 * STALK * kinds.len() as f64 + 4.5;
+        canvas.text(dvec2(LABELS - 10.0, middle), &row.label, TextStyle::new(13.0).anchored(Anchor::End));
+        for (kind, &ratio) in row.ratios.iter().enumerate().filter(|(_, ratio)| **ratio > 0.0 && ratio.is_finite()) {
+            let (at, colour) = (dvec2(place(ratio), y + STALK * (kind as f64 + 0.5)), cell_colour(kind));
+            canvas.line(dvec2(one, at.y), at, Stroke::new(colour, 3.0));
+            canvas.disc(at, 3.4, colour, Stroke::new(colour, 0.5));
+            // Beside the end, never on the stalk.
+            let number = at.with_x(at.x.max(one)) + dvec2(8.0, 4.0);
+            canvas.text(number, &Value::from(ratio).shown(), TextStyle::new(11.0).coloured(SOFT_INK));
+        }
+        y += height;
+    }
+    Picture { name, caption: caption.to_owned(), svg: canvas.into_svg() }
+}

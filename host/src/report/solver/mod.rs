@@ -1,0 +1,184 @@
+//! The solver: what each way to a pose costs, and how near it comes to the bound.
+
+mod picture;
+mod tables;
+
+use std::hint::black_box;
+
+use slitpose_model::{Effort, Photocurrents, Plan, Pose, Solver, Tier};
+
+use crate::report::accuracy::{Errors, rms_of_covariances};
+use crate::report::head::{Head, STREAM, currents};
+use crate::report::method::{Method, Precision, Start};
+use crate::report::noise::NoiseSource;
+use crate::report::section::{Section, Value};
+use crate::report::stopwatch::{Candidate, Timing, race};
+use crate::report::{ReportError, Settings};
+
+pub(in crate::report) const TITLE: &str = "Solver: error against time";
+
+/// Steps after which a solve is cut short.
+const STEPS: [usize; 4] = [1, 2, 3, 4];
+
+/// How far a warm start is off, per axis: what a frame before leaves at some 10 mm/s.
+pub(in crate::report) const PRIOR_M: f64 = 3e-6;
+pub(in crate::report) const PRIOR_RAD: f64 = 3e-4;
+
+/// Which model the light obeys.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Light {
+    /// The exact one: what reality does.
+    Exact,
+    /// That of the paper: an answer book for its own solver.
+    Paper,
+}
+
+/// One way to solve, on one kind of data.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    method: Method,
+    light: Light,
+}
+
+struct Entry {
+    run: Run,
+    noisy: Errors,
+    clean: Errors,
+    timing: Timing,
+}
+
+/// Currents of all poses in one kind of light.
+struct Data {
+    noisy: Vec<Photocurrents>,
+    clean: Vec<Photocurrents>,
+}
+
+pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
+    let bound = bound(head)?;
+    let entries = measure(head, settings)?;
+    let floor = tables::floor(head, settings)?;
+    let mut section = Section {
+        name: "solver",
+        title: TITLE,
+        paragraphs: vec![
+            format!(
+                "{} poses of the workspace, one frame of photocurrents each, the tool at rest. Noise is that of the \
+                 scene's front end, drawn from the covariance of each pair of currents. A cold start knows nothing; a \
+                 warm one starts {} µm and {} mrad off per axis, as from the frame before. `planes` is the pose that \
+                 the positions of the light give; so many steps follow on the currents; `full` goes to the minimum and \
+                 judges the fit.",
+                head.poses.len(),
+                PRIOR_M * 1e6,
+                PRIOR_RAD * 1e3
+            ),
+            format!(
+                "Errors are root mean squares of the length of the error vector. The Cramér–Rao bound, below which no \
+                 unbiased estimate from one frame can come, is {} µm and {} µrad. The light obeys the exact tier, as \
+                 real light would; rows with the light of the paper tier show what that tier's solver would do if its \
+                 model were true.",
+                Value::from(bound.0 * 1e6).shown(),
+                Value::from(bound.1 * 1e6).shown()
+            ),
+        ],
+        pictures: vec![
+            picture::picture(&entries, head, bound.0, &picture::TRANSLATION),
+            picture::picture(&entries, head, bound.1, &picture::ROTATION),
+        ],
+        tables: vec![tables::noisy(&entries, bound), tables::clean(&entries), floor],
+    };
+    let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.timing.least_s);
+    if let Some(slowest_s) = slowest_s.reduce(f64::max) {
+        section.paragraphs.push(format!(
+            "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere \
+             for a pose that fits before it gives the best one, marked as a misfit: up to {} µm. Solves that stop \
+             after some steps do not ask.",
+            Value::from(slowest_s * 1e6).shown()
+        ));
+    }
+    Ok(section)
+}
+
+/// Mean steps of a full solve that found no fit and searched everywhere for one. Such a point
+/// lies far to the right of all others; a word tells of it.
+const SEARCHED: f64 = 40.0;
+
+/// Whether solves found no fit and searched everywhere for one.
+fn searched(errors: &Errors) -> bool {
+    errors.mean_iterations() > SEARCHED
+}
+
+/// The Cramér–Rao bound over all poses: metres and radians.
+fn bound(head: &Head<'_>) -> Result<(f64, f64), ReportError> {
+    let solver = Solver::<f64>::new(&head.scene, STREAM)?;
+    Ok(rms_of_covariances(head.poses.iter().filter_map(|pose| solver.bound(pose))))
+}
+
+fn runs(head: &Head<'_>) -> Vec<Run> {
+    let mut runs = Vec::new();
+    for (tier, light) in [(STREAM, Light::Exact), (Tier::Paper, Light::Exact), (Tier::Paper, Light::Paper)] {
+        for precision in Precision::BOTH {
+            for start in Start::BOTH {
+                // From a pose nearby the planes are skipped.
+                let planes = (start == Start::Cold).then_some(Effort::Planes);
+                let efforts = planes.into_iter().chain(STEPS.map(Effort::Steps)).chain([Effort::Full]);
+                runs.extend(efforts.map(|effort| Run { method: Method { tier, precision, start, effort }, light }));
+            }
+        }
+    }
+    // What the tolerance costs and gives: once more at a tight one.
+    for start in Start::BOTH {
+        let efforts = STEPS.map(Effort::Steps).into_iter().chain([Effort::Full]);
+        let method = |effort| Method { tier: head.truth_tier, precision: Precision::Double, start, effort };
+        runs.extend(efforts.map(|effort| Run { method: method(effort), light: Light::Exact }));
+    }
+    runs
+}
+
+fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
+    let mut noise = NoiseSource::seeded(settings.seed);
+    let mut data = |clean: Vec<Photocurrents>| Data {
+        noisy: clean.iter().map(|clean| noise.disturb(&head.scene, clean)).collect(),
+        clean,
+    };
+    let exact = data(head.currents());
+    let paper_plan = Plan::<f64>::compile(&head.scene, Tier::Paper)?;
+    let paper = data(head.poses.iter().map(|pose| currents(&paper_plan, pose)).collect());
+    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
+    let of = |light| if light == Light::Exact { &exact } else { &paper };
+
+    let runs = runs(head);
+    let solves = runs.iter().map(|run| run.method.compile(&head.scene)).collect::<Result<Vec<_>, _>>()?;
+    let errors: Vec<[Errors; 2]> = runs
+        .iter()
+        .zip(&solves)
+        .map(|(run, solve)| {
+            let data = of(run.light);
+            [&data.noisy, &data.clean].map(|readings| {
+                let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
+                Errors::of(solved.zip(&head.poses))
+            })
+        })
+        .collect();
+    let timed = settings.timed_poses();
+    let mut candidates: Vec<Candidate<'_>> = runs
+        .iter()
+        .zip(&solves)
+        .map(|(run, solve)| {
+            let readings = &of(run.light).noisy[..timed];
+            let priors = &priors;
+            Candidate::new(move || {
+                for (readings, prior) in readings.iter().zip(priors) {
+                    black_box(solve(black_box(readings), prior));
+                }
+            })
+        })
+        .collect();
+    let timings = race(&mut candidates, settings.rounds(), timed);
+    drop(candidates);
+    Ok(runs
+        .into_iter()
+        .zip(errors)
+        .zip(timings)
+        .map(|((run, [noisy, clean]), timing)| Entry { run, noisy, clean, timing })
+        .collect())
+}

@@ -1,0 +1,192 @@
+//! One extreme case, and what came of it in both number types.
+
+use std::collections::BTreeMap;
+
+use crate::report::method::Precision;
+use crate::report::section::{Table, Value, column};
+
+/// Errors this many times what is attainable are as good as attained: algorithms round more than
+/// once.
+const ENOUGH: f64 = 30.0;
+
+/// What must come back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Expected {
+    /// One of these words, whatever the number.
+    Words(&'static [&'static str]),
+    /// A number, as exact as the number type allows.
+    Value,
+    /// Such a number where less than this error is attainable; elsewhere a word will do that says
+    /// why there is none.
+    ValueBelow(f64),
+    /// Such a number, or a word that says why there is none.
+    Honest,
+}
+
+impl Expected {
+    fn text(self) -> String {
+        match self {
+            Self::Words(words) => words.join(" or "),
+            Self::Value => "value".to_owned(),
+            Self::ValueBelow(_) | Self::Honest => "value, or why not".to_owned(),
+        }
+    }
+}
+
+/// What came of one case in one number type.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reached {
+    /// Outcomes, and how often each came.
+    pub(super) outcomes: BTreeMap<String, usize>,
+    /// Error, in the unit of the case; `None` without a value.
+    pub(super) error: Option<f64>,
+    /// What is attainable in this number type, in the same unit.
+    pub(super) attainable: Option<f64>,
+    /// The slowest of the solves, seconds.
+    pub(super) slowest_s: Option<f64>,
+}
+
+impl Reached {
+    /// One outcome with its error.
+    pub(super) fn once(outcome: &str, error: Option<f64>, attainable: Option<f64>) -> Self {
+        Self { outcomes: BTreeMap::from([(outcome.to_owned(), 1)]), error, attainable, slowest_s: None }
+    }
+
+    fn outcome(&self) -> String {
+        if let (1, Some((word, _))) = (self.outcomes.len(), self.outcomes.first_key_value()) {
+            return word.clone();
+        }
+        let counted: Vec<String> = self.outcomes.iter().map(|(word, count)| format!("{word} {count}")).collect();
+        counted.join(", ")
+    }
+
+    /// Error over what is attainable.
+    fn ratio(&self) -> Option<f64> {
+        match (self.error?, self.attainable?) {
+            (0.0, _) => Some(0.0),
+            (error, attainable) => Some(error / attainable),
+        }
+    }
+
+    fn is_good(&self, expected: Expected) -> bool {
+        let exact = self.ratio().map(|ratio| ratio <= ENOUGH);
+        match expected {
+            Expected::Words(words) => self.outcomes.keys().all(|word| words.contains(&word.as_str())),
+            Expected::ValueBelow(limit) if self.attainable.is_none_or(|attainable| attainable >= limit) => {
+                self.is_good(Expected::Honest)
+            }
+            Expected::Value | Expected::ValueBelow(_) => exact == Some(true),
+            Expected::Honest => exact != Some(false),
+        }
+    }
+}
+
+/// One case.
+#[derive(Clone, Debug)]
+pub(super) struct Case {
+    /// Which of the extremes.
+    pub(super) study: &'static str,
+    /// How far it was driven.
+    pub(super) case: String,
+    /// Condition number of the problem, where it has one.
+    pub(super) condition: Option<f64>,
+    /// What the error is of, with its unit.
+    pub(super) quantity: &'static str,
+    pub(super) expected: Expected,
+    /// In `f64` and in `f32`, if that number type takes part.
+    pub(super) reached: Vec<(Precision, Reached)>,
+}
+
+impl Case {
+    /// The number types in which the case falls short.
+    pub(super) fn short(&self) -> Vec<&'static str> {
+        let short = self.reached.iter().filter(|(_, reached)| !reached.is_good(self.expected));
+        short.map(|(precision, _)| precision.name()).collect()
+    }
+
+    /// What came of it in `precision`.
+    pub(super) fn reached_in(&self, precision: Precision) -> Option<&Reached> {
+        self.reached.iter().find(|(of, _)| *of == precision).map(|(_, reached)| reached)
+    }
+
+    fn row(&self) -> Vec<Value> {
+        let mut row = vec![
+            self.study.into(),
+            self.case.as_str().into(),
+            Value::optional(self.condition),
+            self.quantity.into(),
+            self.expected.text().into(),
+        ];
+        for precision in Precision::BOTH {
+            let reached = self.reached_in(precision);
+            row.push(reached.map_or("".into(), |reached| reached.outcome().into()));
+            row.push(Value::optional(reached.and_then(|reached| reached.error)));
+            row.push(Value::optional(reached.and_then(|reached| reached.attainable)));
+            row.push(Value::optional(reached.and_then(Reached::ratio)));
+            row.push(Value::optional(reached.and_then(|reached| Some(1e6 * reached.slowest_s?))));
+        }
+        let short = self.short();
+        row.push(if short.is_empty() { "good".into() } else { Value::Alert(format!("short: {}", short.join(", "))) });
+        row
+    }
+}
+
+/// All cases as a table.
+pub(super) fn table(cases: &[Case]) -> Table {
+    Table {
+        name: "stiff",
+        caption: format!(
+            "Extreme cases: what came back, its error, what is attainable in that number type, and their ratio; good: \
+             the ratio is at most {ENOUGH}"
+        ),
+        columns: vec![
+            column("study", "study"),
+            column("case", "case"),
+            column("condition", "condition"),
+            column("quantity", "error of"),
+            column("expected", "expected"),
+            column("f64_outcome", "f64"),
+            column("f64_error", "error"),
+            column("f64_attainable", "attainable"),
+            column("f64_ratio", "ratio"),
+            column("f64_slowest_us", "slowest / µs"),
+            column("f32_outcome", "f32"),
+            column("f32_error", "error"),
+            column("f32_attainable", "attainable"),
+            column("f32_ratio", "ratio"),
+            column("f32_slowest_us", "slowest / µs"),
+            column("verdict", "verdict"),
+        ],
+        rows: cases.iter().map(Case::row).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn case(expected: Expected, reached: Reached) -> Case {
+        let reached = vec![(Precision::Double, reached)];
+        Case { study: "", case: String::new(), condition: None, quantity: "", expected, reached }
+    }
+
+    #[test]
+    fn verdicts_follow_from_what_is_expected() {
+        let value = |error| Reached::once("converged", Some(error), Some(1e-16));
+        let none = || Reached::once("unobservable", None, Some(1.0));
+        for (expected, reached, good) in [
+            (Expected::Value, value(1e-15), true),
+            (Expected::Value, value(1e-14), false),
+            (Expected::Value, none(), false),
+            (Expected::ValueBelow(0.1), none(), true),
+            (Expected::ValueBelow(2.0), none(), false),
+            (Expected::ValueBelow(0.1), value(1e-14), false),
+            (Expected::Honest, none(), true),
+            (Expected::Honest, value(1e-14), false),
+            (Expected::Words(&["unobservable"]), none(), true),
+            (Expected::Words(&["unobservable"]), value(0.0), false),
+        ] {
+            assert_eq!(case(expected, reached.clone()).short().is_empty(), good, "{expected:?} {reached:?}");
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! `slitpose report` as a user runs it: everything is there, and the numbers lie where theory and
+//! arithmetic put them. Times are not judged.
+
+use std::fs;
+use std::path::Path;
+
+use slitpose_tests::slitpose;
+use slitpose_tests::table::{Row, Table};
+
+const CYCLES: &str = "\
+scene,tier,start,cells,poses,median_cycles,max_cycles,median_us_at_170mhz,rms_error_um,rms_error_urad
+wide,paper,warm,6,200,52000,60100,305.9,4.6,505
+wide,exact 1e-6,cold,6,200,112000,150100,658.8,4.59,519
+";
+
+fn table(folder: &Path, name: &str) -> Table {
+    let text = fs::read_to_string(folder.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    for word in ["NaN", "nan", "inf"] {
+        assert!(!text.split([',', '\n']).any(|field| field == word), "{name} holds {word}");
+    }
+    Table::parse(&text)
+}
+
+/// The rows in which each column holds its text.
+fn rows<'a>(table: &'a Table, texts: &[(&str, &str)]) -> Vec<Row<'a>> {
+    let chosen: Vec<_> =
+        table.rows().filter(|row| texts.iter().all(|(column, text)| row.text(column) == *text)).collect();
+    assert!(!chosen.is_empty(), "no row with {texts:?}");
+    chosen
+}
+
+#[test]
+fn a_quick_report_is_complete_and_its_numbers_are_where_they_belong() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let cycles = folder.path().join("counted.csv");
+    fs::write(&cycles, CYCLES).expect("table");
+    let output = folder.path().join("report");
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let options = ["--quick", "--seed", "1", "--output", &text(&output), "--cycles", &text(&cycles)];
+    let finished = slitpose!().run(std::iter::once("report").chain(options));
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
+    assert!(finished.stdout.is_empty(), "data went to the folder and to standard output");
+
+    pages(&output, &finished.stderr);
+    forward(&table(&output, "forward.csv"));
+    solver(&output);
+    motion(&table(&output, "motion.csv"));
+    economy(&table(&output, "economy.csv"));
+    stiff(&table(&output, "stiff.csv"));
+    let counted = table(&output, "cycles.csv");
+    assert_eq!(rows(&counted, &[("start", "cold")])[0].number("median_cycles"), 112_000.0);
+}
+
+/// One page with everything in it, and the same in Markdown.
+fn pages(folder: &Path, talk: &str) {
+    let page = fs::read_to_string(folder.join("index.html")).expect("page");
+    let markdown = fs::read_to_string(folder.join("report.md")).expect("Markdown");
+    for word in ["src=", "@import", "url(", "<script", "<link"] {
+        assert!(!page.contains(word), "the page fetches something: {word}");
+    }
+    let pictures = fs::read_dir(folder).expect("folder").filter(|entry| {
+        let name = entry.as_ref().expect("entry").file_name();
+        name.to_string_lossy().ends_with(".svg")
+    });
+    assert_eq!(page.matches("<svg").count(), pictures.count());
+    for part in ["hash ", "seed", "one", "slitpose 0.1.0", "optimisation level"] {
+        assert!(page.contains(part) && markdown.contains(part), "`{part}` is not among the conditions");
+    }
+    // Tests are built with debug checks, and told so.
+    let is_checked = cfg!(debug_assertions);
+    assert_eq!(page.contains("its times say little"), is_checked);
+    assert_eq!(talk.contains("its times say little"), is_checked);
+}
+
+fn forward(table: &Table) {
+    for row in rows(table, &[("number", "f64")]) {
+        let (tier, worst) = (row.text("tier"), row.number("error_worst"));
+        match tier.strip_prefix("exact ").map(|tolerance| tolerance.parse::<f64>().expect("tolerance")) {
+            // Kept, and not by wasting nodes on eight digits more.
+            Some(tolerance) => assert!(worst <= tolerance && worst > 1e-4 * tolerance, "{tier}: {worst:e}"),
+            // The models differ by percents at worst.
+            None => assert!((1e-3..0.1).contains(&worst), "{tier}: {worst:e}"),
+        }
+    }
+    for row in rows(table, &[("number", "f32")]) {
+        let rounding = row.number("rounding_worst");
+        assert!((1e-7..1e-5).contains(&rounding), "{}: {rounding:e}", row.text("tier"));
+    }
+}
+
+fn solver(folder: &Path) {
+    let noisy = table(folder, "solver_noisy.csv");
+    let own = |tier: &'static str, light: &'static str| [("tier", tier), ("light", light), ("effort", "full")];
+    for chosen in [own("exact 1e-6", "exact"), own("paper", "paper")] {
+        for row in rows(&noisy, &chosen) {
+            assert_eq!(row.number("solved_percent"), 100.0);
+            for column in ["ratio_to_bound_translation", "ratio_to_bound_rotation"] {
+                // 100 poses, three axes: 4 %.
+                let ratio = row.number(column);
+                assert!((0.88..1.12).contains(&ratio), "{chosen:?} {column}: {ratio}");
+            }
+        }
+    }
+    for row in rows(&noisy, &[("effort", "planes")]) {
+        assert!((2.0..10.0).contains(&row.number("ratio_to_bound_translation")));
+    }
+    // In the wrong light the paper tier errs by what the models differ.
+    for row in rows(&noisy, &own("paper", "exact")) {
+        assert!((1.5..5.0).contains(&row.number("ratio_to_bound_translation")));
+    }
+
+    let floor = table(folder, "solver_floor.csv");
+    for (tier, number, floor_um) in [
+        ("paper", "f64", 3e-12),
+        ("exact 1e-12", "f64", 3e-12),
+        // The tolerance: 1e-6 of a spot's millimetre, less what the rule keeps in hand.
+        ("exact 1e-6", "f64", 1e-4),
+        ("paper", "f32", 1.5e-3),
+        ("exact 1e-6", "f32", 1.5e-3),
+    ] {
+        for row in rows(&floor, &[("tier", tier), ("number", number)]) {
+            let found = row.number("median_um");
+            assert!((0.1..10.0).contains(&(found / floor_um)), "{tier} {number}: {found:e} µm");
+        }
+    }
+}
+
+fn motion(table: &Table) {
+    let sigmas = |motion, order, speed: f64| {
+        let texts = [("motion", motion), ("order", order)];
+        let row = rows(table, &texts).into_iter().find(|row| row.number("speed_m_per_s") == speed).expect("speed");
+        row.number("translation_sigmas")
+    };
+    for motion in ["smooth", "straight"] {
+        for speed in [0.0, 0.1, 0.5, 2.0] {
+            let honoured = sigmas(motion, "honoured", speed);
+            assert!((0.85..1.25).contains(&honoured), "{motion} at {speed} m/s: {honoured} σ");
+        }
+        assert!(sigmas(motion, "ignored", 0.5) > 1.5 && sigmas(motion, "ignored", 2.0) > 5.0);
+        assert!((0.85..1.15).contains(&sigmas(motion, "ignored", 0.0)));
+    }
+}
+
+fn economy(table: &Table) {
+    for group in ["mask", "slit", "profile", "uncertainty", "noise", "exposure", "cells"] {
+        let rows = rows(table, &[("group", group)]);
+        assert!(rows.len() >= 2, "{group}");
+        assert_eq!((rows[0].number("forward_ratio"), rows[0].number("solve_ratio")), (1.0, 1.0), "{group}");
+    }
+}
+
+/// Studies in which something falls short of what arithmetic allows, and why.
+const KNOWN_SHORT: [&str; 3] = [
+    // Normal equations square the condition number; the solver then says `unobservable`.
+    "near-parallel layout",
+    // An emitter far off the axis: the spot's place is the difference of two large numbers.
+    "small solid angle",
+    // Lit minus dark of a front end slower than the frame is a difference of nearly equal numbers.
+    "front end",
+];
+
+fn stiff(table: &Table) {
+    for study in [
+        "no light",
+        "horizon",
+        "small solid angle",
+        "near field",
+        "grazing light",
+        "near-parallel layout",
+        "masked cells",
+        "rotation near π",
+        "scale of the currents",
+        "noise",
+        "front end",
+        "jump of the tool",
+    ] {
+        for row in rows(table, &[("study", study)]) {
+            let verdict = row.text("verdict");
+            assert!(verdict == "good" || KNOWN_SHORT.contains(&study), "{study}, {}: {verdict}", row.text("case"));
+        }
+    }
+    // Wherever a pose is given it is as exact as it can be: refusals fall short, lies do not occur.
+    for row in rows(table, &[("study", "near-parallel layout")]) {
+        for ratio in ["f64_ratio", "f32_ratio"] {
+            assert!(row.text(ratio).is_empty() || row.number(ratio) < 10.0, "{}: {ratio}", row.text("case"));
+        }
+    }
+}
+
+#[test]
+fn a_head_without_a_pose_is_refused() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let output = folder.path().join("report");
+    let finished = slitpose!().run(["report", "bench", "--output", output.to_str().expect("UTF-8")]);
+    finished.assert_refused(1, &["1 cells gives no pose at home", "unobservable", "wide"]);
+    slitpose!().run(["report"]).assert_refused(2, &["--output"]);
+    let file = folder.path().join("a file");
+    fs::write(&file, "").expect("file");
+    let finished = slitpose!().run(["report", "--output", file.to_str().expect("UTF-8")]);
+    finished.assert_refused(1, &["a file", "folder that exists"]);
+}
+
+#[test]
+fn a_damaged_table_of_cycles_is_told_with_its_place() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let cycles = folder.path().join("counted.csv");
+    fs::write(&cycles, CYCLES.replace("52000", "many")).expect("table");
+    let output = folder.path().join("report");
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let options = ["--quick", "--poses", "20", "--output", &text(&output), "--cycles", &text(&cycles)];
+    let finished = slitpose!().run(std::iter::once("report").chain(options));
+    finished.assert_refused(1, &["median_cycles", "many", "counted.csv"]);
+}
