@@ -14,9 +14,14 @@ pub(super) struct Errors {
 impl Errors {
     /// Counts one solve.
     pub(super) fn add(&mut self, solution: &Solution, truth: &Pose) {
-        self.tried += 1;
         self.iterations += solution.iterations;
-        if let Some(Estimate { pose, .. }) = &solution.estimate {
+        self.add_estimate(solution.estimate.as_ref(), truth);
+    }
+
+    /// Counts a pose that is not from one solve.
+    pub(super) fn add_estimate(&mut self, estimate: Option<&Estimate>, truth: &Pose) {
+        self.tried += 1;
+        if let Some(Estimate { pose, .. }) = estimate {
             let (dt, dr) = pose.displacement_from(truth);
             self.squares_m2.push(dt.length_squared());
             self.squares_rad2.push(dr.length_squared());

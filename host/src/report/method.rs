@@ -83,10 +83,10 @@ impl Method {
     fn compile_for<S: Scalar>(&self, scene: &Scene) -> Result<Compiled, SceneError> {
         let solver = Solver::<S>::new(scene, self.tier)?.with_effort(self.effort);
         Ok(match self.start {
-            Start::Cold => Box::new(move |readings, _| solver.solve(readings)),
+            Start::Cold => Box::new(move |readings, _| solver.solve(readings).widened()),
             Start::Warm => {
                 let rest = MotionPrior::default();
-                Box::new(move |readings, prior| solver.solve_near(readings, prior, &rest))
+                Box::new(move |readings, prior| solver.solve_near(readings, prior, &rest).widened())
             }
         })
     }

@@ -1,7 +1,7 @@
 //! Moving tools: what it costs to ignore that cells are exposed one after another.
 
 use glam::dvec2;
-use slitpose_model::{Outcome, Photocurrents, Pose, Solver, Tracker, Twist};
+use slitpose_model::{Outcome, Photocurrents, Pose, Solver, Tracked, Tracker, Twist};
 
 use super::accuracy::{Errors, rms_of_covariances};
 use super::head::{Frame, Head, STREAM};
@@ -31,11 +31,16 @@ const FLIGHT_FRAMES: usize = 40;
 /// Frames at the start of a flight that do not count: the tracker learns how the tool moves.
 const LEARNING_FRAMES: usize = 6;
 
-/// What a tracker is told of the order of exposure.
+/// Memory of the filter.
+const MEMORY_S: f64 = 3e-3;
+
+/// What a tracker is told of the order of exposure, and which of its poses counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Order {
     Honoured,
     Ignored,
+    /// Honoured, and a parabola through [`MEMORY_S`] of frames.
+    Filtered,
 }
 
 /// How the tool moves.
@@ -93,8 +98,8 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
         format!(
             "The tool moves while the cells are exposed one after another, {} µs between the first and the last. The \
              tracker carries each exposure to the reference instant with the twist it has seen in the frames before; \
-             \"ignored\" is the same tracker told that all cells are exposed at once. Errors of the pose of each frame, \
-             unfiltered, in units of the Cramér–Rao bound of a tool at rest.",
+             \"ignored\" is the same tracker told that all cells are exposed at once, \"filtered\" a parabola through the \
+             poses of 3 ms (run --filter 3ms); all else is the pose of each frame by itself. Errors in units of the Cramér–Rao bound of a tool at rest.",
             Value::from((spread(f64::max) - spread(f64::min)) * 1e6).shown()
         ),
         "Straight flights pass home at a constant twist: what is left there is the noise of the twist. A smooth motion \
@@ -119,12 +124,12 @@ fn measure(head: &Head<'_>, frame: &Frame, settings: &Settings) -> Result<Vec<En
             };
             let counted = flights.iter().flat_map(|flight| &flight.poses[flight.counts_from..]);
             let bound = rms_of_covariances(counted.filter_map(|pose| resting.bound(pose)));
-            for order in [Order::Honoured, Order::Ignored] {
+            for order in [Order::Honoured, Order::Ignored, Order::Filtered] {
                 let solver = match order {
-                    Order::Honoured => resting.clone().with_exposures(&frame.exposures_s),
+                    Order::Honoured | Order::Filtered => resting.clone().with_exposures(&frame.exposures_s),
                     Order::Ignored => resting.clone(),
                 };
-                let (errors, fitting) = raw(&solver, frame.period_s, &flights);
+                let (errors, fitting) = track(&solver, frame.period_s, order, &flights);
                 entries.push(Entry { motion, speed_m_per_s, order, errors, bound, fitting });
             }
         }
@@ -132,15 +137,21 @@ fn measure(head: &Head<'_>, frame: &Frame, settings: &Settings) -> Result<Vec<En
     Ok(entries)
 }
 
-/// Errors of the pose of each frame as the tracker gives it, and the share that fits.
-fn raw(solver: &Solver<f64>, period_s: f64, flights: &[Flight]) -> (Errors, f64) {
+/// Errors of the poses as the tracker gives them, and the share of frames that fit.
+fn track(solver: &Solver<f64>, period_s: f64, order: Order, flights: &[Flight]) -> (Errors, f64) {
     let (mut errors, mut fitting, mut counted) = (Errors::default(), 0.0, 0.0);
     for flight in flights {
         let mut tracker = Tracker::new(solver.clone(), period_s);
+        if order == Order::Filtered {
+            tracker = tracker.with_filter(MEMORY_S);
+        }
         for (index, (readings, pose)) in flight.readings.iter().zip(&flight.poses).enumerate() {
-            let solution = tracker.track(index as u64, readings);
+            let Tracked { solution, smoothed, .. } = tracker.track(index as u64, readings);
             if index >= flight.counts_from {
-                errors.add(&solution, pose);
+                match order {
+                    Order::Filtered => errors.add_estimate(smoothed.map(|smoothed| smoothed.estimate).as_ref(), pose),
+                    Order::Honoured | Order::Ignored => errors.add(&solution, pose),
+                }
                 fitting += f64::from(u8::from(solution.outcome == Outcome::Converged));
                 counted += 1.0;
             }
@@ -207,7 +218,12 @@ fn table(entries: &[Entry]) -> Table {
         vec![
             entry.motion.name().into(),
             Value::from(entry.speed_m_per_s),
-            if entry.order == Order::Honoured { "honoured" } else { "ignored" }.into(),
+            match entry.order {
+                Order::Honoured => "honoured",
+                Order::Ignored => "ignored",
+                Order::Filtered => "honoured, filtered over 3 ms",
+            }
+            .into(),
             Value::from(rms_m / entry.bound.0),
             Value::from(rms_rad / entry.bound.1),
             Value::from(rms_m * 1e6),
@@ -218,7 +234,7 @@ fn table(entries: &[Entry]) -> Table {
     };
     Table {
         name: "motion",
-        caption: "Error of each frame's own pose against the tool's speed".to_owned(),
+        caption: "Error against the tool's speed".to_owned(),
         columns: vec![
             column("motion", "motion"),
             column("speed_m_per_s", "speed / (m/s)"),
@@ -257,6 +273,8 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
             ),
             curve("order of exposure ignored, translation", 1, CurveStyle::Joined, points(Order::Ignored, translation)),
             curve("order of exposure ignored, rotation", 1, CurveStyle::DashedRings, points(Order::Ignored, rotation)),
+            curve("filtered, translation", 2, CurveStyle::Joined, points(Order::Filtered, translation)),
+            curve("filtered, rotation", 2, CurveStyle::DashedRings, points(Order::Filtered, rotation)),
             curve("", 6, CurveStyle::Dashed, vec![[0.0, 1.0], [2.0, 1.0]]),
         ];
         let all = || entries.iter().flat_map(|entry| [translation(entry), rotation(entry)]);
@@ -274,7 +292,7 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
     };
     Sheet {
         title: "Error against the tool's speed".to_owned(),
-        note: format!("{}; pose of each frame, unfiltered; exact tier at 1e-6, f64", head.file.name),
+        note: format!("{}; pose of each frame, and filtered over 3 ms; exact tier at 1e-6, f64", head.file.name),
         panels: vec![panel(Motion::Smooth), panel(Motion::Straight)],
     }
     .draw(
