@@ -6,7 +6,7 @@ use object::elf::{FileHeader32, PT_LOAD};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags};
 
-use crate::memory::{FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
+use crate::memory::{CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
 
 /// Why a file is no image for this device.
 #[derive(Debug, thiserror::Error)]
@@ -77,7 +77,7 @@ impl Image {
         self.segments.iter().map(|(_, data)| data.len()).sum()
     }
 
-    /// Bytes of RAM its static variables take; the stack comes on top.
+    /// Bytes of RAM its static variables and code take; the stack comes on top.
     pub fn static_ram_bytes(&self) -> usize {
         self.static_ram_bytes
     }
@@ -108,8 +108,8 @@ fn is_static_ram<'data>(section: &impl ObjectSection<'data>) -> bool {
         SectionFlags::Elf { sh_flags } => sh_flags & u64::from(object::elf::SHF_ALLOC) != 0,
         _ => false,
     };
-    let ram = u64::from(RAM_BASE)..u64::from(RAM_BASE) + RAM_BYTES as u64;
-    allocated && ram.contains(&section.address())
+    let starts_in = |base: u32, bytes: usize| (base..base + bytes as u32).contains(&(section.address() as u32));
+    allocated && (starts_in(RAM_BASE, RAM_BYTES) || starts_in(CCM_BASE, CCM_BYTES))
 }
 
 #[cfg(test)]
