@@ -248,13 +248,14 @@ impl<S: Scalar> Solver<S> {
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
     pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
-        let solution = self.solve_next(readings, prior, motion);
-        if solution.outcome != Outcome::Diverged {
-            return solution;
+        // One variable throughout: it is built where the caller wants it, and not copied there.
+        let mut solution = self.solve_next(readings, prior, motion);
+        if solution.outcome == Outcome::Diverged {
+            let before = solution.iterations;
+            solution = self.solve_moving(readings, motion);
+            solution.iterations += before;
         }
-        let mut searched = self.solve_moving(readings, motion);
-        searched.iterations += solution.iterations;
-        searched
+        solution
     }
 
     /// The pose from `readings` near `prior`, or none.
