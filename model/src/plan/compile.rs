@@ -60,19 +60,24 @@ impl Check {
     }
 }
 
-pub(super) fn cells<S: Scalar>(scene: &Scene, tier: Tier) -> Result<Vec<CompiledCell<S>, MAX_CELLS>, SceneError> {
+/// Compiles the cells of `scene` to where `cells` is.
+#[inline(never)]
+pub(super) fn fill<S: Scalar>(
+    cells: &mut Vec<CompiledCell<S>, MAX_CELLS>,
+    scene: &Scene,
+    tier: Tier,
+) -> Result<(), SceneError> {
     let of_scene = Check { cell: None, section: "cell" };
     if scene.cells.is_empty() {
         return Err(of_scene.fault("detector_mm", Fault::NoCells));
     }
     check_noise(scene)?;
-    let mut cells = Vec::new();
     for (index, cell) in scene.cells.iter().enumerate() {
         let compiled = compile_cell(index, cell, tier)?;
         // As many as the scene's own list holds.
         let _ = cells.push(compiled);
     }
-    Ok(cells)
+    Ok(())
 }
 
 fn check_noise(scene: &Scene) -> Result<(), SceneError> {

@@ -80,13 +80,14 @@ fn run() -> ! {
             _ => say(&Answer::Refused),
         }
     };
-    // Looked at where it is: a solver is too large to be moved about.
-    let solver = Solver::<f32>::new(&scene, tier);
-    say(if solver.is_ok() { &Answer::Done } else { &Answer::Refused });
+    // Compiled where it is: a solver is too large to be moved about.
+    let mut solver = Solver::<f32>::empty();
+    let compiled = solver.set_scene(&scene, tier);
+    say(if compiled.is_ok() { &Answer::Done } else { &Answer::Refused });
     loop {
-        match (asked(), &solver) {
-            (Some(Request::Solve(readings, prior)), Ok(solver)) => {
-                say(&Answer::Solved(time(solver, &readings, prior.as_ref())));
+        match (asked(), &compiled) {
+            (Some(Request::Solve(readings, prior)), Ok(())) => {
+                say(&Answer::Solved(time(&solver, &readings, prior.as_ref())));
             }
             _ => say(&Answer::Refused),
         }
