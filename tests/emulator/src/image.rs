@@ -42,6 +42,7 @@ pub struct Image {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: BTreeMap<String, Symbol>,
     static_ram_bytes: usize,
+    ccm_bytes: usize,
 }
 
 impl Image {
@@ -56,8 +57,17 @@ impl Image {
             let place = Symbol { address: symbol.address() as u32, bytes: symbol.size() as u32 };
             symbol.name().ok().filter(|name| !name.is_empty()).map(|name| (name.to_owned(), place))
         });
-        let static_ram_bytes = elf.sections().filter(is_static_ram).map(|section| section.size() as usize).sum();
-        Ok(Self { segments, symbols: named.collect(), static_ram_bytes })
+        let bytes_in = |base: u32, bytes: usize| {
+            let place = u64::from(base)..u64::from(base) + bytes as u64;
+            let sections = elf.sections().filter(|section| is_allocated(section) && place.contains(&section.address()));
+            sections.map(|section| section.size() as usize).sum()
+        };
+        Ok(Self {
+            segments,
+            symbols: named.collect(),
+            static_ram_bytes: bytes_in(RAM_BASE, RAM_BYTES),
+            ccm_bytes: bytes_in(CCM_BASE, CCM_BYTES),
+        })
     }
 
     /// Puts the image into flash, as a programmer's tool does.
@@ -77,9 +87,14 @@ impl Image {
         self.segments.iter().map(|(_, data)| data.len()).sum()
     }
 
-    /// Bytes of RAM its static variables and code take; the stack comes on top.
+    /// Bytes of RAM its static variables take; the stack comes on top.
     pub fn static_ram_bytes(&self) -> usize {
         self.static_ram_bytes
+    }
+
+    /// Bytes of CCM SRAM, seen at its own address, that its code and variables take.
+    pub fn ccm_bytes(&self) -> usize {
+        self.ccm_bytes
     }
 }
 
@@ -102,14 +117,12 @@ fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>, ImageError> {
     Ok(segments)
 }
 
-/// A section that occupies RAM from start to end of the program.
-fn is_static_ram<'data>(section: &impl ObjectSection<'data>) -> bool {
-    let allocated = match section.flags() {
+/// A section that occupies memory from start to end of the program.
+fn is_allocated<'data>(section: &impl ObjectSection<'data>) -> bool {
+    match section.flags() {
         SectionFlags::Elf { sh_flags } => sh_flags & u64::from(object::elf::SHF_ALLOC) != 0,
         _ => false,
-    };
-    let starts_in = |base: u32, bytes: usize| (base..base + bytes as u32).contains(&(section.address() as u32));
-    allocated && (starts_in(RAM_BASE, RAM_BYTES) || starts_in(CCM_BASE, CCM_BYTES))
+    }
 }
 
 #[cfg(test)]

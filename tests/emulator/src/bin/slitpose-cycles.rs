@@ -131,11 +131,11 @@ fn run(args: &Args) -> Result<(), Failure> {
                 cost.mean_iterations
             ));
         }
-        let (needed, fits) = (stopwatch.ram_bytes(), stopwatch.ram_bytes() <= RAM_BYTES);
-        let verdict = if fits { "which fits" } else { "which does NOT fit" };
         talk(format_args!(
-            "{}: solver and scene need {needed} bytes of RAM, {verdict} a board's {RAM_BYTES}",
-            label(tier)
+            "{}: solver and scene need {} of a board's {RAM_BYTES} bytes of RAM, {} of them for code in CCM SRAM",
+            label(tier),
+            stopwatch.ram_bytes(),
+            stopwatch.ccm_bytes()
         ));
     }
     Ok(())
