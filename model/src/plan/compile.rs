@@ -113,7 +113,7 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
             axes: [x_axis, y_axis, normal].map(vector),
             centre: vector(cell.detector.centre_base_m),
             half: [S::of(0.5 * cell.detector.length_m), S::of(0.5 * cell.detector.width_m)],
-            length: S::of(cell.detector.length_m),
+            per_length: S::of(cell.detector.length_m).recip(),
             responsivity: S::of(cell.detector.responsivity_a_per_w),
             dark: S::of(cell.detector.dark_current_a),
         },

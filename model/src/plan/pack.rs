@@ -87,7 +87,7 @@ impl<R: Real> Pack<R> {
                 axes: [0, 1, 2].map(|k| vector(&|cell| cell.receiver.axes[k])),
                 centre: vector(&|cell| cell.receiver.centre),
                 half: [0, 1].map(|k| number(&|cell| cell.receiver.half[k])),
-                length: number(&|cell| cell.receiver.length),
+                per_length: number(&|cell| cell.receiver.per_length),
                 responsivity: number(&|cell| cell.receiver.responsivity),
                 dark: number(&|cell| cell.receiver.dark),
             },

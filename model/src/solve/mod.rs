@@ -269,7 +269,6 @@ impl<S: Scalar> Solver<S> {
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
     pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
-        // One variable throughout: it is built where the caller wants it, and not copied there.
         let mut solution = self.solve_next(readings, prior, motion);
         if solution.outcome == Outcome::Diverged {
             let before = solution.iterations;

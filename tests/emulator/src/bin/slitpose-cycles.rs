@@ -36,9 +36,9 @@ const FUNCTIONS: usize = 20;
 /// The pose solver of the board's core in f32: cycles, time and error, as CSV.
 ///
 /// Solves noise-free poses of the scene's workspace on an emulated Cortex-M4F that runs nothing
-/// else, and compares each with the host's solution. The solver's code is in CCM SRAM, which has no
-/// wait states; what does not fit there (most of the exact tier, and what only troubled data need) is
-/// in flash, with the wait states of 170 MHz.
+/// else, and compares each with the host's solution. What follows a tool
+/// in the paper tier runs as code in CCM SRAM, which has no wait states; what does not fit there (the
+/// exact tier, and part of what finds a lost tool) runs from flash, with the wait states of 170 MHz.
 #[derive(Debug, Parser)]
 #[command(name = "slitpose-cycles", version, after_help = "Example:\n  slitpose-cycles wide --poses 20 --profile")]
 struct Args {
