@@ -163,7 +163,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     emission: &E,
 ) -> RectangleLight<R> {
     let (zero, one, half) = (R::constant(0.0), R::constant(1.0), R::constant(0.5));
-    let centroid = SideGradient { value: spot.x.middle, by_side: [half, half, zero, zero], ..SideGradient::default() };
+    let centroid = SideGradient { value: zero, by_side: [half, half, zero, zero], ..SideGradient::default() };
     let rays = Rays::of(spot);
     let sum = rays.sum(spot);
     let inverse = sum.dot(sum).inverse_root();

@@ -21,6 +21,9 @@ pub(crate) struct Extent<S> {
     pub(crate) low: Edge<S>,
     pub(crate) high: Edge<S>,
     pub(crate) middle: S,
+    /// The middle from the detector's centre: of a far emitter aside, the foot point is so far away
+    /// that adding it back would cost digits.
+    pub(crate) landing: S,
     pub(crate) half: S,
 }
 
@@ -40,16 +43,18 @@ impl<R: Real> Extent<R> {
     /// if its half length is not positive. Second: where an end of the detector cuts the beam, 1.
     /// Third: how far the nearest other edge is from taking over.
     #[inline(always)]
-    fn of_beam<const N: usize>(spans: [(Span<R>, R); N], e: R, detector_half: R) -> (Self, R, R) {
+    fn of_beam<const N: usize>(spans: [(Span<R>, [R; 2]); N], e: R, detector_half: R) -> (Self, R, R) {
         let (one, half) = (R::constant(1.0), R::constant(0.5));
-        let mut low = Edge { position: -detector_half - e, magnification: one };
-        let mut high = Edge { position: detector_half - e, magnification: one };
+        // From the detector's centre first: q·k − e·m with m = q_z/(e_z − q_z) does not cancel.
+        let mut low = Edge { position: -detector_half, magnification: one };
+        let mut high = Edge { position: detector_half, magnification: one };
         let (mut from_low, mut from_high) = (R::constant(DETECTOR), R::constant(DETECTOR));
         let mut length = R::constant(0.0);
         let mut slack = R::constant(f64::MAX);
-        for (index, (span, k)) in spans.into_iter().enumerate() {
+        for (index, (span, [k, m])) in spans.into_iter().enumerate() {
             let index = R::constant(index as f64);
-            let (a, b) = ((span.low - e) * k, (span.high - e) * k);
+            let shift = e * m;
+            let (a, b) = (span.low * k - shift, span.high * k - shift);
             for apart in [a - low.position, high.position - b] {
                 let apart = R::where_at_least(apart, -apart, apart, -apart);
                 slack = R::where_at_least(slack, apart, apart, slack);
@@ -71,8 +76,10 @@ impl<R: Real> Extent<R> {
         let one_face = R::where_at_least(from_low, from_high, length, difference);
         let extent = R::where_at_least(from_high, from_low, one_face, difference);
         let extent = R::where_at_least(zero, cut, extent, difference);
-        let middle = half * (low.position + high.position);
-        (Self { low, high, middle, half: half * extent }, cut, slack)
+        let landing = half * (low.position + high.position);
+        let from_foot = |edge: Edge<R>| Edge { position: edge.position - e, ..edge };
+        let (low, high) = (from_foot(low), from_foot(high));
+        (Self { low, high, middle: landing - e, landing, half: half * extent }, cut, slack)
     }
 }
 
@@ -88,9 +95,12 @@ impl<R: Real> Rectangle<R> {
         let [ex, ey, ez] = emitter;
         let (zero, one) = (R::constant(0.0), R::constant(1.0));
         let behind = faces.iter().fold(zero, |behind, face| R::where_at_least(face.z, ez, one, behind));
-        let magnified = faces.map(|face| (face, ez / (ez - face.z)));
-        let (x, cut, slack_x) = Extent::of_beam(magnified.map(|(face, k)| (face.x, k)), ex, detector_half[0]);
-        let (y, _, slack_y) = Extent::of_beam(magnified.map(|(face, k)| (face.y, k)), ey, detector_half[1]);
+        let magnified = faces.map(|face| {
+            let inverse = (ez - face.z).inverse();
+            (face, [ez * inverse, face.z * inverse])
+        });
+        let (x, cut, slack_x) = Extent::of_beam(magnified.map(|(face, by)| (face.x, by)), ex, detector_half[0]);
+        let (y, _, slack_y) = Extent::of_beam(magnified.map(|(face, by)| (face.y, by)), ey, detector_half[1]);
         // A pose that is no number makes both extents none, and the spot dark.
         let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
         let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
@@ -139,7 +149,8 @@ impl<R: Real> Verdict<R> {
 }
 
 /// What a rectangular spot delivers, and its derivatives by the spot's sides
-/// (x low, x high, y low, y high), by the emitter's height and by its axis.
+/// (x low, x high, y low, y high), by the emitter's height and by its axis. The value of the centroid
+/// is counted from the middle of the spot, its derivatives are those of the whole.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RectangleLight<R: Real> {
     pub(crate) power: SideGradient<R>,

@@ -145,7 +145,7 @@ pub(super) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let area = hx * hy;
     let power = area * g0;
     let ratio = g1 / g0;
-    let centroid = xm + hx * ratio;
+    let centroid = hx * ratio;
     if !GRADIENT {
         let plain = |value| SideGradient { value, ..SideGradient::default() };
         return RectangleLight { power: plain(power), centroid: plain(centroid) };

@@ -61,7 +61,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let (power, centroid) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
             match exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission, orders, rules) {
-                Some(light) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, seen, true)),
+                Some(light) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, true)),
                 None => divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen)?,
             }
         }
@@ -70,7 +70,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         }
         (_, _, Spot::Rectangle(rectangle)) => {
             let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
-            return Some(of_sides::<S, GRADIENT>(&light, rectangle, seen, false));
+            return Some(of_sides::<S, GRADIENT>(&light, rectangle, false));
         }
         (_, _, Spot::Polygon(polygon)) => paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission),
     };

@@ -180,11 +180,10 @@ impl<R: Real> Receiver<R> {
 pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
     light: &RectangleLight<R>,
     spot: &Rectangle<R>,
-    seen: &Seen<R>,
     weighted: bool,
 ) -> Light<R> {
     let one = R::constant(1.0);
-    let x_a = seen.position.x() + light.centroid.value;
+    let x_a = spot.x.landing + light.centroid.value;
     if !GRADIENT {
         return Light {
             power: EmitterGradient::of_value(light.power.value),

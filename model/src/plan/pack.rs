@@ -123,7 +123,7 @@ impl<R: Real> Pack<R> {
             Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
         };
         let light = paper::rectangle_light::<R, _, GRADIENT>(&spot, seen.axis, &self.emission);
-        (of_sides::<R, GRADIENT>(&light, &spot, seen, false), verdict)
+        (of_sides::<R, GRADIENT>(&light, &spot, false), verdict)
     }
 }
 

@@ -141,12 +141,30 @@ struct Elimination<S> {
     mixed: Matrix6<S>,
 }
 
+/// A step of Gauss and Newton.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step<S> {
+    pub(super) factor: Factor<S>,
+    pub(super) step: Vector6<S>,
+    /// By how much χ² falls along it if derivatives stay.
+    pub(super) gain: S,
+    /// Whether it is from the rows: then the factor alone solves nothing to its digits.
+    pub(super) by_rows: bool,
+}
+
 /// Gradient moments and χ² of residuals.
 #[derive(Clone, Copy)]
 struct Gradient<S> {
     chi2: S,
     by_pose: Vector6<S>,
     by_twist: Vector6<S>,
+}
+
+impl<S: Scalar> Expansion<S> {
+    /// The most that a step of unit length does to the whitened currents, to a factor of √6.
+    pub(super) fn steepness(&self) -> S {
+        (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).square_root()
+    }
 }
 
 impl<S: Scalar> Elimination<S> {
@@ -385,10 +403,13 @@ impl<S: Scalar> Problem<'_, S> {
     /// Factor and Gauss–Newton step of an expansion; `None` if it is singular to the precision of its
     /// numbers.
     #[inline]
-    pub(super) fn step(&self, at: &Expansion<S>, damping: S, room: &Workspace<S>) -> Option<(Factor<S>, Vector6<S>)> {
+    pub(super) fn step(&self, at: &Expansion<S>, damping: S, room: &Workspace<S>) -> Option<Step<S>> {
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
         match Factor::of_matrix(&at.information, damping, safe) {
-            Some(factor) => Some((factor, factor.solve(&at.descent))),
+            Some(factor) => {
+                let half_way = factor.forward(&at.descent);
+                Some(Step { step: factor.backward(&half_way), gain: square(&half_way), factor, by_rows: false })
+            }
             None if damping > S::zero() => None,
             None => Some(self.step_by_rows(room)),
         }
@@ -397,7 +418,7 @@ impl<S: Scalar> Problem<'_, S> {
     /// The same from the rows themselves: slow, but right for any condition number that the number
     /// type resolves.
     #[cold]
-    fn step_by_rows(&self, room: &Workspace<S>) -> (Factor<S>, Vector6<S>) {
+    fn step_by_rows(&self, room: &Workspace<S>) -> Step<S> {
         let mut triangle = Triangle::<S, 12>::new();
         if let Some(prior) = self.motion.prior {
             for i in 0..6 {
@@ -419,7 +440,8 @@ impl<S: Scalar> Problem<'_, S> {
         for (index, row) in &room.guided {
             add(row, self.share(&self.readings[*index]));
         }
-        triangle.last_six()
+        let (factor, half_way) = triangle.last_six();
+        Step { step: factor.backward(&half_way), gain: square(&half_way), factor, by_rows: true }
     }
 
     /// Whether `step` moves no spot of the last expansion so far that derivatives jump.
@@ -441,6 +463,12 @@ impl<S: Scalar> Problem<'_, S> {
             least.min(S::one() - S::half() * (uu + vv) - radius)
         })
     }
+}
+
+/// |v|².
+#[inline(always)]
+pub(super) fn square<S: Scalar>(v: &Vector6<S>) -> S {
+    v.iter().fold(S::zero(), |sum, &value| sum + value * value)
 }
 
 /// Whether a processor does a whole square sooner than its lower half: with more than one lane.

@@ -7,7 +7,7 @@ use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar};
 
 use super::algebra::{Factor, Vector6};
-use super::normal::{Expansion, Problem, Whiteners, Workspace};
+use super::normal::{Expansion, Problem, Step, Whiteners, Workspace, square};
 use super::planes::PlaneCell;
 
 /// First damping after a step that did not help, relative to the diagonal.
@@ -73,17 +73,20 @@ impl<S: Scalar> Problem<'_, S> {
         let raise = |damping: S| (damping * S::of(10.0)).max(S::of(FIRST_DAMPING));
         let ended = |pose, chi2, factor, iterations| Refined { pose, chi2, factor, iterations, converged: true };
         while iterations < ending.max_iterations && damping < S::of(STUCK) {
-            let Some((factor, step)) = self.step(&at, damping, room).filter(|(_, step)| is_finite(step)) else {
+            let next = self.step(&at, damping, room).filter(|next| is_finite(&next.step));
+            let Some(Step { factor, step, gain, by_rows }) = next else {
                 damping = raise(damping);
                 continue;
             };
             iterations += 1;
-            let gain = dot(&step, &at.descent).max(S::zero());
-            // The derivatives change along the step by this share.
-            let change = self.bend * dot(&step, &step).square_root();
+            // The derivatives change along the step by this share, and the currents by as much of what
+            // the step could do to them at most.
+            let length = square(&step).square_root();
+            let change = self.bend * length;
+            let left = change * length * at.steepness();
             let trial = self.moved(&pose, &step);
             let is_tiny = change * change <= self.bend * S::epsilon();
-            let is_last = change * gain.square_root() <= ending.leftover && self.is_smooth(&step, room);
+            let is_last = left <= ending.leftover && self.is_smooth(&step, room);
             if damping > S::zero() && damping <= S::of(FIRST_DAMPING) && (is_tiny || is_last) && !bare {
                 // A damped step stops short of the minimum: the last one is tried without.
                 bare = true;
@@ -94,11 +97,11 @@ impl<S: Scalar> Problem<'_, S> {
             if undamped && (is_tiny || is_last) {
                 return ended(trial, (at.chi2 - gain).max(S::zero()), Some(factor), iterations);
             }
-            if undamped && change <= S::of(KEEP) && iterations < ending.max_iterations {
+            if undamped && !by_rows && change <= S::of(KEEP) && iterations < ending.max_iterations {
                 iterations += 1;
                 let (chi2, descent) = self.revisit(&trial, whiteners, room);
-                let second = factor.solve(&descent);
-                let second_gain = dot(&second, &descent).max(S::zero());
+                let half_way = factor.forward(&descent);
+                let (second, second_gain) = (factor.backward(&half_way), square(&half_way));
                 let ratio = (second_gain / gain).square_root();
                 if ratio <= S::of(POOR) {
                     let end = self.moved(&trial, &second);
@@ -125,7 +128,7 @@ impl<S: Scalar> Problem<'_, S> {
                 at = self.expand(&pose, whiteners, room);
             }
         }
-        let factor = self.step(&at, S::zero(), room).map(|(factor, _)| factor);
+        let factor = self.step(&at, S::zero(), room).map(|next| next.factor);
         Refined { pose, chi2: at.chi2, factor, iterations, converged: false }
     }
 
@@ -137,13 +140,8 @@ impl<S: Scalar> Problem<'_, S> {
         room: &mut Workspace<S>,
     ) -> Option<Factor<S>> {
         let at: Expansion<S> = self.expand(pose, whiteners, room);
-        self.step(&at, S::zero(), room).map(|(factor, _)| factor)
+        self.step(&at, S::zero(), room).map(|next| next.factor)
     }
-}
-
-#[inline(always)]
-fn dot<S: Scalar>(a: &Vector6<S>, b: &Vector6<S>) -> S {
-    a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y)
 }
 
 fn is_finite<S: Scalar>(step: &Vector6<S>) -> bool {
