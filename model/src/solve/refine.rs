@@ -13,6 +13,12 @@ use super::planes::PlaneCell;
 /// First damping after a step that did not help, relative to the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
 
+/// Steps after which the way leads along a valley.
+const PATIENCE: usize = 12;
+
+/// χ² that is not worth a step there: a hundredth of σ, squared.
+const NOTHING: f64 = 1e-4;
+
 /// Damping at which the search is stuck.
 const STUCK: f64 = 1e9;
 
@@ -83,7 +89,9 @@ impl<S: Scalar> Problem<'_, S> {
             // the step could do to them at most.
             let length = square(&step).square_root();
             let change = self.bend * length;
-            let left = change * length * at.steepness();
+            // Along the floor of a valley that bound is never met, and nothing is left to win.
+            let on_floor = iterations > PATIENCE && gain <= S::of(NOTHING);
+            let left = change * if on_floor { gain.square_root() } else { length * at.steepness() };
             let trial = self.moved(&pose, &step);
             let is_tiny = change * change <= self.bend * S::epsilon();
             let is_last = left <= ending.leftover && self.is_smooth(&step, room);
@@ -105,7 +113,8 @@ impl<S: Scalar> Problem<'_, S> {
                 let ratio = (second_gain / gain).square_root();
                 if ratio <= S::of(POOR) {
                     let end = self.moved(&trial, &second);
-                    if S::two() * ratio * second_gain.square_root() <= ending.leftover {
+                    let left = change * square(&second).square_root() * at.steepness();
+                    if left.max(ratio * second_gain.square_root()) <= ending.leftover {
                         return ended(end, (chi2 - second_gain).max(S::zero()), Some(factor), iterations);
                     }
                     pose = end;
