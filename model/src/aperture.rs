@@ -6,7 +6,7 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::pose::rotation_exp;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::Slit;
 
 /// The compiled opening.

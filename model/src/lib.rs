@@ -25,7 +25,9 @@ mod paper;
 mod plan;
 mod polygon;
 mod pose;
+mod power;
 mod profile;
+mod real;
 mod rectangle;
 mod response;
 mod scalar;
@@ -37,12 +39,12 @@ pub use identify::identified_relative_intensity;
 pub use plan::{CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Pair, Response, Status};
-pub use scalar::{Scalar, Vector3};
+pub use scalar::{Linear3, Scalar, Vector3};
 pub use scene::{
     Cell, DEFAULT_FAINT_A, Detector, Emitter, Fault, MAX_CELLS, MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene,
     SceneError, Slit, Uncertainty,
 };
 pub use solve::{
     AXES, BOLTZMANN_J_PER_K, Cells, Directions, ELEMENTARY_CHARGE_C, Effort, Estimate, MotionPrior, Outcome,
-    Photocurrents, Reading, Solution, Solver, Tracker, Weakness,
+    Photocurrents, Reading, Smoothed, Solution, Solver, Tracked, Tracker, TwistEstimate, Verified, Weakness,
 };

@@ -7,53 +7,86 @@
 //! Ω = 4·atan(αβ/√(1+α²+β²)), which keeps all digits for small plates.
 
 use crate::polygon::{EmitterGradient, Polygon};
-use crate::profile::Emission;
-use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Scalar, Vector3};
+use crate::profile::Falloff;
+use crate::real::Real;
+use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
+use crate::scalar::{Linear3, Scalar};
 
-/// Tangent of half the angle under which a straight segment appears, with derivatives.
+/// Half the angle θ under which a straight segment appears.
 ///
-/// The segment runs from `low` to `high` on a line whose squared distance from the emitter is
-/// `distance2`, both ends measured from the foot of the perpendicular. With r₀, r₁ the distances
-/// of its ends: tan(θ/2) = |a×b|/(|a||b| + a·b) = (high − low)·√distance2/(r₀r₁ + low·high + distance2).
+/// The segment runs from `low` to `high` on a line whose squared distance from the emitter is d²,
+/// both ends measured from the foot of the perpendicular. With r₀, r₁ the distances of its ends:
+/// tan(θ/2) = |a×b|/(|a||b| + a·b) = (high − low)·d/D, D = r₀r₁ + low·high + d².
 #[derive(Clone, Copy)]
-struct HalfAngle<S> {
-    tangent: S,
-    by_low: S,
-    by_high: S,
-    by_distance2: S,
+struct HalfAngle<R> {
+    low: R,
+    high: R,
+    length: R,
+    distance2: R,
+    /// r₁/r₀ and r₀/r₁.
+    ratios: [R; 2],
+    /// 1/D.
+    inverse: R,
+    /// tan²(θ/2).
+    tangent2: R,
 }
 
-impl<S: Scalar> HalfAngle<S> {
+impl<R: Real> HalfAngle<R> {
+    /// `rays`: r₀ and r₁, `inverses`: 1/r₀ and 1/r₁.
     #[inline(always)]
-    fn of_segment(low: S, high: S, length: S, distance2: S) -> Self {
-        let distance = distance2.sqrt();
-        let r0 = (low * low + distance2).sqrt();
-        let r1 = (high * high + distance2).sqrt();
-        let denominator = r0 * r1 + low * high + distance2;
-        let inverse = denominator.recip();
-        let tangent = length * distance * inverse;
-        let ratio = r1 / r0;
-        let inverse_ratio = r0 / r1;
-        let scaled = tangent * inverse;
-        Self {
-            tangent,
-            by_low: -distance * inverse - scaled * (ratio * low + high),
-            by_high: distance * inverse - scaled * (inverse_ratio * high + low),
-            by_distance2: S::half() * length / distance * inverse
-                - scaled * (S::half() * (ratio + inverse_ratio) + S::one()),
-        }
+    fn new([low, high]: [R; 2], length: R, distance2: R, rays: [R; 2], inverses: [R; 2]) -> Self {
+        let inverse = (rays[0] * rays[1] + low * high + distance2).inverse();
+        let sine = length * inverse;
+        let ratios = [rays[1] * inverses[0], rays[0] * inverses[1]];
+        Self { low, high, length, distance2, ratios, inverse, tangent2: sine * sine * distance2 }
+    }
+
+    fn of_segment(low: R, high: R, length: R, distance2: R) -> Self {
+        let rays = [low, high].map(|end| (end * end + distance2).root());
+        Self::new([low, high], length, distance2, rays, rays.map(R::inverse))
+    }
+
+    /// Derivatives of ln tan(θ/2) by `low`, `high` and d².
+    #[inline(always)]
+    fn slopes(&self) -> [R; 3] {
+        let (one, half) = (R::constant(1.0), R::constant(0.5));
+        // 1/length and 1/d² from one division.
+        let both = (self.length * self.distance2).inverse();
+        let (per_length, per_distance2) = (both * self.distance2, both * self.length);
+        [
+            -per_length - (self.ratios[0] * self.low + self.high) * self.inverse,
+            per_length - (self.ratios[1] * self.high + self.low) * self.inverse,
+            half * per_distance2 - (half * (self.ratios[0] + self.ratios[1]) + one) * self.inverse,
+        ]
     }
 }
 
-/// Equation (3) and its derivatives by α and β.
+/// Equation (3) and its derivatives by ln α and ln β.
 #[inline(always)]
-fn plate_solid_angle<S: Scalar>(alpha: S, beta: S) -> (S, S, S) {
-    let (a2, b2) = (alpha * alpha, beta * beta);
-    let root = (S::one() + a2 + b2).sqrt();
-    let four = S::of(4.0);
-    let omega = four * (alpha * beta / root).arc_tangent();
-    (omega, four * beta / ((S::one() + a2) * root), four * alpha / ((S::one() + b2) * root))
+fn plate_solid_angle<R: Real>(alpha2: R, beta2: R) -> (R, R, R) {
+    let (one, four) = (R::constant(1.0), R::constant(4.0));
+    let (alpha, beta) = (one + alpha2, one + beta2);
+    // tan(Ω/4) = αβ/√(1 + α² + β²).
+    let tangent = (alpha2 * beta2 / (alpha + beta2)).root();
+    let slope = four * tangent / (alpha * beta);
+    (four * quarter_angle(tangent), slope * beta, slope * alpha)
+}
+
+/// Below this tangent the arc tangent's series ends within rounding after its terms here.
+const SMALL_TANGENT: f64 = 0.03;
+
+/// arctan of a tangent ≥ 0.
+#[inline(always)]
+fn quarter_angle<R: Real>(tangent: R) -> R {
+    if (0..R::LANES).any(|i| tangent.lane(i) > R::Element::of(SMALL_TANGENT)) {
+        return R::of_lanes(|i| tangent.lane(i).arc_tangent());
+    }
+    let square = tangent * tangent;
+    // t⁰/1 − t²/3 + t⁴/5 − …: the first one left out is t¹²/13, 4e-20 of the first.
+    let sum = [9.0, 7.0, 5.0, 3.0, 1.0]
+        .into_iter()
+        .fold(R::constant(1.0 / 11.0), |sum, odd: f64| R::constant(odd.recip()) - square * sum);
+    tangent * sum
 }
 
 /// What the paper tier says of a spot whose geometry alone is asked for.
@@ -67,86 +100,120 @@ pub(crate) struct Beam<S> {
 
 /// Ω and cos γ of a rectangular spot, without derivatives.
 pub(crate) fn rectangle_beam<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> Beam<S> {
-    let (alpha, beta) = plate_of_rectangle(spot);
-    let (sum, _) = central_axis(spot);
-    Beam { solid_angle: plate_solid_angle(alpha.tangent, beta.tangent).0, cosine: axis.dot(sum) / sum.length() }
+    let rays = Rays::of(spot);
+    let (alpha, beta) = rays.plate(spot);
+    let sum = rays.sum(spot);
+    Beam { solid_angle: plate_solid_angle(alpha.tangent2, beta.tangent2).0, cosine: axis.dot(sum) / sum.length() }
 }
 
-#[inline(always)]
-fn plate_of_rectangle<S: Scalar>(spot: &Rectangle<S>) -> (HalfAngle<S>, HalfAngle<S>) {
-    let h2 = spot.height * spot.height;
-    let (xm, ym) = (spot.x.middle, spot.y.middle);
-    let of = |extent: &crate::rectangle::Extent<S>, distance2| {
-        HalfAngle::of_segment(extent.low.position, extent.high.position, S::two() * extent.half, distance2)
-    };
-    (of(&spot.x, h2 + ym * ym), of(&spot.y, h2 + xm * xm))
+/// Lengths of the rays to the mid-points of a rectangle's sides (x low, x high, y low, y high), and
+/// their inverses. The mid-lines end there, so that they serve the plate, too.
+struct Rays<R> {
+    lengths: [R; 4],
+    inverses: [R; 4],
 }
 
-/// Sum of the unit vectors to the four edge mid-points, and those vectors with their lengths' inverses.
-#[inline(always)]
-fn central_axis<S: Scalar>(spot: &Rectangle<S>) -> (S::Vec3, [(S::Vec3, S); 4]) {
-    let (x, y, z) = (&spot.x, &spot.y, -spot.height);
-    let rays = [
-        S::Vec3::new(x.low.position, y.middle, z),
-        S::Vec3::new(x.high.position, y.middle, z),
-        S::Vec3::new(x.middle, y.low.position, z),
-        S::Vec3::new(x.middle, y.high.position, z),
-    ]
-    .map(|ray| {
-        let inverse = ray.length().recip();
-        (ray * inverse, inverse)
-    });
-    (rays[0].0 + rays[1].0 + rays[2].0 + rays[3].0, rays)
+impl<R: Real> Rays<R> {
+    #[inline(always)]
+    fn of(spot: &Rectangle<R>) -> Self {
+        let h2 = spot.height * spot.height;
+        let (x2, y2) = (spot.x.middle * spot.x.middle, spot.y.middle * spot.y.middle);
+        let [x0, x1] = [spot.x.low.position, spot.x.high.position];
+        let [y0, y1] = [spot.y.low.position, spot.y.high.position];
+        let squares = [x0 * x0 + y2, x1 * x1 + y2, y0 * y0 + x2, y1 * y1 + x2];
+        let squares = squares.map(|square| square + h2);
+        let inverses = squares.map(R::inverse_root);
+        Self { lengths: core::array::from_fn(|i| squares[i] * inverses[i]), inverses }
+    }
+
+    /// The two half angles of the plate: along x and along y.
+    #[inline(always)]
+    fn plate(&self, spot: &Rectangle<R>) -> (HalfAngle<R>, HalfAngle<R>) {
+        let h2 = spot.height * spot.height;
+        let of = |extent: &Extent<R>, across: R, i: usize| {
+            HalfAngle::new(
+                [extent.low.position, extent.high.position],
+                R::constant(2.0) * extent.half,
+                h2 + across * across,
+                [self.lengths[i], self.lengths[i + 1]],
+                [self.inverses[i], self.inverses[i + 1]],
+            )
+        };
+        (of(&spot.x, spot.y.middle, 0), of(&spot.y, spot.x.middle, 2))
+    }
+
+    /// Sum of the unit vectors along the rays.
+    #[inline(always)]
+    fn sum(&self, spot: &Rectangle<R>) -> R::Vec3 {
+        let [i0, i1, i2, i3] = self.inverses;
+        let (along_x, along_y) = (i0 + i1, i2 + i3);
+        R::Vec3::new(
+            spot.x.low.position * i0 + spot.x.high.position * i1 + spot.x.middle * along_y,
+            spot.y.low.position * i2 + spot.y.high.position * i3 + spot.y.middle * along_x,
+            -(spot.height * (along_x + along_y)),
+        )
+    }
 }
 
 /// Power Ω·I_rel(γ) and geometric centre of a rectangular spot.
 #[inline(always)]
-pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    spot: &Rectangle<S>,
-    axis: S::Vec3,
+pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
+    spot: &Rectangle<R>,
+    axis: R::Vec3,
     emission: &E,
-) -> RectangleLight<S> {
-    let (zero, half) = (S::zero(), S::half());
+) -> RectangleLight<R> {
+    let (zero, one, half) = (R::constant(0.0), R::constant(1.0), R::constant(0.5));
     let centroid = SideGradient { value: spot.x.middle, by_side: [half, half, zero, zero], ..SideGradient::default() };
-    let (sum, rays) = central_axis(spot);
-    let inverse = sum.length().recip();
+    let rays = Rays::of(spot);
+    let sum = rays.sum(spot);
+    let inverse = sum.dot(sum).inverse_root();
     let direction = sum * inverse;
     let cosine = axis.dot(direction);
-    if cosine <= zero {
-        return RectangleLight { power: SideGradient::default(), centroid };
-    }
-    let (alpha, beta) = plate_of_rectangle(spot);
-    let (omega, by_alpha, by_beta) = plate_solid_angle(alpha.tangent, beta.tangent);
+    // Behind the horizon there is no light; the profile is not asked there.
+    let in_front = |value| R::where_at_least(zero, cosine, zero, value);
+    let front = R::where_at_least(zero, cosine, one, cosine);
+    let (alpha, beta) = rays.plate(spot);
+    let (omega, by_alpha, by_beta) = plate_solid_angle(alpha.tangent2, beta.tangent2);
     if !GRADIENT {
-        let power = SideGradient { value: omega * emission.relative(cosine), ..SideGradient::default() };
+        let power = SideGradient { value: in_front(omega * emission.relative(front)), ..SideGradient::default() };
         return RectangleLight { power, centroid };
     }
-    let (relative, slope) = emission.with_slope(cosine);
+    let (relative, slope) = emission.with_slope(front);
+    let (relative, slope) = (in_front(relative), in_front(slope));
     let weight = omega * slope;
 
     // d cos γ = w·d(sum) with w = (u − cos γ·direction)/|sum|; each unit vector turns by the part
     // of its ray's motion across the ray: v_i = (w − (w·â_i)â_i)/r_i.
-    let w = (axis + direction * (-cosine)) * inverse;
-    let v = rays.map(|(unit, inverse)| (w + unit * (-w.dot(unit))) * inverse);
+    let w = (axis - direction * cosine) * inverse;
+    let z = -spot.height;
+    let (xm, ym) = (spot.x.middle, spot.y.middle);
+    let ends =
+        [[spot.x.low.position, ym], [spot.x.high.position, ym], [xm, spot.y.low.position], [xm, spot.y.high.position]];
+    let v: [R::Vec3; 4] = core::array::from_fn(|i| {
+        let inverse = rays.inverses[i];
+        let unit = R::Vec3::new(ends[i][0] * inverse, ends[i][1] * inverse, z * inverse);
+        (w - unit * w.dot(unit)) * inverse
+    });
     let x_middle = half * (v[2].x() + v[3].x());
     let y_middle = half * (v[0].y() + v[1].y());
     let z_sum = v[0].z() + v[1].z() + v[2].z() + v[3].z();
 
     let (oa, ob) = (by_alpha * relative, by_beta * relative);
+    let ([a_low, a_high, a_distance2], [b_low, b_high, b_distance2]) = (alpha.slopes(), beta.slopes());
     // ½·∂(distance²)/∂side of the mid-line across: the mid-line of x runs at y.middle.
-    let (xm, ym) = (spot.x.middle, spot.y.middle);
+    let (across_x, across_y) = (ob * b_distance2 * xm, oa * a_distance2 * ym);
     let by_side = [
-        oa * alpha.by_low + ob * beta.by_distance2 * xm + weight * (v[0].x() + x_middle),
-        oa * alpha.by_high + ob * beta.by_distance2 * xm + weight * (v[1].x() + x_middle),
-        ob * beta.by_low + oa * alpha.by_distance2 * ym + weight * (v[2].y() + y_middle),
-        ob * beta.by_high + oa * alpha.by_distance2 * ym + weight * (v[3].y() + y_middle),
+        oa * a_low + across_x + weight * (v[0].x() + x_middle),
+        oa * a_high + across_x + weight * (v[1].x() + x_middle),
+        ob * b_low + across_y + weight * (v[2].y() + y_middle),
+        ob * b_high + across_y + weight * (v[3].y() + y_middle),
     ];
-    let two_h = S::two() * spot.height;
+    let two_h = R::constant(2.0) * spot.height;
     RectangleLight {
         power: SideGradient {
             value: omega * relative,
             by_side,
-            by_height: (oa * alpha.by_distance2 + ob * beta.by_distance2) * two_h - weight * z_sum,
+            by_height: (oa * a_distance2 + ob * b_distance2) * two_h - weight * z_sum,
             by_axis: direction * weight,
         },
         centroid,
@@ -189,14 +256,14 @@ impl<S: Scalar> PolygonPlate<S> {
 pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> Beam<S> {
     let plate = PolygonPlate::of(polygon);
     Beam {
-        solid_angle: plate_solid_angle(plate.alpha.tangent, plate.beta.tangent).0,
+        solid_angle: plate_solid_angle(plate.alpha.tangent2, plate.beta.tangent2).0,
         cosine: axis.dot(plate.ray) / plate.ray.length(),
     }
 }
 
 /// Power and centroid (relative to the emitter's foot) of a polygonal spot, with derivatives by
 /// the emitter's position (foot fixed) and axis.
-pub(crate) fn polygon_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     polygon: &Polygon<S>,
     axis: S::Vec3,
     emission: &E,
@@ -211,7 +278,7 @@ pub(crate) fn polygon_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     if cosine <= S::zero() {
         return (EmitterGradient::of_value(S::zero()), centroid);
     }
-    let (omega, by_alpha, by_beta) = plate_solid_angle(plate.alpha.tangent, plate.beta.tangent);
+    let (omega, by_alpha, by_beta) = plate_solid_angle(plate.alpha.tangent2, plate.beta.tangent2);
     let (relative, slope) = emission.with_slope(cosine);
     let mut power = EmitterGradient::of_value(omega * relative);
     if !GRADIENT {
@@ -230,12 +297,10 @@ pub(crate) fn polygon_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let half_across = across * S::half();
     let two = S::two();
     let height2 = ez * (two * polygon.height());
-    let alpha = left * plate.alpha.by_low
-        + right * plate.alpha.by_high
-        + (yc * (two * plate.ray.y()) + height2) * plate.alpha.by_distance2;
-    let beta = (yc - half_across) * plate.beta.by_low
-        + (yc + half_across) * plate.beta.by_high
-        + (xc * (two * plate.ray.x()) + height2) * plate.beta.by_distance2;
+    let ([a_low, a_high, a_distance2], [b_low, b_high, b_distance2]) = (plate.alpha.slopes(), plate.beta.slopes());
+    let alpha = left * a_low + right * a_high + (yc * (two * plate.ray.y()) + height2) * a_distance2;
+    let beta =
+        (yc - half_across) * b_low + (yc + half_across) * b_high + (xc * (two * plate.ray.x()) + height2) * b_distance2;
     let turn = (axis + direction * (-cosine)) * inverse;
     power.by_position = (alpha * by_alpha + beta * by_beta) * relative
         + (xc * turn.x() + yc * turn.y() + ez * (-turn.z())) * (omega * slope);

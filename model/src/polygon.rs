@@ -7,8 +7,9 @@
 use heapless::Vec;
 
 use crate::aperture::{Aperture, Turned};
+use crate::real::Real;
 use crate::response::Status;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar};
 
 /// Four sides of the detector, four of each of two slit faces, mask plane, horizon.
 pub(crate) const MAX_CORNERS: usize = 16;
@@ -79,14 +80,14 @@ impl<S: Scalar> Line<S> {
 /// A quantity with its derivatives by the emitter's position (on fixed detector coordinates)
 /// and axis, cell frame.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct EmitterGradient<S: Scalar> {
-    pub(crate) value: S,
-    pub(crate) by_position: S::Vec3,
-    pub(crate) by_axis: S::Vec3,
+pub(crate) struct EmitterGradient<R: Real> {
+    pub(crate) value: R,
+    pub(crate) by_position: R::Vec3,
+    pub(crate) by_axis: R::Vec3,
 }
 
-impl<S: Scalar> EmitterGradient<S> {
-    pub(crate) fn of_value(value: S) -> Self {
+impl<R: Real> EmitterGradient<R> {
+    pub(crate) fn of_value(value: R) -> Self {
         Self { value, ..Self::default() }
     }
 }

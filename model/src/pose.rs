@@ -4,9 +4,10 @@
 //! Perturbations follow the convention of the covariance: t' = t + δt, R' = exp(δθ)·R, both in
 //! the base frame and independent of each other.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 
-use crate::scalar::{Scalar, Vector3};
+use crate::real::Real;
+use crate::scalar::{Linear3, Scalar, Vector3};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,54 +91,94 @@ pub fn rotation_log(rotation: DQuat) -> DVec3 {
     v * (2.0 * libm::atan2(sine, q.w) / sine)
 }
 
-/// A pose as the hot path wants it: rotation matrix and translation in the plan's number type.
+/// A pose as the hot path wants it: rotation matrix and translation in the plan's number type, the
+/// same in all lanes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Transform<S: Scalar> {
-    columns: [S::Vec3; 3],
-    translation: S::Vec3,
+pub(crate) struct Transform<R: Real> {
+    columns: [R::Vec3; 3],
+    /// The same rotation as a unit quaternion, x, y, z, w.
+    rotation: [R; 4],
+    translation: R::Vec3,
+}
+
+impl<R: Real> Transform<R> {
+    #[inline(always)]
+    pub(crate) fn rotate(&self, v: R::Vec3) -> R::Vec3 {
+        self.columns[0] * v.x() + self.columns[1] * v.y() + self.columns[2] * v.z()
+    }
+
+    #[inline(always)]
+    pub(crate) fn translation(&self) -> R::Vec3 {
+        self.translation
+    }
+
+    /// Cayley's rotation, R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²) with a = δθ/2: orthogonal like the
+    /// exponential, equal to it up to |δθ|³/12, and free of trigonometry.
+    #[inline(always)]
+    pub(crate) fn small_turn(rotation_rad: R::Vec3) -> impl Fn(R::Vec3) -> R::Vec3 {
+        let a = rotation_rad * R::constant(0.5);
+        let factor = R::constant(2.0) / (R::constant(1.0) + a.dot(a));
+        move |v| {
+            let across = a.cross(v);
+            v + (across + a.cross(across)) * factor
+        }
+    }
 }
 
 impl<S: Scalar> Transform<S> {
     pub(crate) fn of(pose: &Pose) -> Self {
-        let m = DMat3::from_quat(pose.rotation);
-        Self { columns: [m.x_axis, m.y_axis, m.z_axis].map(S::Vec3::of), translation: S::Vec3::of(pose.translation_m) }
+        Self::of_parts(pose.rotation.to_array().map(S::of), <S as Scalar>::Vec3::of(pose.translation_m))
     }
 
-    #[inline(always)]
-    pub(crate) fn rotate(&self, v: S::Vec3) -> S::Vec3 {
-        self.columns[0] * v.x() + self.columns[1] * v.y() + self.columns[2] * v.z()
-    }
-
-    /// This transform after a small displacement in the base frame. The rotation is Cayley's,
-    /// R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²) with a = δθ/2: orthogonal like the exponential, equal to
-    /// it up to |δθ|³/12, and free of trigonometry.
+    /// From a quaternion of nearly unit length.
     #[inline]
-    pub(crate) fn moved(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
-        let a = rotation_rad * S::half();
-        let factor = S::two() / (S::one() + a.dot(a));
-        let turn = |v: S::Vec3| {
-            let across = a.cross(v);
-            v + (across + a.cross(across)) * factor
-        };
-        Self { columns: self.columns.map(turn), translation: self.translation + translation_m }
-    }
-
-    /// Back to a pose; the rotation is normalised.
-    pub(crate) fn to_pose(self) -> Pose {
-        let [x, y, _] = self.columns.map(S::Vec3::as_dvec3);
-        // Gram–Schmidt: what single precision left of orthogonality is not the rotation's fault.
-        let x = x.normalize();
-        let y = (y - x * x.dot(y)).normalize();
-        let z = x.cross(y);
-        Pose {
-            rotation: DQuat::from_mat3(&DMat3::from_cols(x, y, z)).normalize(),
-            translation_m: self.translation.as_dvec3(),
+    fn of_parts(quaternion: [S; 4], translation: <S as Scalar>::Vec3) -> Self {
+        let [x, y, z, w] = quaternion;
+        let inverse = Scalar::inverse_root(x * x + y * y + z * z + w * w);
+        let rotation @ [x, y, z, w] = quaternion.map(|component| component * inverse);
+        let (one, two) = (S::one(), S::two());
+        let (x2, y2, z2) = (two * x, two * y, two * z);
+        let (xx, yy, zz) = (x * x2, y * y2, z * z2);
+        let (xy, xz, yz) = (x * y2, x * z2, y * z2);
+        let (wx, wy, wz) = (w * x2, w * y2, w * z2);
+        let vector = |a, b, c| <<S as Scalar>::Vec3 as Linear3<S>>::new(a, b, c);
+        Self {
+            columns: [
+                vector(one - (yy + zz), xy + wz, xz - wy),
+                vector(xy - wz, one - (xx + zz), yz + wx),
+                vector(xz + wy, yz - wx, one - (xx + yy)),
+            ],
+            rotation,
+            translation,
         }
     }
 
+    /// The same in each lane.
     #[inline(always)]
-    pub(crate) fn translation(&self) -> S::Vec3 {
-        self.translation
+    pub(crate) fn in_all_lanes<R: Real<Element = S>>(&self) -> Transform<R> {
+        let all = |v: <S as Real>::Vec3| R::Vec3::new(R::all(v.x()), R::all(v.y()), R::all(v.z()));
+        Transform {
+            columns: self.columns.map(all),
+            rotation: self.rotation.map(R::all),
+            translation: all(self.translation),
+        }
+    }
+
+    /// This transform after a small displacement in the base frame: see [`Self::small_turn`], whose
+    /// quaternion is (a, 1), normalised.
+    #[inline]
+    pub(crate) fn moved(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
+        let a = rotation_rad * S::half();
+        let [x, y, z, w] = self.rotation;
+        let v = <<S as Scalar>::Vec3 as Linear3<S>>::new(x, y, z);
+        let imaginary = v + a * w + a.cross(v);
+        let real = w - a.dot(v);
+        Self::of_parts([imaginary.x(), imaginary.y(), imaginary.z(), real], self.translation + translation_m)
+    }
+
+    /// Back to a pose.
+    pub(crate) fn to_pose(self) -> Pose {
+        Pose { rotation: DQuat::from_array(self.rotation.map(S::as_f64)), translation_m: self.translation.as_dvec3() }
     }
 }
 

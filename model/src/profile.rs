@@ -4,17 +4,23 @@
 
 use heapless::Vec;
 
+use crate::power::{Power, PowerLanes};
+use crate::real::Real;
 use crate::scalar::Scalar;
 use crate::scene::{MAX_PROFILE_KNOTS, Profile};
 
-/// I_rel and its derivative by cos γ.
-pub(crate) trait Emission<S> {
+/// I_rel and its derivative by cos γ, for one cell or several.
+pub(crate) trait Falloff<R> {
+    /// I_rel at cos γ = `c` > 0.
+    fn relative(&self, c: R) -> R;
+    /// (I_rel, dI_rel/dc) at cos γ = `c` > 0.
+    fn with_slope(&self, c: R) -> (R, R);
+}
+
+/// What integrals over a spot need to know of a profile besides.
+pub(crate) trait Emission<S>: Falloff<S> {
     /// Whether derivatives jump anywhere between axis and horizon.
     const HAS_KINKS: bool;
-    /// I_rel at cos γ = `c` > 0.
-    fn relative(&self, c: S) -> S;
-    /// (I_rel, dI_rel/dc) at cos γ = `c` > 0.
-    fn with_slope(&self, c: S) -> (S, S);
     /// I_rel at γ = 90° from within: zero unless the profile jumps there.
     fn at_horizon(&self) -> S;
     /// What stands for this profile where c differs from `centre` by no more than `spread`·`centre`:
@@ -31,9 +37,9 @@ pub(crate) trait Emission<S> {
 const MAX_TERMS: usize = 10;
 
 /// I_rel = cⁿ.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Cosine<S> {
-    exponent: S,
+    power: Power<S>,
     /// Binomial coefficients of n.
     binomials: [S; MAX_TERMS + 1],
     /// The greatest |δ| for which the series may end after so many terms.
@@ -54,33 +60,48 @@ impl<S: Scalar> Cosine<S> {
             let first_neglected = 0.125 * tolerance / binomial.abs().max(f64::MIN_POSITIVE);
             spreads[k] = S::of(libm::pow(first_neglected, 1.0 / (k as f64 + 1.0)).min(0.5));
         }
-        Self { exponent: S::of(exponent), binomials, spreads }
+        Self { power: Power::compile(exponent), binomials, spreads }
+    }
+}
+
+impl<S: Scalar> Falloff<S> for Cosine<S> {
+    #[inline(always)]
+    fn relative(&self, c: S) -> S {
+        self.power.of(c)
+    }
+
+    #[inline(always)]
+    fn with_slope(&self, c: S) -> (S, S) {
+        let value = self.power.of(c);
+        (value, self.power.exponent() * value / c)
+    }
+}
+
+impl<R: Real> Falloff<R> for PowerLanes<R> {
+    #[inline(always)]
+    fn relative(&self, c: R) -> R {
+        self.of_lanes(c)
+    }
+
+    #[inline(always)]
+    fn with_slope(&self, c: R) -> (R, R) {
+        let value = self.of_lanes(c);
+        (value, self.exponent * value / c)
     }
 }
 
 impl<S: Scalar> Emission<S> for Cosine<S> {
     const HAS_KINKS: bool = false;
 
-    #[inline(always)]
-    fn relative(&self, c: S) -> S {
-        c.power(self.exponent)
-    }
-
-    #[inline(always)]
-    fn with_slope(&self, c: S) -> (S, S) {
-        let value = c.power(self.exponent);
-        (value, self.exponent * value / c)
-    }
-
     fn at_horizon(&self) -> S {
-        if self.exponent == S::zero() { S::one() } else { S::zero() }
+        if self.power.exponent() == S::zero() { S::one() } else { S::zero() }
     }
 
     #[inline(always)]
     fn near(&self, centre: S, spread: S) -> Option<Series<S>> {
         let terms = self.spreads.iter().position(|&most| spread <= most)?;
         let inverse = centre.recip();
-        let value = centre.power(self.exponent);
+        let value = self.power.of(centre);
         let mut coefficients = [S::zero(); MAX_TERMS + 1];
         for (coefficient, binomial) in coefficients.iter_mut().zip(&self.binomials[..=terms]) {
             *coefficient = value * *binomial;
@@ -90,7 +111,7 @@ impl<S: Scalar> Emission<S> for Cosine<S> {
 
     #[inline(always)]
     fn steepness(&self) -> S {
-        self.exponent
+        self.power.exponent()
     }
 
     #[inline(always)]
@@ -108,9 +129,7 @@ pub(crate) struct Series<S> {
     terms: usize,
 }
 
-impl<S: Scalar> Emission<S> for Series<S> {
-    const HAS_KINKS: bool = false;
-
+impl<S: Scalar> Falloff<S> for Series<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         let delta = c * self.inverse - S::one();
@@ -127,6 +146,10 @@ impl<S: Scalar> Emission<S> for Series<S> {
         }
         (value, slope * self.inverse)
     }
+}
+
+impl<S: Scalar> Emission<S> for Series<S> {
+    const HAS_KINKS: bool = false;
 
     fn at_horizon(&self) -> S {
         S::zero()
@@ -243,9 +266,7 @@ impl<S: Scalar> Table<S> {
     }
 }
 
-impl<S: Scalar> Emission<S> for Table<S> {
-    const HAS_KINKS: bool = true;
-
+impl<S: Scalar> Falloff<S> for Table<S> {
     fn relative(&self, c: S) -> S {
         let gamma = c.min(S::one()).arc_cosine();
         match self.piece(c) {
@@ -280,6 +301,10 @@ impl<S: Scalar> Emission<S> for Table<S> {
         };
         (value, by_cosine)
     }
+}
+
+impl<S: Scalar> Emission<S> for Table<S> {
+    const HAS_KINKS: bool = true;
 
     fn at_horizon(&self) -> S {
         self.horizon
@@ -313,6 +338,14 @@ impl<S: Scalar> CompiledProfile<S> {
         match profile {
             Profile::Cosine { exponent } => Self::Cosine(Cosine::compile(*exponent, tolerance)),
             Profile::Table(knots) => Self::Table(Table::compile(knots)),
+        }
+    }
+
+    /// The power, if that is what the profile is.
+    pub(crate) fn as_power(&self) -> Option<&Power<S>> {
+        match self {
+            Self::Cosine(cosine) => Some(&cosine.power),
+            Self::Table(_) => None,
         }
     }
 

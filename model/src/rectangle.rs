@@ -1,8 +1,8 @@
 //! The rectangular spot of a slit parallel to its detector.
 
 use crate::aperture::{Face, Span};
+use crate::real::Real;
 use crate::response::Status;
-use crate::scalar::Scalar;
 
 /// One side of the spot along one axis, and how it moves.
 ///
@@ -32,82 +32,125 @@ pub(crate) struct Rectangle<S> {
     pub(crate) height: S,
 }
 
-impl<S: Scalar> Extent<S> {
-    /// Intersection of the beam through `spans` (with their magnifications) and the detector.
-    /// `None` if empty. The flag tells whether an end of the detector cuts the beam.
+/// Where a side comes from, in place of the number of a face.
+const DETECTOR: f64 = -1.0;
+
+impl<R: Real> Extent<R> {
+    /// Intersection of the beam through `spans` (with their magnifications) and the detector; empty
+    /// if its half length is not positive. Second: where an end of the detector cuts the beam, 1.
+    /// Third: how far the nearest other edge is from taking over.
     #[inline(always)]
-    fn of_beam<const N: usize>(spans: [(Span<S>, S); N], e: S, detector_half: S) -> Option<(Self, bool)> {
-        let mut low = Edge { position: -detector_half - e, magnification: S::one() };
-        let mut high = Edge { position: detector_half - e, magnification: S::one() };
-        let (mut from_low, mut from_high) = (N, N);
+    fn of_beam<const N: usize>(spans: [(Span<R>, R); N], e: R, detector_half: R) -> (Self, R, R) {
+        let (one, half) = (R::constant(1.0), R::constant(0.5));
+        let mut low = Edge { position: -detector_half - e, magnification: one };
+        let mut high = Edge { position: detector_half - e, magnification: one };
+        let (mut from_low, mut from_high) = (R::constant(DETECTOR), R::constant(DETECTOR));
+        let mut length = R::constant(0.0);
+        let mut slack = R::constant(f64::MAX);
         for (index, (span, k)) in spans.into_iter().enumerate() {
+            let index = R::constant(index as f64);
             let (a, b) = ((span.low - e) * k, (span.high - e) * k);
-            if a >= low.position {
-                low = Edge { position: a, magnification: k };
-                from_low = index;
+            for apart in [a - low.position, high.position - b] {
+                let apart = R::where_at_least(apart, -apart, apart, -apart);
+                slack = R::where_at_least(slack, apart, apart, slack);
             }
-            if b <= high.position {
-                high = Edge { position: b, magnification: k };
-                from_high = index;
-            }
+            let at_low = |yes, no| R::where_at_least(a, low.position, yes, no);
+            let raised = Edge { position: at_low(a, low.position), magnification: at_low(k, low.magnification) };
+            from_low = at_low(index, from_low);
+            length = at_low(span.length * k, length);
+            low = raised;
+            let at_high = |yes, no| R::where_at_least(high.position, b, yes, no);
+            let lowered = Edge { position: at_high(b, high.position), magnification: at_high(k, high.magnification) };
+            from_high = at_high(index, from_high);
+            high = lowered;
         }
-        let half = if from_low == from_high && from_low < N {
-            // Both sides of one face: its length survives where the difference would cancel.
-            S::half() * spans[from_low].0.length * low.magnification
-        } else {
-            S::half() * (high.position - low.position)
-        };
-        if half > S::zero() {
-            let middle = S::half() * (low.position + high.position);
-            Some((Self { low, high, middle, half }, from_low == N || from_high == N))
-        } else {
-            None
-        }
+        let zero = R::constant(0.0);
+        let cut = R::where_at_least(from_low, zero, R::where_at_least(from_high, zero, zero, one), one);
+        // Both sides of one face: its length survives where the difference would cancel.
+        let difference = high.position - low.position;
+        let one_face = R::where_at_least(from_low, from_high, length, difference);
+        let extent = R::where_at_least(from_high, from_low, one_face, difference);
+        let extent = R::where_at_least(zero, cut, extent, difference);
+        let middle = half * (low.position + high.position);
+        (Self { low, high, middle, half: half * extent }, cut, slack)
     }
 }
 
-impl<S: Scalar> Rectangle<S> {
-    /// The spot of the beam that passes all `faces`, for an emitter at (`ex`, `ey`, `ez`).
+impl<R: Real> Rectangle<R> {
+    /// The spot of the beam that passes all `faces`, for an emitter at `emitter`, and for each lane
+    /// whether it is one: where it is not, the rectangle means nothing.
     #[inline(always)]
     pub(crate) fn of_beam<const N: usize>(
-        faces: [Face<S>; N],
-        emitter: [S; 3],
-        detector_half: [S; 2],
-    ) -> Result<(Self, Status), Status> {
+        faces: [Face<R>; N],
+        emitter: [R; 3],
+        detector_half: [R; 2],
+    ) -> (Self, Verdict<R>) {
         let [ex, ey, ez] = emitter;
-        if faces.iter().any(|face| ez <= face.z) {
-            return Err(Status::Behind);
-        }
+        let (zero, one) = (R::constant(0.0), R::constant(1.0));
+        let behind = faces.iter().fold(zero, |behind, face| R::where_at_least(face.z, ez, one, behind));
         let magnified = faces.map(|face| (face, ez / (ez - face.z)));
-        let (x, cut) =
-            Extent::of_beam(magnified.map(|(face, k)| (face.x, k)), ex, detector_half[0]).ok_or(Status::Dark)?;
-        let (y, _) =
-            Extent::of_beam(magnified.map(|(face, k)| (face.y, k)), ey, detector_half[1]).ok_or(Status::Dark)?;
-        let status = if cut { Status::Clipped } else { Status::Lit };
-        Ok((Self { x, y, height: ez }, status))
+        let (x, cut, slack_x) = Extent::of_beam(magnified.map(|(face, k)| (face.x, k)), ex, detector_half[0]);
+        let (y, _, slack_y) = Extent::of_beam(magnified.map(|(face, k)| (face.y, k)), ey, detector_half[1]);
+        // A pose that is no number makes both extents none, and the spot dark.
+        let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
+        let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
+        (Self { x, y, height: ez }, Verdict { behind, cut, narrower, slack })
     }
 
     /// Corners in order around the spot, relative to the emitter's foot point.
-    pub(crate) fn corners(&self) -> [[S; 2]; 4] {
+    pub(crate) fn corners(&self) -> [[R; 2]; 4] {
         let (x0, x1) = (self.x.low.position, self.x.high.position);
         let (y0, y1) = (self.y.low.position, self.y.high.position);
         [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
     }
 }
 
+/// What makes a status, lane by lane.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Verdict<R> {
+    /// 1 where the emitter is at or behind a face.
+    behind: R,
+    /// 1 where an end of the detector cuts the spot along x.
+    cut: R,
+    /// The smaller half extent.
+    narrower: R,
+    /// How far the spot's sides are from being those of another edge, metres on the detector: there
+    /// the derivatives jump.
+    slack: R,
+}
+
+impl<R: Real> Verdict<R> {
+    #[inline(always)]
+    pub(crate) fn slack_m(&self, lane: usize) -> R::Element {
+        self.slack.lane(lane)
+    }
+
+    #[inline(always)]
+    pub(crate) fn status(&self, lane: usize) -> Status {
+        let zero = R::Element::default();
+        if self.behind.lane(lane) > zero {
+            Status::Behind
+        } else if self.narrower.lane(lane) > zero {
+            if self.cut.lane(lane) > zero { Status::Clipped } else { Status::Lit }
+        } else {
+            Status::Dark
+        }
+    }
+}
+
 /// What a rectangular spot delivers, and its derivatives by the spot's sides
 /// (x low, x high, y low, y high), by the emitter's height and by its axis.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct RectangleLight<S: Scalar> {
-    pub(crate) power: SideGradient<S>,
-    pub(crate) centroid: SideGradient<S>,
+pub(crate) struct RectangleLight<R: Real> {
+    pub(crate) power: SideGradient<R>,
+    pub(crate) centroid: SideGradient<R>,
 }
 
 /// A quantity and its derivatives by sides, height and axis.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct SideGradient<S: Scalar> {
-    pub(crate) value: S,
-    pub(crate) by_side: [S; 4],
-    pub(crate) by_height: S,
-    pub(crate) by_axis: S::Vec3,
+pub(crate) struct SideGradient<R: Real> {
+    pub(crate) value: R,
+    pub(crate) by_side: [R; 4],
+    pub(crate) by_height: R,
+    pub(crate) by_axis: R::Vec3,
 }

@@ -185,7 +185,8 @@ fn exposures_and_twist_are_inverted_together() {
         let prior = pose.perturbed(DVec3::splat(2e-5), DVec3::splat(1e-3));
         let estimate = solver.solve_near(&readings, &prior, &known).estimate.expect("pose");
         let (dt, dr) = estimate.pose.displacement_from(&pose);
-        assert!(dt.length() < 1e-11 && dr.length() < 1e-9, "{dt} {dr}");
+        // Following a tool leaves a thousandth of σ: of 0.7 µm and 96 µrad, six axes together.
+        assert!(dt.length() < 2e-9 && dr.length() < 3e-7, "{dt} {dr}");
         // Ignoring the order of exposure would be seen.
         let ignored = solver.solve(&readings).estimate.expect("pose");
         assert!(ignored.pose.displacement_from(&pose).0.length() > 1e-7);

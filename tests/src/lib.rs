@@ -5,13 +5,15 @@
 //! * [`scenes`] writes scene files, [`poses`] draws poses, [`capture`] records a simulated board;
 //! * [`table`] and [`ndjson`] read what commands print;
 //! * [`mod@reference`] holds independent numbers;
-//! * [`consistency`] judges poses against the truth, [`statistics`] says how far chance goes.
+//! * [`consistency`] judges poses against the truth, [`statistics`] says how far chance goes;
+//! * [`monte_carlo`] studies the solver over many random poses.
 //!
 //! Nothing here calls the product to judge the product: errors, their covariances and
 //! interpolations are computed anew.
 
 pub mod capture;
 pub mod consistency;
+pub mod monte_carlo;
 pub mod ndjson;
 pub mod poses;
 pub mod process;

@@ -20,15 +20,16 @@ pub type PoseRow = [f64; 6];
 
 /// Poses whose components are uniform within ±`half_mm` and ±`half_deg`.
 pub fn in_box(rng: &mut ChaCha8Rng, half_mm: f64, half_deg: f64, count: usize) -> Vec<PoseRow> {
+    (0..count).map(|_| one_in_box(rng, half_mm, half_deg)).collect()
+}
+
+/// One of them.
+pub fn one_in_box(rng: &mut ChaCha8Rng, half_mm: f64, half_deg: f64) -> PoseRow {
     let half_rad = half_deg.to_radians();
-    (0..count)
-        .map(|_| {
-            std::array::from_fn(|axis| {
-                let half = if axis < 3 { half_mm } else { half_rad };
-                rng.random_range(-half..half)
-            })
-        })
-        .collect()
+    std::array::from_fn(|axis| {
+        let half = if axis < 3 { half_mm } else { half_rad };
+        rng.random_range(-half..half)
+    })
 }
 
 /// The pose of a row.

@@ -66,7 +66,8 @@ fn worst_axis_with_exposures(file: &SceneFile, decoded: &Decoded, factor: f64) -
     let solver = Solver::<f64>::new(&scene, STREAM).expect("scene").with_exposures(&exposures_s);
     let mut tracker = Tracker::new(solver, decoded.schedule.frame_rate_hz().recip());
     let worst = decoded.scans.iter().zip(&decoded.truths).filter_map(|(scan, truth)| {
-        let Estimate { pose, covariance } = tracker.track(scan.sequence, &stage.photocurrents(scan)).estimate?;
+        let Estimate { pose, covariance } =
+            tracker.track(scan.sequence, &stage.photocurrents(scan)).solution.estimate?;
         Some(worst_axis(&error(&pose, truth), &covariance))
     });
     median(worst)

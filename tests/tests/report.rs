@@ -132,13 +132,16 @@ fn motion(table: &Table) {
         row.number("translation_sigmas")
     };
     for motion in ["smooth", "straight"] {
-        for speed in [0.0, 0.1, 0.5, 2.0] {
+        for (speed, most) in [(0.0, 1.15), (0.1, 1.15), (0.5, 1.2), (2.0, 1.6)] {
             let honoured = sigmas(motion, "honoured", speed);
-            assert!((0.85..1.25).contains(&honoured), "{motion} at {speed} m/s: {honoured} σ");
+            assert!((0.85..most).contains(&honoured), "{motion} at {speed} m/s: {honoured} σ");
         }
         assert!(sigmas(motion, "ignored", 0.5) > 1.5 && sigmas(motion, "ignored", 2.0) > 5.0);
         assert!((0.85..1.15).contains(&sigmas(motion, "ignored", 0.0)));
     }
+    // At rest a memory of 8 frames at 4 kHz halves the error, not more.
+    let filtered = sigmas("smooth", "honoured, filter 2 ms", 0.0);
+    assert!((0.35..0.6).contains(&filtered), "{filtered}");
 }
 
 fn economy(table: &Table) {
@@ -150,9 +153,7 @@ fn economy(table: &Table) {
 }
 
 /// Studies in which something falls short of what arithmetic allows, and why.
-const KNOWN_SHORT: [&str; 3] = [
-    // Normal equations square the condition number; the solver then says `unobservable`.
-    "near-parallel layout",
+const KNOWN_SHORT: [&str; 2] = [
     // An emitter far off the axis: the spot's place is the difference of two large numbers.
     "small solid angle",
     // Lit minus dark of a front end slower than the frame is a difference of nearly equal numbers.
@@ -179,11 +180,12 @@ fn stiff(table: &Table) {
             assert!(verdict == "good" || KNOWN_SHORT.contains(&study), "{study}, {}: {verdict}", row.text("case"));
         }
     }
-    // Wherever a pose is given it is as exact as it can be: refusals fall short, lies do not occur.
-    for row in rows(table, &[("study", "near-parallel layout")]) {
-        for ratio in ["f64_ratio", "f32_ratio"] {
-            assert!(row.text(ratio).is_empty() || row.number(ratio) < 10.0, "{}: {ratio}", row.text("case"));
-        }
+    // The sweep goes on to where `f32` has no pose to give, and says so; `f64` still has one.
+    for start in ["cold", "warm"] {
+        let case = format!("rolls ±1.0e−8°, {start}");
+        let row = rows(table, &[("study", "near-parallel layout"), ("case", &case)])[0];
+        assert_eq!((row.text("f64_outcome"), row.text("f32_outcome")), ("converged", "unobservable"));
+        assert!(row.number("condition") > 1e9 && row.number("f64_error") < 10.0);
     }
 }
 

@@ -16,8 +16,10 @@ const DEFAULT_TOLERANCE: f64 = 1e-6;
 ///
 /// Columns in: id, and for each cell k i_x1_k_a and i_x2_k_a, all taken at one instant, dark current
 /// included. Columns out: status, pose, standard deviations, condition number, chi2, iterations,
-/// cells_used, and free_directions, which names what an unobservable pose leaves open. A row without
-/// a pose keeps its place, with a status.
+/// cells_used, free_directions, which names what an unobservable pose leaves open, excluded_cells,
+/// which contradict all others, and verified: how well redundancy checked the pose (well: no single
+/// lying cell can have moved it by 10 sigma unnoticed; weakly: by 100; not). A row without a pose
+/// keeps its place, with a status.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv | slitpose solve wide --currents -")]
 pub(super) struct Args {
@@ -57,6 +59,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         table.text(&solution.iterations.to_string())?;
         table.text(&solution.cells_used.to_string())?;
         table.text(&solution.free_directions)?;
+        table.text(&solution.excluded_cells)?;
+        table.text(solution.verified)?;
         table.end_row()?;
     }
     table.finish()?;

@@ -87,6 +87,9 @@ pub(super) struct PoseOptions {
     /// [default: summary on a terminal, else ndjson]
     #[arg(long, value_enum)]
     format: Option<Format>,
+    /// Tell a pose from many scans, too: a parabola through those of about this long, such as 5ms
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(super) filter: Option<f64>,
     #[command(flatten)]
     tier: TierOptions,
 }

@@ -12,7 +12,7 @@ mod span;
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
-use slitpose_model::{Pose, Solution, Tier};
+use slitpose_model::{Pose, Smoothed, Solution, Tier, Tracked, TwistEstimate};
 use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
 };
@@ -34,8 +34,12 @@ pub struct Record {
     pub sequence: u64,
     /// The instant the pose refers to, by the board's clock, seconds.
     pub device_time_s: f64,
-    /// What the solver says.
+    /// What the solver says of this scan alone.
     pub solution: Solution,
+    /// Velocity at that instant, from this scan and a few before.
+    pub twist: Option<TwistEstimate>,
+    /// Pose and velocity from many scans, if asked for.
+    pub smoothed: Option<Smoothed>,
     /// Whether the photocurrents were computed, not measured.
     pub simulated: bool,
     /// Where the tool was at that instant; only simulators know.
@@ -86,6 +90,7 @@ struct Flow {
     file: SceneFile,
     tier: Tier,
     scene_match: SceneMatch,
+    filter_s: Option<f64>,
     session: Option<Session>,
     span: Span,
     truths: VecDeque<Truth>,
@@ -101,6 +106,7 @@ impl Pipeline {
                 file,
                 tier,
                 scene_match,
+                filter_s: None,
                 session: None,
                 span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
@@ -113,6 +119,13 @@ impl Pipeline {
     #[must_use]
     pub fn until(mut self, until_s: Option<f64>) -> Self {
         self.flow.span = Span::until(until_s);
+        self
+    }
+
+    /// Tells poses from many scans, too, with a memory of so many seconds.
+    #[must_use]
+    pub fn with_filter(mut self, memory_s: Option<f64>) -> Self {
+        self.flow.filter_s = memory_s;
         self
     }
 
@@ -213,7 +226,7 @@ impl Flow {
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
             return Ok(());
         }
-        self.session = Some(Session::open(&self.file, self.tier, self.scene_match, hello)?);
+        self.session = Some(Session::open(&self.file, self.tier, self.scene_match, self.filter_s, hello)?);
         Ok(())
     }
 
@@ -237,12 +250,14 @@ impl Flow {
                 break;
             }
             self.counts.count_scan(scan.sequence);
-            let solution = session.solve(&scan);
+            let Tracked { solution, twist, smoothed } = session.solve(&scan);
             self.counts.count_outcome(&solution.outcome);
             let record = Record {
                 sequence: scan.sequence,
                 device_time_s,
                 solution,
+                twist,
+                smoothed,
                 simulated: session.kind() == BoardKind::Simulated,
                 truth: truth_of(&mut self.truths, scan.sequence),
             };

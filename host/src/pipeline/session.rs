@@ -1,6 +1,6 @@
 //! One board under one configuration: from a scan to a solution.
 
-use slitpose_model::{Solution, Solver, Tier, Tracker};
+use slitpose_model::{Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::{PipelineError, SceneMatch};
@@ -40,6 +40,7 @@ impl Session {
         file: &SceneFile,
         tier: Tier,
         scene_match: SceneMatch,
+        filter_s: Option<f64>,
         hello: &Hello<'_>,
     ) -> Result<Self, PipelineError> {
         check(file, scene_match, hello)?;
@@ -54,12 +55,17 @@ impl Session {
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
+        let tracker = Tracker::new(solver, hello.schedule.frame_rate_hz().recip());
+        let tracker = match filter_s {
+            Some(memory_s) => tracker.with_filter(memory_s),
+            None => tracker,
+        };
         Ok(Self {
             device_id: hello.device_id,
             kind: hello.kind,
             configuration: hello.configuration,
             reference_ticks: hello.schedule.reference_ticks(),
-            tracker: Tracker::new(solver, hello.schedule.frame_rate_hz().recip()),
+            tracker,
             stage,
             schedule: hello.schedule.clone(),
             scaling: hello.scaling,
@@ -100,7 +106,7 @@ impl Session {
         (scan.tick as f64 + self.reference_ticks) / self.tick_hz()
     }
 
-    pub(super) fn solve(&mut self, scan: &RawScan) -> Solution {
+    pub(super) fn solve(&mut self, scan: &RawScan) -> Tracked {
         self.tracker.track(scan.sequence, &self.stage.photocurrents(scan))
     }
 }

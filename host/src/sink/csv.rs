@@ -48,6 +48,8 @@ impl<W: Write> Csv<W> {
         self.writer.write_field(row.iterations.to_string())?;
         self.writer.write_field(row.cells_used.to_string())?;
         self.writer.write_field(row.free_directions)?;
+        self.writer.write_field(row.excluded_cells)?;
+        self.writer.write_field(row.verified)?;
         self.writer.write_field(if record.simulated { "true" } else { "false" })?;
         Ok(self.writer.write_record(None::<&[u8]>)?)
     }

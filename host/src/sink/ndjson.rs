@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use slitpose_model::Pose;
+use slitpose_model::{Estimate, Outcome, Pose, Smoothed, TwistEstimate};
 
 use super::Sink;
 use crate::pipeline::{Counts, Item, Record};
@@ -14,6 +14,9 @@ struct Line<'a> {
     seq: u64,
     device_time_s: f64,
     status: &'a str,
+    /// Why a pose is degraded, or which coordinates an unobservable one leaves open.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<String>,
     translation_m: Option<[f64; 3]>,
     rotation_xyzw: Option<[f64; 4]>,
     /// Row-major, order (t, θ): m², m·rad, rad².
@@ -22,6 +25,14 @@ struct Line<'a> {
     cells_used: usize,
     chi2: Option<f64>,
     redundancy: usize,
+    /// How well redundancy checked the pose.
+    verified: &'static str,
+    /// Cells that contradict all others.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    excluded_cells: Vec<usize>,
+    twist: Option<Motion>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    filtered: Option<Filtered>,
     simulated: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     truth: Option<TruePose>,
@@ -37,6 +48,55 @@ mod covariance {
             None => serializer.serialize_none(),
         }
     }
+}
+
+/// Velocity of the tool in the base frame.
+#[derive(Serialize)]
+struct Motion {
+    linear_m_per_s: [f64; 3],
+    angular_rad_per_s: [f64; 3],
+    /// Standard deviations of the six.
+    sigma: [f64; 6],
+}
+
+impl From<TwistEstimate> for Motion {
+    fn from(TwistEstimate { twist, covariance }: TwistEstimate) -> Self {
+        Self {
+            linear_m_per_s: twist.linear_m_per_s.to_array(),
+            angular_rad_per_s: twist.angular_rad_per_s.to_array(),
+            sigma: std::array::from_fn(|i| covariance[i][i].sqrt()),
+        }
+    }
+}
+
+/// A pose from many scans.
+#[derive(Serialize)]
+struct Filtered {
+    translation_m: [f64; 3],
+    rotation_xyzw: [f64; 4],
+    #[serde(serialize_with = "covariance::serialize")]
+    covariance: Option<[f64; 36]>,
+    twist: Motion,
+    lag_s: f64,
+    frames: u32,
+}
+
+impl From<Smoothed> for Filtered {
+    fn from(smoothed: Smoothed) -> Self {
+        let Estimate { pose, covariance } = smoothed.estimate;
+        Self {
+            translation_m: pose.translation_m.to_array(),
+            rotation_xyzw: pose.rotation.to_array(),
+            covariance: Some(flat(&covariance)),
+            twist: smoothed.twist.into(),
+            lag_s: smoothed.lag_s,
+            frames: smoothed.frames,
+        }
+    }
+}
+
+fn flat(matrix: &[[f64; 6]; 6]) -> [f64; 36] {
+    std::array::from_fn(|i| matrix[i / 6][i % 6])
 }
 
 #[derive(Serialize)]
@@ -59,12 +119,21 @@ impl<'a> From<&'a Record> for Line<'a> {
             seq: record.sequence,
             device_time_s: record.device_time_s,
             status: solution.outcome.as_str(),
+            reason: match solution.outcome {
+                Outcome::Degraded(weakness) => Some(weakness.as_str().to_owned()),
+                Outcome::Unobservable(directions) => Some(directions.to_string()),
+                _ => None,
+            },
             translation_m: estimate.map(|estimate| estimate.pose.translation_m.to_array()),
             rotation_xyzw: estimate.map(|estimate| estimate.pose.rotation.to_array()),
-            covariance: estimate.map(|estimate| std::array::from_fn(|i| estimate.covariance[i / 6][i % 6])),
+            covariance: estimate.map(|estimate| flat(&estimate.covariance)),
             cells_used: solution.cells_used.count(),
             chi2: Some(solution.chi2).filter(|chi2| chi2.is_finite()),
             redundancy: solution.redundancy,
+            verified: solution.verified().as_str(),
+            excluded_cells: solution.excluded.iter().collect(),
+            twist: record.twist.map(Motion::from),
+            filtered: record.smoothed.map(Filtered::from),
             simulated: record.simulated,
             truth: record.truth.map(TruePose::from),
         }

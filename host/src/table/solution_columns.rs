@@ -1,10 +1,10 @@
 //! The columns that hold a solution:
-//! `status,tx_mm,…,rz_rad,sigma_tx_mm,…,sigma_rz_rad,condition,chi2,iterations,cells_used`.
+//! `status,tx_mm,…,rz_rad,sigma_tx_mm,…,sigma_rz_rad,condition,chi2,iterations,cells_used`, and what no other program relies on.
 
 use slitpose_model::{Outcome, Solution};
 
-/// Names of a solution's columns; `free_directions` names what an unobservable pose leaves open.
-pub const SOLUTION_COLUMNS: [&str; 18] = [
+/// Names of a solution's columns; see [`SolutionRow`].
+pub const SOLUTION_COLUMNS: [&str; 20] = [
     "status",
     "tx_mm",
     "ty_mm",
@@ -23,6 +23,8 @@ pub const SOLUTION_COLUMNS: [&str; 18] = [
     "iterations",
     "cells_used",
     "free_directions",
+    "excluded_cells",
+    "verified",
 ];
 
 /// A solution in the units of tables.
@@ -38,6 +40,10 @@ pub struct SolutionRow {
     pub cells_used: usize,
     /// Coordinates an unobservable pose leaves open, joined by `;`.
     pub free_directions: String,
+    /// Cells that contradict all others, joined by `;`.
+    pub excluded_cells: String,
+    /// How well redundancy checked the pose: `well`, `weakly` or `not`.
+    pub verified: &'static str,
 }
 
 impl SolutionRow {
@@ -66,6 +72,8 @@ impl SolutionRow {
             iterations: solution.iterations,
             cells_used: solution.cells_used.count(),
             free_directions,
+            excluded_cells: solution.excluded.to_string(),
+            verified: solution.verified().as_str(),
         }
     }
 }

@@ -13,7 +13,7 @@ pub(crate) use panels::light as polygon_light;
 
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight};
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar};
 
 /// Whether the whole spot lies behind the emitter's horizon: u·d, linear over the spot, is nowhere
 /// positive.

@@ -11,7 +11,7 @@ use heapless::Vec;
 
 use crate::polygon::{EmitterGradient, Line, MAX_CORNERS, Polygon};
 use crate::profile::Emission;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar};
 
 use super::order::{MAX_NODES, Orders, Rules};
 

@@ -8,7 +8,7 @@
 
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar};
 
 use super::order::{Orders, Rules};
 

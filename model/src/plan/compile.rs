@@ -10,7 +10,8 @@ use crate::profile::CompiledProfile;
 use crate::scalar::{Scalar, Vector3};
 use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
 
-use super::{CompiledCell, CompiledEmitter, Receiver, Tier};
+use super::optics::{Receiver, Source};
+use super::{CompiledCell, CompiledEmitter, Tier};
 
 /// How far from unit length or perpendicularity an axis may be and is still normalised.
 const AXIS_TOLERANCE: f64 = 1e-6;
@@ -101,25 +102,28 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
     let profile = CompiledProfile::<S>::compile(&cell.emitter.profile, tolerance);
     let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(profile.steepness().as_f64(), tolerance));
     let y_axis = normal.cross(x_axis);
+    let vector = |v: DVec3| <S as Scalar>::Vec3::of(v);
     Ok(CompiledCell {
         receiver: Receiver {
-            axes: [x_axis, y_axis, normal].map(S::Vec3::of),
-            centre: S::Vec3::of(cell.detector.centre_base_m),
+            axes: [x_axis, y_axis, normal].map(vector),
+            centre: vector(cell.detector.centre_base_m),
             half: [S::of(0.5 * cell.detector.length_m), S::of(0.5 * cell.detector.width_m)],
             length: S::of(cell.detector.length_m),
-            aperture: Aperture::compile(&cell.slit),
             responsivity: S::of(cell.detector.responsivity_a_per_w),
             dark: S::of(cell.detector.dark_current_a),
-            saturation: cell.detector.saturation_a.map(S::of),
-            faint: S::of(cell.detector.faint_a),
         },
+        aperture: Aperture::compile(&cell.slit),
         emitter: CompiledEmitter {
-            position: S::Vec3::of(cell.emitter.position_tool_m),
-            axis: S::Vec3::of(axis),
-            intensity: S::of(cell.emitter.radiant_intensity_w_per_sr),
+            source: Source {
+                position: vector(cell.emitter.position_tool_m),
+                axis: vector(axis),
+                intensity: S::of(cell.emitter.radiant_intensity_w_per_sr),
+            },
             profile,
             orders,
         },
+        saturation: cell.detector.saturation_a.map(S::of),
+        faint: S::of(cell.detector.faint_a),
     })
 }
 

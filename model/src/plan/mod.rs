@@ -2,6 +2,8 @@
 
 mod compile;
 mod evaluate;
+mod optics;
+mod pack;
 
 use heapless::Vec;
 
@@ -12,6 +14,10 @@ use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
 use crate::scalar::Scalar;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
+
+pub(crate) use optics::Instant;
+use optics::{Receiver, Source};
+use pack::Pack;
 
 /// How the optics of a cell are evaluated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,6 +38,8 @@ pub struct Plan<S: Scalar> {
     cells: Vec<CompiledCell<S>, MAX_CELLS>,
     /// Absent in the paper tier.
     rules: Option<Rules<S>>,
+    /// The same cells side by side, where they are alike enough.
+    packs: Option<Vec<Pack<S::Lanes>, MAX_CELLS>>,
 }
 
 /// The derivative of a cell's two currents by a perturbation of the pose in the base frame,
@@ -41,20 +49,8 @@ pub type CurrentsJacobian<S> = [[S; 6]; 2];
 #[derive(Clone, Debug)]
 struct CompiledCell<S: Scalar> {
     receiver: Receiver<S>,
-    emitter: CompiledEmitter<S>,
-}
-
-/// The parts of a cell that stay on the base.
-#[derive(Clone, Debug)]
-struct Receiver<S: Scalar> {
-    /// x, y, z axes of the cell frame in the base frame.
-    axes: [S::Vec3; 3],
-    centre: S::Vec3,
-    half: [S; 2],
-    length: S,
     aperture: Aperture<S>,
-    responsivity: S,
-    dark: S,
+    emitter: CompiledEmitter<S>,
     saturation: Option<S>,
     faint: S,
 }
@@ -62,12 +58,28 @@ struct Receiver<S: Scalar> {
 /// The part of a cell that rides on the tool.
 #[derive(Clone, Debug)]
 struct CompiledEmitter<S: Scalar> {
-    position: S::Vec3,
-    axis: S::Vec3,
-    intensity: S,
+    source: Source<S>,
     profile: CompiledProfile<S>,
     /// Absent in the paper tier.
     orders: Option<Orders<S>>,
+}
+
+/// What a solver needs of a cell at a pose.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CellTerms<S> {
+    pub(crate) status: Status,
+    /// Photocurrents above dark.
+    pub(crate) pair: [S; 2],
+    pub(crate) jacobian: CurrentsJacobian<S>,
+    /// How far the spot may change, metres on the detector, before the derivatives jump; zero where
+    /// nobody knows.
+    pub(crate) slack_m: S,
+}
+
+impl<S: Scalar> CellTerms<S> {
+    fn dark(status: Status) -> Self {
+        Self { status, pair: [S::zero(); 2], jacobian: [[S::zero(); 6]; 2], slack_m: S::zero() }
+    }
 }
 
 impl<S: Scalar> Plan<S> {
@@ -77,7 +89,10 @@ impl<S: Scalar> Plan<S> {
     /// The first impossible value, with its place in the scene. Values that are possible but
     /// useless (no slit width, an emitter behind the slit) compile; they answer with a status.
     pub fn compile(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        Ok(Self { cells: compile::cells(scene, tier)?, rules: matches!(tier, Tier::Exact { .. }).then(Rules::new) })
+        let cells = compile::cells(scene, tier)?;
+        let rules = matches!(tier, Tier::Exact { .. }).then(Rules::new);
+        let packs = if rules.is_none() { pack::packs(&cells) } else { None };
+        Ok(Self { cells, rules, packs })
     }
 
     /// Number of cells.
@@ -107,17 +122,43 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn linearise(&self, cell: usize, pose: &Pose) -> (Status, Pair<S>, CurrentsJacobian<S>) {
-        self.linearise_at(cell, &Transform::of(pose))
+        let CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian, .. } =
+            evaluate::linearise(self, cell, &Transform::of(pose));
+        (status, Pair { i_x1_a, i_x2_a }, jacobian)
     }
 
-    /// [`Self::linearise`] at a transform already converted to the plan's numbers.
-    #[inline]
-    pub(crate) fn linearise_at(
+    /// Hands on the terms of all `wanted` cells at their exposures, in order; others may come, too.
+    #[inline(always)]
+    pub(crate) fn linearise_all(
         &self,
-        cell: usize,
-        base_from_tool: &Transform<S>,
-    ) -> (Status, Pair<S>, CurrentsJacobian<S>) {
-        evaluate::linearise(self, cell, base_from_tool)
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        mut sink: impl FnMut(usize, &CellTerms<S>),
+    ) {
+        match &self.packs {
+            Some(packs) => pack::linearise(packs, self.cells.len(), instant, sink),
+            None => (0..self.cells.len())
+                .filter(|&cell| wanted(cell))
+                .for_each(|cell| sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)))),
+        }
+    }
+
+    /// Hands on the photocurrents of all `wanted` cells at their exposures, in order; others may
+    /// come, too.
+    #[inline(always)]
+    pub(crate) fn currents_all(
+        &self,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        mut sink: impl FnMut(usize, [S; 2]),
+    ) {
+        match &self.packs {
+            Some(packs) => pack::currents(packs, self.cells.len(), instant, sink),
+            None => (0..self.cells.len()).filter(|&cell| wanted(cell)).for_each(|cell| {
+                let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
+                sink(cell, [pair.i_x1_a, pair.i_x2_a]);
+            }),
+        }
     }
 
     /// Corners of the spot of cell `cell`, in order around it, in the cell's x and y (metres).

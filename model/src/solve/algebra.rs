@@ -1,175 +1,320 @@
 //! Fixed-size linear algebra for six unknowns: no heap, either number type.
+//!
+//! Normal equations are quick and good as long as the condition number is well below the inverse
+//! root of rounding; a triangle made of the rows themselves ([`Triangle`]) is good up to the inverse
+//! of rounding.
 
 use crate::scalar::Scalar;
 
 /// A vector of the six pose coordinates (translation, rotation).
 pub(crate) type Vector6<S> = [S; 6];
 
-/// A symmetric 6×6 matrix, stored in full.
+/// A 6×6 matrix, stored in full.
 pub(crate) type Matrix6<S> = [[S; 6]; 6];
 
-/// The lower Cholesky factor of a positive definite matrix.
+/// A lower triangular L with L·Lᵀ the matrix that was factorised.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Cholesky<S> {
+pub(crate) struct Factor<S> {
     lower: Matrix6<S>,
+    /// 1/L_ii.
+    inverses: Vector6<S>,
 }
 
-impl<S: Scalar> Cholesky<S> {
-    /// Factorises `matrix` with its diagonal multiplied by 1 + `damping` (elements that are next to
-    /// nothing are damped as if they were a millionth of the largest). `None` if a pivot falls to
-    /// `threshold` of the largest diagonal element or below: singular to that precision.
-    pub(crate) fn factorise(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
-        let largest = (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest));
-        let least_pivot = threshold * largest;
+impl<S: Scalar> Factor<S> {
+    /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
+    /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
+    /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
+    /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
+    #[inline]
+    pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
         let mut lower = [[S::zero(); 6]; 6];
+        let mut inverses = [S::zero(); 6];
+        let least = if damping > S::zero() {
+            S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
+        } else {
+            S::zero()
+        };
         for i in 0..6 {
-            for j in 0..=i {
+            for j in 0..i {
                 let mut sum = matrix[i][j];
-                if i == j {
-                    sum += damping * matrix[i][i].max(S::of(1e-6) * largest);
-                }
                 for k in 0..j {
                     sum -= lower[i][k] * lower[j][k];
                 }
-                if i == j {
-                    // Written so that NaN fails, too.
-                    let positive = sum > least_pivot;
-                    if !positive {
-                        return None;
-                    }
-                    lower[i][i] = sum.sqrt();
-                } else {
-                    lower[i][j] = sum / lower[j][j];
-                }
+                lower[i][j] = sum * inverses[j];
             }
+            let diagonal = matrix[i][i] + damping * matrix[i][i].max(least);
+            let mut pivot = diagonal;
+            for k in 0..i {
+                pivot -= lower[i][k] * lower[i][k];
+            }
+            // Written so that NaN fails, too.
+            let safe = pivot > threshold * diagonal;
+            if !safe {
+                return None;
+            }
+            inverses[i] = pivot.inverse_root();
+            lower[i][i] = pivot * inverses[i];
         }
-        Some(Self { lower })
+        Some(Self { lower, inverses })
     }
 
-    /// Solves for one right-hand side.
-    pub(crate) fn solve(&self, right: &Vector6<S>) -> Vector6<S> {
-        let l = &self.lower;
-        let mut x = *right;
+    /// L⁻¹·v.
+    #[inline(always)]
+    pub(crate) fn forward(&self, v: &Vector6<S>) -> Vector6<S> {
+        let mut x = *v;
         for i in 0..6 {
             for k in 0..i {
-                let known = l[i][k] * x[k];
+                let known = self.lower[i][k] * x[k];
                 x[i] -= known;
             }
-            x[i] /= l[i][i];
-        }
-        for i in (0..6).rev() {
-            for k in i + 1..6 {
-                let known = l[k][i] * x[k];
-                x[i] -= known;
-            }
-            x[i] /= l[i][i];
+            x[i] *= self.inverses[i];
         }
         x
     }
 
-    /// The inverse of the factorised matrix.
+    /// L⁻ᵀ·v.
+    #[inline(always)]
+    pub(crate) fn backward(&self, v: &Vector6<S>) -> Vector6<S> {
+        let mut x = *v;
+        for i in (0..6).rev() {
+            for k in i + 1..6 {
+                let known = self.lower[k][i] * x[k];
+                x[i] -= known;
+            }
+            x[i] *= self.inverses[i];
+        }
+        x
+    }
+
+    /// (L·Lᵀ)⁻¹·v.
+    #[inline]
+    pub(crate) fn solve(&self, v: &Vector6<S>) -> Vector6<S> {
+        self.backward(&self.forward(v))
+    }
+
+    /// (L·Lᵀ)⁻¹ = L⁻ᵀ·L⁻¹.
+    #[inline]
     pub(crate) fn inverse(&self) -> Matrix6<S> {
+        // Columns of L⁻¹, each from its diagonal down.
+        let mut columns = [[S::zero(); 6]; 6];
+        for j in 0..6 {
+            columns[j][j] = self.inverses[j];
+            for i in j + 1..6 {
+                let mut sum = S::zero();
+                for k in j..i {
+                    sum += self.lower[i][k] * columns[j][k];
+                }
+                columns[j][i] = -(sum * self.inverses[i]);
+            }
+        }
         let mut inverse = [[S::zero(); 6]; 6];
-        for (i, row) in inverse.iter_mut().enumerate() {
-            let mut unit = [S::zero(); 6];
-            unit[i] = S::one();
-            *row = self.solve(&unit);
+        for i in 0..6 {
+            for j in 0..=i {
+                let mut sum = S::zero();
+                for k in i..6 {
+                    sum += columns[i][k] * columns[j][k];
+                }
+                inverse[i][j] = sum;
+                inverse[j][i] = sum;
+            }
         }
         inverse
     }
-}
 
-/// Eigenvalues (ascending) and eigenvectors of a symmetric matrix by Jacobi rotations (Golub and
-/// Van Loan, Matrix Computations, §8.5): slow, but right to rounding however ill-conditioned.
-pub(crate) fn eigen<S: Scalar>(matrix: &Matrix6<S>) -> [(S, Vector6<S>); 6] {
-    /// Cyclic sweeps: convergence is quadratic, six unknowns need about five.
-    const SWEEPS: usize = 12;
-    let mut a = *matrix;
-    let mut vectors: Matrix6<S> =
-        core::array::from_fn(|i| core::array::from_fn(|j| if i == j { S::one() } else { S::zero() }));
-    for _ in 0..SWEEPS {
-        for p in 0..5 {
-            for q in p + 1..6 {
-                if a[p][q] == S::zero() {
-                    continue;
-                }
-                let theta = (a[q][q] - a[p][p]) / (S::two() * a[p][q]);
-                let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).sqrt());
-                let c = (t * t + S::one()).sqrt().recip();
-                let s = t * c;
-                for k in 0..6 {
-                    let (x, y) = (a[k][p], a[k][q]);
-                    a[k][p] = c * x - s * y;
-                    a[k][q] = s * x + c * y;
-                }
-                for k in 0..6 {
-                    let (x, y) = (a[p][k], a[q][k]);
-                    a[p][k] = c * x - s * y;
-                    a[q][k] = s * x + c * y;
-                }
-                for row in &mut vectors {
-                    let (x, y) = (row[p], row[q]);
-                    row[p] = c * x - s * y;
-                    row[q] = s * x + c * y;
+    /// |Lᵀ·v|: the length of a displacement in σ.
+    pub(crate) fn length(&self, v: &Vector6<S>) -> S {
+        let element = |i: usize| (i..6).fold(S::zero(), |sum, k| sum + self.lower[k][i] * v[k]);
+        (0..6).fold(S::zero(), |sum, i| sum + element(i) * element(i)).sqrt()
+    }
+
+    /// Whether the diagonal spans less than `ratio`.
+    pub(crate) fn is_even(&self, ratio: S) -> bool {
+        let diagonal = (0..6).map(|i| self.lower[i][i]);
+        diagonal.clone().fold(S::infinity(), S::min) > ratio * diagonal.fold(S::zero(), S::max)
+    }
+
+    /// Singular values of Lᵀ (ascending) with their right vectors, by one-sided Jacobi rotations
+    /// (Hestenes 1958): slow, but small ones keep their digits.
+    pub(crate) fn singular(&self) -> [(S, Vector6<S>); 6] {
+        /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
+        const SWEEPS: usize = 14;
+        // Columns of Lᵀ are rows of L; the rotations of columns are gathered in `vectors`.
+        let mut columns = self.lower;
+        let mut vectors: Matrix6<S> =
+            core::array::from_fn(|i| core::array::from_fn(|j| if i == j { S::one() } else { S::zero() }));
+        let dot = |a: &Vector6<S>, b: &Vector6<S>| a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y);
+        for _ in 0..SWEEPS {
+            for p in 0..5 {
+                for q in p + 1..6 {
+                    let (a, b, c) =
+                        (dot(&columns[p], &columns[p]), dot(&columns[q], &columns[q]), dot(&columns[p], &columns[q]));
+                    if c == S::zero() || c.abs() <= S::of(0.25) * S::epsilon() * (a * b).sqrt() {
+                        continue;
+                    }
+                    let theta = (b - a) / (S::two() * c);
+                    let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).sqrt());
+                    let cosine = (t * t + S::one()).sqrt().recip();
+                    let sine = t * cosine;
+                    for set in [&mut columns, &mut vectors] {
+                        for k in 0..6 {
+                            let (x, y) = (set[p][k], set[q][k]);
+                            set[p][k] = cosine * x - sine * y;
+                            set[q][k] = sine * x + cosine * y;
+                        }
+                    }
                 }
             }
         }
+        let mut pairs: [(S, Vector6<S>); 6] =
+            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).sqrt(), vectors[i]));
+        pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
+        pairs
     }
-    let mut pairs: [(S, Vector6<S>); 6] = core::array::from_fn(|i| (a[i][i], vectors.map(|row| row[i])));
-    pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
-    pairs
+}
+
+/// The upper triangle R of a growing matrix A = Q·R, and Qᵀ·b of a right-hand side b, row by row
+/// with Givens rotations: condition numbers are those of A, not of AᵀA.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Triangle<S, const N: usize> {
+    upper: [[S; N]; N],
+    right: [S; N],
+}
+
+impl<S: Scalar, const N: usize> Triangle<S, N> {
+    pub(crate) fn new() -> Self {
+        Self { upper: [[S::zero(); N]; N], right: [S::zero(); N] }
+    }
+
+    /// Adds a row of A and its element of b.
+    pub(crate) fn add(&mut self, mut row: [S; N], mut right: S) {
+        for i in 0..N {
+            if row[i] == S::zero() {
+                continue;
+            }
+            // A hypotenuse that neither overflows nor underflows.
+            let (a, b) = (self.upper[i][i], row[i]);
+            let scale = a.abs().max(b.abs());
+            let length = scale * S::norm(a / scale, b / scale);
+            let (cosine, sine) = (a / length, b / length);
+            for k in i..N {
+                let (x, y) = (self.upper[i][k], row[k]);
+                self.upper[i][k] = cosine * x + sine * y;
+                row[k] = cosine * y - sine * x;
+            }
+            let (x, y) = (self.right[i], right);
+            self.right[i] = cosine * x + sine * y;
+            right = cosine * y - sine * x;
+        }
+    }
+
+    /// Factor and solution for the last six unknowns, the others eliminated.
+    pub(crate) fn last_six(&self) -> (Factor<S>, Vector6<S>) {
+        let first = N - 6;
+        let lower: Matrix6<S> = core::array::from_fn(|i| {
+            core::array::from_fn(|j| if j <= i { self.upper[first + j][first + i] } else { S::zero() })
+        });
+        let factor = Factor { lower, inverses: core::array::from_fn(|i| lower[i][i].recip()) };
+        let step = factor.backward(&core::array::from_fn(|i| self.right[first + i]));
+        (factor, step)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A well-filled positive definite matrix with condition number about `spread`².
-    fn example(spread: f64) -> Matrix6<f64> {
-        let mut matrix = [[0.0; 6]; 6];
-        for k in 0..6 {
-            let scale = spread.powf(k as f64 / 5.0);
-            let row: [f64; 6] = core::array::from_fn(|i| ((7 * k * k + 3 * i * i + k * i + 1) as f64).sin() * scale);
-            for i in 0..6 {
-                for j in 0..6 {
-                    matrix[i][j] += row[i] * row[j];
-                }
-            }
+    /// Twelve rows of condition number about `spread`: each column is nearly its neighbour.
+    fn rows(spread: f64) -> [[f64; 6]; 12] {
+        core::array::from_fn(|k| {
+            let mut sum = 0.0;
+            core::array::from_fn(|i| {
+                let (k, i) = (k as f64, i as f64);
+                sum += (7.0 * k * k + 3.0 * i * i + k * i + 1.0).sin() * spread.powf(-i / 5.0);
+                sum
+            })
+        })
+    }
+
+    fn normal(rows: &[[f64; 6]]) -> Matrix6<f64> {
+        core::array::from_fn(|i| core::array::from_fn(|j| rows.iter().map(|row| row[i] * row[j]).sum()))
+    }
+
+    fn triangle(rows: &[[f64; 6]], x: &Vector6<f64>) -> Triangle<f64, 6> {
+        let mut triangle = Triangle::new();
+        for row in rows {
+            triangle.add(*row, row.iter().zip(x).map(|(a, b)| a * b).sum());
         }
-        matrix
+        triangle
     }
 
     #[test]
     fn solving_inverts_multiplying() {
-        let matrix = example(10.0);
-        let factor = Cholesky::factorise(&matrix, 0.0, 1e-14).expect("positive definite");
+        let matrix = normal(&rows(10.0));
+        let factor = Factor::of_matrix(&matrix, 0.0, 1e-12).expect("positive definite");
         let x = [1.0, -2.0, 3.0, 0.5, 0.0, 1e3];
         let right: [f64; 6] = core::array::from_fn(|i| (0..6).map(|j| matrix[i][j] * x[j]).sum());
         for (a, b) in factor.solve(&right).into_iter().zip(x) {
-            assert!((a - b).abs() < 1e-8, "{a} {b}");
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        let inverse = factor.inverse();
+        for i in 0..6 {
+            for j in 0..6 {
+                let product: f64 = (0..6).map(|k| matrix[i][k] * inverse[k][j]).sum();
+                assert!((product - f64::from(u8::from(i == j))).abs() < 1e-12);
+            }
         }
     }
 
     #[test]
     fn a_singular_matrix_is_refused() {
-        let mut matrix = example(1.0);
+        let mut matrix = normal(&rows(1.0));
         matrix[5] = matrix[4];
         for row in &mut matrix {
             row[5] = row[4];
         }
-        assert!(Cholesky::factorise(&matrix, 0.0, 1e-13).is_none());
+        assert!(Factor::of_matrix(&matrix, 0.0, 1e-13).is_none());
     }
 
     #[test]
-    fn eigenvectors_diagonalise() {
-        let matrix = example(100.0);
-        let pairs = eigen(&matrix);
-        let largest = pairs[5].0;
-        for (value, vector) in pairs {
-            for i in 0..6 {
-                let product: f64 = (0..6).map(|j| matrix[i][j] * vector[j]).sum();
-                // Backward stable: a few units in the last place of the largest eigenvalue.
-                assert!((product - value * vector[i]).abs() < 1e-14 * largest);
+    fn rows_solve_what_their_normal_matrix_cannot() {
+        let x = [1.0, -2.0, 3.0, 0.5, -0.25, 4.0];
+        for spread in [1.0, 1e4, 1e8, 1e12] {
+            let rows = rows(spread);
+            let (_, solution) = triangle(&rows, &x).last_six();
+            for (a, b) in solution.into_iter().zip(x) {
+                // Condition number times rounding, and some room.
+                assert!((a - b).abs() < 2e-15 * spread.max(10.0), "{spread:e}: {a} {b}");
+            }
+        }
+        assert!(Factor::of_matrix(&normal(&rows(1e9)), 0.0, 1e-12).is_none());
+    }
+
+    #[test]
+    fn a_triangle_is_the_factor_of_its_normal_matrix() {
+        let rows = rows(10.0);
+        let (factor, _) = triangle(&rows, &[0.0; 6]).last_six();
+        let product = |i: usize, j: usize| -> f64 { (0..6).map(|k| factor.lower[i][k] * factor.lower[j][k]).sum() };
+        let matrix = normal(&rows);
+        for i in 0..6 {
+            for j in 0..6 {
+                assert!((product(i, j) - matrix[i][j]).abs() < 1e-14 * matrix[0][0]);
+            }
+        }
+    }
+
+    #[test]
+    fn singular_values_keep_their_digits() {
+        for spread in [1.0, 1e6, 1e11] {
+            let rows = rows(spread);
+            let (factor, _) = triangle(&rows, &[0.0; 6]).last_six();
+            for (value, vector) in factor.singular() {
+                // |A·v| = σ, to the rounding of A's larger elements.
+                let length = rows
+                    .iter()
+                    .map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum::<f64>().powi(2))
+                    .sum::<f64>()
+                    .sqrt();
+                assert!((length - value).abs() < 1e-13, "{spread:e}: {length} {value}");
             }
         }
     }

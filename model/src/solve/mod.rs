@@ -1,16 +1,20 @@
 //! From photocurrents to a pose.
 //!
 //! Positions first, currents after: [`planes`] finds a start from home by the ratios alone, which
-//! converges everywhere; [`refine`] descends from there on all currents, weighted by their noise.
-//! χ² and the cells that saw no light tell a true solution from a mirror image; the information
-//! matrix tells what the data leave open.
+//! converges everywhere; [`refine`] descends from there on all currents, weighted by their noise
+//! ([`weights`], [`normal`]). χ² and the cells that saw no light tell a true solution from a mirror
+//! image or a lie ([`search`]); the singular values of the whitened derivatives tell what the data
+//! leave open ([`observability`]).
 
 mod algebra;
+mod normal;
 mod observability;
 mod outcome;
 mod planes;
 mod readings;
 mod refine;
+mod search;
+mod smooth;
 mod track;
 mod weights;
 
@@ -20,44 +24,39 @@ use crate::plan::{Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
 use crate::response::Pair;
 use crate::scalar::{Scalar, Vector3};
-use crate::scene::{MAX_CELLS, Scene, SceneError};
+use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
-pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Weakness};
+pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Verified, Weakness};
 pub use readings::{Photocurrents, Reading};
-pub use track::Tracker;
+pub use smooth::{Smoothed, TwistEstimate};
+pub use track::{Tracked, Tracker};
 pub use weights::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C};
 
+use normal::{Motion, Problem, Workspace};
 use planes::PlaneCell;
 use readings::{Limits, Sorted};
-use refine::{Motion, Problem, Refined};
-use weights::{CellNoise, TwistVariance};
+use refine::{Ending, Refined};
+use weights::CellNoise;
 
 /// Steps of one refinement before it is given up.
 const MAX_ITERATIONS: usize = 40;
 
+/// What a cold start may leave of the way to the minimum, in σ of the pose: next to nothing, for the
+/// sake of noise-free data.
+const COLD_LEFTOVER: f64 = 1e-7;
+
+/// What following a tool may leave, by an estimate that is some four times too cautious: less than a
+/// thousandth of the variance.
+const WARM_LEFTOVER: f64 = 0.1;
+
 /// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
 const GATE_SIGMAS: f64 = 6.0;
-
-/// Cells below which mirror images are searched for, unless the tool was followed to where it is.
-/// With six lit cells none but the truth keeps all of them lit.
-const UNIQUE_FROM: usize = 6;
-
-/// Starts after which mirror images count as searched for.
-const IMAGE_STARTS: usize = 25;
-
-/// Further starts, spread over the reach of a head, for data that nothing has fitted.
-const SPREAD_STARTS: usize = 48;
-
-/// How far the further starts of the search lie apart: half the reach of a head.
-const SEARCH_ROTATION_RAD: f64 = 0.3;
-const SEARCH_TRANSLATION_M: f64 = 3e-3;
 
 /// Two poses this many σ apart are two poses.
 const DISTINCT_SIGMAS: f64 = 6.0;
 
-/// A residual this large a share of a cell's current is no misfit but another place. Gains that
-/// calibration has not settled stay well below.
-const ELSEWHERE: f64 = 0.1;
+/// A lone emitter at the tool's origin has no arm: any length scale serves.
+const LONE_ARM_M: f64 = 0.01;
 
 /// How far a solve goes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -79,9 +78,14 @@ pub struct Solver<S: Scalar> {
     plan: Plan<S>,
     planes: Vec<PlaneCell<S>, MAX_CELLS>,
     noise: Vec<CellNoise<S>, MAX_CELLS>,
-    limits: Vec<Limits, MAX_CELLS>,
-    exposure: Vec<S, MAX_CELLS>,
+    limits: Vec<Limits<S>, MAX_CELLS>,
+    /// Largest χ² that noise explains, by the number of cells used.
+    gates: [S; MAX_CELLS + 1],
+    /// Empty: all cells are exposed at the reference instant.
+    offsets_s: Vec<S, MAX_CELLS>,
     arm: S,
+    /// Relative change of the derivatives per unit of a scaled step.
+    bend: S,
     effort: Effort,
     /// Directions that the head cannot tell at home, with all cells lit: mirror images of every
     /// other pose fit as well, so that it has no pose to give anywhere.
@@ -125,19 +129,24 @@ impl<S: Scalar> Solver<S> {
         let cells = scene.cells.iter();
         let square_arm: f64 = cells.clone().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
         let arm_m = libm::sqrt(square_arm / scene.cells.len() as f64);
+        let arm = S::of(if arm_m > 0.0 { arm_m } else { LONE_ARM_M });
+        let planes: Vec<_, MAX_CELLS> =
+            cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)).collect();
         let mut solver = Self {
-            planes: cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)).collect(),
             noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
             limits: cells
-                .map(|cell| Limits {
-                    faint_a: cell.detector.faint_a,
-                    saturation_a: cell.detector.saturation_a,
-                    dark_a: cell.detector.dark_current_a,
+                .map(|Cell { detector, .. }| Limits {
+                    faint_a: S::of(detector.faint_a),
+                    saturation_a: detector
+                        .saturation_a
+                        .map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
                 })
                 .collect(),
-            exposure: scene.cells.iter().map(|_| S::zero()).collect(),
-            // A lone emitter at the tool's origin has no arm: any length scale serves.
-            arm: S::of(if arm_m > 0.0 { arm_m } else { 0.01 }),
+            gates: core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells)))),
+            offsets_s: Vec::new(),
+            arm,
+            bend: refine::bend(&planes, arm),
+            planes,
             plan,
             effort: Effort::Full,
             blind: None,
@@ -149,18 +158,21 @@ impl<S: Scalar> Solver<S> {
     /// The directions that the currents of a head leave free at home; `None` if there is none, or
     /// if fewer than three cells see light there.
     fn blind_at_home(&self) -> Option<Directions> {
-        let home = Photocurrents::of_pairs((0..self.plan.cell_count()).map(|cell| {
-            let pair = self.plan.photocurrents(cell, &Pose::HOME);
+        observability::free_directions(&self.factor_at(&Pose::HOME)?)
+    }
+
+    /// The factor of the information of all cells with light at `pose`, the tool at rest.
+    fn factor_at(&self, pose: &Pose) -> Option<algebra::Factor<S>> {
+        let pairs = (0..self.plan.cell_count()).map(|cell| {
+            let pair = self.plan.photocurrents(cell, pose);
             Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
-        }));
-        let sorted = Sorted::of(&home, &self.limits);
+        });
+        let sorted = Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits);
         if sorted.usable.len() < 3 {
             return None;
         }
         let problem = self.problem(&sorted, &MotionPrior::default());
-        let pose = Transform::of(&Pose::HOME);
-        let at = problem.expand(&pose, &problem.whiteners(&pose));
-        observability::free_directions(&at.information)
+        problem.factor_at(&Transform::of(pose), &problem.whiteners(), &mut Workspace::new())
     }
 
     /// With cell k exposed `offsets_s[k]` seconds after the reference instant.
@@ -169,8 +181,10 @@ impl<S: Scalar> Solver<S> {
     /// If there are fewer offsets than cells.
     #[must_use]
     pub fn with_exposures(mut self, offsets_s: &[f64]) -> Self {
-        for (exposure, &offset) in self.exposure.iter_mut().zip(&offsets_s[..self.plan.cell_count()]) {
-            *exposure = S::of(offset);
+        let offsets_s = &offsets_s[..self.plan.cell_count()];
+        self.offsets_s.clear();
+        if offsets_s.iter().any(|&offset| offset != 0.0) {
+            self.offsets_s.extend(offsets_s.iter().map(|&offset| S::of(offset)));
         }
         self
     }
@@ -186,18 +200,8 @@ impl<S: Scalar> Solver<S> {
     /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
     /// of this scene's photocurrents can have, the tool at rest and all cells with light used.
     /// m², m·rad, rad²; `None` where the data leave a direction free.
-    pub fn bound(&self, pose: &Pose) -> Option<[[f64; 6]; 6]> {
-        let currents = Photocurrents::of_pairs((0..self.plan.cell_count()).map(|cell| {
-            let pair = self.plan.photocurrents(cell, pose);
-            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
-        }));
-        let sorted = Sorted::of(&currents, &self.limits);
-        if sorted.usable.len() < 3 {
-            return None;
-        }
-        let problem = self.problem(&sorted, &MotionPrior::default());
-        let pose = Transform::of(pose);
-        observability::covariance(&problem.expand(&pose, &problem.whiteners(&pose)).information, self.arm)
+    pub fn bound(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
+        observability::covariance(&self.factor_at(pose)?, self.arm)
     }
 
     /// The compiled scene.
@@ -206,33 +210,35 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// The pose from `readings` alone, the tool at rest.
-    pub fn solve(&self, readings: &Photocurrents) -> Solution {
+    pub fn solve(&self, readings: &Photocurrents) -> Solution<S> {
         self.solve_moving(readings, &MotionPrior::default())
     }
 
     /// The pose from `readings`, with no idea where the tool is but some of how it moves.
-    pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution {
+    pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
         }
         let problem = self.problem(&sorted, motion);
         if self.effort == Effort::Full {
-            return self.search(&sorted, &problem);
+            return self.search(&sorted, &problem, motion, &mut Workspace::new());
         }
         let start = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
         self.unfinished(&sorted, &problem, start)
     }
 
     /// As far as the effort goes from `start`, and no word on whether the data fit.
-    fn unfinished(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, start: Transform<S>) -> Solution {
-        let whiteners = problem.whiteners(&start);
-        let refined = match self.effort {
-            Effort::Planes => problem.refine(start, &whiteners, 0),
-            Effort::Steps(steps) => problem.refine(start, &whiteners, steps),
-            Effort::Full => problem.refine(start, &whiteners, MAX_ITERATIONS),
+    fn unfinished(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, start: Transform<S>) -> Solution<S> {
+        let room = &mut Workspace::new();
+        let max_iterations = match self.effort {
+            Effort::Planes => 0,
+            Effort::Steps(steps) => steps,
+            Effort::Full => MAX_ITERATIONS,
         };
-        let mut solution = self.conclude(sorted, &refined, refined.iterations, true);
+        let ending = Ending { max_iterations, leftover: S::of(COLD_LEFTOVER) };
+        let refined = problem.refine(start, &problem.whiteners(), ending, room);
+        let mut solution = self.conclude(sorted, problem, &refined, room, Fit::Full);
         if solution.outcome.has_pose() && !refined.converged {
             solution.outcome = Outcome::Degraded(Weakness::Unfinished);
         }
@@ -241,7 +247,18 @@ impl<S: Scalar> Solver<S> {
 
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
-    pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution {
+    pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
+        let solution = self.solve_next(readings, prior, motion);
+        if solution.outcome != Outcome::Diverged {
+            return solution;
+        }
+        let mut searched = self.solve_moving(readings, motion);
+        searched.iterations += solution.iterations;
+        searched
+    }
+
+    /// The pose from `readings` near `prior`, or none.
+    fn solve_next(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
@@ -251,38 +268,48 @@ impl<S: Scalar> Solver<S> {
         if self.effort != Effort::Full {
             return self.unfinished(&sorted, &problem, start);
         }
-        let whiteners = problem.whiteners(&start);
-        let refined = problem.refine(start, &whiteners, MAX_ITERATIONS);
-        if self.fit(&sorted, &problem, &refined) != Fit::None {
-            return self.conclude(&sorted, &refined, refined.iterations, true);
+        let room = &mut Workspace::new();
+        let ending = Ending { max_iterations: MAX_ITERATIONS, leftover: S::of(WARM_LEFTOVER) };
+        let refined = problem.refine(start, &problem.whiteners(), ending, room);
+        let fit = self.fit(&sorted, &problem, &refined);
+        if fit != Fit::None {
+            return self.conclude(&sorted, &problem, &refined, room, fit);
         }
-        let mut solution = self.search(&sorted, &problem);
+        let mut solution = self
+            .without_liar(&sorted, motion, Some(start), room)
+            .unwrap_or_else(|| Solution::without_pose(Outcome::Diverged, sorted.used));
         solution.iterations += refined.iterations;
         solution
     }
 
+    /// A displacement in σ of a solution's pose, squared; infinite without a pose.
+    fn squared_sigmas(&self, solution: &Solution<S>, translation_m: glam::DVec3, rotation_rad: glam::DVec3) -> f64 {
+        let t = translation_m / self.arm.as_f64();
+        let scaled = [t.x, t.y, t.z, rotation_rad.x, rotation_rad.y, rotation_rad.z].map(S::of);
+        solution.factor.map_or(f64::INFINITY, |factor| {
+            let length = factor.length(&scaled).as_f64();
+            length * length
+        })
+    }
+
     fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {
-        let square = |sigma: f64| S::of(sigma * sigma);
+        let sigmas = [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s];
+        let vector = |v: glam::DVec3| <S as Scalar>::Vec3::of(v);
+        let [linear, angular] = [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(vector);
         Problem {
             plan: &self.plan,
             planes: &self.planes,
             noise: &self.noise,
-            exposure: &self.exposure,
+            offsets_s: &self.offsets_s,
             readings: &sorted.usable,
-            motion: Motion {
-                linear: S::Vec3::of(motion.twist.linear_m_per_s),
-                angular: S::Vec3::of(motion.twist.angular_rad_per_s),
-                variance: TwistVariance {
-                    linear: square(motion.linear_sigma_m_per_s),
-                    angular: square(motion.angular_sigma_rad_per_s),
-                },
-            },
+            motion: Motion::new(linear, angular, sigmas, &self.offsets_s, self.arm),
             arm: self.arm,
+            bend: self.bend,
         }
     }
 
     /// Six unknowns need three cells.
-    fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution> {
+    fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
         if sorted.usable.len() >= 3 {
             return None;
         }
@@ -294,75 +321,13 @@ impl<S: Scalar> Solver<S> {
         Some(Solution::without_pose(outcome, sorted.used))
     }
 
-    /// Cold start: home first, then turned and shifted starts until the data fit.
-    fn search(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>) -> Solution {
-        let mut iterations = 0;
-        let mut best: Option<(Refined<S>, Fit)> = None;
-        let need_all = sorted.usable.len() < UNIQUE_FROM;
-        let on_planes = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
-        for (tried, start) in starts(on_planes).enumerate() {
-            let refined = self.refine_from(problem, start, tried > 0);
-            iterations += refined.iterations;
-            let fit = self.fit(sorted, problem, &refined);
-            match &best {
-                Some((before, Fit::Full)) if fit == Fit::Full => {
-                    if observability::distinct(&before.at.information, &before.pose, &refined.pose, self.arm) {
-                        let mut solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
-                        solution.iterations = iterations;
-                        return solution;
-                    }
-                }
-                Some((before, best_fit)) if (fit, before.at.chi2) > (*best_fit, refined.at.chi2) => {
-                    best = Some((refined, fit));
-                }
-                None => best = Some((refined, fit)),
-                Some(_) => {}
-            }
-            let observable = || observability::free_directions(&refined.at.information).is_none();
-            let searched = tried >= IMAGE_STARTS && best.is_some_and(|(_, fit)| fit == Fit::Full);
-            if searched || fit == Fit::Full && (!need_all || !observable()) {
-                break;
-            }
-        }
-        match best {
-            Some((refined, Fit::Full)) => self.conclude(sorted, &refined, iterations, true),
-            // The cells with light agree on a pose where others should see some, too: those fail.
-            Some((refined, Fit::LitOnly)) if redundancy(sorted.usable.len()) > 0 => {
-                self.conclude(sorted, &refined, iterations, true)
-            }
-            // A misfit is shown only where redundancy tells it from a mirror image.
-            Some((refined, Fit::None)) if !need_all && !self.is_elsewhere(problem, &refined) => {
-                self.conclude(sorted, &refined, iterations, false)
-            }
-            _ => {
-                let mut solution = Solution::without_pose(Outcome::Diverged, sorted.used);
-                solution.iterations = iterations;
-                solution
-            }
-        }
-    }
-
-    /// A minimum of χ² reached from `start`; `far`: the start is no estimate but a guess.
-    fn refine_from(&self, problem: &Problem<'_, S>, start: Transform<S>, far: bool) -> Refined<S> {
-        let mut steps = 0;
-        let mut refine = |from: Transform<S>, whiteners| {
-            let mut refined = problem.refine(from, &whiteners, MAX_ITERATIONS);
-            steps += refined.iterations;
-            refined.iterations = steps;
-            refined
-        };
-        let start = if far { refine(start, problem.coarse_whiteners()).pose } else { start };
-        let refined = refine(start, problem.whiteners(&start));
-        // Weights that depend on the pose are known only now.
-        if problem.weights_vary() { refine(refined.pose, problem.whiteners(&refined.pose)) } else { refined }
-    }
-
     /// How well `refined` explains the data: χ² by the noise, and no light where none was seen.
     fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> Fit {
-        let gate = chi2_gate(redundancy(sorted.usable.len()));
-        if !refined.converged || refined.at.chi2.as_f64() > gate {
+        // Written so that NaN does not fit.
+        let fits = refined.converged && refined.chi2 <= self.gates[sorted.usable.len()];
+        if !fits {
             Fit::None
-        } else if self.is_dark_where_dark(sorted, problem, refined) {
+        } else if sorted.faint.count() == 0 || self.is_dark_where_dark(sorted, problem, refined) {
             Fit::Full
         } else {
             Fit::LitOnly
@@ -371,36 +336,36 @@ impl<S: Scalar> Solver<S> {
 
     /// Whether cells that were found without light are without light at the pose, too.
     fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
-        (0..self.plan.cell_count())
-            .filter(|&cell| sorted.faint.contains(cell))
-            .all(|cell| problem.predicted(cell, &refined.pose).total_a().as_f64() < 2.0 * self.limits[cell].faint_a)
+        let predicted = problem.predicted(&refined.pose);
+        sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
     }
 
-    /// Whether the best pose found is too far from the data to call it one.
-    fn is_elsewhere(&self, problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
-        !refined.converged
-            || problem.readings.iter().any(|reading| {
-                let predicted = problem.predicted(reading.cell, &refined.pose);
-                let [first, second] = reading.pair;
-                let off = (first - predicted.i_x1_a).abs().max((second - predicted.i_x2_a).abs());
-                off > S::of(ELSEWHERE) * (first + second)
-            })
-    }
-
-    fn conclude(&self, sorted: &Sorted<S>, refined: &Refined<S>, iterations: usize, fits: bool) -> Solution {
+    /// What to tell of a refinement whose last expansion is in `room`.
+    fn conclude(
+        &self,
+        sorted: &Sorted<S>,
+        problem: &Problem<'_, S>,
+        refined: &Refined<S>,
+        room: &Workspace<S>,
+        fit: Fit,
+    ) -> Solution<S> {
+        let redundancy = redundancy(sorted.usable.len());
         let mut solution = Solution {
-            chi2: refined.at.chi2.as_f64(),
-            redundancy: redundancy(sorted.usable.len()),
-            iterations,
-            information: Some(refined.at.information.map(|row| row.map(S::as_f64))),
+            chi2: refined.chi2,
+            redundancy,
+            iterations: refined.iterations,
+            factor: refined.factor,
             ..Solution::without_pose(Outcome::Diverged, sorted.used)
         };
         if let Some(blind) = self.blind {
             solution.outcome = Outcome::Unobservable(blind);
             return solution;
         }
-        let Some(covariance) = observability::covariance(&refined.at.information, self.arm) else {
-            let free = observability::free_directions(&refined.at.information).unwrap_or_default();
+        let Some(factor) = &refined.factor else {
+            return solution;
+        };
+        let Some(covariance) = observability::covariance(factor, self.arm) else {
+            let free = observability::free_directions(factor).unwrap_or_default();
             solution.outcome = Outcome::Unobservable(free);
             return solution;
         };
@@ -408,7 +373,9 @@ impl<S: Scalar> Solver<S> {
         if !pose.is_finite() {
             return solution;
         }
-        solution.outcome = if !fits {
+        let gate = self.gates[sorted.usable.len()];
+        solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, room));
+        solution.outcome = if fit == Fit::None {
             Outcome::Degraded(Weakness::Misfit)
         } else if sorted.usable.len() < self.plan.cell_count() {
             Outcome::Degraded(Weakness::FewerCells)
@@ -418,6 +385,17 @@ impl<S: Scalar> Solver<S> {
         solution.estimate = Some(Estimate { pose, covariance });
         solution
     }
+}
+
+/// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:
+/// of an error of length e in σ of its cell, r·e² stays visible and (1 − r)·e² is in the pose.
+fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
+    // Of next to nothing, rounding is what is left.
+    let negligible = S::of(1e-6).max(S::of(64.0) * S::epsilon());
+    if redundancy == 0 || visible <= negligible {
+        return S::infinity();
+    }
+    ((gate - S::of(redundancy as f64)) * (S::one() - visible) / visible).square_root()
 }
 
 /// Two currents a cell, less six unknowns.
@@ -433,39 +411,4 @@ fn chi2_gate(freedom: usize) -> f64 {
     let spread = 2.0 / (9.0 * k);
     let root = 1.0 - spread + GATE_SIGMAS * libm::sqrt(spread);
     k * root * root * root
-}
-
-/// The pose on the planes; then, where clipped spots have led the planes astray, home and its
-/// surroundings; then the surroundings of the pose on the planes.
-fn starts<S: Scalar>(on_planes: Transform<S>) -> impl Iterator<Item = Transform<S>> {
-    // A turn about one axis and a shift along the next, both ways.
-    let around = |i: usize| {
-        let mut turn = [0.0; 3];
-        let mut shift = [0.0; 3];
-        let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
-        turn[i / 2 % 3] = sign * SEARCH_ROTATION_RAD;
-        shift[(i / 2 + 1) % 3] = sign * SEARCH_TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
-        (S::Vec3::of(shift.into()), S::Vec3::of(turn.into()))
-    };
-    let home = Transform::of(&Pose::HOME);
-    let of = move |centre: Transform<S>| {
-        (0..12).map(move |i| {
-            let (shift, turn) = around(i);
-            centre.moved(shift, turn)
-        })
-    };
-    // The generalised golden ratio in six dimensions fills a box evenly (Roberts 2018): powers of
-    // the inverse of the root of x⁷ = x + 1.
-    let spread = (1..=SPREAD_STARTS).map(move |n| {
-        let mut share = 1.0;
-        let coordinates: [f64; 6] = core::array::from_fn(|_| {
-            share *= 0.898_653_712_628_699;
-            let position = n as f64 * share;
-            2.0 * (position - libm::floor(position)) - 1.0
-        });
-        let [tx, ty, tz, rx, ry, rz] = coordinates;
-        let (shift, turn) = (glam::DVec3::new(tx, ty, tz), glam::DVec3::new(rx, ry, rz));
-        home.moved(S::Vec3::of(shift * 4.0 / 3.0 * SEARCH_TRANSLATION_M), S::Vec3::of(turn * SEARCH_ROTATION_RAD))
-    });
-    [on_planes, home].into_iter().chain(of(home)).chain(of(on_planes)).chain(spread)
 }

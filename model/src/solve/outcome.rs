@@ -3,9 +3,10 @@
 use core::fmt;
 
 use crate::pose::Pose;
+use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
-use super::algebra::{self, Matrix6};
+use super::algebra::{Factor, Matrix6};
 
 /// The coordinates of a pose, in the order of the covariance.
 pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
@@ -32,10 +33,24 @@ pub enum Outcome {
 pub enum Weakness {
     /// Some cells are saturated, faint or missing; the others decide.
     FewerCells,
+    /// A cell contradicted all others and was left out.
+    CellExcluded,
     /// The residuals are larger than the noise explains.
     Misfit,
     /// The solver was told to stop before the minimum.
     Unfinished,
+}
+
+impl Weakness {
+    /// The word used in tables and messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::FewerCells => "fewer_cells",
+            Self::CellExcluded => "cell_excluded",
+            Self::Misfit => "misfit",
+            Self::Unfinished => "unfinished",
+        }
+    }
 }
 
 impl Outcome {
@@ -99,9 +114,23 @@ impl Cells {
         self.0 |= 1 << cell;
     }
 
+    pub(crate) fn remove(&mut self, cell: usize) {
+        self.0 &= !(1 << cell);
+    }
+
+    /// The cells of the set, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..MAX_CELLS).filter(|&cell| self.contains(cell))
+    }
+
     /// Whether `cell` belongs to the set.
     pub fn contains(&self, cell: usize) -> bool {
         cell < MAX_CELLS && self.0 & (1 << cell) != 0
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.0 == 0
     }
 
     /// How many there are.
@@ -112,17 +141,22 @@ impl Cells {
 
 /// A pose with its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
+pub struct Estimate<S = f64> {
     /// `base_from_tool` at the reference instant.
     pub pose: Pose,
     /// Covariance of the perturbation (δt, δθ) in the base frame: m², m·rad, rad².
-    pub covariance: Matrix6<f64>,
+    pub covariance: Matrix6<S>,
 }
 
-impl Estimate {
+impl<S: Scalar> Estimate<S> {
     /// Standard deviations of (δt, δθ): m and rad.
-    pub fn sigma(&self) -> [f64; 6] {
-        core::array::from_fn(|i| libm::sqrt(self.covariance[i][i]))
+    pub fn sigma(&self) -> [S; 6] {
+        core::array::from_fn(|i| self.covariance[i][i].sqrt())
+    }
+
+    /// The same in `f64`.
+    pub fn widened(&self) -> Estimate {
+        Estimate { pose: self.pose, covariance: self.covariance.map(|row| row.map(S::as_f64)) }
     }
 
     /// Normalised estimation error squared against the `truth`: eᵀC⁻¹e with
@@ -132,45 +166,101 @@ impl Estimate {
         let (dt, dr) = self.pose.displacement_from(truth);
         let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
         // Metres and radians differ in size: scaled by σ the factorisation sees correlations.
-        let sigma = self.sigma();
+        let Estimate { covariance, .. } = self.widened();
+        let sigma: [f64; 6] = core::array::from_fn(|i| libm::sqrt(covariance[i][i]));
         let scaled: Matrix6<f64> =
-            core::array::from_fn(|i| core::array::from_fn(|j| self.covariance[i][j] / (sigma[i] * sigma[j])));
+            core::array::from_fn(|i| core::array::from_fn(|j| covariance[i][j] / (sigma[i] * sigma[j])));
         let right: [f64; 6] = core::array::from_fn(|i| error[i] / sigma[i]);
-        let factor = algebra::Cholesky::factorise(&scaled, 0.0, f64::EPSILON)?;
-        let weighted = factor.solve(&right);
-        Some(right.iter().zip(weighted).map(|(a, b)| a * b).sum())
+        let factor = Factor::of_matrix(&scaled, 0.0, f64::EPSILON)?;
+        Some(factor.forward(&right).iter().map(|value| value * value).sum())
     }
 }
 
 /// The result of one solve.
 #[derive(Clone, Copy, Debug)]
-pub struct Solution {
+pub struct Solution<S: Scalar = f64> {
     /// What happened.
     pub outcome: Outcome,
     /// The pose; present exactly if the outcome carries one.
-    pub estimate: Option<Estimate>,
+    pub estimate: Option<Estimate<S>>,
     /// Sum of the squared whitened residuals.
-    pub chi2: f64,
+    pub chi2: S,
     /// Data minus unknowns: what χ² is distributed over, and what checked the pose.
     pub redundancy: usize,
     /// Refinement steps taken, over all starts.
     pub iterations: usize,
     /// The cells whose currents entered.
     pub cells_used: Cells,
-    /// Information matrix in scaled coordinates; see [`Self::condition`].
-    pub(crate) information: Option<Matrix6<f64>>,
+    /// Cells with light that contradict all others, and were left out for that.
+    pub excluded: Cells,
+    /// How far one lying cell can have moved the pose, in σ of the pose, before χ² is as likely as
+    /// not to tell; infinite where nothing is left over to check with.
+    pub unnoticed_sigmas: S,
+    /// Factor of the information in scaled coordinates; see [`Self::condition`].
+    pub(crate) factor: Option<Factor<S>>,
 }
 
-impl Solution {
+/// How well the data checked a pose that carries no other doubt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verified {
+    /// A cell that lies enough to move the pose by 10 σ shows.
+    Well,
+    /// A cell can move the pose by more than 10 σ unnoticed, but not by more than 100 σ.
+    Weakly,
+    /// Nothing, or next to nothing, is left over to check with.
+    Not,
+}
+
+impl Verified {
+    /// The word used in messages.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Well => "well",
+            Self::Weakly => "weakly",
+            Self::Not => "not",
+        }
+    }
+}
+
+impl<S: Scalar> Solution<S> {
     pub(crate) fn without_pose(outcome: Outcome, cells_used: Cells) -> Self {
-        Self { outcome, estimate: None, chi2: f64::NAN, redundancy: 0, iterations: 0, cells_used, information: None }
+        Self {
+            outcome,
+            estimate: None,
+            chi2: S::nan(),
+            redundancy: 0,
+            iterations: 0,
+            cells_used,
+            excluded: Cells::default(),
+            unnoticed_sigmas: S::infinity(),
+            factor: None,
+        }
+    }
+
+    /// How well redundancy checked the pose: see [`Self::unnoticed_sigmas`].
+    pub fn verified(&self) -> Verified {
+        match self.unnoticed_sigmas {
+            shift if shift <= S::of(10.0) => Verified::Well,
+            shift if shift <= S::of(100.0) => Verified::Weakly,
+            _ => Verified::Not,
+        }
     }
 
     /// Condition number (ratio of the extreme singular values) of the whitened Jacobian, with
     /// translations counted in units of the emitters' root-mean-square distance from the tool's
     /// origin, so that metres and radians compare. `None` without solution.
-    pub fn condition(&self) -> Option<f64> {
-        let pairs = algebra::eigen(self.information.as_ref()?);
-        Some(libm::sqrt(pairs[5].0 / pairs[0].0.max(0.0)))
+    pub fn condition(&self) -> Option<S> {
+        let pairs = self.factor.as_ref()?.singular();
+        Some(pairs[5].0 / pairs[0].0)
+    }
+}
+
+impl fmt::Display for Cells {
+    /// The numbers joined by `;`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, cell) in self.iter().enumerate() {
+            write!(f, "{}{cell}", if i == 0 { "" } else { ";" })?;
+        }
+        Ok(())
     }
 }

@@ -6,10 +6,10 @@
 //! on them finds the pose from home wherever the tool can be.
 
 use crate::pose::Transform;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::Cell;
 
-use super::algebra::{Cholesky, Matrix6, Vector6};
+use super::algebra::{Factor, Matrix6, Vector6};
 use super::readings::Usable;
 
 /// Four steps suffice throughout the reach of a head; more is for odd geometries.
@@ -38,6 +38,7 @@ pub(super) struct PlaneCell<S: Scalar> {
     /// |X_A| beyond which the spot of an emitter at home is clipped.
     unclipped: S,
     dark: S,
+    shortest: S,
 }
 
 impl<S: Scalar> PlaneCell<S> {
@@ -53,15 +54,21 @@ impl<S: Scalar> PlaneCell<S> {
         let height = (cell.emitter.position_tool_m - detector.centre_base_m).dot(z);
         let magnification = if height > slit.distance_m { height / (height - slit.distance_m) } else { 1.0 };
         Self {
-            detector: S::Vec3::of(detector.centre_base_m),
-            x_axis: S::Vec3::of(x),
-            slit: S::Vec3::of(detector.centre_base_m + to_base(slit_cell)),
-            along: S::Vec3::of(to_base(along)),
-            emitter_tool: S::Vec3::of(cell.emitter.position_tool_m),
+            detector: <S as Scalar>::Vec3::of(detector.centre_base_m),
+            x_axis: <S as Scalar>::Vec3::of(x),
+            slit: <S as Scalar>::Vec3::of(detector.centre_base_m + to_base(slit_cell)),
+            along: <S as Scalar>::Vec3::of(to_base(along)),
+            emitter_tool: <S as Scalar>::Vec3::of(cell.emitter.position_tool_m),
             half_length: S::of(0.5 * detector.length_m),
             unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
+            shortest: S::of((height - slit.distance_m).abs().min(slit.distance_m)),
         }
+    }
+
+    /// The shorter of the ways from emitter at home to slit and from slit to detector.
+    pub(super) fn shortest_m(&self) -> S {
+        self.shortest
     }
 
     pub(super) fn detector_length_m(&self) -> S {
@@ -119,12 +126,14 @@ pub(super) fn pose_on_planes<S: Scalar>(
         for (i, row) in matrix.iter_mut().enumerate() {
             row[i] += S::of(PULL);
         }
-        let Some(factor) = Cholesky::factorise(&matrix, S::zero(), S::zero()) else {
+        let Some(factor) = Factor::of_matrix(&matrix, S::zero(), S::zero()) else {
             break;
         };
         let step = factor.solve(&right);
-        pose = pose
-            .moved(S::Vec3::new(step[0], step[1], step[2]), S::Vec3::new(step[3], step[4], step[5]) * arm_m.recip());
+        pose = pose.moved(
+            <S as Scalar>::Vec3::new(step[0], step[1], step[2]),
+            <S as Scalar>::Vec3::new(step[3], step[4], step[5]) * arm_m.recip(),
+        );
         let size = step.iter().fold(S::zero(), |sum, &value| sum + value * value).sqrt();
         if size < S::of(STEP_M) {
             break;

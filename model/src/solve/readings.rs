@@ -1,5 +1,6 @@
 //! What was measured of the cells at one reference instant.
 
+use arrayvec::ArrayVec;
 use heapless::Vec;
 
 use crate::response::Pair;
@@ -42,43 +43,48 @@ pub(super) struct Usable<S> {
 
 /// What keeps a cell from entering.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Limits {
-    pub(super) faint_a: f64,
-    pub(super) saturation_a: Option<f64>,
-    pub(super) dark_a: f64,
+pub(super) struct Limits<S> {
+    pub(super) faint_a: S,
+    /// Above dark.
+    pub(super) saturation_a: S,
 }
 
 /// The readings of one solve, sorted by use.
 #[derive(Clone, Debug)]
 pub(super) struct Sorted<S> {
-    pub(super) usable: Vec<Usable<S>, MAX_CELLS>,
+    pub(super) usable: ArrayVec<Usable<S>, MAX_CELLS>,
     pub(super) used: Cells,
     /// Cells that were measured and found without enough light.
     pub(super) faint: Cells,
 }
 
 impl<S: Scalar> Sorted<S> {
-    pub(super) fn of(readings: &Photocurrents, limits: &[Limits]) -> Self {
-        let mut sorted = Self { usable: Vec::new(), used: Cells::default(), faint: Cells::default() };
+    pub(super) fn of(readings: &Photocurrents, limits: &[Limits<S>]) -> Self {
+        let mut sorted = Self { usable: ArrayVec::new(), used: Cells::default(), faint: Cells::default() };
         for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {
             let Reading::Light(pair) = reading else {
                 continue;
             };
-            let total = pair.total_a();
-            if !total.is_finite() || !pair.i_x1_a.is_finite() {
+            let pair = [S::of(pair.i_x1_a), S::of(pair.i_x2_a)];
+            let total = pair[0] + pair[1];
+            if !pair[0].is_finite() || !pair[1].is_finite() || total > limits.saturation_a {
                 continue;
             }
-            if limits.saturation_a.is_some_and(|limit| total + limits.dark_a > limit) {
-                continue;
-            }
-            if total < limits.faint_a || total <= 0.0 {
+            if total < limits.faint_a || total <= S::zero() {
                 sorted.faint.insert(cell);
                 continue;
             }
             sorted.used.insert(cell);
             // As many as the scene has cells.
-            let _ = sorted.usable.push(Usable { cell, pair: [S::of(pair.i_x1_a), S::of(pair.i_x2_a)] });
+            sorted.usable.push(Usable { cell, pair });
         }
+        sorted
+    }
+
+    /// The same without the usable reading `index`; its cell counts as not measured.
+    pub(super) fn without(&self, index: usize) -> Self {
+        let mut sorted = self.clone();
+        sorted.used.remove(sorted.usable.remove(index).cell);
         sorted
     }
 }

@@ -1,22 +1,14 @@
 //! Damped Gauss–Newton (Levenberg 1944, Marquardt 1963) on the whitened currents.
 //!
-//! Unknowns are (δt/arm, δθ): translations counted in units of the emitters' distance from the
-//! tool's origin, so that the normal matrix mixes like with like.
+//! Near its end a refinement keeps the derivatives it has and looks at the currents only: such a
+//! step leaves an error smaller by as much as the derivatives have changed.
 
-use heapless::Vec;
-
-use crate::plan::Plan;
 use crate::pose::Transform;
-use crate::scalar::{Scalar, Vector3};
-use crate::scene::MAX_CELLS;
+use crate::scalar::{Linear3, Scalar};
 
-use super::algebra::{Cholesky, Matrix6, Vector6};
+use super::algebra::{Factor, Vector6};
+use super::normal::{Expansion, Problem, Whiteners, Workspace};
 use super::planes::PlaneCell;
-use super::readings::Usable;
-use super::weights::{CellNoise, TwistVariance, Whitener};
-
-/// A step this small (in σ of the pose, squared) is the last: what it leaves is second order in it.
-const LAST_STEP: f64 = 1e-4;
 
 /// First damping after a step that did not help, relative to the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
@@ -24,173 +16,95 @@ const FIRST_DAMPING: f64 = 1e-4;
 /// Damping at which the search is stuck.
 const STUCK: f64 = 1e9;
 
-/// Motion of the tool within a frame, and how well it is known.
+/// Relative change of the derivatives along a step up to which they are kept for the next.
+const KEEP: f64 = 0.02;
+
+/// A kept derivative that leaves more than this of a step was not good enough.
+const POOR: f64 = 0.2;
+
+/// When a refinement ends.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion<S: Scalar> {
-    pub(super) linear: S::Vec3,
-    pub(super) angular: S::Vec3,
-    pub(super) variance: TwistVariance<S>,
-}
-
-/// How firmly a plane guides: its distance is worth one σ per so much.
-const GUIDE_M: f64 = 20e-6;
-
-/// What does not change during one refinement.
-pub(super) struct Problem<'a, S: Scalar> {
-    pub(super) plan: &'a Plan<S>,
-    pub(super) planes: &'a [PlaneCell<S>],
-    pub(super) noise: &'a [CellNoise<S>],
-    /// Exposure of each cell relative to the reference instant, seconds.
-    pub(super) exposure: &'a [S],
-    pub(super) readings: &'a [Usable<S>],
-    pub(super) motion: Motion<S>,
-    pub(super) arm: S,
-}
-
-/// Cost and its expansion at a pose.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Expansion<S> {
-    pub(super) chi2: S,
-    pub(super) information: Matrix6<S>,
-    descent: Vector6<S>,
+pub(super) struct Ending<S> {
+    pub(super) max_iterations: usize,
+    /// What may be left of the way to the minimum, in σ of the pose.
+    pub(super) leftover: S,
 }
 
 /// Where the refinement ended.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Refined<S: Scalar> {
     pub(super) pose: Transform<S>,
-    pub(super) at: Expansion<S>,
+    pub(super) chi2: S,
+    /// Of the information; `None` if that is singular to the precision of the numbers.
+    pub(super) factor: Option<Factor<S>>,
     pub(super) iterations: usize,
     pub(super) converged: bool,
 }
 
-/// One whitening per usable reading.
-pub(super) type Whiteners<S> = Vec<Whitener<S>, MAX_CELLS>;
+/// Relative change of a head's derivatives per unit of a scaled step: they bend over the distance
+/// between emitter and slit, or slit and detector, whichever is less. Measured for the shipped scenes
+/// the change is up to 0.7 times this.
+pub(super) fn bend<S: Scalar>(cells: &[PlaneCell<S>], arm: S) -> S {
+    let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
+    S::of(3.0) * arm / shortest.max(S::of(1e-3) * arm)
+}
 
 impl<S: Scalar> Problem<'_, S> {
-    fn exposed(&self, pose: &Transform<S>, cell: usize) -> Transform<S> {
-        let offset = self.exposure[cell];
-        if offset == S::zero() {
-            return *pose;
-        }
-        pose.moved(self.motion.linear * offset, self.motion.angular * offset)
-    }
-
-    /// Whether weights depend on the pose.
-    pub(super) fn weights_vary(&self) -> bool {
-        let variance = &self.motion.variance;
-        variance.linear > S::zero() || variance.angular > S::zero()
-    }
-
-    /// The currents above dark that cell `cell` delivers with the tool at `pose` at the reference
-    /// instant.
-    pub(super) fn predicted(&self, cell: usize, pose: &Transform<S>) -> crate::Pair<S> {
-        self.plan.linearise_at(cell, &self.exposed(pose, cell)).1
-    }
-
-    /// The weights of the readings with the tool near `pose`.
-    pub(super) fn whiteners(&self, pose: &Transform<S>) -> Whiteners<S> {
-        let twist_matters = self.weights_vary();
-        self.readings
-            .iter()
-            .map(|reading| {
-                let pair = crate::Pair { i_x1_a: reading.pair[0], i_x2_a: reading.pair[1] };
-                let mut covariance = self.noise[reading.cell].covariance(&pair);
-                if twist_matters {
-                    let (_, _, jacobian) = self.plan.linearise_at(reading.cell, pose);
-                    self.motion.variance.add_to(&mut covariance, &jacobian, self.exposure[reading.cell]);
-                }
-                covariance.whitener()
-            })
-            .collect()
-    }
-
-    /// Weights for the way from far off.
-    pub(super) fn coarse_whiteners(&self) -> Whiteners<S> {
-        self.readings
-            .iter()
-            .map(|reading| {
-                let pair = crate::Pair { i_x1_a: reading.pair[0], i_x2_a: reading.pair[1] };
-                let length = self.planes[reading.cell].detector_length_m();
-                self.noise[reading.cell].coarse(length).covariance(&pair).whitener()
-            })
-            .collect()
-    }
-
-    /// χ² and its expansion at `pose`.
-    pub(super) fn expand(&self, pose: &Transform<S>, whiteners: &Whiteners<S>) -> Expansion<S> {
-        let mut chi2 = S::zero();
-        let mut information = [[S::zero(); 6]; 6];
-        let mut descent = [S::zero(); 6];
-        for (reading, whitener) in self.readings.iter().zip(whiteners) {
-            let (status, predicted, jacobian) = self.plan.linearise_at(reading.cell, &self.exposed(pose, reading.cell));
-            if !status.has_spot() {
-                // A cell that saw light and should see none here has no slope to descend on: its
-                // plane shows the way.
-                let (row, distance) = self.planes[reading.cell].row(reading, pose, self.arm);
-                let residual = -distance / S::of(GUIDE_M);
-                let row = row.map(|value| value * self.arm / S::of(GUIDE_M));
-                chi2 += residual * residual;
-                for i in 0..6 {
-                    descent[i] += row[i] * residual;
-                    for j in 0..=i {
-                        information[i][j] += row[i] * row[j];
-                    }
-                }
-            }
-            let residual = whitener.apply([reading.pair[0] - predicted.i_x1_a, reading.pair[1] - predicted.i_x2_a]);
-            let mut rows = [[S::zero(); 6]; 2];
-            for axis in 0..6 {
-                let scale = if axis < 3 { self.arm } else { S::one() };
-                let column = whitener.apply([jacobian[0][axis] * scale, jacobian[1][axis] * scale]);
-                rows[0][axis] = column[0];
-                rows[1][axis] = column[1];
-            }
-            for (row, residual) in rows.iter().zip(residual) {
-                chi2 += residual * residual;
-                for i in 0..6 {
-                    descent[i] += row[i] * residual;
-                    for j in 0..=i {
-                        information[i][j] += row[i] * row[j];
-                    }
-                }
-            }
-        }
-        for i in 0..6 {
-            for j in i + 1..6 {
-                information[i][j] = information[j][i];
-            }
-        }
-        Expansion { chi2, information, descent }
-    }
-
     fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
-        pose.moved(S::Vec3::new(step[0], step[1], step[2]) * self.arm, S::Vec3::new(step[3], step[4], step[5]))
+        pose.moved(
+            <S as Scalar>::Vec3::new(step[0], step[1], step[2]) * self.arm,
+            <S as Scalar>::Vec3::new(step[3], step[4], step[5]),
+        )
     }
 
     /// Descends from `start` to a minimum of χ².
-    pub(super) fn refine(&self, start: Transform<S>, whiteners: &Whiteners<S>, max_iterations: usize) -> Refined<S> {
+    pub(super) fn refine(
+        &self,
+        start: Transform<S>,
+        whiteners: &Whiteners<S>,
+        ending: Ending<S>,
+        room: &mut Workspace<S>,
+    ) -> Refined<S> {
         let mut pose = start;
-        let mut at = self.expand(&pose, whiteners);
+        let mut at = self.expand(&pose, whiteners, room);
         let mut damping = S::zero();
         let mut iterations = 0;
         let raise = |damping: S| (damping * S::of(10.0)).max(S::of(FIRST_DAMPING));
-        while iterations < max_iterations && damping < S::of(STUCK) {
-            // Undamped, a matrix that is singular to rounding needs damping, not a wild step.
-            let threshold = S::of(16.0) * S::epsilon();
-            let Some(factor) = Cholesky::factorise(&at.information, damping, threshold) else {
+        let ended = |pose, chi2, factor, iterations| Refined { pose, chi2, factor, iterations, converged: true };
+        while iterations < ending.max_iterations && damping < S::of(STUCK) {
+            let Some((factor, step)) = self.step(&at, damping, room).filter(|(_, step)| is_finite(step)) else {
                 damping = raise(damping);
                 continue;
             };
             iterations += 1;
-            let step = factor.solve(&at.descent);
-            let gain = step.iter().zip(&at.descent).fold(S::zero(), |sum, (&a, &b)| sum + a * b);
+            let gain = dot(&step, &at.descent).max(S::zero());
+            // The derivatives change along the step by this share.
+            let change = self.bend * dot(&step, &step).square_root();
             let trial = self.moved(&pose, &step);
-            if damping <= S::of(FIRST_DAMPING) && gain <= S::of(LAST_STEP) {
-                at.chi2 = (at.chi2 - gain).max(S::zero());
-                return Refined { pose: trial, at, iterations, converged: true };
+            // A damped step stops short of the minimum.
+            let undamped = damping == S::zero();
+            let is_tiny = change * change <= self.bend * S::epsilon();
+            let is_last = change * gain.square_root() <= ending.leftover && self.is_smooth(&step, room);
+            if undamped && (is_tiny || is_last) {
+                return ended(trial, (at.chi2 - gain).max(S::zero()), Some(factor), iterations);
             }
-            let there = self.expand(&trial, whiteners);
+            if undamped && change <= S::of(KEEP) && iterations < ending.max_iterations {
+                iterations += 1;
+                let (chi2, descent) = self.revisit(&trial, whiteners, &at, room);
+                let second = factor.solve(&descent);
+                let second_gain = dot(&second, &descent).max(S::zero());
+                let ratio = (second_gain / gain).square_root();
+                if ratio <= S::of(POOR) {
+                    let end = self.moved(&trial, &second);
+                    if S::two() * ratio * second_gain.square_root() <= ending.leftover {
+                        return ended(end, (chi2 - second_gain).max(S::zero()), Some(factor), iterations);
+                    }
+                    pose = end;
+                    at = self.expand(&pose, whiteners, room);
+                    continue;
+                }
+            }
+            let there = self.expand(&trial, whiteners, room);
             if there.chi2 < at.chi2 {
                 pose = trial;
                 at = there;
@@ -199,11 +113,33 @@ impl<S: Scalar> Problem<'_, S> {
                 || step.iter().all(|value| value.abs() < S::of(8.0) * S::epsilon())
             {
                 // Rounding, not the landscape, stands in the way.
-                return Refined { pose, at, iterations, converged: true };
+                return ended(pose, at.chi2, Some(factor), iterations);
             } else {
                 damping = raise(damping);
+                at = self.expand(&pose, whiteners, room);
             }
         }
-        Refined { pose, at, iterations, converged: false }
+        let factor = self.step(&at, S::zero(), room).map(|(factor, _)| factor);
+        Refined { pose, chi2: at.chi2, factor, iterations, converged: false }
     }
+
+    /// The factor of the information at `pose`.
+    pub(super) fn factor_at(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        room: &mut Workspace<S>,
+    ) -> Option<Factor<S>> {
+        let at: Expansion<S> = self.expand(pose, whiteners, room);
+        self.step(&at, S::zero(), room).map(|(factor, _)| factor)
+    }
+}
+
+#[inline(always)]
+fn dot<S: Scalar>(a: &Vector6<S>, b: &Vector6<S>) -> S {
+    a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y)
+}
+
+fn is_finite<S: Scalar>(step: &Vector6<S>) -> bool {
+    step.iter().all(|value| value.is_finite())
 }

@@ -1,187 +1,225 @@
 //! Following the tool from frame to frame.
 //!
 //! The cells of a frame are exposed one after another; a pose belongs to one instant. The tracker
-//! carries each exposure to that instant with the tool's twist, which it takes from the poses of
-//! the frames before: a parabola is fitted to them, and its slope extrapolated to the frame at
-//! hand. The uncertainty of that slope enters the covariance. Poses themselves are not filtered:
-//! each rests on its own frame.
+//! carries each exposure to that instant with the tool's twist, which it takes from the frames
+//! before; the uncertainty of that twist enters the covariance. Poses themselves are not filtered:
+//! each rests on its own frame. A pose from many frames stands beside them, for those who ask for it.
+//!
+//! No pose is refused for being elsewhere than expected: a tool may hit a wall. What the currents of
+//! its own frame confirm is believed, and the motion before is forgotten.
 
-use heapless::{Deque, Vec};
-
-use glam::DVec3;
-
-use crate::pose::{Pose, Twist};
+use crate::pose::Twist;
 use crate::scalar::Scalar;
 
-use super::{Estimate, MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
+use super::smooth::{Prediction, Smoothed, Smoother, TwistEstimate};
+use super::{MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
-/// Poses the parabola is fitted to: at 4 kHz 1.25 ms. More would average the noise of the slope,
-/// which enters the covariance, but miss the bends of a fast motion, which does not.
-const MEMORY: usize = 5;
+/// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
+/// adds next to nothing to a pose's, short enough for the bends of a fast hand.
+const MEMORY_FRAMES: f64 = 3.0;
+
+/// Frames without a pose that the motion is trusted across.
+const MAX_COAST: u32 = 8;
 
 /// Twist of a tool nothing is known about, standard deviation per axis: a fast hand.
 const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
 const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
 
-/// Acceleration allowed for where only a straight line can be fitted: a fast hand reverses
-/// 0.5 m/s within some 5 ms.
-const ACCELERATION_M_PER_S2: f64 = 100.0;
-const ANGULAR_ACCELERATION_RAD_PER_S2: f64 = 1000.0;
+/// Acceleration allowed for while only a straight line can be fitted: a fast hand reverses
+/// 0.5 m/s within some 2 ms.
+const ACCELERATION_M_PER_S2: f64 = 300.0;
+const ANGULAR_ACCELERATION_RAD_PER_S2: f64 = 3000.0;
 
-/// Fits with fewer poses are straight lines.
-const PARABOLA_FROM: usize = 5;
+/// Frames from which on a bend is followed.
+const BEND_FROM: u32 = 5;
+
+/// Squared error of a prediction, six axes together and in units of what noise explains, beyond
+/// which the tool did not go on as before: 1e-6 of honest frames (χ² with six degrees of freedom).
+const MANOEUVRE: f64 = 38.3;
+
+/// Most that bent motion may widen this bound: beyond, it is not followed but forgotten.
+const MOST_STRAIN: f64 = 10.0;
+
+/// Longest pause between two searches for a tool that is lost, frames: a search takes as long as
+/// some hundred frames.
+const LONGEST_PAUSE: u32 = 256;
+
+/// What one frame tells.
+#[derive(Clone, Copy, Debug)]
+pub struct Tracked<S: Scalar = f64> {
+    /// From this frame alone, but for the twist.
+    pub solution: Solution<S>,
+    /// Velocity at the reference instant, from this frame and a few before.
+    pub twist: Option<TwistEstimate>,
+    /// From many frames, if asked for.
+    pub smoothed: Option<Smoothed>,
+}
 
 /// Solves consecutive frames.
 #[derive(Clone, Debug)]
 pub struct Tracker<S: Scalar> {
     solver: Solver<S>,
     period_s: f64,
-    /// Estimates of consecutive frames, latest first.
-    recent: Deque<Estimate, MEMORY>,
+    motion: Smoother,
+    filter: Option<Smoother>,
     next_frame: u64,
-    /// For each number of poses, the weights (latest first) of value and slope, per frame, at the
-    /// frame to come.
-    fits: [Fit; MEMORY + 1],
-}
-
-/// Weights of a polynomial fit to equally spaced values, extrapolated by one step.
-#[derive(Clone, Debug, Default)]
-struct Fit {
-    value: Vec<f64, MEMORY>,
-    slope: Vec<f64, MEMORY>,
+    /// Of the tool before it was lost sight of: it may still be as fast.
+    last_twist: Twist,
+    /// σ of the last pose, mean of the axes: metres and radians.
+    sigmas: [f64; 2],
+    /// Frames since the last pose.
+    coasted: u32,
+    /// Frames until the next search for a lost tool, and the pause after it.
+    pause: (u32, u32),
 }
 
 impl<S: Scalar> Tracker<S> {
     /// For frames `period_s` seconds apart.
     pub fn new(solver: Solver<S>, period_s: f64) -> Self {
-        Self { solver, period_s, recent: Deque::new(), next_frame: 0, fits: core::array::from_fn(Fit::new) }
+        Self {
+            solver,
+            period_s,
+            motion: Smoother::new(period_s, MEMORY_FRAMES * period_s),
+            filter: None,
+            next_frame: 0,
+            last_twist: Twist::default(),
+            sigmas: [0.0; 2],
+            coasted: 0,
+            pause: (0, 1),
+        }
     }
 
-    /// The pose of frame `frame`. Frames are numbered without gaps by the device; a gap in the
-    /// numbers makes the tracker forget how the tool moved.
-    pub fn track(&mut self, frame: u64, readings: &Photocurrents) -> Solution {
-        if frame != self.next_frame {
-            self.recent.clear();
+    /// Tells a pose from many frames, too, with a memory of `memory_s` seconds: see [`Smoothed`].
+    #[must_use]
+    pub fn with_filter(mut self, memory_s: f64) -> Self {
+        self.filter = Some(Smoother::new(self.period_s, memory_s));
+        self
+    }
+
+    /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
+    /// gap in the numbers the tracker forgets how the tool moved.
+    pub fn track(&mut self, frame: u64, readings: &Photocurrents) -> Tracked<S> {
+        match frame.checked_sub(self.next_frame) {
+            Some(missed) if missed <= u64::from(MAX_COAST) => (0..missed).for_each(|_| self.coast()),
+            _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
-
-        let solution = match self.predict() {
-            Some((pose, motion)) => {
-                let solution = self.solver.solve_near(readings, &pose, &motion);
-                if matches!(solution.outcome, Outcome::Degraded(Weakness::Misfit) | Outcome::Diverged) {
-                    // The tool did not go on as before.
-                    self.recent.clear();
-                    self.solver.solve_near(readings, &pose, &unknown_motion())
-                } else {
-                    solution
-                }
-            }
-            None => self.solver.solve_moving(readings, &unknown_motion()),
-        };
-        match solution.estimate {
+        let (solution, squared_error) = self.solve(readings);
+        match solution.estimate.map(|estimate| estimate.widened()) {
             Some(estimate) if solution.outcome != Outcome::Degraded(Weakness::Misfit) => {
-                if self.recent.is_full() {
-                    self.recent.pop_back();
+                self.motion.update(&estimate.pose, squared_error);
+                if let Some(filter) = &mut self.filter {
+                    filter.update(&estimate.pose, squared_error);
                 }
-                // Just made room.
-                let _ = self.recent.push_front(estimate);
+                let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
+                self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
+                self.coasted = 0;
+                self.pause = (0, 1);
+                Tracked {
+                    solution,
+                    twist: self.motion.smoothed(&estimate.covariance).map(|state| state.twist),
+                    smoothed: self.filter.as_ref().and_then(|filter| filter.smoothed(&estimate.covariance)),
+                }
             }
-            _ => self.recent.clear(),
+            _ => {
+                self.coast();
+                Tracked { solution, twist: None, smoothed: None }
+            }
+        }
+    }
+
+    fn forget(&mut self) {
+        self.motion.forget();
+        if let Some(filter) = &mut self.filter {
+            filter.forget();
+        }
+        self.coasted = 0;
+    }
+
+    fn coast(&mut self) {
+        self.coasted += 1;
+        if self.coasted > MAX_COAST {
+            return self.forget();
+        }
+        self.motion.coast();
+        if let Some(filter) = &mut self.filter {
+            filter.coast();
+        }
+    }
+
+    /// The solution, and the squared error of the prediction per axis in units of what noise
+    /// explains.
+    fn solve(&mut self, readings: &Photocurrents) -> (Solution<S>, Option<f64>) {
+        let Some(expected) = self.motion.predict() else {
+            return (self.find(readings, &unknown_motion(&self.last_twist)), None);
+        };
+        let motion = self.motion_prior(&expected);
+        let solution = self.solver.solve_next(readings, &expected.pose, &motion);
+        if let Some(estimate) = solution.estimate
+            && solution.outcome != Outcome::Degraded(Weakness::Misfit)
+        {
+            let (dt, dr) = estimate.pose.displacement_from(&expected.pose);
+            let squared = self.solver.squared_sigmas(&solution, dt, dr) / (1.0 + expected.pose_variance);
+            // While the motion is not known yet, any is as expected.
+            if expected.frames < BEND_FROM {
+                return (solution, None);
+            }
+            if squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN) {
+                return (solution, Some(squared / 6.0));
+            }
+        }
+        // The tool did not go on as before: what it did within this frame is unknown.
+        self.forget();
+        self.last_twist = expected.twist;
+        let unknown = unknown_motion(&expected.twist);
+        let solution = self.solver.solve_next(readings, &expected.pose, &unknown);
+        if matches!(solution.outcome, Outcome::Degraded(Weakness::Misfit) | Outcome::Diverged) {
+            return (self.find(readings, &unknown), None);
+        }
+        (solution, None)
+    }
+
+    /// Looks for the tool everywhere; the longer it is lost, the less often.
+    fn find(&mut self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
+        let (wait, pause) = self.pause;
+        if wait > 0 {
+            self.pause.0 -= 1;
+            return self.solver.glance(readings, motion);
+        }
+        let solution = self.solver.solve_moving(readings, motion);
+        if solution.outcome == Outcome::Diverged {
+            self.pause = (pause, (2 * pause).min(LONGEST_PAUSE));
         }
         solution
     }
 
-    /// Pose and motion expected of the next frame.
-    fn predict(&self) -> Option<(Pose, MotionPrior)> {
-        let latest = self.recent.front()?;
-        let count = self.recent.len();
-        if count == 1 {
-            return Some((latest.pose, unknown_motion()));
+    /// How the tool is expected to move within the next frame.
+    fn motion_prior(&self, expected: &Prediction) -> MotionPrior {
+        if expected.frames < 2 {
+            return unknown_motion(&self.last_twist);
         }
-        let fit = &self.fits[count];
-        let (mut step_t, mut step_r, mut slope_t, mut slope_r) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
-        let mut noise = 0.0;
-        for (estimate, (value, slope)) in self.recent.iter().zip(fit.value.iter().zip(&fit.slope)) {
-            let (dt, dr) = estimate.pose.displacement_from(&latest.pose);
-            step_t += dt * *value;
-            step_r += dr * *value;
-            slope_t += dt * *slope;
-            slope_r += dr * *slope;
-            noise += slope * slope;
-        }
+        let [linear, angular] = self.sigmas;
         let per_second = self.period_s.recip();
-        let mean_variance = |axes: core::ops::Range<usize>| axes.map(|i| latest.covariance[i][i]).sum::<f64>() / 3.0;
-        let curvature = if count < PARABOLA_FROM { 0.5 * (count as f64 + 1.0) * self.period_s } else { 0.0 };
-        let sigma = |variance: f64, acceleration: f64| {
-            let bend = acceleration * curvature;
-            libm::sqrt(noise * variance * per_second * per_second + bend * bend)
+        // A line through n frames lags half of them behind a bend.
+        let behind_s =
+            if expected.frames < BEND_FROM { 0.5 * (f64::from(expected.frames) + 1.0) * self.period_s } else { 0.0 };
+        let sigma = |pose: f64, acceleration: f64| {
+            let noise = libm::sqrt(expected.step_variance) * pose * per_second;
+            libm::hypot(noise, acceleration * behind_s)
         };
-        let motion = MotionPrior {
-            twist: Twist { linear_m_per_s: slope_t * per_second, angular_rad_per_s: slope_r * per_second },
-            linear_sigma_m_per_s: sigma(mean_variance(0..3), ACCELERATION_M_PER_S2),
-            angular_sigma_rad_per_s: sigma(mean_variance(3..6), ANGULAR_ACCELERATION_RAD_PER_S2),
-        };
-        Some((latest.pose.perturbed(step_t, step_r), motion))
+        MotionPrior {
+            twist: expected.twist,
+            linear_sigma_m_per_s: sigma(linear, ACCELERATION_M_PER_S2),
+            angular_sigma_rad_per_s: sigma(angular, ANGULAR_ACCELERATION_RAD_PER_S2),
+        }
     }
 }
 
-fn unknown_motion() -> MotionPrior {
+/// Of a tool that moved with `twist` and may do anything now.
+fn unknown_motion(twist: &Twist) -> MotionPrior {
     MotionPrior {
         twist: Twist::default(),
-        linear_sigma_m_per_s: UNKNOWN_LINEAR_M_PER_S,
-        angular_sigma_rad_per_s: UNKNOWN_ANGULAR_RAD_PER_S,
-    }
-}
-
-impl Fit {
-    /// Least squares through `count` values at times −1, −2, …, −count, evaluated at 0.
-    fn new(count: usize) -> Self {
-        let degree = match count {
-            0 => return Self::default(),
-            1 => 0,
-            count if count < PARABOLA_FROM => 1,
-            _ => 2,
-        };
-        let times = (1..=count).map(|i| -(i as f64));
-        // Orthogonal polynomials (Forsythe 1957) on these times: p₀ = 1, p₁ = t − t̄,
-        // p₂ = (t − t̄)² − mean of (t − t̄)²; at 0 their values and slopes.
-        let mean = times.clone().sum::<f64>() / count as f64;
-        let spread = times.clone().map(|t| (t - mean) * (t - mean)).sum::<f64>() / count as f64;
-        let basis = |t: f64| [1.0, t - mean, (t - mean) * (t - mean) - spread];
-        let at_zero = basis(0.0);
-        let slope_at_zero = [0.0, 1.0, -2.0 * mean];
-        let norms: [f64; 3] = core::array::from_fn(|k| times.clone().map(|t| basis(t)[k] * basis(t)[k]).sum());
-        let weights = |of_basis: [f64; 3]| {
-            times.clone().map(|t| (0..=degree).map(|k| of_basis[k] * basis(t)[k] / norms[k]).sum()).collect()
-        };
-        Self { value: weights(at_zero), slope: weights(slope_at_zero) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fits_reproduce_polynomials_of_their_degree() {
-        for count in 1..=MEMORY {
-            let fit = Fit::new(count);
-            let degree = if count == 1 {
-                0
-            } else if count < PARABOLA_FROM {
-                1
-            } else {
-                2
-            };
-            for power in 0..=degree {
-                let apply = |weights: &Vec<f64, MEMORY>| -> f64 {
-                    weights.iter().enumerate().map(|(i, w)| w * (2.0 - (i as f64 + 1.0)).powi(power)).sum()
-                };
-                // f(t) = (t + 2)^power
-                assert!((apply(&fit.value) - 2f64.powi(power)).abs() < 1e-11, "{count} {power}");
-                let slope = if power == 0 { 0.0 } else { f64::from(power) * 2f64.powi(power - 1) };
-                assert!((apply(&fit.slope) - slope).abs() < 1e-11, "{count} {power}");
-            }
-        }
+        linear_sigma_m_per_s: UNKNOWN_LINEAR_M_PER_S.max(twist.linear_m_per_s.length()),
+        angular_sigma_rad_per_s: UNKNOWN_ANGULAR_RAD_PER_S.max(twist.angular_rad_per_s.length()),
     }
 }

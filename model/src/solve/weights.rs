@@ -1,7 +1,5 @@
 //! How much a current is worth: the covariance of a cell's two currents, and whitening by it.
 
-use crate::plan::CurrentsJacobian;
-use crate::response::Pair;
 use crate::scalar::Scalar;
 use crate::scene::{Noise, Scene, Uncertainty};
 
@@ -11,44 +9,36 @@ pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
 /// Boltzmann constant, J/K (SI, exact).
 pub const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
 
-/// Covariance of the two currents of a cell, A²: variances of I_X1 and I_X2, and covariance.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct PairCovariance<S> {
-    first: S,
-    second: S,
-    mixed: S,
-}
-
-impl<S: Scalar> PairCovariance<S> {
-    fn add_outer(&mut self, pair: [S; 2], factor: S) {
-        self.first += factor * pair[0] * pair[0];
-        self.second += factor * pair[1] * pair[1];
-        self.mixed += factor * pair[0] * pair[1];
-    }
-
-    /// Inverse of the lower Cholesky factor: multiplies residuals into uncorrelated ones of unit
-    /// variance.
-    pub(crate) fn whitener(&self) -> Whitener<S> {
-        let a = self.first.sqrt();
-        let b = self.mixed / a;
-        // Of two nearly proportional currents rounding must not leave less than nothing.
-        let c = (self.second - b * b).max(S::epsilon() * self.second).sqrt();
-        Whitener { first: a.recip(), mixed: -b / (a * c), second: c.recip() }
-    }
-}
-
-/// A lower triangular 2×2 matrix.
+/// Multiplies the residuals of a cell's two currents into uncorrelated ones of unit variance.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Whitener<S> {
-    first: S,
-    mixed: S,
-    second: S,
+    rows: [[S; 2]; 2],
 }
 
 impl<S: Scalar> Whitener<S> {
+    /// For two uncorrelated variances, A².
+    fn of_variances(variances: [S; 2]) -> Self {
+        let [first, second] = variances.map(S::inverse_root);
+        Self { rows: [[first, S::zero()], [S::zero(), second]] }
+    }
+
+    /// For a covariance larger by `variance`·p·pᵀ.
+    ///
+    /// With v = W·p·σ the new whitener is (I + v·vᵀ)^(−½)·W, and
+    /// (I + v·vᵀ)^(−½) = I − v·vᵀ/(s(1 + s)), s² = 1 + v². Nothing cancels however large σ is: a
+    /// direction that is known to nothing loses its weight, the other keeps its digits.
+    fn loosened(&self, pair: [S; 2], variance: S) -> Self {
+        let [a, b] = self.apply(pair);
+        let root = (S::one() + variance * (a * a + b * b)).square_root();
+        let factor = variance / (root * (S::one() + root));
+        let [w0, w1] = self.rows;
+        let along = [0, 1].map(|k| factor * (a * w0[k] + b * w1[k]));
+        Self { rows: [[w0[0] - a * along[0], w0[1] - a * along[1]], [w1[0] - b * along[0], w1[1] - b * along[1]]] }
+    }
+
     #[inline(always)]
     pub(crate) fn apply(&self, pair: [S; 2]) -> [S; 2] {
-        [self.first * pair[0], self.mixed * pair[0] + self.second * pair[1]]
+        self.rows.map(|row| row[0] * pair[0] + row[1] * pair[1])
     }
 }
 
@@ -104,48 +94,101 @@ impl<S: Scalar> CellNoise<S> {
         Self { emitter_gain: S::of(0.05 * 0.05), position: position * position, ..*self }
     }
 
-    /// Covariance at the measured `currents` (above dark).
+    /// The weights at the measured `currents` (above dark).
     ///
     /// Shot noise of a point spot is common to both electrodes and divides like the current;
     /// Johnson noise of the inter-electrode resistance flows out of one electrode into the other;
     /// unknown gains and an unknown position are nuisance parameters marginalised here: each
-    /// belongs to this cell alone, so its effect is a covariance of this pair.
-    pub(crate) fn covariance(&self, currents: &Pair<S>) -> PairCovariance<S> {
-        let pair = [currents.i_x1_a, currents.i_x2_a];
-        let total = currents.total_a().abs();
+    /// belongs to this cell alone, so its effect is a covariance of this pair. An emitter gain known
+    /// to nothing leaves the ratio of the currents.
+    #[inline]
+    pub(crate) fn whitener(&self, currents: [S; 2]) -> Whitener<S> {
+        let total = (currents[0] + currents[1]).abs();
         let square = total * total;
+        let own = self.converter + self.arithmetic * square;
         let gain = self.electrode_gain;
-        let own = self.converter + self.arithmetic * square + self.johnson;
-        let mut covariance = PairCovariance {
-            first: own + gain * pair[0] * pair[0],
-            second: own + gain * pair[1] * pair[1],
-            mixed: -self.johnson,
-        };
-        if square > S::zero() {
-            let shot = self.shot * (total + self.dark) / square;
-            covariance.add_outer(pair, shot + self.emitter_gain);
+        let mut whitener = Whitener::of_variances(currents.map(|current| own + gain * current * current));
+        let across = self.johnson + self.position * square;
+        if across > S::zero() {
+            whitener = whitener.loosened([-S::one(), S::one()], across);
         }
-        covariance.add_outer([-total, total], self.position);
-        covariance
+        let along = self.shot * (total + self.dark) / square + self.emitter_gain;
+        if along > S::zero() {
+            whitener = whitener.loosened(currents, along);
+        }
+        whitener
     }
 }
 
-/// Uncertainty of the twist that carried a cell's exposure to the reference instant: variances of
-/// the linear and the angular velocity, per axis.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct TwistVariance<S> {
-    pub(crate) linear: S,
-    pub(crate) angular: S,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl<S: Scalar> TwistVariance<S> {
-    /// Adds what this uncertainty does to currents with `jacobian`, exposed `offset_s` away from
-    /// the reference instant.
-    pub(crate) fn add_to(&self, covariance: &mut PairCovariance<S>, jacobian: &CurrentsJacobian<S>, offset_s: S) {
-        let square = offset_s * offset_s;
-        for axis in 0..6 {
-            let variance = if axis < 3 { self.linear } else { self.angular };
-            covariance.add_outer([jacobian[0][axis], jacobian[1][axis]], variance * square);
+    fn noise<S: Scalar>(emitter_gain: f64) -> CellNoise<S> {
+        CellNoise {
+            shot: S::of(3.2e-15),
+            johnson: S::of(3.4e-21),
+            converter: S::of(3.6e-19),
+            emitter_gain: S::of(emitter_gain * emitter_gain),
+            electrode_gain: S::of(1e-6),
+            position: S::of(1e-8),
+            arithmetic: S::of(1e-20),
+            dark: S::of(1e-9),
+        }
+    }
+
+    #[test]
+    fn whitened_pairs_have_unit_variance() {
+        let (noise, pair) = (noise::<f64>(0.01), [2e-6, 4e-6]);
+        let whitener = noise.whitener(pair);
+        let total = pair[0] + pair[1];
+        let mut covariance = [[0.0; 2]; 2];
+        let mut add = |p: [f64; 2], variance: f64| {
+            for i in 0..2 {
+                for j in 0..2 {
+                    covariance[i][j] += variance * p[i] * p[j];
+                }
+            }
+        };
+        for electrode in [[1.0, 0.0], [0.0, 1.0]] {
+            let current = electrode[0] * pair[0] + electrode[1] * pair[1];
+            add(electrode, 3.6e-19 + 1e-20 * total * total + 1e-6 * current * current);
+        }
+        add([-1.0, 1.0], 3.4e-21 + 1e-8 * total * total);
+        add(pair, 3.2e-15 * (total + 1e-9) / (total * total) + 1e-4);
+        for i in 0..2 {
+            for j in 0..2 {
+                let product: f64 = (0..2)
+                    .flat_map(|k| (0..2).map(move |l| (k, l)))
+                    .map(|(k, l)| whitener.rows[i][k] * covariance[k][l] * whitener.rows[j][l])
+                    .sum();
+                assert!((product - f64::from(u8::from(i == j))).abs() < 1e-12, "{i} {j}: {product}");
+            }
+        }
+    }
+
+    /// What moves light along the detector changes the ratio at a given sum; its weight must not
+    /// depend on how little the gain is known.
+    fn ratio_weight<S: Scalar>(emitter_gain: f64) -> f64 {
+        let pair = [S::of(2e-6), S::of(4e-6)];
+        let whitener = noise::<S>(emitter_gain).whitener(pair);
+        // Of all unit vectors the part across what the gain does.
+        let [a, b] = whitener.apply([S::of(-1e-8), S::of(1e-8)]);
+        let [c, d] = whitener.apply(pair);
+        let length = (c * c + d * d).sqrt();
+        ((a * d - b * c) / length).abs().as_f64()
+    }
+
+    #[test]
+    fn an_unknown_gain_leaves_the_ratio() {
+        let reference = ratio_weight::<f64>(1.0);
+        for gain in [1e1, 1e3, 1e6] {
+            assert!((ratio_weight::<f64>(gain) / reference - 1.0).abs() < 1e-3, "{gain}");
+        }
+        for gain in [1e-1, 1.0, 1e1] {
+            // The direction itself, not its weight, is what single precision rounds.
+            let single = ratio_weight::<f32>(gain) / ratio_weight::<f64>(gain);
+            assert!((single - 1.0).abs() < 1e-2, "{gain}: {single}");
         }
     }
 }

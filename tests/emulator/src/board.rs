@@ -5,7 +5,7 @@
 //! order: converters hold their samples; timers and the others have their events; trigger edges
 //! reach the converters; DMA requests are served by priority.
 
-use crate::memory::{Bits, FlashArray, RAM_BASE, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL, load};
+use crate::memory::{Bits, FlashArray, RAM_BASE, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL, load, store};
 use crate::peripherals::adc::AdcGroup;
 use crate::peripherals::backup::Backup;
 use crate::peripherals::crs::Crs;
@@ -225,6 +225,23 @@ impl<W: World> Board<W> {
     /// Word of RAM at `address`, as a debugger reads it; `None` outside RAM.
     pub fn ram_word(&self, address: u32) -> Option<u32> {
         load(&self.ram, address.checked_sub(RAM_BASE)? as usize, 4)
+    }
+
+    /// Sets a word of RAM, as a debugger writes it; `None` outside RAM.
+    pub fn set_ram_word(&mut self, address: u32, word: u32) -> Option<()> {
+        store(&mut self.ram, address.checked_sub(RAM_BASE)? as usize, 4, word)
+    }
+
+    /// Gives the board more RAM than such a device has, from the same address up: to measure what
+    /// does not fit it yet.
+    ///
+    /// # Panics
+    /// If that is less than a device has.
+    pub fn extend_ram(&mut self, bytes: usize) {
+        assert!(bytes >= RAM_BYTES, "{bytes} bytes, a device has {RAM_BYTES}");
+        let mut ram = std::mem::take(&mut self.ram).into_vec();
+        ram.resize(bytes, 0);
+        self.ram = ram.into_boxed_slice();
     }
 
     /// The emitter gates: bit k for PC(6 + k).

@@ -13,6 +13,7 @@
 //! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
 //! | [`rig`] | all of it together, running an [`image`] |
+//! | [`stopwatch`], [`profile`], [`solver_cost`] | a bare board that times the pose solver |
 //!
 //! What a program does against the reference manual is recorded, not tolerated: see
 //! [`peripherals::Effects::violations`].
@@ -23,7 +24,10 @@ pub mod image;
 pub mod machine;
 pub mod memory;
 pub mod peripherals;
+pub mod profile;
 pub mod rig;
+pub mod solver_cost;
+pub mod stopwatch;
 pub mod terminal;
 pub mod usb_host;
 pub mod usb_wire;

@@ -27,11 +27,16 @@ const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 /// The file that `firmware/build` made last: in the target directory of the environment, or that
 /// of the sources this was built from.
 pub fn default_image_path() -> PathBuf {
+    built_image_path("slitpose-board")
+}
+
+/// Where `firmware/build` puts the image `name`.
+pub(crate) fn built_image_path(name: &str) -> PathBuf {
     // Relative to the project, as for firmware/build.
     let project = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let target = std::env::var_os("CARGO_TARGET_DIR").filter(|target| !target.is_empty());
     let target = project.join(target.map_or_else(|| PathBuf::from("target"), PathBuf::from));
-    target.join("firmware/thumbv7em-none-eabihf/firmware/slitpose-board")
+    target.join("firmware/thumbv7em-none-eabihf/firmware").join(name)
 }
 
 /// Why there is no image to run.

@@ -116,7 +116,7 @@ fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Resul
     let mut reached = Reached::default();
     let mut recovered = None;
     for frame in BEFORE..BEFORE + AFTER {
-        let solution = tracker.track(frame, &readings(landed));
+        let solution = tracker.track(frame, &readings(landed)).solution;
         let error = solution.estimate.map(|estimate| {
             let (dt, dr) = estimate.pose.displacement_from(landed);
             dt.length().hypot(arm_m * dr.length())

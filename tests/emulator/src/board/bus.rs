@@ -25,7 +25,7 @@ impl<W: World> Board<W> {
     #[inline]
     pub(super) fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
-        if in_ram < RAM_BYTES as u32 {
+        if (in_ram as usize) < self.ram.len() {
             return load(&self.ram, in_ram as usize, width).ok_or(BusFault);
         }
         self.effects.address = address;
@@ -60,7 +60,7 @@ impl<W: World> Board<W> {
     #[inline]
     pub(super) fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
-        if in_ram < RAM_BYTES as u32 {
+        if (in_ram as usize) < self.ram.len() {
             return store(&mut self.ram, in_ram as usize, width, value).ok_or(BusFault);
         }
         self.effects.address = address;

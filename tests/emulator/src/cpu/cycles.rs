@@ -1,7 +1,8 @@
 //! How long instructions take: the table of the Cortex-M4 Technical Reference Manual (DDI0439, 3.3.1 and 7.2.3).
 //!
 //! The manual leaves ranges open; the choices made here are the constants below. Also simplified: IT is never
-//! folded, a skipped instruction takes its one cycle, and the write buffer never fills.
+//! folded, a skipped instruction takes its one cycle, the write buffer never fills, and a floating-point result that
+//! the next instruction consumes is not waited for (a cycle each: some 2 % of the pose solver).
 
 use super::instruction::{Address, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Instruction};
 

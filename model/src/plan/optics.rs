@@ -1,0 +1,221 @@
+//! The parts of a cell that every spot has, and how currents follow from light: for one cell, or
+//! for several at once.
+
+use crate::polygon::EmitterGradient;
+use crate::pose::Transform;
+use crate::real::Real;
+use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
+use crate::scalar::{Linear3, Scalar};
+
+/// The detector on the base, without its aperture.
+#[derive(Clone, Debug)]
+pub(super) struct Receiver<R: Real> {
+    /// x, y, z axes of the cell frame in the base frame.
+    pub(super) axes: [R::Vec3; 3],
+    pub(super) centre: R::Vec3,
+    pub(super) half: [R; 2],
+    pub(super) length: R,
+    pub(super) responsivity: R,
+    pub(super) dark: R,
+}
+
+/// The emitter on the tool, without its profile.
+#[derive(Clone, Debug)]
+pub(super) struct Source<R: Real> {
+    pub(super) position: R::Vec3,
+    pub(super) axis: R::Vec3,
+    pub(super) intensity: R,
+}
+
+/// An emitter as a cell sees it.
+pub(super) struct Seen<R: Real> {
+    /// Cell frame.
+    pub(super) position: R::Vec3,
+    pub(super) axis: R::Vec3,
+    /// From the tool's origin to the emitter, base frame.
+    arm: R::Vec3,
+    axis_base: R::Vec3,
+}
+
+/// Where the tool is when each cell is exposed.
+pub(crate) struct Instant<'a, S: Scalar> {
+    /// Pose at the reference instant.
+    pub(crate) pose: &'a Transform<S>,
+    /// Twist, m/s and rad/s.
+    pub(crate) linear: S::Vec3,
+    pub(crate) angular: S::Vec3,
+    /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
+    pub(crate) offsets_s: &'a [S],
+}
+
+impl<S: Scalar> Instant<'_, S> {
+    /// The pose at the exposure of one cell.
+    pub(super) fn pose_of(&self, cell: usize) -> Transform<S> {
+        match self.offsets_s.get(cell) {
+            Some(&offset_s) => self.pose.moved(self.linear * offset_s, self.angular * offset_s),
+            None => *self.pose,
+        }
+    }
+}
+
+/// Power per axial intensity (∫ I_rel dΩ, steradians) and X_A (metres, cell frame), with
+/// derivatives by the emitter in the cell frame.
+pub(super) struct Light<R: Real> {
+    pub(super) power: EmitterGradient<R>,
+    pub(super) x_a: Place<R>,
+}
+
+/// X_A with its derivatives.
+pub(super) enum Place<R: Real> {
+    /// Weighted by power: it depends on all of the emitter.
+    Weighted(EmitterGradient<R>),
+    /// The middle of a rectangle: value, and derivatives by the emitter's x and z.
+    Middle(R, [R; 2]),
+}
+
+impl<R: Real> Place<R> {
+    #[inline(always)]
+    pub(super) fn value(&self) -> R {
+        match self {
+            Self::Weighted(gradient) => gradient.value,
+            Self::Middle(value, _) => *value,
+        }
+    }
+}
+
+impl<R: Real> Receiver<R> {
+    #[inline(always)]
+    fn to_cell(&self, base: R::Vec3) -> R::Vec3 {
+        R::Vec3::new(self.axes[0].dot(base), self.axes[1].dot(base), self.axes[2].dot(base))
+    }
+
+    #[inline(always)]
+    fn to_base(&self, cell: R::Vec3) -> R::Vec3 {
+        self.axes[0] * cell.x() + self.axes[1] * cell.y() + self.axes[2] * cell.z()
+    }
+
+    /// The emitter with the tool at `pose`.
+    #[inline(always)]
+    pub(super) fn see(&self, source: &Source<R>, pose: &Transform<R>) -> Seen<R> {
+        let (arm, axis) = (pose.rotate(source.position), pose.rotate(source.axis));
+        self.seen(pose.translation() + arm, arm, axis)
+    }
+
+    /// The emitter `offset_s` seconds after the tool was at `pose`, at a constant twist.
+    #[inline(always)]
+    pub(super) fn see_moved(
+        &self,
+        source: &Source<R>,
+        pose: &Transform<R>,
+        [linear, angular]: [R::Vec3; 2],
+        offset_s: R,
+    ) -> Seen<R> {
+        let step = Transform::<R>::small_turn(angular * offset_s);
+        let (arm, axis) = (step(pose.rotate(source.position)), step(pose.rotate(source.axis)));
+        self.seen(pose.translation() + linear * offset_s + arm, arm, axis)
+    }
+
+    #[inline(always)]
+    fn seen(&self, position: R::Vec3, arm: R::Vec3, axis: R::Vec3) -> Seen<R> {
+        Seen { position: self.to_cell(position - self.centre), axis: self.to_cell(axis), arm, axis_base: axis }
+    }
+
+    /// The photocurrents above dark that `photocurrent` at `x_a` gives: equation (1) of De La Cruz
+    /// et al. 2018. `divides_dark`: as printed, I_D is divided, too.
+    #[inline(always)]
+    pub(super) fn divide(&self, photocurrent: R, x_a: R, divides_dark: bool) -> [R; 2] {
+        let half = R::constant(0.5) * photocurrent;
+        let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
+        let imbalance = divided * (x_a * self.length.inverse());
+        [half - imbalance, half + imbalance]
+    }
+
+    /// [`Self::divide`] of `light`, with its derivatives by a perturbation of the pose.
+    #[inline(always)]
+    pub(super) fn linearise(
+        &self,
+        source: &Source<R>,
+        light: &Light<R>,
+        seen: &Seen<R>,
+        divides_dark: bool,
+    ) -> ([R; 2], [[R; 6]; 2]) {
+        let gain = self.responsivity * source.intensity;
+        let photocurrent = gain * light.power.value;
+        let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
+        let per_length = self.length.inverse();
+        let share = light.x_a.value() * per_length;
+        let (half, imbalance) = (R::constant(0.5) * photocurrent, divided * share);
+
+        // I_X1 + I_X2 = I and I_X1 = I/2 − (I + I_D')·X_A/Lx, with I_D' = I_D or 0.
+        let total = self.of_pose(&light.power, seen);
+        let position = match &light.x_a {
+            Place::Weighted(gradient) => self.of_pose(gradient, seen),
+            Place::Middle(_, [by_x, by_z]) => {
+                let by_position = self.axes[0] * *by_x + self.axes[2] * *by_z;
+                let turn = seen.arm.cross(by_position);
+                [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
+            }
+        };
+        let (of_power, of_position) = (gain * (R::constant(0.5) - share), divided * per_length);
+        let first: [R; 6] = core::array::from_fn(|i| total[i] * of_power - position[i] * of_position);
+        let second = core::array::from_fn(|i| total[i] * gain - first[i]);
+        ([half - imbalance, half + imbalance], [first, second])
+    }
+
+    /// From derivatives by the emitter to derivatives by the pose: a turn δθ about the tool's origin
+    /// moves the emitter by δθ × arm and its axis by δθ × axis.
+    #[inline(always)]
+    fn of_pose(&self, gradient: &EmitterGradient<R>, seen: &Seen<R>) -> [R; 6] {
+        let by_position = self.to_base(gradient.by_position);
+        let by_axis = self.to_base(gradient.by_axis);
+        let turn = seen.arm.cross(by_position) + seen.axis_base.cross(by_axis);
+        [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
+    }
+}
+
+/// From derivatives by the sides of a rectangle to derivatives by the emitter: ∂X/∂e = −k,
+/// ∂X/∂e_z = −X·(k − 1)/e_z (see [`crate::rectangle::Edge`]). `weighted`: whether the centroid is
+/// more than the middle of the sides.
+#[inline(always)]
+pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
+    light: &RectangleLight<R>,
+    spot: &Rectangle<R>,
+    seen: &Seen<R>,
+    weighted: bool,
+) -> Light<R> {
+    let one = R::constant(1.0);
+    let x_a = seen.position.x() + light.centroid.value;
+    if !GRADIENT {
+        return Light {
+            power: EmitterGradient::of_value(light.power.value),
+            x_a: Place::Middle(x_a, [R::constant(0.0); 2]),
+        };
+    }
+    let edges = [spot.x.low, spot.x.high, spot.y.low, spot.y.high];
+    let per_height = spot.height.inverse();
+    let rises = edges.map(|edge| edge.position * (edge.magnification - one) * per_height);
+    let chain = |side: &SideGradient<R>| {
+        let along = |i: usize| -(side.by_side[i] * edges[i].magnification);
+        let rise = |i: usize| side.by_side[i] * rises[i];
+        let z = side.by_height - (rise(0) + rise(1) + rise(2) + rise(3));
+        R::Vec3::new(along(0) + along(1), along(2) + along(3), z)
+    };
+    Light {
+        power: EmitterGradient {
+            value: light.power.value,
+            by_position: chain(&light.power),
+            by_axis: light.power.by_axis,
+        },
+        x_a: if weighted {
+            Place::Weighted(EmitterGradient {
+                value: x_a,
+                by_position: chain(&light.centroid) + R::Vec3::new(one, R::constant(0.0), R::constant(0.0)),
+                by_axis: light.centroid.by_axis,
+            })
+        } else {
+            let half = R::constant(0.5);
+            let along = one - half * (edges[0].magnification + edges[1].magnification);
+            Place::Middle(x_a, [along, -(half * (rises[0] + rises[1]))])
+        },
+    }
+}

@@ -1,0 +1,173 @@
+//! Cells of one kind, as many at once as the processor has lanes: thin or thick masks parallel to
+//! their detectors, cosine-power profiles, paper tier.
+
+use heapless::Vec;
+
+use crate::aperture::{Aperture, Face, Span};
+use crate::paper;
+use crate::pose::Transform;
+use crate::power::PowerLanes;
+use crate::real::Real;
+use crate::rectangle::{Rectangle, Verdict};
+use crate::scalar::{Linear3, Scalar};
+use crate::scene::MAX_CELLS;
+
+use super::optics::{Instant, Light, Receiver, Seen, Source, of_sides};
+use super::{CellTerms, CompiledCell};
+
+/// Cells side by side.
+#[derive(Clone, Debug)]
+pub(super) struct Pack<R: Real> {
+    receiver: Receiver<R>,
+    faces: Faces<R>,
+    source: Source<R>,
+    emission: PowerLanes<R>,
+}
+
+#[derive(Clone, Debug)]
+enum Faces<R> {
+    Thin(Face<R>),
+    Thick([Face<R>; 2]),
+}
+
+impl<R: Real> Span<R> {
+    fn of_lanes(span: impl Fn(usize) -> Span<R::Element>) -> Self {
+        Self {
+            low: R::of_lanes(|i| span(i).low),
+            high: R::of_lanes(|i| span(i).high),
+            length: R::of_lanes(|i| span(i).length),
+        }
+    }
+}
+
+/// The cells of a plan as packs; `None` if any of them is of another kind.
+pub(super) fn packs<S: Scalar>(cells: &[CompiledCell<S>]) -> Option<Vec<Pack<S::Lanes>, MAX_CELLS>> {
+    cells.chunks(<S::Lanes as Real>::LANES).map(Pack::of).collect()
+}
+
+impl<R: Real> Pack<R> {
+    /// From as many cells as there are lanes; a missing one is filled with its neighbour.
+    fn of(cells: &[CompiledCell<R::Element>]) -> Option<Self> {
+        let last = cells.len() - 1;
+        let cell = |i: usize| &cells[i.min(last)];
+        let number = |of: &dyn Fn(&CompiledCell<R::Element>) -> R::Element| R::of_lanes(|i| of(cell(i)));
+        let vector = |of: &dyn Fn(&CompiledCell<_>) -> <R::Element as Real>::Vec3| {
+            R::Vec3::new(number(&|c| of(c).x()), number(&|c| of(c).y()), number(&|c| of(c).z()))
+        };
+        let face = |of: &dyn Fn(&Aperture<_>) -> Option<Face<R::Element>>| {
+            let faces: Vec<Face<_>, 2> = (0..R::LANES).map(|i| of(&cell(i).aperture)).collect::<Option<_>>()?;
+            Some(Face {
+                z: R::of_lanes(|i| faces[i].z),
+                x: Span::of_lanes(|i| faces[i].x),
+                y: Span::of_lanes(|i| faces[i].y),
+            })
+        };
+        let thin = face(&|aperture| match aperture {
+            Aperture::Thin(face) => Some(*face),
+            _ => None,
+        });
+        let thick = |index: usize| {
+            face(&|aperture| match aperture {
+                Aperture::Thick(lower, upper) => Some([*lower, *upper][index]),
+                _ => None,
+            })
+        };
+        let powers: Vec<_, 2> =
+            (0..R::LANES).map(|i| cell(i).emitter.profile.as_power().cloned()).collect::<Option<_>>()?;
+        Some(Self {
+            receiver: Receiver {
+                axes: [0, 1, 2].map(|k| vector(&|cell| cell.receiver.axes[k])),
+                centre: vector(&|cell| cell.receiver.centre),
+                half: [0, 1].map(|k| number(&|cell| cell.receiver.half[k])),
+                length: number(&|cell| cell.receiver.length),
+                responsivity: number(&|cell| cell.receiver.responsivity),
+                dark: number(&|cell| cell.receiver.dark),
+            },
+            faces: match thin {
+                Some(face) => Faces::Thin(face),
+                None => Faces::Thick([thick(0)?, thick(1)?]),
+            },
+            source: Source {
+                position: vector(&|cell| cell.emitter.source.position),
+                axis: vector(&|cell| cell.emitter.source.axis),
+                intensity: number(&|cell| cell.emitter.source.intensity),
+            },
+            emission: PowerLanes::of(|i| powers[i].clone()),
+        })
+    }
+
+    #[inline(always)]
+    fn see(&self, first: usize, instant: &Instant<'_, R::Element>, pose: &Transform<R>) -> Seen<R> {
+        if instant.offsets_s.is_empty() {
+            return self.receiver.see(&self.source, pose);
+        }
+        let last = instant.offsets_s.len() - 1;
+        let offset_s = R::of_lanes(|i| instant.offsets_s[(first + i).min(last)]);
+        let all = |v: <R::Element as Real>::Vec3| R::Vec3::new(R::all(v.x()), R::all(v.y()), R::all(v.z()));
+        self.receiver.see_moved(&self.source, pose, [all(instant.linear), all(instant.angular)], offset_s)
+    }
+
+    #[inline(always)]
+    fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Verdict<R>) {
+        let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
+        let (spot, verdict) = match &self.faces {
+            Faces::Thin(face) => Rectangle::of_beam([*face], emitter, self.receiver.half),
+            Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
+        };
+        let light = paper::rectangle_light::<R, _, GRADIENT>(&spot, seen.axis, &self.emission);
+        (of_sides::<R, GRADIENT>(&light, &spot, seen, false), verdict)
+    }
+}
+
+/// Hands on the terms of all cells of `packs`, in their order.
+#[inline(always)]
+pub(super) fn linearise<R: Real>(
+    packs: &[Pack<R>],
+    count: usize,
+    instant: &Instant<'_, R::Element>,
+    mut sink: impl FnMut(usize, &CellTerms<R::Element>),
+) {
+    let pose = instant.pose.in_all_lanes();
+    for (index, pack) in packs.iter().enumerate() {
+        let first = index * R::LANES;
+        let seen = pack.see(first, instant, &pose);
+        let (light, verdict) = pack.light::<true>(&seen);
+        let (pair, jacobian) = pack.receiver.linearise(&pack.source, &light, &seen, true);
+        for lane in 0..R::LANES.min(count - first) {
+            let status = verdict.status(lane);
+            let terms = if status.has_spot() {
+                CellTerms {
+                    status,
+                    pair: pair.map(|value| value.lane(lane)),
+                    jacobian: jacobian.map(|row| row.map(|value| value.lane(lane))),
+                    slack_m: verdict.slack_m(lane),
+                }
+            } else {
+                CellTerms::dark(status)
+            };
+            sink(first + lane, &terms);
+        }
+    }
+}
+
+/// Hands on the photocurrents of all cells of `packs`, in their order.
+#[inline(always)]
+pub(super) fn currents<R: Real>(
+    packs: &[Pack<R>],
+    count: usize,
+    instant: &Instant<'_, R::Element>,
+    mut sink: impl FnMut(usize, [R::Element; 2]),
+) {
+    let pose = instant.pose.in_all_lanes();
+    for (index, pack) in packs.iter().enumerate() {
+        let first = index * R::LANES;
+        let seen = pack.see(first, instant, &pose);
+        let (light, verdict) = pack.light::<false>(&seen);
+        let gain = pack.receiver.responsivity * pack.source.intensity;
+        let pair = pack.receiver.divide(gain * light.power.value, light.x_a.value(), true);
+        for lane in 0..R::LANES.min(count - first) {
+            let lit = verdict.status(lane).has_spot();
+            sink(first + lane, if lit { pair.map(|value| value.lane(lane)) } else { Default::default() });
+        }
+    }
+}

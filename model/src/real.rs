@@ -1,0 +1,201 @@
+//! Numbers that branch-free optics compute with: one [`Scalar`], or several at once.
+//!
+//! The processors of hosts do two `f64` operations in one instruction. Cells do not depend on each
+//! other, so what is written for a [`Real`] serves one cell or a pair of them, with the same roundings:
+//! only operations that IEEE 754 defines to the last bit are used on lanes.
+
+use core::fmt::Debug;
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+
+use wide::{CmpGe, f64x2};
+
+use crate::scalar::{Linear3, Scalar};
+
+/// A real number, or one for each of several lanes.
+pub trait Real:
+    Copy
+    + Debug
+    + Default
+    + PartialEq
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// The number in a lane.
+    type Element: Scalar;
+    /// Three components.
+    type Vec3: Linear3<Self>;
+    /// Number of lanes.
+    const LANES: usize;
+
+    /// From the number of each lane.
+    fn of_lanes(lane: impl FnMut(usize) -> Self::Element) -> Self;
+    /// The number in lane `i`.
+    fn lane(self, i: usize) -> Self::Element;
+    /// √.
+    fn root(self) -> Self;
+    /// 1/√.
+    fn inverse_root(self) -> Self;
+    /// Lane by lane: `yes` where a ≥ b, else `no`.
+    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
+
+    /// The same number in all lanes.
+    #[inline(always)]
+    fn all(value: Self::Element) -> Self {
+        Self::of_lanes(|_| value)
+    }
+
+    /// The nearest number to a constant, in all lanes.
+    #[inline(always)]
+    fn constant(value: f64) -> Self {
+        Self::all(Self::Element::of(value))
+    }
+
+    /// The inverse.
+    #[inline(always)]
+    fn inverse(self) -> Self {
+        Self::constant(1.0) / self
+    }
+}
+
+impl<S: Scalar> Real for S {
+    type Element = S;
+    type Vec3 = <S as Scalar>::Vec3;
+    const LANES: usize = 1;
+
+    #[inline(always)]
+    fn of_lanes(mut lane: impl FnMut(usize) -> S) -> S {
+        lane(0)
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> S {
+        self
+    }
+    #[inline(always)]
+    fn root(self) -> S {
+        self.square_root()
+    }
+    #[inline(always)]
+    fn inverse_root(self) -> S {
+        Scalar::inverse_root(self)
+    }
+    #[inline(always)]
+    fn where_at_least(a: S, b: S, yes: S, no: S) -> S {
+        if a >= b { yes } else { no }
+    }
+}
+
+impl Real for f64x2 {
+    type Element = f64;
+    type Vec3 = PairVec3;
+    const LANES: usize = 2;
+
+    #[inline(always)]
+    fn of_lanes(mut lane: impl FnMut(usize) -> f64) -> Self {
+        Self::new([lane(0), lane(1)])
+    }
+    #[inline(always)]
+    fn lane(self, i: usize) -> f64 {
+        self.to_array()[i]
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        self.sqrt()
+    }
+    #[inline(always)]
+    fn inverse_root(self) -> Self {
+        Self::constant(1.0) / self.sqrt()
+    }
+    #[inline(always)]
+    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        a.cmp_ge(b).blend(yes, no)
+    }
+}
+
+/// Three components for each of two lanes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PairVec3 {
+    x: f64x2,
+    y: f64x2,
+    z: f64x2,
+}
+
+impl Linear3<f64x2> for PairVec3 {
+    #[inline(always)]
+    fn new(x: f64x2, y: f64x2, z: f64x2) -> Self {
+        Self { x, y, z }
+    }
+    #[inline(always)]
+    fn x(self) -> f64x2 {
+        self.x
+    }
+    #[inline(always)]
+    fn y(self) -> f64x2 {
+        self.y
+    }
+    #[inline(always)]
+    fn z(self) -> f64x2 {
+        self.z
+    }
+    #[inline(always)]
+    fn dot(self, other: Self) -> f64x2 {
+        self.x * other.x + self.y * other.y + self.z * other.z
+    }
+    #[inline(always)]
+    fn cross(self, other: Self) -> Self {
+        Self {
+            x: self.y * other.z - self.z * other.y,
+            y: self.z * other.x - self.x * other.z,
+            z: self.x * other.y - self.y * other.x,
+        }
+    }
+    #[inline(always)]
+    fn length(self) -> f64x2 {
+        self.dot(self).sqrt()
+    }
+}
+
+impl Add for PairVec3 {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y, z: self.z + other.z }
+    }
+}
+
+impl AddAssign for PairVec3 {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl Sub for PairVec3 {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y, z: self.z - other.z }
+    }
+}
+
+impl Mul<f64x2> for PairVec3 {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, factor: f64x2) -> Self {
+        Self { x: self.x * factor, y: self.y * factor, z: self.z * factor }
+    }
+}
+
+impl Neg for PairVec3 {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self { x: -self.x, y: -self.y, z: -self.z }
+    }
+}

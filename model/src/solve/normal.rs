@@ -1,0 +1,433 @@
+//! χ² and its expansion at a pose: whitened rows, their normal equations, and the elimination of
+//! what is not known of the tool's motion.
+//!
+//! Unknowns are (δt/arm, δθ): translations counted in units of the emitters' distance from the
+//! tool's origin, so that the normal matrix mixes like with like. A cell exposed τ after the
+//! reference instant sees the pose advanced by τ·twist; of a twist known only with a variance the
+//! deviation w is six more unknowns with a prior. With A the rows of one cell,
+//!
+//! M₀ = ΣAᵀA, M₁ = Στ·AᵀA, M₂ = Στ²·AᵀA, K = M₂ + P⁻¹, information = M₀ − M₁·K⁻¹·M₁
+//!
+//! and likewise for the gradient and χ²: the twist is marginalised exactly, with the correlation
+//! between cells that it brings.
+
+// heapless clears the room of a new vector; here that would take as long as the algebra.
+use arrayvec::ArrayVec;
+
+use crate::plan::{Instant, Plan};
+use crate::pose::Transform;
+use crate::real::Real;
+use crate::scalar::Scalar;
+use crate::scene::MAX_CELLS;
+
+use super::algebra::{Factor, Matrix6, Triangle, Vector6};
+use super::planes::PlaneCell;
+use super::readings::Usable;
+use super::weights::{CellNoise, Whitener};
+
+/// How firmly a plane guides: its distance is worth one σ per so much.
+const GUIDE_M: f64 = 20e-6;
+
+/// Largest motion of a spot's side per motion of its emitter, with room for turns of long arms.
+const MOST_MAGNIFICATION: f64 = 10.0;
+
+/// Most planes that guide: more than three fix a pose.
+const MAX_GUIDES: usize = 4;
+
+/// Least ratio of a pivot to its diagonal element, in units of rounding, for which normal equations
+/// are trusted: half of the digits and some are left.
+const SAFE_ROUNDINGS: f64 = 1e4;
+
+/// Largest information a prior on the twist can have: it is then known.
+const KNOWN: f64 = 1e30;
+
+/// Motion of the tool within a frame, and how well it is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion<S: Scalar> {
+    pub(super) linear: S::Vec3,
+    pub(super) angular: S::Vec3,
+    /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
+    pub(super) duration: S,
+    /// P⁻¹ of (linear, angular) in units of arm/duration and 1/duration; `None`: the twist is known.
+    pub(super) prior: Option<[S; 2]>,
+}
+
+impl<S: Scalar> Motion<S> {
+    /// With the standard deviations of a twist, m/s and rad/s.
+    pub(super) fn new(
+        linear: S::Vec3,
+        angular: S::Vec3,
+        [sigma_linear, sigma_angular]: [f64; 2],
+        offsets_s: &[S],
+        arm: S,
+    ) -> Self {
+        let duration = offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()));
+        let information = |sigma: f64, unit: S| {
+            let share = S::of(sigma) * duration / unit;
+            (share * share).recip().min(S::of(KNOWN))
+        };
+        let unknown = duration > S::zero() && (sigma_linear > 0.0 || sigma_angular > 0.0);
+        let prior = unknown.then(|| [information(sigma_linear, arm), information(sigma_angular, S::one())]);
+        Self { linear, angular, duration, prior }
+    }
+}
+
+/// What does not change during one refinement.
+pub(super) struct Problem<'a, S: Scalar> {
+    pub(super) plan: &'a Plan<S>,
+    pub(super) planes: &'a [PlaneCell<S>],
+    pub(super) noise: &'a [CellNoise<S>],
+    /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
+    pub(super) offsets_s: &'a [S],
+    pub(super) readings: &'a [Usable<S>],
+    pub(super) motion: Motion<S>,
+    pub(super) arm: S,
+    /// Relative change of the derivatives per unit of a scaled step.
+    pub(super) bend: S,
+}
+
+/// One whitening per usable reading.
+pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
+
+/// A whitened datum: derivatives by the scaled pose, residual.
+#[derive(Clone, Copy, Debug)]
+struct Row<S> {
+    by_pose: Vector6<S>,
+    residual: S,
+}
+
+/// The rows of the last expansion, and of the residuals since.
+#[derive(Debug)]
+pub(super) struct Workspace<S: Scalar> {
+    /// Of each usable reading, in order, two each.
+    rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
+    /// Readings whose cell has no spot: their plane is a third row.
+    guided: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
+    /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
+    slack_m: S,
+}
+
+impl<S: Scalar> Workspace<S> {
+    /// Nothing in it yet.
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        Self { rows: ArrayVec::new(), guided: ArrayVec::new(), slack_m: S::zero() }
+    }
+}
+
+/// Cost and its expansion at a pose, the twist eliminated.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Expansion<S> {
+    pub(super) chi2: S,
+    pub(super) information: Matrix6<S>,
+    pub(super) descent: Vector6<S>,
+    elimination: Option<Elimination<S>>,
+}
+
+/// What takes the twist out of gradient and χ².
+#[derive(Clone, Copy, Debug)]
+struct Elimination<S> {
+    /// L of K = L·Lᵀ.
+    factor: Factor<S>,
+    /// Columns of L⁻¹·M₁.
+    mixed: Matrix6<S>,
+}
+
+/// Gradient moments and χ² of residuals.
+#[derive(Clone, Copy)]
+struct Gradient<S> {
+    chi2: S,
+    by_pose: Vector6<S>,
+    by_twist: Vector6<S>,
+}
+
+impl<S: Scalar> Elimination<S> {
+    fn apply(&self, gradient: &Gradient<S>) -> (S, Vector6<S>) {
+        let twist = self.factor.forward(&gradient.by_twist);
+        let mut descent = gradient.by_pose;
+        for i in 0..6 {
+            for k in 0..6 {
+                let known = self.mixed[i][k] * twist[k];
+                descent[i] -= known;
+            }
+        }
+        (twist.iter().fold(gradient.chi2, |chi2, &value| chi2 - value * value).max(S::zero()), descent)
+    }
+}
+
+impl<S: Scalar> Problem<'_, S> {
+    fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
+        Instant { pose, linear: self.motion.linear, angular: self.motion.angular, offsets_s: self.offsets_s }
+    }
+
+    fn wants(&self, cell: usize) -> bool {
+        self.readings.iter().any(|reading| reading.cell == cell)
+    }
+
+    /// Exposure of a reading's cell in units of the motion's duration.
+    #[inline(always)]
+    fn share(&self, reading: &Usable<S>) -> S {
+        self.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
+    }
+
+    /// The currents above dark that all cells deliver with the tool at `pose` at the reference
+    /// instant.
+    pub(super) fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
+        let mut currents = heapless::Vec::new();
+        self.plan.currents_all(
+            &self.instant(pose),
+            |_| true,
+            |_, pair| {
+                // As many as there are cells.
+                let _ = currents.push(pair);
+            },
+        );
+        currents
+    }
+
+    /// The weights of the readings.
+    pub(super) fn whiteners(&self) -> Whiteners<S> {
+        self.readings.iter().map(|reading| self.noise[reading.cell].whitener(reading.pair)).collect()
+    }
+
+    /// Weights for the way from far off.
+    pub(super) fn coarse_whiteners(&self) -> Whiteners<S> {
+        self.readings
+            .iter()
+            .map(|reading| {
+                let length = self.planes[reading.cell].detector_length_m();
+                self.noise[reading.cell].coarse(length).whitener(reading.pair)
+            })
+            .collect()
+    }
+
+    /// χ² and its expansion at `pose`.
+    pub(super) fn expand(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        room: &mut Workspace<S>,
+    ) -> Expansion<S> {
+        let Workspace { rows: all_rows, guided, slack_m } = room;
+        *slack_m = S::infinity();
+        all_rows.clear();
+        guided.clear();
+        let scale: [S; 6] = core::array::from_fn(|axis| if axis < 3 { self.arm } else { S::one() });
+        let mut moments = [[[S::zero(); 6]; 6]; 3];
+        let order = if self.motion.prior.is_some() { 3 } else { 1 };
+        self.plan.linearise_all(
+            &self.instant(pose),
+            |cell| self.wants(cell),
+            |cell, terms| {
+                // Readings come in the order of their cells, as terms do.
+                let index = all_rows.len();
+                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                    return;
+                };
+                *slack_m = slack_m.min(terms.slack_m);
+                let whitener = &whiteners[index];
+                let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
+                let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
+                for axis in 0..6 {
+                    let column = whitener.apply(terms.jacobian.map(|row| row[axis] * scale[axis]));
+                    rows[0].by_pose[axis] = column[0];
+                    rows[1].by_pose[axis] = column[1];
+                }
+                let guide = (!terms.status.has_spot()).then(|| self.guide(reading, pose));
+                let mut weight = S::one();
+                for moment in &mut moments[..order] {
+                    for row in rows.iter().chain(&guide) {
+                        add_outer(moment, weight, &row.by_pose);
+                    }
+                    weight *= self.share(reading);
+                }
+                // As many as readings.
+                all_rows.push(rows);
+                if let Some(guide) = guide {
+                    // One that does not fit only shows the way less.
+                    let _ = guided.try_push((index, guide));
+                }
+            },
+        );
+        if !adds_squares::<S>() {
+            for moment in &mut moments[..order] {
+                for i in 0..6 {
+                    for j in i + 1..6 {
+                        moment[i][j] = moment[j][i];
+                    }
+                }
+            }
+        }
+        let gradient = self.gradient(room);
+        let [information, mixed, twist] = moments;
+        let Some(elimination) = self.elimination(&mixed, &twist) else {
+            let (chi2, descent) = (gradient.chi2, gradient.by_pose);
+            return Expansion { chi2, information, descent, elimination: None };
+        };
+        let mut reduced = information;
+        for i in 0..6 {
+            for j in 0..6 {
+                for k in 0..6 {
+                    let known = elimination.mixed[i][k] * elimination.mixed[j][k];
+                    reduced[i][j] -= known;
+                }
+            }
+        }
+        let (chi2, descent) = elimination.apply(&gradient);
+        Expansion { chi2, information: reduced, descent, elimination: Some(elimination) }
+    }
+
+    fn elimination(&self, mixed: &Matrix6<S>, twist: &Matrix6<S>) -> Option<Elimination<S>> {
+        let prior = self.motion.prior?;
+        let mut matrix = *twist;
+        for (i, row) in matrix.iter_mut().enumerate() {
+            row[i] += prior[i / 3];
+        }
+        // Positive definite: the prior sees to that.
+        let factor = Factor::of_matrix(&matrix, S::zero(), S::zero())?;
+        Some(Elimination { mixed: mixed.map(|column| factor.forward(&column)), factor })
+    }
+
+    /// A cell that saw light and should see none at `pose` has no slope to descend on: its plane
+    /// shows the way.
+    fn guide(&self, reading: &Usable<S>, pose: &Transform<S>) -> Row<S> {
+        let (row, distance) = self.planes[reading.cell].row(reading, pose, self.arm);
+        Row { by_pose: row.map(|value| value * self.arm / S::of(GUIDE_M)), residual: -distance / S::of(GUIDE_M) }
+    }
+
+    /// The moments of the residuals in `room`.
+    #[inline]
+    fn gradient(&self, room: &Workspace<S>) -> Gradient<S> {
+        let mut sum = Gradient { chi2: S::zero(), by_pose: [S::zero(); 6], by_twist: [S::zero(); 6] };
+        let mut add = |rows: &[Row<S>], share: S| {
+            let mut own = [S::zero(); 6];
+            for row in rows {
+                sum.chi2 += row.residual * row.residual;
+                for i in 0..6 {
+                    own[i] += row.by_pose[i] * row.residual;
+                }
+            }
+            for i in 0..6 {
+                sum.by_pose[i] += own[i];
+                sum.by_twist[i] += share * own[i];
+            }
+        };
+        for (reading, rows) in self.readings.iter().zip(&room.rows) {
+            add(rows, self.share(reading));
+        }
+        for (index, row) in &room.guided {
+            add(core::slice::from_ref(row), self.share(&self.readings[*index]));
+        }
+        sum
+    }
+
+    /// χ² and descent at `pose` with the derivatives of the last expansion, which was not far away.
+    pub(super) fn revisit(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        at: &Expansion<S>,
+        room: &mut Workspace<S>,
+    ) -> (S, Vector6<S>) {
+        let mut index = 0;
+        self.plan.currents_all(
+            &self.instant(pose),
+            |cell| self.wants(cell),
+            |cell, currents| {
+                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                    return;
+                };
+                let residual = [reading.pair[0] - currents[0], reading.pair[1] - currents[1]];
+                for (row, residual) in room.rows[index].iter_mut().zip(whiteners[index].apply(residual)) {
+                    row.residual = residual;
+                }
+                index += 1;
+            },
+        );
+        for (index, row) in &mut room.guided {
+            row.residual = self.guide(&self.readings[*index], pose).residual;
+        }
+        let gradient = self.gradient(room);
+        match &at.elimination {
+            Some(elimination) => elimination.apply(&gradient),
+            None => (gradient.chi2, gradient.by_pose),
+        }
+    }
+
+    /// Factor and Gauss–Newton step of an expansion; `None` if it is singular to the precision of its
+    /// numbers.
+    #[inline]
+    pub(super) fn step(&self, at: &Expansion<S>, damping: S, room: &Workspace<S>) -> Option<(Factor<S>, Vector6<S>)> {
+        let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
+        match Factor::of_matrix(&at.information, damping, safe) {
+            Some(factor) => Some((factor, factor.solve(&at.descent))),
+            None if damping > S::zero() => None,
+            None => Some(self.step_by_rows(room)),
+        }
+    }
+
+    /// The same from the rows themselves: slow, but right for any condition number that the number
+    /// type resolves.
+    #[cold]
+    fn step_by_rows(&self, room: &Workspace<S>) -> (Factor<S>, Vector6<S>) {
+        let mut triangle = Triangle::<S, 12>::new();
+        if let Some(prior) = self.motion.prior {
+            for i in 0..6 {
+                let mut row = [S::zero(); 12];
+                row[i] = prior[i / 3].sqrt();
+                triangle.add(row, S::zero());
+            }
+        }
+        let mut add = |row: &Row<S>, share: S| {
+            let twist = if self.motion.prior.is_some() { share } else { S::zero() };
+            triangle.add(
+                core::array::from_fn(|i| if i < 6 { row.by_pose[i] * twist } else { row.by_pose[i - 6] }),
+                row.residual,
+            );
+        };
+        for (reading, rows) in self.readings.iter().zip(&room.rows) {
+            rows.iter().for_each(|row| add(row, self.share(reading)));
+        }
+        for (index, row) in &room.guided {
+            add(row, self.share(&self.readings[*index]));
+        }
+        triangle.last_six()
+    }
+
+    /// Whether `step` moves no spot of the last expansion so far that derivatives jump.
+    pub(super) fn is_smooth(&self, step: &Vector6<S>, room: &Workspace<S>) -> bool {
+        let length = step.iter().fold(S::zero(), |sum, &value| sum + value * value).square_root() * self.arm;
+        room.slack_m > S::of(MOST_MAGNIFICATION) * length
+    }
+
+    /// The least share of an error in one cell's currents that stays visible in its residuals, over
+    /// all cells: the smaller eigenvalue of I − A·C·Aᵀ, A the cell's rows and C = (L·Lᵀ)⁻¹. The rest
+    /// of the error goes into the pose.
+    pub(super) fn least_visible(&self, factor: &Factor<S>, room: &Workspace<S>) -> S {
+        room.rows.iter().fold(S::one(), |least, rows| {
+            let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
+            let dot = |a: &Vector6<S>, b: &Vector6<S>| a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y);
+            let (uu, vv, uv) = (dot(&u, &u), dot(&v, &v), dot(&u, &v));
+            let half_difference = S::half() * (uu - vv);
+            let radius = (half_difference * half_difference + uv * uv).square_root();
+            least.min(S::one() - S::half() * (uu + vv) - radius)
+        })
+    }
+}
+
+/// Whether a processor does a whole square sooner than its lower half: with more than one lane.
+const fn adds_squares<S: Scalar>() -> bool {
+    <S::Lanes as Real>::LANES > 1
+}
+
+/// Adds `weight`·row·rowᵀ, at least its lower half.
+#[inline(always)]
+fn add_outer<S: Scalar>(matrix: &mut Matrix6<S>, weight: S, row: &Vector6<S>) {
+    for i in 0..6 {
+        let factor = weight * row[i];
+        let end = if adds_squares::<S>() { 6 } else { i + 1 };
+        for j in 0..end {
+            matrix[i][j] += factor * row[j];
+        }
+    }
+}

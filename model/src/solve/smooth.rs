@@ -1,0 +1,346 @@
+//! A pose and its motion from many frames: a polynomial filter with fading memory.
+//!
+//! State is a pose X, its change V per frame and half the change A of that, on the manifold of
+//! poses: the error between a measured and a predicted pose is a displacement (δt, δθ), and corrects
+//! X by α, V by β, A by γ of it. The gains are those of a parabola fitted by least squares to all
+//! poses since the start, later to poses that count less the older they are, by θ a frame (Morrison,
+//! Introduction to Sequential Smoothing and Prediction, 1969, chapters 12 and 13). All axes share
+//! them, so that the covariance of (X, V, A) is a 3×3 matrix of numbers times that of a single pose,
+//! and follows from the gains exactly.
+
+use glam::DVec3;
+
+use crate::pose::{Pose, Twist};
+
+use super::algebra::Matrix6;
+use super::outcome::Estimate;
+
+/// Squared error above which more than chance is at work: the running mean of χ²₆/6 has a standard
+/// deviation of 0.09 about 1.
+const CHANCE: f64 = 1.3;
+
+/// Frames from which on a parabola is fitted; before, a line.
+const PARABOLA_FROM: u32 = 4;
+
+/// Share of the newest frame in the running mean of squared errors.
+const NEWEST: f64 = 0.05;
+
+/// Velocity of the tool with its covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TwistEstimate {
+    /// In the base frame.
+    pub twist: Twist,
+    /// Of (linear, angular): m²/s², m·rad/s², rad²/s².
+    pub covariance: Matrix6<f64>,
+}
+
+/// A pose from many frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Smoothed {
+    /// At the reference instant of the newest frame. Its covariance grows with what the poses stray
+    /// from the parabola.
+    pub estimate: Estimate,
+    /// At the same instant.
+    pub twist: TwistEstimate,
+    /// Time after which a sudden step of the pose, too small to be told from noise, has come half
+    /// the way through. Steady motion, and steady acceleration, come through without delay.
+    pub lag_s: f64,
+    /// Frames since the memory began.
+    pub frames: u32,
+}
+
+/// Six numbers: displacements, or their rates.
+#[derive(Clone, Copy, Debug, Default)]
+struct Displacement {
+    translation: DVec3,
+    rotation: DVec3,
+}
+
+impl Displacement {
+    fn plus(self, factor: f64, other: Self) -> Self {
+        Self {
+            translation: self.translation + other.translation * factor,
+            rotation: self.rotation + other.rotation * factor,
+        }
+    }
+
+    fn twist(self, period_s: f64) -> Twist {
+        Twist { linear_m_per_s: self.translation / period_s, angular_rad_per_s: self.rotation / period_s }
+    }
+}
+
+/// Gains of one frame.
+#[derive(Clone, Copy, Debug)]
+struct Gains([f64; 3]);
+
+impl Gains {
+    /// Least squares over `n` + 1 frames.
+    fn expanding(n: u32) -> Self {
+        let m = f64::from(n);
+        Self(match n {
+            0 => [1.0, 0.0, 0.0],
+            n if n < PARABOLA_FROM => {
+                let product = (m + 1.0) * (m + 2.0);
+                [2.0 * (2.0 * m + 1.0) / product, 6.0 / product, 0.0]
+            }
+            _ => {
+                let product = (m + 1.0) * (m + 2.0) * (m + 3.0);
+                [3.0 * (3.0 * m * m + 3.0 * m + 2.0) / product, 18.0 * (2.0 * m + 1.0) / product, 30.0 / product]
+            }
+        })
+    }
+
+    /// Least squares over all frames, each counting θ of the next.
+    fn fading(theta: f64) -> Self {
+        let fresh = 1.0 - theta;
+        Self([1.0 - theta * theta * theta, 1.5 * fresh * fresh * (1.0 + theta), 0.5 * fresh * fresh * fresh])
+    }
+}
+
+/// The filter.
+#[derive(Clone, Debug)]
+pub(super) struct Smoother {
+    period_s: f64,
+    fading: Gains,
+    lag_s: f64,
+    /// Error of the predicted step per error of the predicted pose, where neither is noise.
+    astray: f64,
+    state: Option<State>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct State {
+    pose: Pose,
+    step: Displacement,
+    bend: Displacement,
+    /// Covariance of (X, V, A) in units of a single pose's.
+    spread: [[f64; 3]; 3],
+    /// Frames taken.
+    frames: u32,
+    /// Running mean of the squared prediction error, 1 if noise explains it.
+    strain: f64,
+}
+
+/// What is expected of the next frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Prediction {
+    pub(super) pose: Pose,
+    pub(super) twist: Twist,
+    /// Variance of the pose and of the change per frame, in units of a single pose's.
+    pub(super) pose_variance: f64,
+    pub(super) step_variance: f64,
+    pub(super) frames: u32,
+    /// Mean squared error of the last predictions in units of what noise explains, at least 1.
+    pub(super) strain: f64,
+}
+
+impl Smoother {
+    /// For frames `period_s` apart; `memory_s`: the time after which a frame counts 1/e.
+    pub(super) fn new(period_s: f64, memory_s: f64) -> Self {
+        let theta = libm::exp(-period_s / memory_s);
+        let fading = Gains::fading(theta);
+        Self { period_s, fading, lag_s: lag_frames(fading) * period_s, astray: astray(theta), state: None }
+    }
+
+    pub(super) fn forget(&mut self) {
+        self.state = None;
+    }
+
+    /// A frame without a pose: the motion goes on as it was.
+    pub(super) fn coast(&mut self) {
+        if let Some(state) = &mut self.state {
+            *state = state.advanced();
+        }
+    }
+
+    pub(super) fn predict(&self) -> Option<Prediction> {
+        let next = self.state?.advanced();
+        let strain = next.strain.max(1.0);
+        // What noise does not explain is motion that bends more than a parabola.
+        let bent = (strain - CHANCE).max(0.0) * (1.0 + next.spread[0][0]);
+        Some(Prediction {
+            pose: next.pose,
+            twist: next.step.twist(self.period_s),
+            pose_variance: next.spread[0][0],
+            step_variance: next.spread[1][1] + self.astray * self.astray * bent,
+            frames: next.frames,
+            strain,
+        })
+    }
+
+    /// Takes the pose of the next frame. `squared_error`: of the prediction, in units of what noise
+    /// explains, if known.
+    pub(super) fn update(&mut self, measured: &Pose, squared_error: Option<f64>) {
+        let Some(state) = &mut self.state else {
+            self.state = Some(State {
+                pose: *measured,
+                step: Displacement::default(),
+                bend: Displacement::default(),
+                spread: [[1.0, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+                frames: 1,
+                strain: 1.0,
+            });
+            return;
+        };
+        let mut next = state.advanced();
+        let (translation, rotation) = measured.displacement_from(&next.pose);
+        let error = Displacement { translation, rotation };
+        let expanding = Gains::expanding(next.frames);
+        let Gains(gains) = if expanding.0[0] > self.fading.0[0] { expanding } else { self.fading };
+        next.pose = next.pose.perturbed(translation * gains[0], rotation * gains[0]);
+        next.step = next.step.plus(gains[1], error);
+        next.bend = next.bend.plus(gains[2], error);
+        next.spread = corrected(&next.spread, &gains);
+        next.frames = next.frames.saturating_add(1);
+        if let Some(squared_error) = squared_error {
+            next.strain += NEWEST * (squared_error - next.strain);
+        }
+        *state = next;
+    }
+
+    /// The state, where the covariance of a single pose is `covariance`.
+    pub(super) fn smoothed(&self, covariance: &Matrix6<f64>) -> Option<Smoothed> {
+        let state = self.state?;
+        let strain = if state.strain > CHANCE { state.strain } else { 1.0 };
+        let scaled = |factor: f64| covariance.map(|row| row.map(|value| value * factor * strain));
+        let per_second2 = (self.period_s * self.period_s).recip();
+        // Of a velocity that no second frame has shown yet nothing is known.
+        let of_step = if state.frames < 2 { f64::INFINITY } else { state.spread[1][1] };
+        Some(Smoothed {
+            estimate: Estimate { pose: state.pose, covariance: scaled(state.spread[0][0]) },
+            twist: TwistEstimate { twist: state.step.twist(self.period_s), covariance: scaled(of_step * per_second2) },
+            lag_s: self.lag_s,
+            frames: state.frames,
+        })
+        .filter(|_| state.frames >= 2)
+    }
+}
+
+impl State {
+    /// One frame later.
+    fn advanced(&self) -> Self {
+        let step = self.step.plus(1.0, self.bend);
+        // F·P·Fᵀ with F = [1 1 1; 0 1 2; 0 0 1].
+        let apply = |v: [f64; 3]| [v[0] + v[1] + v[2], v[1] + 2.0 * v[2], v[2]];
+        let rows = self.spread.map(apply);
+        let columns = [0, 1, 2].map(|j| apply([rows[0][j], rows[1][j], rows[2][j]]));
+        let spread = core::array::from_fn(|i| core::array::from_fn(|j| columns[j][i]));
+        Self {
+            pose: self.pose.perturbed(step.translation, step.rotation),
+            step: step.plus(1.0, self.bend),
+            spread,
+            ..*self
+        }
+    }
+}
+
+/// (1 − K·H)·P·(1 − K·H)ᵀ + K·Kᵀ for a measurement of X with unit variance.
+fn corrected(p: &[[f64; 3]; 3], gains: &[f64; 3]) -> [[f64; 3]; 3] {
+    core::array::from_fn(|i| {
+        core::array::from_fn(|j| {
+            p[i][j] - gains[i] * p[0][j] - gains[j] * p[i][0] + gains[i] * gains[j] * (p[0][0] + 1.0)
+        })
+    })
+}
+
+/// What a steady change of acceleration, x = t³/6, does to the predicted step, per what it does to
+/// the predicted pose, which lags by 1/(1 − θ)³.
+fn astray(theta: f64) -> f64 {
+    let fresh = 1.0 - theta;
+    fresh * (3.0 + fresh * (-1.5 + fresh / 3.0))
+}
+
+/// Frames until the response to a step of X has come half the way, in fractions of a frame.
+fn lag_frames(Gains([alpha, beta, gamma]): Gains) -> f64 {
+    let (mut x, mut v, mut a) = (0.0, 0.0, 0.0);
+    let mut before = 0.0;
+    // Even the longest memory gets there: its first gain alone needs 1/α frames.
+    for frame in 0..1_000_000 {
+        let error = 1.0 - (x + v + a);
+        let next = [x + v + a + alpha * error, v + 2.0 * a + beta * error, a + gamma * error];
+        [x, v, a] = next;
+        if x >= 0.5 {
+            return (f64::from(frame) - (x - 0.5) / (x - before)).max(0.0);
+        }
+        before = x;
+    }
+    f64::INFINITY
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: f64 = 250e-6;
+
+    /// Frames of a polynomial motion, through a filter.
+    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> Smoother {
+        let mut smoother = Smoother::new(PERIOD, memory_s);
+        for frame in 0..frames {
+            smoother.update(&pose(f64::from(frame) * PERIOD), None);
+        }
+        smoother
+    }
+
+    #[test]
+    fn steady_acceleration_comes_through_without_delay() {
+        let (velocity, acceleration) = (DVec3::new(0.3, -0.2, 0.1), DVec3::new(20.0, 0.0, -40.0));
+        let at = |t: f64| Pose::from_vectors(velocity * t + acceleration * (0.5 * t * t), DVec3::ZERO);
+        let state = run(2e-3, 400, at).smoothed(&[[0.0; 6]; 6]).expect("many frames");
+        let end = 399.0 * PERIOD;
+        assert!((state.estimate.pose.translation_m - at(end).translation_m).length() < 1e-12);
+        let expected = velocity + acceleration * end;
+        assert!((state.twist.twist.linear_m_per_s - expected).length() < 1e-9);
+    }
+
+    #[test]
+    fn a_steady_jerk_leads_pose_and_step_astray_as_told() {
+        for memory_s in [0.75e-3, 5e-3] {
+            // The filter forgets its start; t³/6 in units of frames stays small enough for its digits.
+            let at = |frame: f64| Pose::from_vectors(DVec3::X * (frame * frame * frame / 6.0), DVec3::ZERO);
+            let smoother = run(memory_s, 600, |t| at(t / PERIOD - 400.0));
+            let predicted = smoother.predict().expect("started");
+            let pose = at(200.0).translation_m.x - predicted.pose.translation_m.x;
+            let step = 0.5 * 200.0 * 200.0 - predicted.twist.linear_m_per_s.x * PERIOD;
+            let theta = (-PERIOD / memory_s).exp();
+            assert!((pose * (1.0 - theta).powi(3) - 1.0).abs() < 1e-6, "{pose}");
+            assert!((step / pose - smoother.astray).abs() < 1e-6, "{step} {pose}");
+        }
+    }
+
+    #[test]
+    fn gains_start_as_least_squares_and_end_fading() {
+        // A parabola through five points of which the last is one off: the textbook's weights.
+        let mut smoother = Smoother::new(PERIOD, 1.0);
+        for frame in 0..=PARABOLA_FROM {
+            let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
+            smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), None);
+        }
+        let x = smoother.state.expect("started").pose.translation_m.x;
+        assert!((x - 31.0).abs() < 1e-12, "{x}");
+        let predicted = run(2e-3, 3000, |_| Pose::HOME).state.expect("started").advanced();
+        let theta: f64 = (-PERIOD / 2e-3_f64).exp();
+        // Morrison 1969, table of the fading-memory parabola: variance of the position one frame ahead.
+        let expected = (1.0 - theta)
+            * (19.0 + 24.0 * theta + 16.0 * theta.powi(2) + 6.0 * theta.powi(3) + theta.powi(4))
+            / (1.0 + theta).powi(5);
+        assert!((predicted.spread[0][0] / expected - 1.0).abs() < 1e-9, "{} {expected}", predicted.spread[0][0]);
+    }
+
+    #[test]
+    fn lag_is_what_a_small_step_shows() {
+        // The parabola's response rises to one and beyond, and half way after a fifth of its memory.
+        for memory_s in [5e-3, 50e-3, 500e-3] {
+            let mut smoother = run(memory_s, 30_000, |_| Pose::HOME);
+            let mut frames = 0.0;
+            let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
+            while smoother.state.expect("started").pose.translation_m.x < 0.5e-6 {
+                smoother.update(&there, None);
+                frames += 1.0;
+            }
+            // Counted from the step's first frame, and to the frame before the middle.
+            assert!((frames * PERIOD - smoother.lag_s - PERIOD).abs() <= PERIOD, "{memory_s} {}", smoother.lag_s);
+            assert!((0.15..0.25).contains(&(smoother.lag_s / memory_s)), "{memory_s} {}", smoother.lag_s);
+        }
+    }
+}

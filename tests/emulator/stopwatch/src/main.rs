@@ -1,0 +1,115 @@
+//! The image: builds solvers in `f32` and times them, as its host asks.
+//!
+//! Nothing else runs and no interrupt is enabled: the cycles are the solver's.
+
+#![no_std]
+#![no_main]
+
+use core::hint::{black_box, spin_loop};
+use core::panic::PanicInfo;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::DWT;
+use cortex_m_rt::entry;
+use slitpose_model::{MotionPrior, Outcome, Photocurrents, Pose, Scene, Solver};
+use slitpose_stopwatch::{Answer, Mailbox, Request, Solved, State};
+
+/// Found by its name, [`slitpose_stopwatch::MAILBOX_SYMBOL`].
+#[allow(unsafe_code, reason = "an exported name, which nothing else in the image has")]
+#[unsafe(export_name = "SLITPOSE_STOPWATCH_MAILBOX")]
+static MAILBOX: Mailbox = Mailbox::new();
+
+/// Access control register of the flash (RM0440, "FLASH_ACR").
+const FLASH_ACR: *mut u32 = 0x4002_2000 as *mut u32;
+const LATENCY: u32 = 0xF;
+/// Wait states that the board's image runs with, at 170 MHz.
+const WAIT_STATES: u32 = 4;
+
+#[entry]
+fn main() -> ! {
+    wait_for_flash_as_at_full_speed();
+    let mut core = Peripherals::take().expect("the first to ask");
+    core.DCB.enable_trace();
+    core.DWT.enable_cycle_counter();
+
+    let mut scene = Scene::default();
+    let tier = loop {
+        match asked() {
+            Some(Request::Scene(noise, uncertainty)) => {
+                scene.cells.clear();
+                (scene.noise, scene.uncertainty) = (noise, uncertainty);
+                say(&Answer::Done);
+            }
+            Some(Request::Cell(cell)) => {
+                let is_one_more = scene.cells.push(cell).is_ok();
+                say(if is_one_more { &Answer::Done } else { &Answer::Refused });
+            }
+            Some(Request::Compile(tier)) => break tier,
+            _ => say(&Answer::Refused),
+        }
+    };
+    // Looked at where it is: a solver is too large to be moved about.
+    let solver = Solver::<f32>::new(&scene, tier);
+    say(if solver.is_ok() { &Answer::Done } else { &Answer::Refused });
+    loop {
+        match (asked(), &solver) {
+            (Some(Request::Solve(readings, prior)), Ok(solver)) => {
+                say(&Answer::Solved(time(solver, &readings, prior.as_ref())));
+            }
+            _ => say(&Answer::Refused),
+        }
+    }
+}
+
+/// Waits for the host; `None`: what it says is no request.
+fn asked() -> Option<Request> {
+    MAILBOX.set_state(State::Waiting);
+    while MAILBOX.state() != State::Asked {
+        spin_loop();
+    }
+    Request::read(&MAILBOX.read())
+}
+
+fn say(answer: &Answer) {
+    MAILBOX.write(&answer.write());
+}
+
+/// The core's clock may stay slow: what counts is cycles, and the flash has to answer as late as
+/// it does at 170 MHz.
+fn wait_for_flash_as_at_full_speed() {
+    // SAFETY: the register exists, more wait states than needed do no harm, and nobody else
+    // writes it.
+    #[allow(unsafe_code)]
+    unsafe {
+        FLASH_ACR.write_volatile(FLASH_ACR.read_volatile() & !LATENCY | WAIT_STATES);
+    }
+}
+
+#[inline(never)]
+fn time(solver: &Solver<f32>, readings: &Photocurrents, prior: Option<&Pose>) -> Solved {
+    let (readings, prior) = black_box((readings, prior));
+    MAILBOX.set_state(State::Timing);
+    let started = DWT::cycle_count();
+    let solution = match prior {
+        Some(prior) => solver.solve_near(readings, prior, &MotionPrior::default()),
+        None => solver.solve(readings),
+    };
+    // Looked at in place: the copy would be counted.
+    black_box(&solution);
+    let cycles = DWT::cycle_count().wrapping_sub(started);
+    MAILBOX.set_state(State::Asked);
+    Solved {
+        cycles,
+        iterations: solution.iterations as u32,
+        converged: solution.outcome == Outcome::Converged,
+        estimate: solution.estimate.map(|estimate| (estimate.pose, estimate.widened().covariance)),
+    }
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    MAILBOX.set_state(State::Panicked);
+    loop {
+        spin_loop();
+    }
+}

@@ -1,0 +1,42 @@
+//! Who solves.
+
+use slitpose_model::{Pose, Scene, SceneError};
+
+use crate::levenberg_marquardt;
+use crate::ours::{Ours, Planes};
+use crate::problems::{Kind, Problem};
+use crate::tiny_solver::{Build, TinySolver};
+
+/// What every contender has to tell.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
+    /// The pose found.
+    pub pose: Pose,
+    /// Covariance of its perturbation (δt, δθ): m², m·rad, rad².
+    pub covariance: [[f64; 6]; 6],
+    /// Steps tried.
+    pub steps: usize,
+}
+
+/// A way to find a pose.
+pub trait Contender {
+    /// What it is called in tables and on the command line.
+    fn name(&self) -> &'static str;
+    /// Solves one problem.
+    fn solve(&self, problem: &Problem) -> Answer;
+}
+
+/// All that take part in problems of `kind`; the first is the measure of the others.
+///
+/// # Errors
+/// Those of [`slitpose_model::Plan::compile`].
+pub fn all(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
+    let mut contenders: Vec<Box<dyn Contender>> = vec![Box::new(Ours::new(scene, kind)?)];
+    if matches!(kind, Kind::Planes | Kind::ColdNoisy) {
+        contenders.push(Box::new(Planes::new(scene)?));
+    }
+    contenders.push(Box::new(TinySolver::new(scene, Build::Portable)));
+    contenders.push(Box::new(TinySolver::new(scene, Build::Native)));
+    contenders.push(Box::new(levenberg_marquardt::Crate::new(scene)?));
+    Ok(contenders)
+}

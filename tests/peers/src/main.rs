@@ -1,0 +1,78 @@
+//! slitpose's pose estimation beside other least-squares solvers: the same equations, the same
+//! problems, the same products, one thread, in one run. See `README.md`.
+
+mod chart;
+#[path = "../../../model/tests/common/mod.rs"]
+mod common;
+mod contender;
+mod levenberg_marquardt;
+mod measure;
+mod ours;
+mod problems;
+mod tiny_solver;
+mod weights;
+
+use std::hint::black_box;
+
+use anyhow::{Context, Result};
+use clap::Parser;
+
+use problems::{BOX_DEG, BOX_MM, Kind};
+
+/// Poses of each kind of problem.
+const COUNT: usize = 2000;
+
+/// Poses that `--only` cycles through: few, so that making them is little work.
+const UNTIMED: usize = 100;
+
+/// Compares solvers of the same problems and prints one table for each kind of problem.
+#[derive(Parser)]
+struct Arguments {
+    /// Only problems of this kind
+    #[arg(long)]
+    problem: Option<Kind>,
+    /// Rounds in which all take turns
+    #[arg(long, default_value_t = 25)]
+    rounds: usize,
+    /// Only this contender, untimed: for instruction counters
+    #[arg(long, requires = "problem")]
+    only: Option<String>,
+    /// Solves of the only contender
+    #[arg(long, default_value_t = 1000, requires = "only")]
+    count: usize,
+}
+
+fn main() -> Result<()> {
+    let arguments = Arguments::parse();
+    let scene = common::wide();
+    if let (Some(name), Some(kind)) = (&arguments.only, arguments.problem) {
+        let contenders = contender::all(&scene, kind)?;
+        let contender = contenders.iter().find(|contender| contender.name() == name).with_context(|| {
+            let names: Vec<_> = contenders.iter().map(|contender| contender.name()).collect();
+            format!("no contender {name}: there are {}", names.join(", "))
+        })?;
+        for problem in kind.problems(&scene, common::SEED, UNTIMED)?.iter().cycle().take(arguments.count) {
+            black_box(contender.solve(black_box(problem)));
+        }
+        return Ok(());
+    }
+    println!(
+        "Scene wide, paper tier, f64, one thread. {COUNT} poses within {BOX_MM} mm and {BOX_DEG} degrees of home, all\n\
+         six cells lit; seed {}. Time per solve, covariance included: least and median of {} rounds\n\
+         in which all take turns. Found: within {:e} mm of the least chi2 (rotation counted at {} mm).",
+        common::SEED,
+        arguments.rounds,
+        measure::FOUND_MM,
+        chart::ARM_M * 1e3,
+    );
+    let kinds = arguments.problem.map_or(Kind::ALL.to_vec(), |kind| vec![kind]);
+    for kind in kinds {
+        println!("\n{}", kind.heading());
+        measure::compare(
+            &contender::all(&scene, kind)?,
+            &kind.problems(&scene, common::SEED, COUNT)?,
+            arguments.rounds,
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,70 @@
+//! slitpose itself.
+
+use slitpose_model::{Effort, MotionPrior, Scene, SceneError, Solution, Solver, Tier};
+
+use crate::contender::{Answer, Contender};
+use crate::problems::{Kind, Problem};
+
+/// slitpose's solver, everything included: χ² gates, rank, covariance.
+pub struct Ours {
+    solver: Solver<f64>,
+    cold: bool,
+}
+
+impl Ours {
+    /// For problems of `kind`.
+    ///
+    /// # Errors
+    /// Those of [`Solver::new`].
+    pub fn new(scene: &Scene, kind: Kind) -> Result<Self, SceneError> {
+        Ok(Self { solver: Solver::new(scene, Tier::Paper)?, cold: kind.is_cold() })
+    }
+}
+
+impl Contender for Ours {
+    fn name(&self) -> &'static str {
+        "slitpose"
+    }
+
+    fn solve(&self, problem: &Problem) -> Answer {
+        let solution = if self.cold {
+            self.solver.solve(&problem.readings)
+        } else {
+            self.solver.solve_near(&problem.readings, &problem.start, &MotionPrior::default())
+        };
+        answer(&solution, problem)
+    }
+}
+
+/// slitpose's solver, stopped at the pose on the planes: what the peers' better start costs.
+pub struct Planes {
+    solver: Solver<f64>,
+}
+
+impl Planes {
+    /// For cold problems.
+    ///
+    /// # Errors
+    /// Those of [`Solver::new`].
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        Ok(Self { solver: Solver::new(scene, Tier::Paper)?.with_effort(Effort::Planes) })
+    }
+}
+
+impl Contender for Planes {
+    fn name(&self) -> &'static str {
+        "slitpose-planes"
+    }
+
+    fn solve(&self, problem: &Problem) -> Answer {
+        answer(&self.solver.solve(&problem.readings), problem)
+    }
+}
+
+/// A solve without a pose counts as one that stayed where it was.
+fn answer(solution: &Solution, problem: &Problem) -> Answer {
+    match &solution.estimate {
+        Some(estimate) => Answer { pose: estimate.pose, covariance: estimate.covariance, steps: solution.iterations },
+        None => Answer { pose: problem.start, covariance: [[f64::NAN; 6]; 6], steps: solution.iterations },
+    }
+}

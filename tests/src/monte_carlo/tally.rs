@@ -1,0 +1,200 @@
+//! What came of the solves: outcomes counted, right poses told from wrong ones, failures kept.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use slitpose_model::{Outcome, Solution};
+
+use super::layout::Table;
+use crate::consistency::{error, sigma};
+use crate::poses::{self, PoseRow};
+
+/// A noisy pose this many of its σ from the truth, on any axis, is another pose.
+pub const WRONG_SIGMAS: f64 = 10.0;
+
+/// One solve, with all that is needed to repeat it.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// The trial's number under its seed.
+    pub trial: usize,
+    /// The true pose.
+    pub truth: PoseRow,
+    /// What the solver said.
+    pub solution: Solution,
+    /// Error of the pose, m and rad, if there is one.
+    pub error: Option<[f64; 6]>,
+    /// What was done to the data, in σ; 0: nothing.
+    pub lie_sigmas: f64,
+    /// The χ² that is left at the pose that suits the lie best, were the optics linear.
+    pub least_chi2: f64,
+}
+
+impl Case {
+    /// Of an honest solve.
+    pub fn new(trial: usize, truth: PoseRow, solution: Solution) -> Self {
+        let error = solution.estimate.map(|estimate| error(&estimate.pose, &poses::pose(truth)));
+        Self { trial, truth, solution, error, lie_sigmas: 0.0, least_chi2: 0.0 }
+    }
+
+    /// Largest error of a translation, mm, and of a rotation, rad; infinite without pose.
+    pub fn largest(&self) -> (f64, f64) {
+        let largest = |values: &[f64]| values.iter().fold(0.0, |largest, value| f64::max(largest, value.abs()));
+        self.error.map_or((f64::INFINITY, f64::INFINITY), |error| (largest(&error[..3]) * 1e3, largest(&error[3..])))
+    }
+
+    /// Errors in units of the reported σ.
+    pub fn sigmas(&self) -> Option<[f64; 6]> {
+        let sigma = sigma(&self.solution.estimate?.covariance);
+        self.error.map(|error| std::array::from_fn(|axis| error[axis] / sigma[axis]))
+    }
+
+    /// The largest of them; `None` without pose.
+    pub fn worst_sigmas(&self) -> Option<f64> {
+        self.sigmas().map(|sigmas| sigmas.iter().fold(0.0, |worst, value| f64::max(worst, value.abs())))
+    }
+
+    /// For noisy data: a pose beyond [`WRONG_SIGMAS`] is wrong.
+    pub fn by_sigmas(&self) -> Verdict {
+        match self.worst_sigmas() {
+            Some(sigmas) if sigmas < WRONG_SIGMAS => Verdict::Right,
+            _ => Verdict::Wrong,
+        }
+    }
+
+    /// The outcome in words, weakness included.
+    pub fn outcome(&self) -> String {
+        match self.solution.outcome {
+            Outcome::Degraded(weakness) => format!("degraded: {weakness:?}"),
+            outcome => outcome.as_str().to_owned(),
+        }
+    }
+}
+
+impl fmt::Display for Case {
+    /// Two lines: the pose in full digits, and what came out.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Solution { chi2, redundancy, iterations, cells_used, .. } = self.solution;
+        writeln!(f, "    trial {} at {:?} (mm, rad)", self.trial, self.truth)?;
+        write!(
+            f,
+            "      {}: {} cells, χ² {chi2:.3e} of {redundancy}, {iterations} steps",
+            self.outcome(),
+            cells_used.count()
+        )?;
+        if self.lie_sigmas > 0.0 {
+            write!(f, ", lie {:.1} σ, least χ² {:.1}", self.lie_sigmas, self.least_chi2)?;
+        }
+        if let (Some(error), Some(sigmas)) = (self.error, self.sigmas()) {
+            write!(f, "; error {:.1e} mm {:.1e} rad", self.largest().0, self.largest().1)?;
+            if error.iter().any(|&value| value != 0.0) {
+                write!(f, ", in σ [")?;
+                for (axis, value) in sigmas.iter().enumerate() {
+                    write!(f, "{}{value:.3}", if axis == 0 { "" } else { ", " })?;
+                }
+                write!(f, "]")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a pose is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Where it should be.
+    Right,
+    /// Off, but by no more than the data leave open.
+    Near,
+    /// Another pose.
+    Wrong,
+}
+
+/// How many solves ended with one outcome.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Count {
+    /// With the right pose.
+    pub right: usize,
+    /// With one nearby.
+    pub near: usize,
+    /// With a wrong one.
+    pub wrong: usize,
+    /// With none.
+    pub without: usize,
+}
+
+impl Count {
+    fn add(&mut self, other: &Self) {
+        self.right += other.right;
+        self.near += other.near;
+        self.wrong += other.wrong;
+        self.without += other.without;
+    }
+}
+
+/// Outcomes counted by their words and the number of cells used.
+#[derive(Clone, Debug, Default)]
+pub struct Tally(BTreeMap<(String, usize), Count>);
+
+impl Tally {
+    /// Counts `cases`; `judge` is asked of those with a pose.
+    pub fn of<'a>(cases: impl IntoIterator<Item = &'a Case>, judge: impl Fn(&Case) -> Verdict) -> Self {
+        let mut tally = Self::default();
+        for case in cases {
+            let key = (case.outcome(), case.solution.cells_used.count());
+            let count = tally.0.entry(key).or_default();
+            match case.error.map(|_| judge(case)) {
+                None => count.without += 1,
+                Some(Verdict::Right) => count.right += 1,
+                Some(Verdict::Near) => count.near += 1,
+                Some(Verdict::Wrong) => count.wrong += 1,
+            }
+        }
+        tally
+    }
+
+    /// What ended with `outcome`, from any number of cells.
+    pub fn count(&self, outcome: &str) -> Count {
+        self.sum(|word| word == outcome)
+    }
+
+    /// All outcomes together.
+    pub fn total(&self) -> Count {
+        self.sum(|_| true)
+    }
+
+    fn sum(&self, counts: impl Fn(&str) -> bool) -> Count {
+        let mut sum = Count::default();
+        for (_, count) in self.0.iter().filter(|((outcome, _), _)| counts(outcome)) {
+            sum.add(count);
+        }
+        sum
+    }
+}
+
+impl fmt::Display for Tally {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut table = Table::new(&["outcome", "cells", "right", "near", "wrong", "no pose"]);
+        for ((outcome, cells), count) in &self.0 {
+            let numbers = [*cells, count.right, count.near, count.wrong, count.without];
+            table.row([outcome.clone()].into_iter().chain(numbers.map(|number| number.to_string())));
+        }
+        table.fmt(f)
+    }
+}
+
+/// How many failures a report prints: the rest is the same again.
+const SHOWN: usize = 40;
+
+/// Prints `cases` one by one, up to a number that can be read.
+pub fn list(f: &mut fmt::Formatter<'_>, what: &str, cases: &[Case]) -> fmt::Result {
+    if !cases.is_empty() {
+        writeln!(f, "  {what}: {}", cases.len())?;
+    }
+    for case in cases.iter().take(SHOWN) {
+        writeln!(f, "{case}")?;
+    }
+    if cases.len() > SHOWN {
+        writeln!(f, "    … and {} more", cases.len() - SHOWN)?;
+    }
+    Ok(())
+}
