@@ -121,6 +121,11 @@ impl<S: Scalar> Factor<S> {
         inverse
     }
 
+    /// The same in `f64`.
+    pub(crate) fn widened(&self) -> Factor<f64> {
+        Factor { lower: self.lower.map(|row| row.map(S::as_f64)), inverses: self.inverses.map(S::as_f64) }
+    }
+
     /// |Lᵀ·v|: the length of a displacement in σ.
     pub(crate) fn length(&self, v: &Vector6<S>) -> S {
         let element = |i: usize| (i..6).fold(S::zero(), |sum, k| sum + self.lower[k][i] * v[k]);

@@ -237,6 +237,21 @@ impl<S: Scalar> Solution<S> {
         }
     }
 
+    /// The same in `f64`.
+    pub fn widened(&self) -> Solution {
+        Solution {
+            outcome: self.outcome,
+            estimate: self.estimate.map(|estimate| estimate.widened()),
+            chi2: self.chi2.as_f64(),
+            redundancy: self.redundancy,
+            iterations: self.iterations,
+            cells_used: self.cells_used,
+            excluded: self.excluded,
+            unnoticed_sigmas: self.unnoticed_sigmas.as_f64(),
+            factor: self.factor.map(|factor| factor.widened()),
+        }
+    }
+
     /// How well redundancy checked the pose: see [`Self::unnoticed_sigmas`].
     pub fn verified(&self) -> Verified {
         match self.unnoticed_sigmas {

@@ -69,6 +69,7 @@ impl<S: Scalar> Problem<'_, S> {
         let mut at = self.expand(&pose, whiteners, room);
         let mut damping = S::zero();
         let mut iterations = 0;
+        let mut bare = false;
         let raise = |damping: S| (damping * S::of(10.0)).max(S::of(FIRST_DAMPING));
         let ended = |pose, chi2, factor, iterations| Refined { pose, chi2, factor, iterations, converged: true };
         while iterations < ending.max_iterations && damping < S::of(STUCK) {
@@ -81,10 +82,15 @@ impl<S: Scalar> Problem<'_, S> {
             // The derivatives change along the step by this share.
             let change = self.bend * dot(&step, &step).square_root();
             let trial = self.moved(&pose, &step);
-            // A damped step stops short of the minimum.
-            let undamped = damping == S::zero();
             let is_tiny = change * change <= self.bend * S::epsilon();
             let is_last = change * gain.square_root() <= ending.leftover && self.is_smooth(&step, room);
+            if damping > S::zero() && damping <= S::of(FIRST_DAMPING) && (is_tiny || is_last) && !bare {
+                // A damped step stops short of the minimum: the last one is tried without.
+                bare = true;
+                damping = S::zero();
+                continue;
+            }
+            let undamped = damping <= S::of(FIRST_DAMPING);
             if undamped && (is_tiny || is_last) {
                 return ended(trial, (at.chi2 - gain).max(S::zero()), Some(factor), iterations);
             }

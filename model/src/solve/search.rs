@@ -14,7 +14,8 @@ use super::{COLD_LEFTOVER, Fit, MAX_ITERATIONS, MotionPrior, Solver, observabili
 /// With six lit cells none but the truth keeps all of them lit.
 const UNIQUE_FROM: usize = 6;
 
-/// Starts after which mirror images count as searched for.
+/// Starts after which mirror images count as searched for; with no redundancy, where every image fits
+/// as well as the truth, only all starts do.
 const IMAGE_STARTS: usize = 25;
 
 /// Further starts, spread over the reach of a head, for data that nothing has fitted.
@@ -103,7 +104,9 @@ impl<S: Scalar> Solver<S> {
                 Some(_) => {}
             }
             let observable = || refined.factor.is_some_and(|factor| observability::free_directions(&factor).is_none());
-            let searched = tried >= IMAGE_STARTS && best.is_some_and(|(_, fit)| fit == Fit::Full);
+            let searched = tried >= IMAGE_STARTS
+                && redundancy(sorted.usable.len()) > 0
+                && best.is_some_and(|(_, fit)| fit == Fit::Full);
             if searched || fit == Fit::Full && (!need_all || !observable()) {
                 break;
             }

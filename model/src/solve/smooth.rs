@@ -7,6 +7,10 @@
 //! Introduction to Sequential Smoothing and Prediction, 1969, chapters 12 and 13). All axes share
 //! them, so that the covariance of (X, V, A) is a 3×3 matrix of numbers times that of a single pose,
 //! and follows from the gains exactly.
+//!
+//! A parabola through many frames has little noise and cuts corners. As long as its predictions err
+//! by no more than noise explains the memory grows up to what was asked for; when they do not, it
+//! shrinks: a tool that rests is told with the noise of many frames, one that swings without delay.
 
 use glam::DVec3;
 
@@ -16,14 +20,29 @@ use super::algebra::Matrix6;
 use super::outcome::Estimate;
 
 /// Squared error above which more than chance is at work: the running mean of χ²₆/6 has a standard
-/// deviation of 0.09 about 1.
-const CHANCE: f64 = 1.3;
+/// deviation of 0.06 about 1.
+const CHANCE: f64 = 1.2;
 
 /// Frames from which on a parabola is fitted; before, a line.
 const PARABOLA_FROM: u32 = 4;
 
 /// Share of the newest frame in the running mean of squared errors.
-const NEWEST: f64 = 0.05;
+const NEWEST: f64 = 0.02;
+
+/// The same for the mean that an alarm is raised by, and where: three standard deviations of the mean
+/// of χ²₆/6 above 1.
+const NEWEST_ALARM: f64 = 0.2;
+const ALARM: f64 = 1.6;
+
+/// How much an alarm shortens the memory, and a frame without one prolongs it.
+const SHRINK: f64 = 0.7;
+const GROW: f64 = 1.03;
+
+/// Shortest memory, frames: three and a half of them count.
+const SHORTEST: f64 = 2.0;
+
+/// Frames of lag per frame of memory: of a step too small to raise the alarm half has come through.
+const LAG_PER_MEMORY: f64 = 0.2;
 
 /// Velocity of the tool with its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +62,8 @@ pub struct Smoothed {
     /// At the same instant.
     pub twist: TwistEstimate,
     /// Time after which a sudden step of the pose, too small to be told from noise, has come half
-    /// the way through. Steady motion, and steady acceleration, come through without delay.
+    /// the way through: a fifth of the memory at this moment. Steady motion, and steady acceleration,
+    /// come through without delay.
     pub lag_s: f64,
     /// Frames since the memory began.
     pub frames: u32,
@@ -101,10 +121,8 @@ impl Gains {
 #[derive(Clone, Debug)]
 pub(super) struct Smoother {
     period_s: f64,
-    fading: Gains,
-    lag_s: f64,
-    /// Error of the predicted step per error of the predicted pose, where neither is noise.
-    astray: f64,
+    /// Longest memory, frames.
+    longest: f64,
     state: Option<State>,
 }
 
@@ -117,8 +135,12 @@ struct State {
     spread: [[f64; 3]; 3],
     /// Frames taken.
     frames: u32,
+    /// Frames of memory: θ = memory/(1 + memory).
+    memory: f64,
     /// Running mean of the squared prediction error, 1 if noise explains it.
     strain: f64,
+    /// The same over few frames.
+    alarm: f64,
 }
 
 /// What is expected of the next frame.
@@ -135,11 +157,10 @@ pub(super) struct Prediction {
 }
 
 impl Smoother {
-    /// For frames `period_s` apart; `memory_s`: the time after which a frame counts 1/e.
+    /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
+    /// m = `memory_s`/`period_s`.
     pub(super) fn new(period_s: f64, memory_s: f64) -> Self {
-        let theta = libm::exp(-period_s / memory_s);
-        let fading = Gains::fading(theta);
-        Self { period_s, fading, lag_s: lag_frames(fading) * period_s, astray: astray(theta), state: None }
+        Self { period_s, longest: (memory_s / period_s).max(SHORTEST), state: None }
     }
 
     pub(super) fn forget(&mut self) {
@@ -155,22 +176,19 @@ impl Smoother {
 
     pub(super) fn predict(&self) -> Option<Prediction> {
         let next = self.state?.advanced();
-        let strain = next.strain.max(1.0);
-        // What noise does not explain is motion that bends more than a parabola.
-        let bent = (strain - CHANCE).max(0.0) * (1.0 + next.spread[0][0]);
         Some(Prediction {
             pose: next.pose,
             twist: next.step.twist(self.period_s),
             pose_variance: next.spread[0][0],
-            step_variance: next.spread[1][1] + self.astray * self.astray * bent,
+            step_variance: next.spread[1][1] + next.bent().1,
             frames: next.frames,
-            strain,
+            strain: next.strain.max(1.0),
         })
     }
 
-    /// Takes the pose of the next frame. `squared_error`: of the prediction, in units of what noise
-    /// explains, if known.
-    pub(super) fn update(&mut self, measured: &Pose, squared_error: Option<f64>) {
+    /// Takes the pose of the next frame. `squared_sigmas` gives the squared length of a displacement
+    /// (metres, radians) in σ of that pose.
+    pub(super) fn update(&mut self, measured: &Pose, squared_sigmas: impl Fn(DVec3, DVec3) -> f64) {
         let Some(state) = &mut self.state else {
             self.state = Some(State {
                 pose: *measured,
@@ -178,45 +196,67 @@ impl Smoother {
                 bend: Displacement::default(),
                 spread: [[1.0, 0.0, 0.0], [0.0; 3], [0.0; 3]],
                 frames: 1,
+                memory: self.longest,
                 strain: 1.0,
+                alarm: 1.0,
             });
             return;
         };
         let mut next = state.advanced();
         let (translation, rotation) = measured.displacement_from(&next.pose);
         let error = Displacement { translation, rotation };
+        if next.frames > PARABOLA_FROM {
+            let squared = squared_sigmas(translation, rotation) / (6.0 * (1.0 + next.spread[0][0]));
+            next.strain += NEWEST * (squared - next.strain);
+            next.alarm += NEWEST_ALARM * (squared - next.alarm);
+            let factor = if next.alarm > ALARM { SHRINK } else { GROW };
+            next.memory = (next.memory * factor).clamp(SHORTEST, self.longest);
+        }
         let expanding = Gains::expanding(next.frames);
-        let Gains(gains) = if expanding.0[0] > self.fading.0[0] { expanding } else { self.fading };
+        let fading = Gains::fading(next.theta());
+        let Gains(gains) = if expanding.0[0] > fading.0[0] { expanding } else { fading };
         next.pose = next.pose.perturbed(translation * gains[0], rotation * gains[0]);
         next.step = next.step.plus(gains[1], error);
         next.bend = next.bend.plus(gains[2], error);
         next.spread = corrected(&next.spread, &gains);
         next.frames = next.frames.saturating_add(1);
-        if let Some(squared_error) = squared_error {
-            next.strain += NEWEST * (squared_error - next.strain);
-        }
         *state = next;
     }
 
     /// The state, where the covariance of a single pose is `covariance`.
     pub(super) fn smoothed(&self, covariance: &Matrix6<f64>) -> Option<Smoothed> {
         let state = self.state?;
-        let strain = if state.strain > CHANCE { state.strain } else { 1.0 };
-        let scaled = |factor: f64| covariance.map(|row| row.map(|value| value * factor * strain));
+        let scaled = |factor: f64| covariance.map(|row| row.map(|value| value * factor));
+        let (pose_bent, step_bent) = state.bent();
         let per_second2 = (self.period_s * self.period_s).recip();
-        // Of a velocity that no second frame has shown yet nothing is known.
-        let of_step = if state.frames < 2 { f64::INFINITY } else { state.spread[1][1] };
-        Some(Smoothed {
-            estimate: Estimate { pose: state.pose, covariance: scaled(state.spread[0][0]) },
-            twist: TwistEstimate { twist: state.step.twist(self.period_s), covariance: scaled(of_step * per_second2) },
-            lag_s: self.lag_s,
+        // Of one frame's velocity nothing is known.
+        (state.frames >= 2).then(|| Smoothed {
+            estimate: Estimate { pose: state.pose, covariance: scaled(state.spread[0][0] + pose_bent) },
+            twist: TwistEstimate {
+                twist: state.step.twist(self.period_s),
+                covariance: scaled((state.spread[1][1] + step_bent) * per_second2),
+            },
+            lag_s: LAG_PER_MEMORY * state.memory * self.period_s,
             frames: state.frames,
         })
-        .filter(|_| state.frames >= 2)
     }
 }
 
 impl State {
+    fn theta(&self) -> f64 {
+        self.memory / (1.0 + self.memory)
+    }
+
+    /// Mean square of what noise does not explain, in the pose after its correction and in the step:
+    /// motion that bends more than a parabola.
+    fn bent(&self) -> (f64, f64) {
+        let excess = if self.strain > CHANCE { self.strain - 1.0 } else { 0.0 };
+        let square = excess * (1.0 + self.spread[0][0]);
+        let theta = self.theta();
+        let (left, astray) = (theta * theta * theta, astray(theta));
+        (left * left * square, astray * astray * square)
+    }
+
     /// One frame later.
     fn advanced(&self) -> Self {
         let step = self.step.plus(1.0, self.bend);
@@ -250,23 +290,6 @@ fn astray(theta: f64) -> f64 {
     fresh * (3.0 + fresh * (-1.5 + fresh / 3.0))
 }
 
-/// Frames until the response to a step of X has come half the way, in fractions of a frame.
-fn lag_frames(Gains([alpha, beta, gamma]): Gains) -> f64 {
-    let (mut x, mut v, mut a) = (0.0, 0.0, 0.0);
-    let mut before = 0.0;
-    // Even the longest memory gets there: its first gain alone needs 1/α frames.
-    for frame in 0..1_000_000 {
-        let error = 1.0 - (x + v + a);
-        let next = [x + v + a + alpha * error, v + 2.0 * a + beta * error, a + gamma * error];
-        [x, v, a] = next;
-        if x >= 0.5 {
-            return (f64::from(frame) - (x - 0.5) / (x - before)).max(0.0);
-        }
-        before = x;
-    }
-    f64::INFINITY
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -274,10 +297,11 @@ mod tests {
     const PERIOD: f64 = 250e-6;
 
     /// Frames of a polynomial motion, through a filter.
+    /// None of them is off by more than noise explains.
     fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> Smoother {
         let mut smoother = Smoother::new(PERIOD, memory_s);
         for frame in 0..frames {
-            smoother.update(&pose(f64::from(frame) * PERIOD), None);
+            smoother.update(&pose(f64::from(frame) * PERIOD), |_, _| 6.0);
         }
         smoother
     }
@@ -302,9 +326,9 @@ mod tests {
             let predicted = smoother.predict().expect("started");
             let pose = at(200.0).translation_m.x - predicted.pose.translation_m.x;
             let step = 0.5 * 200.0 * 200.0 - predicted.twist.linear_m_per_s.x * PERIOD;
-            let theta = (-PERIOD / memory_s).exp();
+            let theta = smoother.state.expect("started").theta();
             assert!((pose * (1.0 - theta).powi(3) - 1.0).abs() < 1e-6, "{pose}");
-            assert!((step / pose - smoother.astray).abs() < 1e-6, "{step} {pose}");
+            assert!((step / pose - astray(theta)).abs() < 1e-6, "{step} {pose}");
         }
     }
 
@@ -314,12 +338,12 @@ mod tests {
         let mut smoother = Smoother::new(PERIOD, 1.0);
         for frame in 0..=PARABOLA_FROM {
             let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
-            smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), None);
+            smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), |_, _| 6.0);
         }
         let x = smoother.state.expect("started").pose.translation_m.x;
         assert!((x - 31.0).abs() < 1e-12, "{x}");
         let predicted = run(2e-3, 3000, |_| Pose::HOME).state.expect("started").advanced();
-        let theta: f64 = (-PERIOD / 2e-3_f64).exp();
+        let theta = predicted.theta();
         // Morrison 1969, table of the fading-memory parabola: variance of the position one frame ahead.
         let expected = (1.0 - theta)
             * (19.0 + 24.0 * theta + 16.0 * theta.powi(2) + 6.0 * theta.powi(3) + theta.powi(4))
@@ -329,18 +353,17 @@ mod tests {
 
     #[test]
     fn lag_is_what_a_small_step_shows() {
-        // The parabola's response rises to one and beyond, and half way after a fifth of its memory.
         for memory_s in [5e-3, 50e-3, 500e-3] {
             let mut smoother = run(memory_s, 30_000, |_| Pose::HOME);
             let mut frames = 0.0;
             let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
             while smoother.state.expect("started").pose.translation_m.x < 0.5e-6 {
-                smoother.update(&there, None);
+                smoother.update(&there, |_, _| 6.0);
                 frames += 1.0;
             }
-            // Counted from the step's first frame, and to the frame before the middle.
-            assert!((frames * PERIOD - smoother.lag_s - PERIOD).abs() <= PERIOD, "{memory_s} {}", smoother.lag_s);
-            assert!((0.15..0.25).contains(&(smoother.lag_s / memory_s)), "{memory_s} {}", smoother.lag_s);
+            let told = smoother.smoothed(&[[0.0; 6]; 6]).expect("many frames").lag_s;
+            // Counted in whole frames, from the step's first one on.
+            assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.1 * told, "{memory_s}: {frames} frames, {told}");
         }
     }
 }

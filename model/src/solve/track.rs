@@ -16,7 +16,7 @@ use super::{MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
 /// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to a pose's, short enough for the bends of a fast hand.
-const MEMORY_FRAMES: f64 = 3.0;
+const MEMORY_FRAMES: f64 = 2.0;
 
 /// Frames without a pose that the motion is trusted across.
 const MAX_COAST: u32 = 8;
@@ -104,12 +104,14 @@ impl<S: Scalar> Tracker<S> {
             _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
-        let (solution, squared_error) = self.solve(readings);
+        let solution = self.solve(readings);
         match solution.estimate.map(|estimate| estimate.widened()) {
             Some(estimate) if solution.outcome != Outcome::Degraded(Weakness::Misfit) => {
-                self.motion.update(&estimate.pose, squared_error);
+                let solver = &self.solver;
+                let squared_sigmas = |dt, dr| solver.squared_sigmas(&solution, dt, dr);
+                self.motion.update(&estimate.pose, squared_sigmas);
                 if let Some(filter) = &mut self.filter {
-                    filter.update(&estimate.pose, squared_error);
+                    filter.update(&estimate.pose, squared_sigmas);
                 }
                 let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
                 self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
@@ -147,11 +149,9 @@ impl<S: Scalar> Tracker<S> {
         }
     }
 
-    /// The solution, and the squared error of the prediction per axis in units of what noise
-    /// explains.
-    fn solve(&mut self, readings: &Photocurrents) -> (Solution<S>, Option<f64>) {
+    fn solve(&mut self, readings: &Photocurrents) -> Solution<S> {
         let Some(expected) = self.motion.predict() else {
-            return (self.find(readings, &unknown_motion(&self.last_twist)), None);
+            return self.find(readings, &unknown_motion(&self.last_twist));
         };
         let motion = self.motion_prior(&expected);
         let solution = self.solver.solve_next(readings, &expected.pose, &motion);
@@ -161,11 +161,8 @@ impl<S: Scalar> Tracker<S> {
             let (dt, dr) = estimate.pose.displacement_from(&expected.pose);
             let squared = self.solver.squared_sigmas(&solution, dt, dr) / (1.0 + expected.pose_variance);
             // While the motion is not known yet, any is as expected.
-            if expected.frames < BEND_FROM {
-                return (solution, None);
-            }
-            if squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN) {
-                return (solution, Some(squared / 6.0));
+            if expected.frames < BEND_FROM || squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN) {
+                return solution;
             }
         }
         // The tool did not go on as before: what it did within this frame is unknown.
@@ -174,9 +171,9 @@ impl<S: Scalar> Tracker<S> {
         let unknown = unknown_motion(&expected.twist);
         let solution = self.solver.solve_next(readings, &expected.pose, &unknown);
         if matches!(solution.outcome, Outcome::Degraded(Weakness::Misfit) | Outcome::Diverged) {
-            return (self.find(readings, &unknown), None);
+            return self.find(readings, &unknown);
         }
-        (solution, None)
+        solution
     }
 
     /// Looks for the tool everywhere; the longer it is lost, the less often.

@@ -85,7 +85,7 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
             note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &text, cell_colour(0));
         }
         for start in Start::BOTH {
-            let full = chosen(STREAM, start, Precision::Double).filter(is_shown).filter(is_apart).next_back();
+            let full = chosen(STREAM, start, Precision::Double).filter(is_shown).rfind(is_apart);
             if let Some(entry) = full.filter(|_| floor.is_none()) {
                 let colour = if start == Start::Cold { 0 } else { 1 };
                 note(point(entry), dvec2(0.0, 18.0), Anchor::Middle, "full", cell_colour(colour));
