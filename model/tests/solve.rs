@@ -208,3 +208,27 @@ fn single_precision_finds_the_same_pose() {
         assert!(dt.length() < 3e-8 && dr.length() < 4e-6, "{dt} {dr}");
     }
 }
+
+#[test]
+fn a_solver_takes_another_scene_where_it_is() {
+    let pose = Pose::from_vectors(DVec3::splat(1e-3), DVec3::splat(0.05));
+    let same = |a: &Solver<f64>, b: &Solver<f64>| {
+        let readings = readings(b.plan(), &pose);
+        let [a, b] = [a, b].map(|solver| solver.solve(&readings));
+        assert!(b.estimate.is_some());
+        assert_eq!((a.outcome, a.estimate, a.chi2), (b.outcome, b.estimate, b.chi2));
+    };
+    let mut solver = Solver::<f64>::empty();
+    for (scene, tier) in [(wide(), Tier::Paper), (base(), Tier::Exact { tolerance: 1e-6 }), (wide(), Tier::Paper)] {
+        // Whatever it was before.
+        solver.set_scene(&scene, tier).expect("scene");
+        same(&solver, &Solver::new(&scene, tier).expect("scene"));
+        solver = solver.with_exposures(&[1e-3; 6]);
+    }
+    let seen = readings(solver.plan(), &pose);
+    assert!(solver.set_scene(&Scene::default(), Tier::Paper).is_err());
+    for none in [solver, Solver::empty()] {
+        assert_eq!((none.plan().cell_count(), none.solve(&seen).outcome.has_pose()), (0, false));
+        assert!(!none.solve_near(&seen, &pose, &MotionPrior::default()).outcome.has_pose());
+    }
+}

@@ -132,16 +132,18 @@ fn motion(table: &Table) {
         row.number("translation_sigmas")
     };
     for motion in ["smooth", "straight"] {
-        for (speed, most) in [(0.0, 1.15), (0.1, 1.15), (0.5, 1.2), (2.0, 1.6)] {
+        // At 2 m/s the smooth motion bends within the frames its twist is taken from.
+        for (speed, most) in [(0.0, 1.15), (0.1, 1.15), (0.5, 1.15), (2.0, 1.6)] {
             let honoured = sigmas(motion, "honoured", speed);
             assert!((0.85..most).contains(&honoured), "{motion} at {speed} m/s: {honoured} σ");
         }
         assert!(sigmas(motion, "ignored", 0.5) > 1.5 && sigmas(motion, "ignored", 2.0) > 5.0);
         assert!((0.85..1.15).contains(&sigmas(motion, "ignored", 0.0)));
     }
-    // At rest a memory of 8 frames at 4 kHz halves the error, not more.
-    let filtered = sigmas("smooth", "honoured, filter 2 ms", 0.0);
-    assert!((0.35..0.6).contains(&filtered), "{filtered}");
+    // A filter over 2 ms: at rest half of a frame's noise, and never worse than a frame as long as the
+    // motion is one that it can follow.
+    let filtered = |speed| sigmas("smooth", "honoured, filter 2 ms", speed);
+    assert!((0.35..0.6).contains(&filtered(0.0)) && (0.3..1.0).contains(&filtered(0.5)));
 }
 
 fn economy(table: &Table) {

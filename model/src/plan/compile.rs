@@ -60,19 +60,24 @@ impl Check {
     }
 }
 
-pub(super) fn cells<S: Scalar>(scene: &Scene, tier: Tier) -> Result<Vec<CompiledCell<S>, MAX_CELLS>, SceneError> {
+/// Compiles the cells of `scene` to where `cells` is.
+#[inline(never)]
+pub(super) fn fill<S: Scalar>(
+    cells: &mut Vec<CompiledCell<S>, MAX_CELLS>,
+    scene: &Scene,
+    tier: Tier,
+) -> Result<(), SceneError> {
     let of_scene = Check { cell: None, section: "cell" };
     if scene.cells.is_empty() {
         return Err(of_scene.fault("detector_mm", Fault::NoCells));
     }
     check_noise(scene)?;
-    let mut cells = Vec::new();
     for (index, cell) in scene.cells.iter().enumerate() {
         let compiled = compile_cell(index, cell, tier)?;
         // As many as the scene's own list holds.
         let _ = cells.push(compiled);
     }
-    Ok(cells)
+    Ok(())
 }
 
 fn check_noise(scene: &Scene) -> Result<(), SceneError> {
@@ -108,7 +113,7 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
             axes: [x_axis, y_axis, normal].map(vector),
             centre: vector(cell.detector.centre_base_m),
             half: [S::of(0.5 * cell.detector.length_m), S::of(0.5 * cell.detector.width_m)],
-            length: S::of(cell.detector.length_m),
+            per_length: S::of(cell.detector.length_m).recip(),
             responsivity: S::of(cell.detector.responsivity_a_per_w),
             dark: S::of(cell.detector.dark_current_a),
         },

@@ -38,8 +38,8 @@ pub struct Plan<S: Scalar> {
     cells: Vec<CompiledCell<S>, MAX_CELLS>,
     /// Absent in the paper tier.
     rules: Option<Rules<S>>,
-    /// The same cells side by side, where they are alike enough.
-    packs: Option<Vec<Pack<S::Lanes>, MAX_CELLS>>,
+    /// The same cells side by side, where they are alike enough; else none.
+    packs: Vec<Pack<S::Lanes>, MAX_CELLS>,
 }
 
 /// The derivative of a cell's two currents by a perturbation of the pose in the base frame,
@@ -89,10 +89,30 @@ impl<S: Scalar> Plan<S> {
     /// The first impossible value, with its place in the scene. Values that are possible but
     /// useless (no slit width, an emitter behind the slit) compile; they answer with a status.
     pub fn compile(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let cells = compile::cells(scene, tier)?;
-        let rules = matches!(tier, Tier::Exact { .. }).then(Rules::new);
-        let packs = if rules.is_none() { pack::packs(&cells) } else { None };
-        Ok(Self { cells, rules, packs })
+        let mut plan = Self::empty();
+        plan.set_scene(scene, tier)?;
+        Ok(plan)
+    }
+
+    /// A plan of no cells yet.
+    #[inline]
+    pub(crate) fn empty() -> Self {
+        Self { cells: Vec::new(), rules: None, packs: Vec::new() }
+    }
+
+    /// [`Self::compile`] where the plan is. After an error it has no cells.
+    pub(crate) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+        self.cells.clear();
+        self.packs.clear();
+        if let Err(error) = compile::fill(&mut self.cells, scene, tier) {
+            self.cells.clear();
+            return Err(error);
+        }
+        self.rules = matches!(tier, Tier::Exact { .. }).then(Rules::new);
+        if self.rules.is_none() {
+            pack::fill(&mut self.packs, &self.cells);
+        }
+        Ok(())
     }
 
     /// Number of cells.
@@ -135,11 +155,11 @@ impl<S: Scalar> Plan<S> {
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, &CellTerms<S>),
     ) {
-        match &self.packs {
-            Some(packs) => pack::linearise(packs, self.cells.len(), instant, sink),
-            None => (0..self.cells.len())
-                .filter(|&cell| wanted(cell))
-                .for_each(|cell| sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)))),
+        if !self.packs.is_empty() {
+            return pack::linearise(&self.packs, self.cells.len(), instant, sink);
+        }
+        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
+            sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)));
         }
     }
 
@@ -152,12 +172,12 @@ impl<S: Scalar> Plan<S> {
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, [S; 2]),
     ) {
-        match &self.packs {
-            Some(packs) => pack::currents(packs, self.cells.len(), instant, sink),
-            None => (0..self.cells.len()).filter(|&cell| wanted(cell)).for_each(|cell| {
-                let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
-                sink(cell, [pair.i_x1_a, pair.i_x2_a]);
-            }),
+        if !self.packs.is_empty() {
+            return pack::currents(&self.packs, self.cells.len(), instant, sink);
+        }
+        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
+            let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
+            sink(cell, [pair.i_x1_a, pair.i_x2_a]);
         }
     }
 

@@ -14,7 +14,8 @@ pub(super) struct Receiver<R: Real> {
     pub(super) axes: [R::Vec3; 3],
     pub(super) centre: R::Vec3,
     pub(super) half: [R; 2],
-    pub(super) length: R,
+    /// 1/Lx.
+    pub(super) per_length: R,
     pub(super) responsivity: R,
     pub(super) dark: R,
 }
@@ -126,7 +127,7 @@ impl<R: Real> Receiver<R> {
     pub(super) fn divide(&self, photocurrent: R, x_a: R, divides_dark: bool) -> [R; 2] {
         let half = R::constant(0.5) * photocurrent;
         let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
-        let imbalance = divided * (x_a * self.length.inverse());
+        let imbalance = divided * (x_a * self.per_length);
         [half - imbalance, half + imbalance]
     }
 
@@ -142,8 +143,7 @@ impl<R: Real> Receiver<R> {
         let gain = self.responsivity * source.intensity;
         let photocurrent = gain * light.power.value;
         let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
-        let per_length = self.length.inverse();
-        let share = light.x_a.value() * per_length;
+        let share = light.x_a.value() * self.per_length;
         let (half, imbalance) = (R::constant(0.5) * photocurrent, divided * share);
 
         // I_X1 + I_X2 = I and I_X1 = I/2 − (I + I_D')·X_A/Lx, with I_D' = I_D or 0.
@@ -156,7 +156,7 @@ impl<R: Real> Receiver<R> {
                 [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
             }
         };
-        let (of_power, of_position) = (gain * (R::constant(0.5) - share), divided * per_length);
+        let (of_power, of_position) = (gain * (R::constant(0.5) - share), divided * self.per_length);
         let first: [R; 6] = core::array::from_fn(|i| total[i] * of_power - position[i] * of_position);
         let second = core::array::from_fn(|i| total[i] * gain - first[i]);
         ([half - imbalance, half + imbalance], [first, second])

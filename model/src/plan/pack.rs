@@ -40,9 +40,17 @@ impl<R: Real> Span<R> {
     }
 }
 
-/// The cells of a plan as packs; `None` if any of them is of another kind.
-pub(super) fn packs<S: Scalar>(cells: &[CompiledCell<S>]) -> Option<Vec<Pack<S::Lanes>, MAX_CELLS>> {
-    cells.chunks(<S::Lanes as Real>::LANES).map(Pack::of).collect()
+/// Lays the cells of a plan side by side to where `packs` is; none if any of them is of another kind.
+#[inline(never)]
+pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
+    for cells in cells.chunks(<S::Lanes as Real>::LANES) {
+        let Some(pack) = Pack::of(cells) else {
+            packs.clear();
+            return;
+        };
+        // No more than cells.
+        let _ = packs.push(pack);
+    }
 }
 
 impl<R: Real> Pack<R> {
@@ -79,7 +87,7 @@ impl<R: Real> Pack<R> {
                 axes: [0, 1, 2].map(|k| vector(&|cell| cell.receiver.axes[k])),
                 centre: vector(&|cell| cell.receiver.centre),
                 half: [0, 1].map(|k| number(&|cell| cell.receiver.half[k])),
-                length: number(&|cell| cell.receiver.length),
+                per_length: number(&|cell| cell.receiver.per_length),
                 responsivity: number(&|cell| cell.receiver.responsivity),
                 dark: number(&|cell| cell.receiver.dark),
             },

@@ -27,8 +27,8 @@ impl<S: Scalar> Factor<S> {
     /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
     #[inline]
     pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
-        let mut lower = [[S::zero(); 6]; 6];
-        let mut inverses = [S::zero(); 6];
+        let mut factor = Self { lower: [[S::zero(); 6]; 6], inverses: [S::zero(); 6] };
+        let Self { lower, inverses } = &mut factor;
         let least = if damping > S::zero() {
             S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
         } else {
@@ -55,7 +55,7 @@ impl<S: Scalar> Factor<S> {
             inverses[i] = pivot.inverse_root();
             lower[i][i] = pivot * inverses[i];
         }
-        Some(Self { lower, inverses })
+        Some(factor)
     }
 
     /// L⁻¹·v.

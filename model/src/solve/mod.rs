@@ -120,7 +120,41 @@ impl<S: Scalar> Solver<S> {
     /// # Errors
     /// Those of [`Plan::compile`].
     pub fn new(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let plan = Plan::compile(scene, tier)?;
+        let mut solver = Self::empty();
+        solver.set_scene(scene, tier)?;
+        Ok(solver)
+    }
+
+    /// For no scene yet: it finds no pose.
+    #[inline]
+    #[must_use]
+    pub fn empty() -> Self {
+        Self {
+            plan: Plan::empty(),
+            planes: Vec::new(),
+            noise: Vec::new(),
+            limits: Vec::new(),
+            gates: [S::zero(); MAX_CELLS + 1],
+            offsets_s: Vec::new(),
+            arm: S::of(LONE_ARM_M),
+            bend: S::zero(),
+            effort: Effort::Full,
+            blind: None,
+        }
+    }
+
+    /// Compiles `scene` where the solver is, for a processor whose RAM holds one and not two: cells
+    /// exposed at the reference instant, the effort as before.
+    ///
+    /// # Errors
+    /// Those of [`Plan::compile`]. The solver is then an empty one.
+    #[inline(never)]
+    pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+        self.planes.clear();
+        self.noise.clear();
+        self.limits.clear();
+        self.offsets_s.clear();
+        self.plan.set_scene(scene, tier)?;
         let rounding = 16.0 * S::epsilon().as_f64();
         let relative_error = match tier {
             Tier::Paper => rounding,
@@ -129,30 +163,17 @@ impl<S: Scalar> Solver<S> {
         let cells = scene.cells.iter();
         let square_arm: f64 = cells.clone().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
         let arm_m = libm::sqrt(square_arm / scene.cells.len() as f64);
-        let arm = S::of(if arm_m > 0.0 { arm_m } else { LONE_ARM_M });
-        let planes: Vec<_, MAX_CELLS> =
-            cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)).collect();
-        let mut solver = Self {
-            noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
-            limits: cells
-                .map(|Cell { detector, .. }| Limits {
-                    faint_a: S::of(detector.faint_a),
-                    saturation_a: detector
-                        .saturation_a
-                        .map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
-                })
-                .collect(),
-            gates: core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells)))),
-            offsets_s: Vec::new(),
-            arm,
-            bend: refine::bend(&planes, arm),
-            planes,
-            plan,
-            effort: Effort::Full,
-            blind: None,
-        };
-        solver.blind = solver.blind_at_home();
-        Ok(solver)
+        self.arm = S::of(if arm_m > 0.0 { arm_m } else { LONE_ARM_M });
+        self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)));
+        self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
+        self.limits.extend(cells.map(|Cell { detector, .. }| Limits {
+            faint_a: S::of(detector.faint_a),
+            saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
+        }));
+        self.gates = core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells))));
+        self.bend = refine::bend(&self.planes, self.arm);
+        self.blind = self.blind_at_home();
+        Ok(())
     }
 
     /// The directions that the currents of a head leave free at home; `None` if there is none, or
@@ -248,13 +269,13 @@ impl<S: Scalar> Solver<S> {
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
     pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
-        let solution = self.solve_next(readings, prior, motion);
-        if solution.outcome != Outcome::Diverged {
-            return solution;
+        let mut solution = self.solve_next(readings, prior, motion);
+        if solution.outcome == Outcome::Diverged {
+            let before = solution.iterations;
+            solution = self.solve_moving(readings, motion);
+            solution.iterations += before;
         }
-        let mut searched = self.solve_moving(readings, motion);
-        searched.iterations += solution.iterations;
-        searched
+        solution
     }
 
     /// The pose from `readings` near `prior`, or none.

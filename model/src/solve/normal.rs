@@ -105,13 +105,22 @@ pub(super) struct Workspace<S: Scalar> {
     guided: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
     /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
     slack_m: S,
+    /// M₁ and M₂, where the twist is not known.
+    twist_moments: [Matrix6<S>; 2],
+    elimination: Option<Elimination<S>>,
 }
 
 impl<S: Scalar> Workspace<S> {
     /// Nothing in it yet.
     #[inline(always)]
     pub(super) fn new() -> Self {
-        Self { rows: ArrayVec::new(), guided: ArrayVec::new(), slack_m: S::zero() }
+        Self {
+            rows: ArrayVec::new(),
+            guided: ArrayVec::new(),
+            slack_m: S::zero(),
+            twist_moments: [[[S::zero(); 6]; 6]; 2],
+            elimination: None,
+        }
     }
 }
 
@@ -121,7 +130,6 @@ pub(super) struct Expansion<S> {
     pub(super) chi2: S,
     pub(super) information: Matrix6<S>,
     pub(super) descent: Vector6<S>,
-    elimination: Option<Elimination<S>>,
 }
 
 /// What takes the twist out of gradient and χ².
@@ -142,6 +150,20 @@ struct Gradient<S> {
 }
 
 impl<S: Scalar> Elimination<S> {
+    /// Takes the twist out of an expansion.
+    #[inline(never)]
+    fn reduce(&self, expansion: &mut Expansion<S>, gradient: &Gradient<S>) {
+        for i in 0..6 {
+            for j in 0..6 {
+                for k in 0..6 {
+                    let known = self.mixed[i][k] * self.mixed[j][k];
+                    expansion.information[i][j] -= known;
+                }
+            }
+        }
+        (expansion.chi2, expansion.descent) = self.apply(gradient);
+    }
+
     fn apply(&self, gradient: &Gradient<S>) -> (S, Vector6<S>) {
         let twist = self.factor.forward(&gradient.by_twist);
         let mut descent = gradient.by_pose;
@@ -208,13 +230,15 @@ impl<S: Scalar> Problem<'_, S> {
         whiteners: &Whiteners<S>,
         room: &mut Workspace<S>,
     ) -> Expansion<S> {
-        let Workspace { rows: all_rows, guided, slack_m } = room;
+        let Workspace { rows: all_rows, guided, slack_m, twist_moments, .. } = room;
         *slack_m = S::infinity();
         all_rows.clear();
         guided.clear();
-        let scale: [S; 6] = core::array::from_fn(|axis| if axis < 3 { self.arm } else { S::one() });
-        let mut moments = [[[S::zero(); 6]; 6]; 3];
-        let order = if self.motion.prior.is_some() { 3 } else { 1 };
+        let mut information = [[S::zero(); 6]; 6];
+        let knows_twist = self.motion.prior.is_none();
+        if !knows_twist {
+            *twist_moments = [information; 2];
+        }
         self.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
@@ -226,65 +250,70 @@ impl<S: Scalar> Problem<'_, S> {
                 };
                 *slack_m = slack_m.min(terms.slack_m);
                 let whitener = &whiteners[index];
+                // Translations are counted in units of the arm.
+                let whitener_in_arms = whitener.scaled(self.arm);
                 let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
                 let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
                 for axis in 0..6 {
-                    let column = whitener.apply(terms.jacobian.map(|row| row[axis] * scale[axis]));
+                    let whitener = if axis < 3 { &whitener_in_arms } else { whitener };
+                    let column = whitener.apply(terms.jacobian.map(|row| row[axis]));
                     rows[0].by_pose[axis] = column[0];
                     rows[1].by_pose[axis] = column[1];
                 }
-                let guide = (!terms.status.has_spot()).then(|| self.guide(reading, pose));
-                let mut weight = S::one();
-                for moment in &mut moments[..order] {
-                    for row in rows.iter().chain(&guide) {
-                        add_outer(moment, weight, &row.by_pose);
-                    }
-                    weight *= self.share(reading);
+                let own = [&rows[0].by_pose, &rows[1].by_pose];
+                add_outer(&mut information, own, own);
+                if !knows_twist {
+                    self.add_twist(twist_moments, reading, &rows);
                 }
-                // As many as readings.
-                all_rows.push(rows);
-                if let Some(guide) = guide {
+                if !terms.status.has_spot() {
+                    let guide = self.guide(reading, pose);
+                    add_outer(&mut information, [&guide.by_pose], [&guide.by_pose]);
+                    if !knows_twist {
+                        self.add_twist(twist_moments, reading, &[guide]);
+                    }
                     // One that does not fit only shows the way less.
                     let _ = guided.try_push((index, guide));
                 }
+                // As many as readings.
+                all_rows.push(rows);
             },
         );
-        if !adds_squares::<S>() {
-            for moment in &mut moments[..order] {
-                for i in 0..6 {
-                    for j in i + 1..6 {
-                        moment[i][j] = moment[j][i];
-                    }
-                }
-            }
-        }
+        mirror(&mut information);
         let gradient = self.gradient(room);
-        let [information, mixed, twist] = moments;
-        let Some(elimination) = self.elimination(&mixed, &twist) else {
-            let (chi2, descent) = (gradient.chi2, gradient.by_pose);
-            return Expansion { chi2, information, descent, elimination: None };
-        };
-        let mut reduced = information;
-        for i in 0..6 {
-            for j in 0..6 {
-                for k in 0..6 {
-                    let known = elimination.mixed[i][k] * elimination.mixed[j][k];
-                    reduced[i][j] -= known;
-                }
+        let mut expansion = Expansion { chi2: gradient.chi2, information, descent: gradient.by_pose };
+        room.elimination = None;
+        if !knows_twist {
+            room.elimination = self.elimination(&mut room.twist_moments);
+            if let Some(elimination) = &room.elimination {
+                elimination.reduce(&mut expansion, &gradient);
             }
         }
-        let (chi2, descent) = elimination.apply(&gradient);
-        Expansion { chi2, information: reduced, descent, elimination: Some(elimination) }
+        expansion
     }
 
-    fn elimination(&self, mixed: &Matrix6<S>, twist: &Matrix6<S>) -> Option<Elimination<S>> {
+    /// What `rows` of one reading add to M₁ and M₂.
+    #[inline(never)]
+    fn add_twist<const N: usize>(&self, moments: &mut [Matrix6<S>; 2], reading: &Usable<S>, rows: &[Row<S>; N]) {
+        let share = self.share(reading);
+        let own = rows.each_ref().map(|row| &row.by_pose);
+        let mut weight = share;
+        for moment in moments {
+            let weighted = own.map(|row| row.map(|value| weight * value));
+            add_outer(moment, weighted.each_ref(), own);
+            weight *= share;
+        }
+    }
+
+    #[inline(never)]
+    fn elimination(&self, [mixed, twist]: &mut [Matrix6<S>; 2]) -> Option<Elimination<S>> {
         let prior = self.motion.prior?;
-        let mut matrix = *twist;
-        for (i, row) in matrix.iter_mut().enumerate() {
+        mirror(mixed);
+        // Of a symmetric matrix its factor takes the lower half.
+        for (i, row) in twist.iter_mut().enumerate() {
             row[i] += prior[i / 3];
         }
         // Positive definite: the prior sees to that.
-        let factor = Factor::of_matrix(&matrix, S::zero(), S::zero())?;
+        let factor = Factor::of_matrix(twist, S::zero(), S::zero())?;
         Some(Elimination { mixed: mixed.map(|column| factor.forward(&column)), factor })
     }
 
@@ -326,7 +355,6 @@ impl<S: Scalar> Problem<'_, S> {
         &self,
         pose: &Transform<S>,
         whiteners: &Whiteners<S>,
-        at: &Expansion<S>,
         room: &mut Workspace<S>,
     ) -> (S, Vector6<S>) {
         let mut index = 0;
@@ -348,7 +376,7 @@ impl<S: Scalar> Problem<'_, S> {
             row.residual = self.guide(&self.readings[*index], pose).residual;
         }
         let gradient = self.gradient(room);
-        match &at.elimination {
+        match &room.elimination {
             Some(elimination) => elimination.apply(&gradient),
             None => (gradient.chi2, gradient.by_pose),
         }
@@ -420,14 +448,29 @@ const fn adds_squares<S: Scalar>() -> bool {
     <S::Lanes as Real>::LANES > 1
 }
 
-/// Adds `weight`·row·rowᵀ, at least its lower half.
+/// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
 #[inline(always)]
-fn add_outer<S: Scalar>(matrix: &mut Matrix6<S>, weight: S, row: &Vector6<S>) {
+fn add_outer<S: Scalar, const N: usize>(matrix: &mut Matrix6<S>, left: [&Vector6<S>; N], right: [&Vector6<S>; N]) {
     for i in 0..6 {
-        let factor = weight * row[i];
         let end = if adds_squares::<S>() { 6 } else { i + 1 };
         for j in 0..end {
-            matrix[i][j] += factor * row[j];
+            let mut sum = matrix[i][j];
+            for k in 0..N {
+                sum += left[k][i] * right[k][j];
+            }
+            matrix[i][j] = sum;
+        }
+    }
+}
+
+/// Completes what [`add_outer`] has added up.
+#[inline(always)]
+fn mirror<S: Scalar>(matrix: &mut Matrix6<S>) {
+    if !adds_squares::<S>() {
+        for i in 0..6 {
+            for j in i + 1..6 {
+                matrix[i][j] = matrix[j][i];
+            }
         }
     }
 }

@@ -96,7 +96,7 @@ impl<S: Scalar> Problem<'_, S> {
             }
             if undamped && change <= S::of(KEEP) && iterations < ending.max_iterations {
                 iterations += 1;
-                let (chi2, descent) = self.revisit(&trial, whiteners, &at, room);
+                let (chi2, descent) = self.revisit(&trial, whiteners, room);
                 let second = factor.solve(&descent);
                 let second_gain = dot(&second, &descent).max(S::zero());
                 let ratio = (second_gain / gain).square_root();

@@ -36,6 +36,12 @@ impl<S: Scalar> Whitener<S> {
         Self { rows: [[w0[0] - a * along[0], w0[1] - a * along[1]], [w1[0] - b * along[0], w1[1] - b * along[1]]] }
     }
 
+    /// For derivatives that are to be counted in units of `unit`.
+    #[inline(always)]
+    pub(crate) fn scaled(&self, unit: S) -> Self {
+        Self { rows: self.rows.map(|row| row.map(|value| value * unit)) }
+    }
+
     #[inline(always)]
     pub(crate) fn apply(&self, pair: [S; 2]) -> [S; 2] {
         self.rows.map(|row| row[0] * pair[0] + row[1] * pair[1])

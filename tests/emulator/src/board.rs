@@ -232,18 +232,6 @@ impl<W: World> Board<W> {
         store(&mut self.ram, address.checked_sub(RAM_BASE)? as usize, 4, word)
     }
 
-    /// Gives the board more RAM than such a device has, from the same address up: to measure what
-    /// does not fit it yet.
-    ///
-    /// # Panics
-    /// If that is less than a device has.
-    pub fn extend_ram(&mut self, bytes: usize) {
-        assert!(bytes >= RAM_BYTES, "{bytes} bytes, a device has {RAM_BYTES}");
-        let mut ram = std::mem::take(&mut self.ram).into_vec();
-        ram.resize(bytes, 0);
-        self.ram = ram.into_boxed_slice();
-    }
-
     /// The emitter gates: bit k for PC(6 + k).
     pub fn gates(&self) -> u8 {
         self.gates

@@ -6,7 +6,7 @@ use object::elf::{FileHeader32, PT_LOAD};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader};
 use object::{Endianness, Object, ObjectSection, ObjectSymbol, SectionFlags};
 
-use crate::memory::{FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
+use crate::memory::{CCM_BASE, CCM_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, RAM_BASE, RAM_BYTES};
 
 /// Why a file is no image for this device.
 #[derive(Debug, thiserror::Error)]
@@ -42,6 +42,7 @@ pub struct Image {
     segments: Vec<(u32, Vec<u8>)>,
     symbols: BTreeMap<String, Symbol>,
     static_ram_bytes: usize,
+    ccm_bytes: usize,
 }
 
 impl Image {
@@ -56,8 +57,17 @@ impl Image {
             let place = Symbol { address: symbol.address() as u32, bytes: symbol.size() as u32 };
             symbol.name().ok().filter(|name| !name.is_empty()).map(|name| (name.to_owned(), place))
         });
-        let static_ram_bytes = elf.sections().filter(is_static_ram).map(|section| section.size() as usize).sum();
-        Ok(Self { segments, symbols: named.collect(), static_ram_bytes })
+        let bytes_in = |base: u32, bytes: usize| {
+            let place = u64::from(base)..u64::from(base) + bytes as u64;
+            let sections = elf.sections().filter(|section| is_allocated(section) && place.contains(&section.address()));
+            sections.map(|section| section.size() as usize).sum()
+        };
+        Ok(Self {
+            segments,
+            symbols: named.collect(),
+            static_ram_bytes: bytes_in(RAM_BASE, RAM_BYTES),
+            ccm_bytes: bytes_in(CCM_BASE, CCM_BYTES),
+        })
     }
 
     /// Puts the image into flash, as a programmer's tool does.
@@ -81,6 +91,11 @@ impl Image {
     pub fn static_ram_bytes(&self) -> usize {
         self.static_ram_bytes
     }
+
+    /// Bytes of CCM SRAM, seen at its own address, that its code and variables take.
+    pub fn ccm_bytes(&self) -> usize {
+        self.ccm_bytes
+    }
 }
 
 fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>, ImageError> {
@@ -102,14 +117,12 @@ fn loadable_segments(file: &[u8]) -> Result<Vec<(u32, Vec<u8>)>, ImageError> {
     Ok(segments)
 }
 
-/// A section that occupies RAM from start to end of the program.
-fn is_static_ram<'data>(section: &impl ObjectSection<'data>) -> bool {
-    let allocated = match section.flags() {
+/// A section that occupies memory from start to end of the program.
+fn is_allocated<'data>(section: &impl ObjectSection<'data>) -> bool {
+    match section.flags() {
         SectionFlags::Elf { sh_flags } => sh_flags & u64::from(object::elf::SHF_ALLOC) != 0,
         _ => false,
-    };
-    let ram = u64::from(RAM_BASE)..u64::from(RAM_BASE) + RAM_BYTES as u64;
-    allocated && ram.contains(&section.address())
+    }
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use thiserror::Error;
 use crate::cpu::FaultReport;
 use crate::image::Image;
 use crate::machine::{Machine, Stop};
-use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
+use crate::memory::{FlashArray, RAM_BASE};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::profile::Profile;
 use crate::rig::{OpenError, built_image_path, open_image};
@@ -23,9 +23,6 @@ const PATIENCE_TICKS: Ticks = 10 * TICKS_PER_SECOND;
 
 /// Between two looks at the mailbox while nothing is noted.
 const LOOK_TICKS: Ticks = 1_000;
-
-/// More RAM than a device has: a solver is measured also while it does not fit the board yet.
-const RAM_GIVEN: usize = 4 * RAM_BYTES;
 
 /// The file that `firmware/build --stopwatch` made last.
 pub fn stopwatch_image_path() -> PathBuf {
@@ -70,10 +67,12 @@ pub enum StopwatchError {
         asked: &'static str,
     },
     /// The stack has run into the static variables.
-    #[error("the image needs {bytes} bytes of RAM and has {RAM_GIVEN}, where a board has {RAM_BYTES}")]
+    #[error("stack and variables need {bytes} bytes of RAM, and there are {room}: give the solver less to hold")]
     StackOverflow {
         /// Stack and variables.
         bytes: usize,
+        /// From the start of RAM to where the stack begins.
+        room: usize,
     },
 }
 
@@ -82,7 +81,10 @@ pub enum StopwatchError {
 pub struct Stopwatch {
     machine: Machine<Nothing>,
     mailbox: u32,
-    fixed_ram: usize,
+    /// Where the stack begins.
+    stack: u32,
+    static_ram_bytes: usize,
+    ccm_bytes: usize,
     profile: Option<Profile>,
 }
 
@@ -120,12 +122,16 @@ impl Stopwatch {
             image.symbols().find(|(name, _)| *name == MAILBOX_SYMBOL).ok_or(StopwatchError::NoMailbox)?;
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
-        // The first word of the vector table is where the stack begins.
-        flash.load(0, &(RAM_BASE + RAM_GIVEN as u32).to_le_bytes());
-        let mut machine = Machine::new(flash, Nothing);
-        machine.board.extend_ram(RAM_GIVEN);
-        let fixed_ram = image.static_ram_bytes();
-        let mut stopwatch = Self { machine, mailbox: mailbox.address, fixed_ram, profile: None };
+        // The first word of the vector table.
+        let stack = flash.double_word(0) as u32;
+        let mut stopwatch = Self {
+            machine: Machine::new(flash, Nothing),
+            mailbox: mailbox.address,
+            stack,
+            static_ram_bytes: image.static_ram_bytes(),
+            ccm_bytes: image.ccm_bytes(),
+            profile: None,
+        };
         stopwatch.wait()?;
         for request in Request::of_scene(scene).chain([Request::Compile(tier)]) {
             if stopwatch.ask(&request)? != Answer::Done {
@@ -156,10 +162,19 @@ impl Stopwatch {
         }
     }
 
-    /// RAM that solver and scene need, in bytes: the stack where it was deepest, and variables. A
-    /// board has [`RAM_BYTES`].
+    /// RAM that solver and scene need, in bytes: the stack where it was deepest, variables, and code
+    /// in CCM SRAM. A board has [`RAM_BYTES`](crate::memory::RAM_BYTES).
     pub fn ram_bytes(&self) -> usize {
-        RAM_GIVEN - self.machine.cpu.min_sp().saturating_sub(RAM_BASE) as usize + self.fixed_ram
+        self.stack_and_variables() + self.ccm_bytes
+    }
+
+    /// Of these the code in CCM SRAM.
+    pub fn ccm_bytes(&self) -> usize {
+        self.ccm_bytes
+    }
+
+    fn stack_and_variables(&self) -> usize {
+        self.stack.saturating_sub(self.machine.cpu.min_sp()) as usize + self.static_ram_bytes
     }
 
     fn ask(&mut self, request: &Request) -> Result<Answer, StopwatchError> {
@@ -187,8 +202,9 @@ impl Stopwatch {
         let end = self.machine.now() + PATIENCE_TICKS;
         loop {
             let state = State::of_word(self.word(0));
-            if self.ram_bytes() > RAM_GIVEN {
-                return Err(StopwatchError::StackOverflow { bytes: self.ram_bytes() });
+            let (bytes, room) = (self.stack_and_variables(), self.stack.saturating_sub(RAM_BASE) as usize);
+            if bytes > room {
+                return Err(StopwatchError::StackOverflow { bytes, room });
             }
             match state {
                 State::Waiting => return Ok(()),

@@ -4,6 +4,8 @@
 //! folded, a skipped instruction takes its one cycle, the write buffer never fills, and a floating-point result that
 //! the next instruction consumes is not waited for (a cycle each: some 2 % of the pose solver).
 
+use crate::memory::CCM_BASE;
+
 use super::instruction::{Address, FloatAddress, FloatInstruction, FloatOp, FloatUnaryOp, Instruction};
 
 /// Refill of the pipeline after a taken branch, "P" of the manual: 1 to 3 by alignment and width of the target.
@@ -105,7 +107,7 @@ impl Accelerator {
         Self { current: NO_LINE, instructions: [NO_LINE; 32], data: [NO_LINE; 8] }
     }
 
-    /// Whether an instruction at `address` has to be waited for.
+    /// Whether an instruction at `address` has to be waited for. Only those in flash pass through the caches.
     #[inline(always)]
     pub fn misses_instruction(&mut self, address: u32) -> bool {
         let line = address >> 5;
@@ -114,6 +116,9 @@ impl Accelerator {
 
     fn enter_line(&mut self, line: u32) -> bool {
         self.current = line;
+        if !is_flash(line) {
+            return false;
+        }
         let slot = &mut self.instructions[line as usize % 32];
         std::mem::replace(slot, line) != line
     }
@@ -121,9 +126,17 @@ impl Accelerator {
     /// Whether data at `address` has to be waited for.
     pub fn misses_data(&mut self, address: u32) -> bool {
         let line = address >> 5;
+        if !is_flash(line) {
+            return false;
+        }
         let slot = &mut self.data[line as usize % 8];
         std::mem::replace(slot, line) != line
     }
+}
+
+/// Whether a line lies in flash: below CCM SRAM.
+fn is_flash(line: u32) -> bool {
+    line < CCM_BASE >> 5
 }
 
 /// Registers loaded by [`Timing::busy`] at the start: nothing overlaps.
@@ -163,5 +176,13 @@ mod tests {
         assert!(!accelerator.misses_instruction(0x0800_0000));
         assert!(accelerator.misses_data(0x0800_0000));
         assert!(!accelerator.misses_data(0x0800_0004));
+    }
+
+    #[test]
+    fn code_in_ccm_sram_is_not_waited_for_and_leaves_the_caches_alone() {
+        let mut accelerator = Accelerator::new();
+        assert!(accelerator.misses_instruction(0x0800_0000) && accelerator.misses_data(0x0800_0000));
+        assert!(!accelerator.misses_instruction(CCM_BASE) && !accelerator.misses_data(CCM_BASE));
+        assert!(!accelerator.misses_instruction(0x0800_0000) && !accelerator.misses_data(0x0800_0000));
     }
 }

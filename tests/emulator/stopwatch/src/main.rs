@@ -1,6 +1,7 @@
 //! The image: builds solvers in `f32` and times them, as its host asks.
 //!
-//! Nothing else runs and no interrupt is enabled: the cycles are the solver's.
+//! Nothing else runs and no interrupt is enabled: the cycles are the solver's. Its code runs from CCM
+//! SRAM, without the wait states of flash: `memory.x` says which.
 
 #![no_std]
 #![no_main]
@@ -9,6 +10,7 @@ use core::hint::{black_box, spin_loop};
 use core::panic::PanicInfo;
 
 use cortex_m::Peripherals;
+use cortex_m::asm::{dsb, isb};
 use cortex_m::peripheral::DWT;
 use cortex_m_rt::entry;
 use slitpose_model::{MotionPrior, Outcome, Photocurrents, Pose, Scene, Solver};
@@ -25,8 +27,38 @@ const LATENCY: u32 = 0xF;
 /// Wait states that the board's image runs with, at 170 MHz.
 const WAIT_STATES: u32 = 4;
 
+// Of memory.x: the code that runs from CCM SRAM, and its image in flash.
+#[allow(unsafe_code, reason = "the linker's symbols; only their addresses are used")]
+unsafe extern "C" {
+    static mut __sccm: u64;
+    static __eccm: u64;
+    static __siccm: u64;
+}
+
 #[entry]
 fn main() -> ! {
+    load_ccm();
+    run()
+}
+
+/// Brings the solver's code to CCM SRAM. Nothing of it may be called before: hence word by word, as
+/// what copies memory is there, too.
+fn load_ccm() {
+    let (from, to, end) = (&raw const __siccm, &raw mut __sccm, &raw const __eccm);
+    for index in 0..(end as usize - to as usize) / size_of::<u64>() {
+        // SAFETY: the linker has set both places aside in this size, each aligned to 8 bytes, and
+        // nothing else refers to them.
+        #[allow(unsafe_code)]
+        unsafe {
+            to.add(index).write_volatile(from.add(index).read_volatile());
+        }
+    }
+    dsb();
+    isb();
+}
+
+#[inline(never)]
+fn run() -> ! {
     wait_for_flash_as_at_full_speed();
     let mut core = Peripherals::take().expect("the first to ask");
     core.DCB.enable_trace();
@@ -48,13 +80,14 @@ fn main() -> ! {
             _ => say(&Answer::Refused),
         }
     };
-    // Looked at where it is: a solver is too large to be moved about.
-    let solver = Solver::<f32>::new(&scene, tier);
-    say(if solver.is_ok() { &Answer::Done } else { &Answer::Refused });
+    // Compiled where it is: a solver is too large to be moved about.
+    let mut solver = Solver::<f32>::empty();
+    let compiled = solver.set_scene(&scene, tier);
+    say(if compiled.is_ok() { &Answer::Done } else { &Answer::Refused });
     loop {
-        match (asked(), &solver) {
-            (Some(Request::Solve(readings, prior)), Ok(solver)) => {
-                say(&Answer::Solved(time(solver, &readings, prior.as_ref())));
+        match (asked(), &compiled) {
+            (Some(Request::Solve(readings, prior)), Ok(())) => {
+                say(&Answer::Solved(time(&solver, &readings, prior.as_ref())));
             }
             _ => say(&Answer::Refused),
         }
