@@ -1,6 +1,8 @@
 //! Errors of poses, gathered.
 
-use slitpose_model::{Estimate, Pose, Solution};
+use slitpose_model::Pose;
+
+use super::method::Solved;
 
 /// Sums over many poses.
 #[derive(Clone, Debug, Default)]
@@ -13,15 +15,10 @@ pub(super) struct Errors {
 
 impl Errors {
     /// Counts one solve.
-    pub(super) fn add(&mut self, solution: &Solution, truth: &Pose) {
-        self.iterations += solution.iterations;
-        self.add_estimate(solution.estimate.as_ref(), truth);
-    }
-
-    /// Counts a pose that is not from one solve.
-    pub(super) fn add_estimate(&mut self, estimate: Option<&Estimate>, truth: &Pose) {
+    pub(super) fn add(&mut self, solved: &Solved, truth: &Pose) {
         self.tried += 1;
-        if let Some(Estimate { pose, .. }) = estimate {
+        self.iterations += solved.iterations;
+        if let Some(pose) = &solved.pose {
             let (dt, dr) = pose.displacement_from(truth);
             self.squares_m2.push(dt.length_squared());
             self.squares_rad2.push(dr.length_squared());
@@ -29,10 +26,10 @@ impl Errors {
     }
 
     /// Of many solves.
-    pub(super) fn of<'a>(solutions: impl IntoIterator<Item = (Solution, &'a Pose)>) -> Self {
+    pub(super) fn of<'a>(solves: impl IntoIterator<Item = (Solved, &'a Pose)>) -> Self {
         let mut errors = Self::default();
-        for (solution, truth) in solutions {
-            errors.add(&solution, truth);
+        for (solved, truth) in solves {
+            errors.add(&solved, truth);
         }
         errors
     }

@@ -52,7 +52,8 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     };
     section.paragraphs.push(format!(
         "The same solver in f32, run instruction by instruction on the emulated Cortex-M4F of the board, 170 MHz; from \
-         {source}. Cycles are those of the emulator's timing model, not of silicon."
+         {source}. Currents are free of noise, so that errors are the method's own. Cycles are those of the \
+         emulator's timing model, not of silicon."
     ));
     section.pictures.push(picture(&entries));
     section.tables.push(table(&entries));
@@ -61,8 +62,8 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
 
 fn how_to() -> String {
     format!(
-        "To have them: `cargo build --release -p slitpose-emulator` puts `{PROGRAM}` beside this program, which is \
-         then run; or save what it prints and give it with `--cycles FILE`."
+        "To have them: `firmware/build --stopwatch` and `cargo build --release -p slitpose-emulator`; then `{PROGRAM}` \
+         lies beside this program, which runs it. Or save what it prints, and give it with `--cycles FILE`."
     )
 }
 

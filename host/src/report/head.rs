@@ -9,7 +9,7 @@ use crate::simulator::Electronics;
 use crate::survey::workspace_poses;
 
 /// What stands for the truth: integrals far better than anything under study needs.
-pub(super) const TRUTH: Tier = Tier::Exact { tolerance: 1e-12 };
+const TRUTH: Tier = Tier::Exact { tolerance: 1e-12 };
 
 /// The same for profiles given as tables. Between knots they are smooth, across them they are not,
 /// and the exact tier pays for each further digit with twice the time.

@@ -1,6 +1,8 @@
 //! One way to solve, out of many.
 
-use slitpose_model::{Effort, MotionPrior, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier};
+use slitpose_model::{
+    Effort, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier,
+};
 
 /// The number type that is computed with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,11 +23,11 @@ impl Precision {
         }
     }
 
-    /// The exact tier at the tightest tolerance that the number type can keep. Asked for more, `f32`
-    /// divides spots for ever without coming nearer.
+    /// The exact tier at the tightest tolerance that is of use: a solver weighs by it, and stops when
+    /// it has come so near. Asked for more, `f32` divides spots for ever without coming nearer.
     pub(super) fn tightest_tier(self) -> Tier {
         match self {
-            Self::Double => Tier::Exact { tolerance: 1e-12 },
+            Self::Double => Tier::Exact { tolerance: 1e-15 },
             Self::Single => Tier::Exact { tolerance: 1e-6 },
         }
     }
@@ -68,8 +70,23 @@ pub(super) struct Method {
     pub(super) effort: Effort,
 }
 
-/// A method compiled for a scene: photocurrents and a pose to start from in, a solution out.
-pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solution>;
+/// What is asked of a solution, its number type forgotten.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Solved {
+    pub(super) outcome: Outcome,
+    pub(super) pose: Option<Pose>,
+    pub(super) iterations: usize,
+}
+
+impl<S: Scalar> From<Solution<S>> for Solved {
+    fn from(solution: Solution<S>) -> Self {
+        let Solution { outcome, estimate, iterations, .. } = solution;
+        Self { outcome, pose: estimate.map(|estimate| estimate.pose), iterations }
+    }
+}
+
+/// A method compiled for a scene: photocurrents and a pose to start from in, a pose out.
+pub(super) type Compiled = Box<dyn Fn(&Photocurrents, &Pose) -> Solved>;
 
 impl Method {
     /// For the cells of `scene`, all exposed at one instant.
@@ -83,10 +100,10 @@ impl Method {
     fn compile_for<S: Scalar>(&self, scene: &Scene) -> Result<Compiled, SceneError> {
         let solver = Solver::<S>::new(scene, self.tier)?.with_effort(self.effort);
         Ok(match self.start {
-            Start::Cold => Box::new(move |readings, _| solver.solve(readings).widened()),
+            Start::Cold => Box::new(move |readings, _| solver.solve(readings).into()),
             Start::Warm => {
                 let rest = MotionPrior::default();
-                Box::new(move |readings, prior| solver.solve_near(readings, prior, &rest).widened())
+                Box::new(move |readings, prior| solver.solve_near(readings, prior, &rest).into())
             }
         })
     }

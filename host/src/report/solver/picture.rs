@@ -1,7 +1,7 @@
 //! Error against time, drawn.
 
 use glam::dvec2;
-use slitpose_model::Tier;
+use slitpose_model::{Effort, Tier};
 
 use super::{Entry, Light, searched};
 use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour};
@@ -24,8 +24,8 @@ pub(super) struct Half {
 pub(super) const TRANSLATION: Half = Half {
     name: "work-precision",
     what: "translation",
-    caption: "Error of the translation against time per solve. Each curve goes from the first guess to the full solve; \
-              lower and further left is better, and nothing comes below the bound.",
+    caption: "Error of the translation against time per solve. Each curve goes from the first guess step by step, a lone \
+              point is the full solve; lower and further left is better, and nothing comes below the bound.",
     axis: "rms error of the translation / µm",
     rms: Errors::rms_m,
 };
@@ -61,9 +61,15 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
         .into_iter()
         .enumerate()
         {
-            let points = |precision| chosen(tier, start, precision).filter(is_shown).map(point).collect::<Vec<_>>();
-            curves.push(curve(name, colour, CurveStyle::Joined, points(Precision::Double)));
-            curves.push(curve("", colour, CurveStyle::DashedRings, points(Precision::Single)));
+            let points = |precision, full: bool| {
+                let is_full = move |entry: &&Entry| (entry.run.method.effort == Effort::Full) == full;
+                chosen(tier, start, precision).filter(is_shown).filter(is_full).map(point).collect::<Vec<_>>()
+            };
+            curves.push(curve(name, colour, CurveStyle::Joined, points(Precision::Double, false)));
+            curves.push(curve("", colour, CurveStyle::DashedRings, points(Precision::Single, false)));
+            // A full solve goes its own way: it is no further step.
+            curves.push(curve("", colour, CurveStyle::Markers, points(Precision::Double, true)));
+            curves.push(curve("", colour, CurveStyle::Rings, points(Precision::Single, true)));
         }
         let all = || curves.iter().flat_map(|curve: &Curve| curve.points.clone());
         let x = Axis::logarithmic("time per solve / µs", all().map(|point| point[0]));
@@ -77,6 +83,13 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
         for entry in chosen(STREAM, Start::Cold, Precision::Double).take(2).filter(is_apart) {
             let text = effort_name(entry.run.method.effort);
             note(point(entry), dvec2(9.0, -5.0), Anchor::Start, &text, cell_colour(0));
+        }
+        for start in Start::BOTH {
+            let full = chosen(STREAM, start, Precision::Double).filter(is_shown).rfind(is_apart);
+            if let Some(entry) = full.filter(|_| floor.is_none()) {
+                let colour = if start == Start::Cold { 0 } else { 1 };
+                note(point(entry), dvec2(0.0, 18.0), Anchor::Middle, "full", cell_colour(colour));
+            }
         }
         let beyond = chosen(Tier::Paper, Start::Cold, Precision::Double).find(|entry| !is_shown(entry));
         if let Some(entry) = beyond {
@@ -95,8 +108,8 @@ pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Hal
     Sheet {
         title: format!("Pose from {} cells: error of the {} against time", head.scene.cells.len(), half.what),
         note: format!(
-            "{}; {} poses, one frame each; one thread. Discs f64, rings f32; each curve: planes (from a cold start), 1, 2, 3, 4 \
-             steps, full.",
+            "{}; {} poses, one frame each; one thread. Discs f64, rings f32; curves: planes (from a cold start), 1, 2, 3, 4 \
+             steps; lone points: full.",
             head.file.name,
             head.poses.len()
         ),

@@ -6,7 +6,7 @@ use slitpose_model::{Effort, Photocurrents, Plan, Pose, Scene, SceneError};
 
 use super::case::Reached;
 use crate::report::attainable::{Attainable, arm_m};
-use crate::report::head::{TRUTH, currents};
+use crate::report::head::currents;
 use crate::report::method::{Method, Precision, Start};
 use crate::report::noise::NoiseSource;
 
@@ -44,7 +44,7 @@ impl Trial {
 
     /// The same with poses `spread` times as far from `centre`.
     pub(super) fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
-        let plan = Plan::compile(&scene, TRUTH)?;
+        let plan = Plan::compile(&scene, Precision::Double.tightest_tier())?;
         let mut noise = NoiseSource::seeded(seed);
         let poses: Vec<Pose> =
             (0..POSES).map(|_| noise.near(centre, spread * NEAR_HOME_M, spread * NEAR_HOME_RAD)).collect();
@@ -68,18 +68,18 @@ impl Trial {
             for (index, pose) in self.poses.iter().enumerate() {
                 let timed = || {
                     let clock = Instant::now();
-                    let solution = solve(&self.readings[index], &self.priors[index]);
-                    (clock.elapsed().as_secs_f64(), solution)
+                    let solved = solve(&self.readings[index], &self.priors[index]);
+                    (clock.elapsed().as_secs_f64(), solved)
                 };
-                let (mut least_s, solution) = timed();
+                let (mut least_s, solved) = timed();
                 for _ in 1..TIMES {
                     least_s = least_s.min(timed().0);
                 }
                 slowest_s = slowest_s.max(least_s);
-                *reached.outcomes.entry(solution.outcome.as_str().to_owned()).or_default() += 1;
+                *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
                 best += attainable_m(index, precision).powi(2);
-                if let Some(estimate) = solution.estimate {
-                    let (dt, dr) = estimate.pose.displacement_from(pose);
+                if let Some(found_pose) = solved.pose {
+                    let (dt, dr) = found_pose.displacement_from(pose);
                     squares += dt.length_squared() + arm_m * arm_m * dr.length_squared();
                     found += 1.0;
                 }
