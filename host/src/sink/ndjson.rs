@@ -27,6 +27,9 @@ struct Line<'a> {
     redundancy: usize,
     /// How well redundancy checked the pose.
     verified: &'static str,
+    /// How far, in σ of the pose, one lying cell can have moved it unnoticed; absent without bound.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unnoticed_sigmas: Option<f64>,
     /// Cells that contradict all others.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     excluded_cells: Vec<usize>,
@@ -131,6 +134,7 @@ impl<'a> From<&'a Record> for Line<'a> {
             chi2: Some(solution.chi2).filter(|chi2| chi2.is_finite()),
             redundancy: solution.redundancy,
             verified: solution.verified().as_str(),
+            unnoticed_sigmas: Some(solution.unnoticed_sigmas).filter(|sigmas| sigmas.is_finite()),
             excluded_cells: solution.excluded.iter().collect(),
             twist: record.twist.map(Motion::from),
             filtered: record.smoothed.map(Filtered::from),

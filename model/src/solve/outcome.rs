@@ -203,9 +203,9 @@ pub struct Solution<S: Scalar = f64> {
 /// How well the data checked a pose that carries no other doubt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verified {
-    /// A cell that lies enough to move the pose by 10 σ shows.
+    /// A cell that lies enough to move the pose by 30 σ shows: six cells hardly do better.
     Well,
-    /// A cell can move the pose by more than 10 σ unnoticed, but not by more than 100 σ.
+    /// A cell can move the pose by more than 30 σ unnoticed, but not by more than 300 σ.
     Weakly,
     /// Nothing, or next to nothing, is left over to check with.
     Not,
@@ -255,8 +255,8 @@ impl<S: Scalar> Solution<S> {
     /// How well redundancy checked the pose: see [`Self::unnoticed_sigmas`].
     pub fn verified(&self) -> Verified {
         match self.unnoticed_sigmas {
-            shift if shift <= S::of(10.0) => Verified::Well,
-            shift if shift <= S::of(100.0) => Verified::Weakly,
+            shift if shift <= S::of(30.0) => Verified::Well,
+            shift if shift <= S::of(300.0) => Verified::Weakly,
             _ => Verified::Not,
         }
     }

@@ -10,7 +10,7 @@ use crate::contender::{Answer, Contender};
 use crate::problems::Problem;
 
 /// A pose this near to the least χ² is found, millimetres: see [`distance_mm`].
-pub const FOUND_MM: f64 = 1e-6;
+pub const FOUND_MM: f64 = 1e-4;
 
 /// Problems solved by one contender before it is the next one's turn.
 const STRETCH: usize = 50;
