@@ -30,8 +30,9 @@ fn a_followed_tool_is_solved_for_in_the_paper_tier() {
     // Two currents with six derivatives each are hundreds of operations a cell: less is no solve. More
     // is more than 150 µs.
     assert!((20_000..25_500).contains(&cost.median_cycles));
-    // Neither exact, which f32 is not, nor worse than its rounding.
-    assert!((1e-11..1e-8).contains(&cost.rms_error_m) && (1e-9..2e-6).contains(&cost.rms_error_rad));
+    // Neither exact, which f32 is not, nor off by more than a few hundredths of σ (0.7 µm, 0.1 mrad),
+    // which is what a warm solve may leave of its way.
+    assert!((1e-11..3e-8).contains(&cost.rms_error_m) && (1e-9..3e-6).contains(&cost.rms_error_rad));
 }
 
 #[test]
@@ -47,7 +48,7 @@ fn the_exact_tier_costs_more_and_errs_by_its_tolerance() {
     let fine = cost(Tier::Exact { tolerance: 1e-6 }, Start::Warm);
     assert!(40_000 < coarse.median_cycles && coarse.median_cycles < fine.median_cycles && fine.median_cycles < 58_000);
     // A ten-thousandth of the spot's millimetre is 0.1 µm.
-    assert!(coarse.rms_error_m < 1e-7 && (1e-11..1e-8).contains(&fine.rms_error_m));
+    assert!(coarse.rms_error_m < 1e-7 && (1e-11..3e-8).contains(&fine.rms_error_m));
 }
 
 #[test]

@@ -38,9 +38,9 @@ struct Knot {
 #[derive(Debug)]
 pub(super) struct Illumination {
     /// For each emitter on its own cell.
-    plan: Plan<f64>,
+    plan: Box<Plan<f64>>,
     /// For each emitter on the other cells.
-    stray: Plan<f64>,
+    stray: Box<Plan<f64>>,
     trajectory: Trajectory,
     origin: Ticks,
     /// Bit k: emitter k shines.
@@ -57,7 +57,8 @@ impl Illumination {
             Tier::Exact { tolerance } => Tier::Exact { tolerance: tolerance.max(STRAY_TOLERANCE) },
             Tier::Paper => Tier::Paper,
         };
-        let (plan, stray) = (Plan::compile(scene, tier)?, Plan::compile(scene, stray)?);
+        // A plan holds room for sixteen cells of any kind: too much for the stack of a thread.
+        let (plan, stray) = (Box::new(Plan::compile(scene, tier)?), Box::new(Plan::compile(scene, stray)?));
         let dark = [Pair::default(); BOARD_CELLS];
         let nowhere = Knot { at: 0, pose: Pose::HOME, known: 0, by_emitter: [dark; BOARD_CELLS], sum: dark };
         Ok(Self { plan, stray, trajectory, origin: 0, lit: 0, levels: [0.0; 2], from: nowhere, to: nowhere })
