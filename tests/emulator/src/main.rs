@@ -1,6 +1,5 @@
 //! `slitpose-emulator`: a board without a board, behind a pseudo-terminal.
 
-use std::fmt;
 use std::io::{self, Read, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -17,6 +16,7 @@ use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
+use slitpose_emulator::talk::{ended, talk};
 use slitpose_emulator::terminal::{Terminal, TerminalError};
 use slitpose_emulator::world::{NoiseSource, WorldError};
 use thiserror::Error;
@@ -88,25 +88,11 @@ enum Failure {
     Lockup(FaultReport),
 }
 
-fn main() -> ExitCode {
-    match run(&Args::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            let mut text = failure.to_string();
-            let mut source = std::error::Error::source(&failure);
-            while let Some(cause) = source {
-                text = format!("{text}: {cause}");
-                source = cause.source();
-            }
-            talk(format_args!("{text}"));
-            ExitCode::FAILURE
-        }
-    }
-}
+/// The name this program talks under.
+const NAME: &str = "slitpose-emulator";
 
-/// Says something on standard error, if that is open.
-fn talk(text: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr(), "slitpose-emulator: {text}");
+fn main() -> ExitCode {
+    ended(NAME, run(&Args::parse()))
 }
 
 fn run(args: &Args) -> Result<(), Failure> {
@@ -237,15 +223,18 @@ impl Session {
         let device_s = self.device_s();
         let wall_s = self.started.elapsed().as_secs_f64();
         let instructions = self.rig.machine().cpu.instructions() - self.first_instruction;
-        talk(format_args!(
-            "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
+        talk(
+            NAME,
+            format_args!(
+                "{device_s:.3} s of device time in {wall_s:.3} s, ratio {:.2}; \
              {:.1} million instructions a second; stack {} bytes at most",
-            device_s / wall_s,
-            instructions as f64 / wall_s / 1e6,
-            self.rig.stack_bytes(),
-        ));
+                device_s / wall_s,
+                instructions as f64 / wall_s / 1e6,
+                self.rig.stack_bytes(),
+            ),
+        );
         for fault in self.rig.faults() {
-            talk(format_args!("{fault}"));
+            talk(NAME, format_args!("{fault}"));
         }
     }
 }

@@ -1,7 +1,6 @@
 //! `slitpose-cycles`: what a pose costs on the board's core.
 
-use std::fmt;
-use std::io::{self, Write};
+use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -13,6 +12,7 @@ use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::profile::Profile;
 use slitpose_emulator::solver_cost::{CostError, Start, Trial, measure};
 use slitpose_emulator::stopwatch::{Stopwatch, StopwatchError, open_stopwatch_image};
+use slitpose_emulator::talk::{ended, talk};
 use slitpose_model::Tier;
 use thiserror::Error;
 
@@ -73,25 +73,11 @@ enum Failure {
     Output(#[from] csv::Error),
 }
 
-fn main() -> ExitCode {
-    match run(&Args::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            let mut text = failure.to_string();
-            let mut source = std::error::Error::source(&failure);
-            while let Some(cause) = source {
-                text = format!("{text}: {cause}");
-                source = cause.source();
-            }
-            talk(format_args!("{text}"));
-            ExitCode::FAILURE
-        }
-    }
-}
+/// The name this program talks under.
+const NAME: &str = "slitpose-cycles";
 
-/// Says something on standard error, if that is open.
-fn talk(text: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr(), "slitpose-cycles: {text}");
+fn main() -> ExitCode {
+    ended(NAME, run(&Args::parse()))
 }
 
 fn run(args: &Args) -> Result<(), Failure> {
@@ -121,22 +107,28 @@ fn run(args: &Args) -> Result<(), Failure> {
             ])?;
             out.flush()?;
             if let Some(profile) = stopwatch.take_profile() {
-                talk(format_args!("{} {}, without the callees:", label(tier), start.as_str()));
+                talk(NAME, format_args!("{} {}, without the callees:", label(tier), start.as_str()));
                 show(f64::from(args.poses), &profile, &image);
             }
-            talk(format_args!(
-                "{} {}: {:.2} steps of refinement on average",
-                label(tier),
-                start.as_str(),
-                cost.mean_iterations
-            ));
+            talk(
+                NAME,
+                format_args!(
+                    "{} {}: {:.2} steps of refinement on average",
+                    label(tier),
+                    start.as_str(),
+                    cost.mean_iterations
+                ),
+            );
         }
-        talk(format_args!(
-            "{}: solver and scene need {} of a board's {RAM_BYTES} bytes of RAM, {} of them for code in CCM SRAM",
-            label(tier),
-            stopwatch.ram_bytes(),
-            stopwatch.ccm_bytes()
-        ));
+        talk(
+            NAME,
+            format_args!(
+                "{}: solver and scene need {} of a board's {RAM_BYTES} bytes of RAM, {} of them for code in CCM SRAM",
+                label(tier),
+                stopwatch.ram_bytes(),
+                stopwatch.ccm_bytes()
+            ),
+        );
     }
     Ok(())
 }
@@ -152,10 +144,10 @@ fn label(tier: Tier) -> String {
 /// The dearest functions of so many solves, per solve.
 fn show(solves: f64, profile: &Profile, image: &Image) {
     let total = profile.total() as f64;
-    talk(format_args!("{:>8} {:>6} {:>8}  function", "cycles", "share", "calls"));
+    talk(NAME, format_args!("{:>8} {:>6} {:>8}  function", "cycles", "share", "calls"));
     let line = |name: &str, cycles: Ticks, calls: u64| {
         let (cycles, calls) = (cycles as f64, calls as f64 / solves);
-        talk(format_args!("{:8.0} {:5.1}% {calls:8.1}  {name}", cycles / solves, 100.0 * cycles / total));
+        talk(NAME, format_args!("{:8.0} {:5.1}% {calls:8.1}  {name}", cycles / solves, 100.0 * cycles / total));
     };
     let functions = profile.functions(image);
     for function in functions.iter().take(FUNCTIONS) {
