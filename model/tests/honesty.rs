@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{generator, pose_in_box, uniform, wide};
+use common::{base, generator, pose_in_box, uniform, wide};
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Reading, Solver, Tier, Verified, Weakness};
+use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Reading, Solver, Status, Tier, Verified, Weakness};
 
 /// Converter noise of the scene, amperes: it outweighs the rest.
 const NOISE_A: f64 = 0.6e-9;
@@ -122,4 +122,32 @@ fn gains_that_nobody_knows_leave_the_positions() {
             assert!(estimate.covariance[0][0] > 2.0 * bound[0][0], "gain {gain}");
         }
     }
+}
+
+#[test]
+fn clipped_cells_are_left_out_where_that_is_asked_for() {
+    let solver = Solver::<f64>::new(&base(), Tier::Paper).expect("scene");
+    let careful = solver.clone().without_clipped();
+    let mut rng = generator();
+    let mut left_out = 0;
+    for _ in 0..1000 {
+        let pose = pose_in_box(&mut rng, 4.0, 15.0);
+        let readings = Photocurrents::of_pairs(pairs(solver.plan(), &pose));
+        let status = |cell| solver.plan().respond(cell, &pose).status;
+        let used = careful.solve_near(&readings, &pose, &Default::default()).cells_used;
+        for cell in 0..6 {
+            // The end of the unclipped range is that of an emitter at home, and moves with it.
+            let reading = readings.cells[cell];
+            let Reading::Light(pair) = reading else { unreachable!("all are measured") };
+            let share = ((pair.i_x2_a - pair.i_x1_a) / pair.total_a()).abs();
+            if status(cell) == Status::Clipped && share > 0.95 {
+                assert!(!used.contains(cell), "cell {cell} at {pose:?}");
+                left_out += 1;
+            }
+            if status(cell) == Status::Lit && share < 0.9 {
+                assert!(used.contains(cell), "cell {cell} at {pose:?}");
+            }
+        }
+    }
+    assert!(left_out > 10, "{left_out}");
 }

@@ -46,8 +46,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     let recorded_with = scene_hash(path).map_err(open_error)?;
     let (file, scene_match) = choose_scene(args.scene.as_deref(), recorded_with)?;
-    let pipeline =
-        Pipeline::new(file, args.poses.tier(), scene_match).until(args.poses.duration).with_filter(args.poses.filter);
+    let pipeline = Pipeline::new(file, args.poses.tier(), scene_match)
+        .until(args.poses.duration)
+        .following(args.poses.following());
     let mut stream = Stream::new(pipeline, &args.poses)?;
     let pace = Pace::new(args.speed);
     let mut chunk = [0; CHUNK_BYTES];

@@ -58,7 +58,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let name = file.name.clone();
     let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
     let pipeline =
-        Pipeline::new(file, tier, SceneMatch::Required).until(args.poses.duration).with_filter(args.poses.filter);
+        Pipeline::new(file, tier, SceneMatch::Required).until(args.poses.duration).following(args.poses.following());
 
     let mut board = Conversation::open(device)?;
     let mut greeted = None;

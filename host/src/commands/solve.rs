@@ -30,6 +30,9 @@ pub(super) struct Args {
     currents: String,
     #[command(flatten)]
     tier: TierOptions,
+    /// Leave out cells whose light falls on an end of the detector
+    #[arg(long)]
+    without_clipped: bool,
     /// Write to this file instead of standard output
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -38,6 +41,7 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let scene = SceneFile::open(&args.scene)?.scene;
     let solver = Solver::<f64>::new(&scene, args.tier.tier(DEFAULT_TOLERANCE))?;
+    let solver = if args.without_clipped { solver.without_clipped() } else { solver };
     let half_dark: Vec<f64> = scene.cells.iter().map(|cell| 0.5 * cell.detector.dark_current_a).collect();
     let mut currents = TableReader::open(&args.currents)?;
     let id = currents.column("id")?;

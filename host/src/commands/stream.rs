@@ -16,7 +16,7 @@ use super::{CommandError, Outcome};
 use crate::device::{DeviceError, SimulatedDevice};
 use crate::front_end;
 use crate::pace::Speed;
-use crate::pipeline::{Counts, Item, Pipeline, PipelineError};
+use crate::pipeline::{Counts, Following, Item, Pipeline, PipelineError};
 use crate::scene_file::{SceneFile, SceneFileError, Shipped, WIDE};
 use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use crate::sink::{self, Format, Sink};
@@ -89,12 +89,20 @@ pub(super) struct PoseOptions {
     format: Option<Format>,
     /// Tell a pose from many scans, too: a parabola through those of about this long, such as 5ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(super) filter: Option<f64>,
+    filter: Option<f64>,
+    /// Leave out cells whose light falls on an end of the detector
+    #[arg(long)]
+    without_clipped: bool,
     #[command(flatten)]
     tier: TierOptions,
 }
 
 impl PoseOptions {
+    /// How scans are followed.
+    pub(super) fn following(&self) -> Following {
+        Following { filter_s: self.filter, without_clipped: self.without_clipped }
+    }
+
     /// The tier to solve in.
     pub(super) fn tier(&self) -> Tier {
         self.tier.tier(DEFAULT_TOLERANCE)

@@ -77,6 +77,15 @@ pub enum SceneMatch {
     Waived,
 }
 
+/// How scans are followed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Following {
+    /// Memory of a filter that tells a pose from many scans, too, seconds.
+    pub filter_s: Option<f64>,
+    /// Whether cells whose light falls on an end of the detector are left out.
+    pub without_clipped: bool,
+}
+
 /// Turns bytes into poses.
 #[derive(Debug)]
 pub struct Pipeline {
@@ -90,7 +99,7 @@ struct Flow {
     file: SceneFile,
     tier: Tier,
     scene_match: SceneMatch,
-    filter_s: Option<f64>,
+    following: Following,
     session: Option<Session>,
     span: Span,
     truths: VecDeque<Truth>,
@@ -106,7 +115,7 @@ impl Pipeline {
                 file,
                 tier,
                 scene_match,
-                filter_s: None,
+                following: Following::default(),
                 session: None,
                 span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
@@ -122,10 +131,10 @@ impl Pipeline {
         self
     }
 
-    /// Tells poses from many scans, too, with a memory of so many seconds.
+    /// Follows the tool otherwise than by default.
     #[must_use]
-    pub fn with_filter(mut self, memory_s: Option<f64>) -> Self {
-        self.flow.filter_s = memory_s;
+    pub fn following(mut self, following: Following) -> Self {
+        self.flow.following = following;
         self
     }
 
@@ -226,7 +235,7 @@ impl Flow {
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
             return Ok(());
         }
-        self.session = Some(Session::open(&self.file, self.tier, self.scene_match, self.filter_s, hello)?);
+        self.session = Some(Session::open(&self.file, self.tier, self.scene_match, self.following, hello)?);
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use slitpose_model::{Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
-use super::{PipelineError, SceneMatch};
+use super::{Following, PipelineError, SceneMatch};
 use crate::front_end::Stage;
 use crate::scene_file::SceneFile;
 
@@ -40,7 +40,7 @@ impl Session {
         file: &SceneFile,
         tier: Tier,
         scene_match: SceneMatch,
-        filter_s: Option<f64>,
+        following: Following,
         hello: &Hello<'_>,
     ) -> Result<Self, PipelineError> {
         check(file, scene_match, hello)?;
@@ -55,8 +55,9 @@ impl Session {
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
+        let solver = if following.without_clipped { solver.without_clipped() } else { solver };
         let tracker = Tracker::new(solver, hello.schedule.frame_rate_hz().recip());
-        let tracker = match filter_s {
+        let tracker = match following.filter_s {
             Some(memory_s) => tracker.with_filter(memory_s),
             None => tracker,
         };

@@ -169,6 +169,7 @@ impl<S: Scalar> Solver<S> {
         self.limits.extend(cells.map(|Cell { detector, .. }| Limits {
             faint_a: S::of(detector.faint_a),
             saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
+            most_share: S::infinity(),
         }));
         self.gates = core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells))));
         self.bend = refine::bend(&self.planes, self.arm);
@@ -206,6 +207,16 @@ impl<S: Scalar> Solver<S> {
         self.offsets_s.clear();
         if offsets_s.iter().any(|&offset| offset != 0.0) {
             self.offsets_s.extend(offsets_s.iter().map(|&offset| S::of(offset)));
+        }
+        self
+    }
+
+    /// Leaves out cells whose light falls so near an end of the detector that its spot is probably
+    /// clipped there, as from an emitter at home: for heads whose detectors' ends are not known well.
+    #[must_use]
+    pub fn without_clipped(mut self) -> Self {
+        for (limits, plane) in self.limits.iter_mut().zip(&self.planes) {
+            limits.most_share = plane.unclipped_share();
         }
         self
     }

@@ -71,6 +71,11 @@ impl<S: Scalar> PlaneCell<S> {
         self.shortest
     }
 
+    /// |I_X2 − I_X1|/I_O beyond which the spot of an emitter at home is clipped.
+    pub(super) fn unclipped_share(&self) -> S {
+        self.unclipped / self.half_length
+    }
+
     pub(super) fn detector_length_m(&self) -> S {
         S::two() * self.half_length
     }

@@ -47,6 +47,8 @@ pub(super) struct Limits<S> {
     pub(super) faint_a: S,
     /// Above dark.
     pub(super) saturation_a: S,
+    /// |I_X2 − I_X1|/I_O beyond which a spot is taken for clipped and left out.
+    pub(super) most_share: S,
 }
 
 /// The readings of one solve, sorted by use.
@@ -72,6 +74,9 @@ impl<S: Scalar> Sorted<S> {
             }
             if total < limits.faint_a || total <= S::zero() {
                 sorted.faint.insert(cell);
+                continue;
+            }
+            if (pair[1] - pair[0]).abs() > limits.most_share * total {
                 continue;
             }
             sorted.used.insert(cell);
