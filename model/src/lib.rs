@@ -41,10 +41,10 @@ pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Pair, Response, Status};
 pub use scalar::{Linear3, Scalar, Vector3};
 pub use scene::{
-    Cell, DEFAULT_FAINT_A, Detector, Emitter, Fault, MAX_CELLS, MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene,
-    SceneError, Slit, Uncertainty,
+    BOLTZMANN_J_PER_K, Cell, DEFAULT_FAINT_A, Detector, ELEMENTARY_CHARGE_C, Emitter, Fault, MAX_CELLS,
+    MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, BOLTZMANN_J_PER_K, Cells, Directions, ELEMENTARY_CHARGE_C, Effort, Estimate, MotionPrior, Outcome,
-    Photocurrents, Reading, Smoothed, Solution, Solver, Tracked, Tracker, TwistEstimate, Verified, Weakness,
+    AXES, Cells, Directions, Effort, Estimate, MotionPrior, Outcome, Photocurrents, Reading, Smoothed, Solution,
+    Solver, Tracked, Tracker, TwistEstimate, Verified, Weakness,
 };

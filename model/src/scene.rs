@@ -8,6 +8,12 @@ use glam::{DVec2, DVec3};
 use heapless::Vec;
 use thiserror::Error;
 
+/// Elementary charge, coulombs (SI, exact).
+pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
+
+/// Boltzmann constant, J/K (SI, exact).
+pub const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
+
 /// Most cells a scene can have.
 pub const MAX_CELLS: usize = 16;
 
@@ -27,6 +33,19 @@ pub struct Scene {
     pub noise: Option<Noise>,
     /// What calibration has not settled.
     pub uncertainty: Uncertainty,
+}
+
+/// A head whose emitters all sit at the tool's origin has no arm: any length scale serves.
+const NO_ARM_M: f64 = 0.01;
+
+impl Scene {
+    /// Root-mean-square distance of the emitters from the tool's origin, metres: the length that
+    /// makes turns and shifts of the tool comparable. A centimetre if it is zero.
+    pub fn arm_m(&self) -> f64 {
+        let squares: f64 = self.cells.iter().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
+        let arm_m = libm::sqrt(squares / self.cells.len() as f64);
+        if arm_m > 0.0 { arm_m } else { NO_ARM_M }
+    }
 }
 
 /// One emitter-slit-detector cell.
@@ -135,6 +154,21 @@ pub struct Noise {
     pub temperature_k: f64,
     /// Standard deviation of converter and amplifier together, per electrode, amperes.
     pub adc_a: f64,
+}
+
+impl Noise {
+    /// 2q·B: variance of a current per ampere that flows (Schottky 1918), A.
+    pub fn shot_a(&self) -> f64 {
+        2.0 * ELEMENTARY_CHARGE_C * self.shot_bandwidth_hz
+    }
+
+    /// 4kT·B/R_ie: variance of what the inter-electrode resistance of `detector` drives out of one
+    /// electrode into the other (Johnson 1928), A². Zero where the resistance is not given.
+    pub fn johnson_a2(&self, detector: &Detector) -> f64 {
+        detector
+            .interelectrode_ohm
+            .map_or(0.0, |ohm| 4.0 * BOLTZMANN_J_PER_K * self.temperature_k * self.johnson_bandwidth_hz / ohm)
+    }
 }
 
 /// Standard deviations of what calibration has not settled. Zero: known.

@@ -25,7 +25,7 @@ pub(super) struct Attainable {
 impl Attainable {
     /// With the tool of `scene` at `pose`, from the cells that `used` lets pass.
     pub(super) fn at(scene: &Scene, plan: &Plan<f64>, pose: &Pose, used: impl Fn(usize) -> bool) -> Self {
-        let arm_m = arm_m(scene);
+        let arm_m = scene.arm_m();
         let mut rows = Vec::new();
         for (number, cell) in scene.cells.iter().enumerate().filter(|(number, _)| used(*number)) {
             let (_, pair, jacobian) = plan.linearise(number, pose);
@@ -60,13 +60,6 @@ impl Attainable {
     }
 }
 
-/// Root-mean-square distance of the emitters from the tool's origin; a centimetre if there is none.
-pub(super) fn arm_m(scene: &Scene) -> f64 {
-    let squares: f64 = scene.cells.iter().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
-    let arm_m = (squares / scene.cells.len() as f64).sqrt();
-    if arm_m > 0.0 { arm_m } else { 0.01 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,7 +74,7 @@ mod tests {
         assert!((1.0..10.0).contains(&all.condition), "{}", all.condition);
         for precision in Precision::BOTH {
             // Detectors lie 25 mm from the middle.
-            let roundings = all.at_emitters_m(precision, arm_m(&scene)) / (precision.unit_roundoff() * 25e-3);
+            let roundings = all.at_emitters_m(precision, scene.arm_m()) / (precision.unit_roundoff() * 25e-3);
             assert!((0.3..10.0).contains(&roundings), "{roundings}");
         }
         let half = Attainable::at(&scene, &plan, &Pose::HOME, |cell| cell > 1);

@@ -4,9 +4,7 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{
-    BOLTZMANN_J_PER_K, Cell, ELEMENTARY_CHARGE_C, Noise, Pair, Photocurrents, Pose, Reading, Scene, Uncertainty,
-};
+use slitpose_model::{Cell, Pair, Photocurrents, Pose, Reading, Scene, Uncertainty};
 
 /// Draws what a scene says of noise and of unsettled calibration.
 pub(super) struct NoiseSource {
@@ -44,15 +42,12 @@ impl NoiseSource {
             i_x1_a: clean.i_x1_a * (1.0 + common + own()) - shift_a,
             i_x2_a: clean.i_x2_a * (1.0 + common + own()) + shift_a,
         };
-        if let Some(Noise { shot_bandwidth_hz, johnson_bandwidth_hz, temperature_k, adc_a }) = scene.noise {
-            let of_shot = 2.0 * ELEMENTARY_CHARGE_C * shot_bandwidth_hz * (total_a.abs() + detector.dark_current_a);
-            let of_johnson = detector
-                .interelectrode_ohm
-                .map_or(0.0, |ohm| 4.0 * BOLTZMANN_J_PER_K * temperature_k * johnson_bandwidth_hz / ohm);
+        if let Some(noise) = &scene.noise {
+            let of_shot = noise.shot_a() * (total_a.abs() + detector.dark_current_a);
             let shot = if total_a == 0.0 { 0.0 } else { of_shot.sqrt() / total_a * self.normal() };
-            let johnson_a = of_johnson.sqrt() * self.normal();
-            pair.i_x1_a += clean.i_x1_a * shot + johnson_a + adc_a * self.normal();
-            pair.i_x2_a += clean.i_x2_a * shot - johnson_a + adc_a * self.normal();
+            let johnson_a = noise.johnson_a2(detector).sqrt() * self.normal();
+            pair.i_x1_a += clean.i_x1_a * shot + johnson_a + noise.adc_a * self.normal();
+            pair.i_x2_a += clean.i_x2_a * shot - johnson_a + noise.adc_a * self.normal();
         }
         pair
     }
@@ -74,6 +69,7 @@ impl NoiseSource {
 mod tests {
     use super::*;
     use crate::scene_file::WIDE;
+    use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Noise};
 
     /// Variances of both electrodes and their covariance, in units of what the parts add up to.
     #[test]

@@ -12,6 +12,18 @@ pub(crate) type Vector6<S> = [S; 6];
 /// A 6×6 matrix, stored in full.
 pub(crate) type Matrix6<S> = [[S; 6]; 6];
 
+/// Scalar product.
+#[inline(always)]
+pub(crate) fn dot<S: Scalar>(a: &Vector6<S>, b: &Vector6<S>) -> S {
+    a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y)
+}
+
+/// |v|².
+#[inline(always)]
+pub(crate) fn square<S: Scalar>(v: &Vector6<S>) -> S {
+    dot(v, v)
+}
+
 /// A lower triangular L with L·Lᵀ the matrix that was factorised.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Factor<S> {
@@ -147,7 +159,6 @@ impl<S: Scalar> Factor<S> {
         let mut columns = self.lower;
         let mut vectors: Matrix6<S> =
             core::array::from_fn(|i| core::array::from_fn(|j| if i == j { S::one() } else { S::zero() }));
-        let dot = |a: &Vector6<S>, b: &Vector6<S>| a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y);
         for _ in 0..SWEEPS {
             for p in 0..5 {
                 for q in p + 1..6 {

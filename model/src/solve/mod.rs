@@ -30,7 +30,6 @@ pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Verified
 pub use readings::{Photocurrents, Reading};
 pub use smooth::{Smoothed, TwistEstimate};
 pub use track::{Tracked, Tracker};
-pub use weights::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C};
 
 use normal::{Motion, Problem, Workspace};
 use planes::PlaneCell;
@@ -54,9 +53,6 @@ const GATE_SIGMAS: f64 = 6.0;
 
 /// Two poses this many σ apart are two poses.
 const DISTINCT_SIGMAS: f64 = 6.0;
-
-/// A lone emitter at the tool's origin has no arm: any length scale serves.
-const LONE_ARM_M: f64 = 0.01;
 
 /// How far a solve goes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -136,7 +132,7 @@ impl<S: Scalar> Solver<S> {
             limits: Vec::new(),
             gates: [S::zero(); MAX_CELLS + 1],
             offsets_s: Vec::new(),
-            arm: S::of(LONE_ARM_M),
+            arm: S::one(),
             bend: S::zero(),
             effort: Effort::Full,
             blind: None,
@@ -161,9 +157,7 @@ impl<S: Scalar> Solver<S> {
             Tier::Exact { tolerance } => tolerance.max(rounding),
         };
         let cells = scene.cells.iter();
-        let square_arm: f64 = cells.clone().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
-        let arm_m = libm::sqrt(square_arm / scene.cells.len() as f64);
-        self.arm = S::of(if arm_m > 0.0 { arm_m } else { LONE_ARM_M });
+        self.arm = S::of(scene.arm_m());
         self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)));
         self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
         self.limits.extend(cells.map(|Cell { detector, .. }| Limits {
@@ -252,12 +246,10 @@ impl<S: Scalar> Solver<S> {
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
         }
-        let problem = self.problem(&sorted, motion);
         if self.effort == Effort::Full {
-            return self.search(&sorted, &problem, motion, &mut Workspace::new());
+            return self.search(&sorted, motion, &mut Workspace::new());
         }
-        let start = planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
-        self.unfinished(&sorted, &problem, start)
+        self.unfinished(&sorted, &self.problem(&sorted, motion), self.on_planes(&sorted))
     }
 
     /// As far as the effort goes from `start`, and no word on whether the data fit.
@@ -322,6 +314,11 @@ impl<S: Scalar> Solver<S> {
             let length = factor.length(&scaled).as_f64();
             length * length
         })
+    }
+
+    /// The pose on the planes of `sorted`.
+    fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
+        planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm)
     }
 
     fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {

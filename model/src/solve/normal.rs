@@ -20,7 +20,7 @@ use crate::real::Real;
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
-use super::algebra::{Factor, Matrix6, Triangle, Vector6};
+use super::algebra::{Factor, Matrix6, Triangle, Vector6, dot, square};
 use super::planes::PlaneCell;
 use super::readings::Usable;
 use super::weights::{CellNoise, Whitener};
@@ -446,8 +446,7 @@ impl<S: Scalar> Problem<'_, S> {
 
     /// Whether `step` moves no spot of the last expansion so far that derivatives jump.
     pub(super) fn is_smooth(&self, step: &Vector6<S>, room: &Workspace<S>) -> bool {
-        let length = step.iter().fold(S::zero(), |sum, &value| sum + value * value).square_root() * self.arm;
-        room.slack_m > S::of(MOST_MAGNIFICATION) * length
+        room.slack_m > S::of(MOST_MAGNIFICATION) * square(step).square_root() * self.arm
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over
@@ -456,19 +455,12 @@ impl<S: Scalar> Problem<'_, S> {
     pub(super) fn least_visible(&self, factor: &Factor<S>, room: &Workspace<S>) -> S {
         room.rows.iter().fold(S::one(), |least, rows| {
             let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
-            let dot = |a: &Vector6<S>, b: &Vector6<S>| a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y);
-            let (uu, vv, uv) = (dot(&u, &u), dot(&v, &v), dot(&u, &v));
+            let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
             let half_difference = S::half() * (uu - vv);
             let radius = (half_difference * half_difference + uv * uv).square_root();
             least.min(S::one() - S::half() * (uu + vv) - radius)
         })
     }
-}
-
-/// |v|².
-#[inline(always)]
-pub(super) fn square<S: Scalar>(v: &Vector6<S>) -> S {
-    v.iter().fold(S::zero(), |sum, &value| sum + value * value)
 }
 
 /// Whether a processor does a whole square sooner than its lower half: with more than one lane.

@@ -6,8 +6,8 @@
 use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar};
 
-use super::algebra::{Factor, Vector6};
-use super::normal::{Expansion, Problem, Step, Whiteners, Workspace, square};
+use super::algebra::{Factor, Vector6, square};
+use super::normal::{Expansion, Problem, Step, Whiteners, Workspace};
 use super::planes::PlaneCell;
 
 /// First damping after a step that did not help, relative to the diagonal.

@@ -5,7 +5,6 @@ use crate::scalar::{Scalar, Vector3};
 
 use super::normal::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution, Weakness};
-use super::planes::pose_on_planes;
 use super::readings::{Photocurrents, Sorted};
 use super::refine::{Ending, Refined};
 use super::{COLD_LEFTOVER, Fit, MAX_ITERATIONS, MotionPrior, Solver, observability, redundancy};
@@ -48,8 +47,7 @@ impl<S: Scalar> Solver<S> {
         }
         let problem = self.problem(&sorted, motion);
         let room = &mut Workspace::new();
-        let start = pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
-        let refined = descend(&problem, &problem.whiteners(), start, false, room);
+        let refined = descend(&problem, &problem.whiteners(), self.on_planes(&sorted), false, room);
         let fit = self.fit(&sorted, &problem, &refined);
         if fit == Fit::Full && sorted.usable.len() >= UNIQUE_FROM {
             return self.conclude(&sorted, &problem, &refined, room, fit);
@@ -58,19 +56,13 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// Cold start: the pose on the planes first, then turned and shifted starts until the data fit.
-    pub(super) fn search(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S>,
-        motion: &MotionPrior,
-        room: &mut Workspace<S>,
-    ) -> Solution<S> {
+    pub(super) fn search(&self, sorted: &Sorted<S>, motion: &MotionPrior, room: &mut Workspace<S>) -> Solution<S> {
+        let problem = &self.problem(sorted, motion);
         let whiteners = problem.whiteners();
         let mut iterations = 0;
         let mut best: Option<(Refined<S>, Fit)> = None;
         let need_all = sorted.usable.len() < UNIQUE_FROM;
-        let on_planes = pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.arm);
-        for (tried, start) in starts(on_planes).enumerate() {
+        for (tried, start) in starts(self.on_planes(sorted)).enumerate() {
             if tried == HONEST_STARTS
                 && best.is_none_or(|(_, fit)| fit == Fit::None)
                 && let Some(mut solution) = self.without_liar(sorted, motion, None, room)
@@ -121,7 +113,7 @@ impl<S: Scalar> Solver<S> {
         let mut solution = match shown {
             Some((refined, fit)) => {
                 // The last expansion is another start's.
-                problem.factor_at(&refined.pose, &whiteners, room);
+                problem.expand(&refined.pose, &whiteners, room);
                 self.conclude(sorted, problem, &refined, room, fit)
             }
             None => Solution::without_pose(Outcome::Diverged, sorted.used),
@@ -148,8 +140,7 @@ impl<S: Scalar> Solver<S> {
         for index in 0..sorted.usable.len() {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let start = start
-                .unwrap_or_else(|| pose_on_planes(&self.planes, &others.usable, Transform::of(&Pose::HOME), self.arm));
+            let start = start.unwrap_or_else(|| self.on_planes(&others));
             let refined = descend(&problem, &problem.whiteners(), start, false, room);
             iterations += refined.iterations;
             if !refined.converged {
@@ -178,7 +169,7 @@ impl<S: Scalar> Solver<S> {
             if fit == Fit::None || !convicted {
                 return None;
             }
-            problem.factor_at(&found.pose, &problem.whiteners(), room);
+            problem.expand(&found.pose, &problem.whiteners(), room);
             let mut solution = self.conclude(&others, &problem, &found, room, fit);
             solution.excluded.insert(sorted.usable[index].cell);
             if solution.outcome.has_pose() {

@@ -1,13 +1,7 @@
 //! How much a current is worth: the covariance of a cell's two currents, and whitening by it.
 
 use crate::scalar::Scalar;
-use crate::scene::{Noise, Scene, Uncertainty};
-
-/// Elementary charge, coulombs (SI, exact).
-pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
-
-/// Boltzmann constant, J/K (SI, exact).
-pub const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
+use crate::scene::{Scene, Uncertainty};
 
 /// Multiplies the residuals of a cell's two currents into uncorrelated ones of unit variance.
 #[derive(Clone, Copy, Debug)]
@@ -69,16 +63,9 @@ pub(crate) struct CellNoise<S> {
 impl<S: Scalar> CellNoise<S> {
     pub(crate) fn compile(scene: &Scene, cell: usize, relative_error: f64) -> Self {
         let detector = &scene.cells[cell].detector;
-        let (shot, johnson, converter) = match scene.noise {
-            Some(Noise { shot_bandwidth_hz, johnson_bandwidth_hz, temperature_k, adc_a }) => (
-                2.0 * ELEMENTARY_CHARGE_C * shot_bandwidth_hz,
-                detector
-                    .interelectrode_ohm
-                    .map_or(0.0, |ohm| 4.0 * BOLTZMANN_J_PER_K * temperature_k * johnson_bandwidth_hz / ohm),
-                adc_a * adc_a,
-            ),
-            None => (0.0, 0.0, 0.0),
-        };
+        let (shot, johnson, converter) = scene
+            .noise
+            .map_or((0.0, 0.0, 0.0), |noise| (noise.shot_a(), noise.johnson_a2(detector), noise.adc_a * noise.adc_a));
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
         let position = position_m / detector.length_m;
         Self {

@@ -12,7 +12,6 @@ use super::case::{Case, Expected, Reached};
 use super::trial::{AT_EMITTERS, Trial, condition};
 use crate::front_end::ROOM_TEMPERATURE_K;
 use crate::report::Settings;
-use crate::report::attainable::arm_m;
 use crate::report::head::Head;
 use crate::report::method::{Precision, Start};
 use crate::report::noise::NoiseSource;
@@ -53,7 +52,7 @@ pub(super) fn layouts(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>,
 
 /// A pose must come back where rounding and noise leave one.
 fn telling(head: &Head<'_>) -> Expected {
-    Expected::ValueBelow(TELLS_A_POSE * arm_m(&head.scene) * 1e6)
+    Expected::ValueBelow(TELLS_A_POSE * head.scene.arm_m() * 1e6)
 }
 
 /// The scene with its detectors turned about their normals: each long axis `roll_deg` out of the
@@ -181,7 +180,7 @@ pub(super) fn noises(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, 
         let disturbed: Vec<Photocurrents> =
             trial.readings.iter().map(|clean| noise.disturb(&trial.scene, clean)).collect();
         trial.readings = disturbed;
-        let (rounding, arm_m) = (trial.attainable(|_| true), arm_m(&trial.scene));
+        let (rounding, arm_m) = (trial.attainable(|_| true), trial.scene.arm_m());
         let solvers = Precision::BOTH.map(|precision| Solver::<f64>::new(&trial.scene, precision.tightest_tier()));
         let [double, single] = solvers;
         let (double, single) = (double?, single?);

@@ -9,7 +9,6 @@ use super::case::{Case, Expected, Reached};
 use crate::front_end::{Settling, configuration};
 use crate::report::Settings;
 use crate::report::accuracy::rms_of_covariances;
-use crate::report::attainable::arm_m;
 use crate::report::head::{Head, STREAM, currents};
 use crate::report::method::Precision;
 use crate::report::noise::NoiseSource;
@@ -103,7 +102,7 @@ fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Resul
     if let Some(frame) = &head.frame {
         solver = solver.with_exposures(&frame.exposures_s);
     }
-    let arm_m = arm_m(&head.scene);
+    let arm_m = head.scene.arm_m();
     let resting = Solver::<f64>::new(&head.scene, STREAM)?;
     let (bound_m, bound_rad) = rms_of_covariances(resting.bound(landed));
     let bound = bound_m.hypot(arm_m * bound_rad);

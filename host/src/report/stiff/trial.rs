@@ -5,7 +5,7 @@ use std::time::Instant;
 use slitpose_model::{Effort, Photocurrents, Plan, Pose, Scene, SceneError};
 
 use super::case::Reached;
-use crate::report::attainable::{Attainable, arm_m};
+use crate::report::attainable::Attainable;
 use crate::report::head::currents;
 use crate::report::method::{Method, Precision, Start};
 use crate::report::noise::NoiseSource;
@@ -59,7 +59,7 @@ impl Trial {
         start: Start,
         attainable_m: impl Fn(usize, Precision) -> f64,
     ) -> Result<Vec<(Precision, Reached)>, SceneError> {
-        let arm_m = arm_m(&self.scene);
+        let arm_m = self.scene.arm_m();
         let of = |precision: Precision| {
             let tier = precision.tightest_tier();
             let solve = Method { tier, precision, start, effort: Effort::Full }.compile(&self.scene)?;
@@ -104,7 +104,7 @@ impl Trial {
         start: Start,
         attainable: &[Attainable],
     ) -> Result<Vec<(Precision, Reached)>, SceneError> {
-        let arm_m = arm_m(&self.scene);
+        let arm_m = self.scene.arm_m();
         self.solve(start, |index, precision| attainable[index].at_emitters_m(precision, arm_m))
     }
 }
