@@ -2,6 +2,7 @@
 //! the optics of [`slitpose_model`].
 //!
 //! * [`scene_file`] reads what describes a sensor head;
+//! * [`clock`] reads the clocks of the host;
 //! * [`device`] carries bytes to boards and back, and speaks with them;
 //! * [`front_end`] stands between counts and currents;
 //! * [`identification`] finds an emitter's profile from currents;
@@ -21,6 +22,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod clock;
 pub mod commands;
 pub mod device;
 pub mod front_end;

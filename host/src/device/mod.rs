@@ -10,6 +10,7 @@
 
 mod conversation;
 mod error;
+mod id;
 mod keep_alive;
 mod serial;
 mod simulated;
@@ -18,6 +19,7 @@ use std::io;
 
 pub use conversation::{Conversation, Keep};
 pub use error::DeviceError;
+pub use id::{DeviceId, DeviceIdError};
 pub use keep_alive::KeepAlive;
 pub use serial::SerialDevice;
 pub use simulated::SimulatedDevice;

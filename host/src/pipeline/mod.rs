@@ -6,6 +6,7 @@
 
 mod counts;
 mod error;
+mod segment;
 mod session;
 mod span;
 
@@ -19,7 +20,10 @@ use slitpose_protocol::{
 
 pub use counts::{Counts, OUTCOMES};
 pub use error::PipelineError;
+pub use segment::{Asked, Read, Segment};
 
+use crate::clock::HostTime;
+use crate::device::DeviceId;
 use crate::scene_file::SceneFile;
 use session::Session;
 use span::Span;
@@ -30,10 +34,14 @@ const MAX_TRUTHS: usize = 1024;
 /// The pose of one scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Record {
+    /// Which board.
+    pub device: DeviceId,
     /// Number of the scan, counted by the board.
     pub sequence: u64,
     /// The instant the pose refers to, by the board's clock, seconds.
     pub device_time_s: f64,
+    /// The same instant by the host's clocks; `None` while it is not known.
+    pub host_time: Option<HostTime>,
     /// What the solver says of this scan alone.
     pub solution: Solution,
     /// Velocity at that instant, from this scan and a few before.
@@ -262,6 +270,8 @@ impl Flow {
             let Tracked { solution, twist, smoothed } = session.solve(&scan);
             self.counts.count_outcome(&solution.outcome);
             let record = Record {
+                device: session.device(),
+                host_time: None,
                 sequence: scan.sequence,
                 device_time_s,
                 solution,

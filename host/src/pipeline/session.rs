@@ -4,13 +4,14 @@ use slitpose_model::{Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::{Following, PipelineError, SceneMatch};
+use crate::device::DeviceId;
 use crate::front_end::Stage;
 use crate::scene_file::SceneFile;
 
 /// What a hello opens.
 #[derive(Debug)]
 pub(super) struct Session {
-    device_id: [u8; 12],
+    device: DeviceId,
     kind: BoardKind,
     configuration: u16,
     schedule: Schedule,
@@ -62,7 +63,7 @@ impl Session {
             None => tracker,
         };
         Ok(Self {
-            device_id: hello.device_id,
+            device: DeviceId(hello.device_id),
             kind: hello.kind,
             configuration: hello.configuration,
             reference_ticks: hello.schedule.reference_ticks(),
@@ -75,10 +76,14 @@ impl Session {
 
     /// Whether `hello` says what opened this session, so that it can go on.
     pub(super) fn is_of(&self, hello: &Hello<'_>) -> bool {
-        self.device_id == hello.device_id
+        self.device == DeviceId(hello.device_id)
             && self.configuration == hello.configuration
             && self.schedule == hello.schedule
             && self.scaling == hello.scaling
+    }
+
+    pub(super) fn device(&self) -> DeviceId {
+        self.device
     }
 
     pub(super) fn configuration(&self) -> u16 {

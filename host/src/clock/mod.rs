@@ -1,0 +1,56 @@
+//! The host's clocks, and a board's clock among them.
+//!
+//! Intervals are measured by the monotonic clock (CLOCK_MONOTONIC: it does not count while the host
+//! is suspended and is never set), dates by UTC (CLOCK_REALTIME).
+
+use nix::time::{ClockId, clock_gettime};
+
+/// Both clocks of the host, read at one instant, in nanoseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HostInstant {
+    /// CLOCK_MONOTONIC.
+    pub monotonic_ns: u64,
+    /// CLOCK_REALTIME: since 1970 began, UTC without leap seconds.
+    pub utc_ns: u64,
+}
+
+/// When something happened on a board, by the host's clocks, in nanoseconds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HostTime {
+    /// CLOCK_MONOTONIC.
+    pub monotonic_ns: u64,
+    /// CLOCK_REALTIME.
+    pub utc_ns: u64,
+    /// Both are right to this, either way.
+    pub uncertainty_ns: u64,
+}
+
+impl HostInstant {
+    /// Reads both clocks.
+    pub fn now() -> Self {
+        Self { monotonic_ns: read(ClockId::CLOCK_MONOTONIC), utc_ns: read(ClockId::CLOCK_REALTIME) }
+    }
+}
+
+/// A clock that cannot be read, or stands before 1970, stands at 0.
+fn read(clock: ClockId) -> u64 {
+    clock_gettime(clock).map_or(0, |time| {
+        let seconds = u64::try_from(time.tv_sec()).unwrap_or(0);
+        seconds.saturating_mul(1_000_000_000).saturating_add(u64::try_from(time.tv_nsec()).unwrap_or(0))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clocks_go_on() {
+        let first = HostInstant::now();
+        std::thread::sleep(std::time::Duration::from_millis(2));
+        let second = HostInstant::now();
+        assert!(second.monotonic_ns - first.monotonic_ns >= 2_000_000, "{first:?}, {second:?}");
+        // 2020 has begun.
+        assert!(first.utc_ns > 1_577_836_800_000_000_000);
+    }
+}

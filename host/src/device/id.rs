@@ -1,0 +1,63 @@
+//! Which board: a number that no two share.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Serialize, Serializer};
+use thiserror::Error;
+
+/// The unique number of a board, as its hello and its USB serial number tell it: 24 hexadecimal digits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct DeviceId(pub [u8; 12]);
+
+impl fmt::Display for DeviceId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl Serialize for DeviceId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// A text that is no [`DeviceId`].
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`{text}` is no serial number of a board; give 24 hexadecimal digits, as `slitpose device list` shows them")]
+pub struct DeviceIdError {
+    /// The text.
+    pub text: String,
+}
+
+impl FromStr for DeviceId {
+    type Err = DeviceIdError;
+
+    /// Digits above 9 may be large or small.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let error = || DeviceIdError { text: text.to_owned() };
+        if text.len() != 24 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return Err(error());
+        }
+        let mut id = [0; 12];
+        for (byte, at) in id.iter_mut().zip((0..).step_by(2)) {
+            *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| error())?;
+        }
+        Ok(Self(id))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_read_as_they_are_written() {
+        let id = DeviceId(*b"\x00\x36\xffsimulated");
+        assert_eq!(id.to_string().parse(), Ok(id));
+        assert_eq!(id.to_string().to_uppercase().parse(), Ok(id));
+        for text in ["", "00", "0036ff73696d756c617465", "0036ff73696d756c61746g65", "+036ff73696d756c6174650a"] {
+            assert!(text.parse::<DeviceId>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! What a link delivered, and when.
+
+use crate::clock::HostInstant;
+
+/// Some reads of a link in a row, as they go through pipeline and capture: the bytes as they came,
+/// when each read returned, and the pings sent meanwhile. It is made to be filled again and again.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Segment {
+    /// The link was opened anew ahead of these bytes: half a packet before is lost.
+    pub opened: bool,
+    /// All bytes.
+    pub bytes: Vec<u8>,
+    /// How `bytes` came; the lengths add up to its length.
+    pub reads: Vec<Read>,
+    /// Pings sent since the segment before. Their answers, if they came, are in later reads.
+    pub asked: Vec<Asked>,
+}
+
+/// One read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Read {
+    /// How many bytes it gave.
+    pub bytes: usize,
+    /// When it returned; `None` if the stream does not go at the pace of time, as that of a
+    /// simulated board need not.
+    pub at: Option<HostInstant>,
+}
+
+/// A ping.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Asked {
+    /// Its token.
+    pub token: u32,
+    /// When it was about to be sent.
+    pub at: HostInstant,
+}
+
+impl Segment {
+    /// Empties it and keeps its memory.
+    pub fn clear(&mut self) {
+        self.opened = false;
+        self.bytes.clear();
+        self.reads.clear();
+        self.asked.clear();
+    }
+
+    /// Whether it says nothing.
+    pub fn is_empty(&self) -> bool {
+        !self.opened && self.bytes.is_empty() && self.asked.is_empty()
+    }
+
+    /// Appends the bytes of one read.
+    pub fn push(&mut self, bytes: &[u8], at: Option<HostInstant>) {
+        self.bytes.extend_from_slice(bytes);
+        self.reads.push(Read { bytes: bytes.len(), at });
+    }
+
+    /// Appends what `other` says; a link opened anew begins a segment of its own.
+    ///
+    /// # Panics
+    /// If `other` opens the link anew and `self` is not empty.
+    pub fn append(&mut self, other: &Self) {
+        assert!(!other.opened || self.is_empty(), "a link opened anew within a segment");
+        self.opened |= other.opened;
+        self.bytes.extend_from_slice(&other.bytes);
+        self.reads.extend_from_slice(&other.reads);
+        self.asked.extend_from_slice(&other.asked);
+    }
+
+    /// Forgets all bytes behind the first `length`.
+    pub fn truncate(&mut self, length: usize) {
+        self.bytes.truncate(length);
+        let mut left = self.bytes.len();
+        self.reads.retain_mut(|read| {
+            read.bytes = read.bytes.min(left);
+            left -= read.bytes;
+            read.bytes > 0
+        });
+    }
+
+    /// The bytes of each read, with its instant.
+    pub fn chunks(&self) -> impl Iterator<Item = (&[u8], Option<HostInstant>)> {
+        let mut rest = &self.bytes[..];
+        self.reads.iter().map(move |read| {
+            let (bytes, behind) = rest.split_at(read.bytes.min(rest.len()));
+            rest = behind;
+            (bytes, read.at)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(monotonic_ns: u64) -> Option<HostInstant> {
+        Some(HostInstant { monotonic_ns, utc_ns: 0 })
+    }
+
+    #[test]
+    fn what_is_cut_off_is_the_end() {
+        let mut segment = Segment::default();
+        segment.push(b"abc", at(1));
+        segment.push(b"de", at(2));
+        segment.push(b"f", at(3));
+        let whole = segment.clone();
+        segment.truncate(4);
+        assert_eq!(segment.chunks().collect::<Vec<_>>(), [(&b"abc"[..], at(1)), (&b"d"[..], at(2))]);
+        segment.truncate(0);
+        assert!(segment.is_empty());
+        segment.append(&whole);
+        assert_eq!(segment, whole);
+    }
+}
