@@ -55,6 +55,11 @@ impl Pace {
         Self { speed, started: Instant::now() }
     }
 
+    /// Whether a device second lasts a second.
+    pub fn is_real_time(&self) -> bool {
+        self.speed == Speed::Times(1.0)
+    }
+
     /// Sleeps until `device_s` may have passed.
     pub fn wait(&self, device_s: f64) {
         while !self.nap(device_s) {}

@@ -7,7 +7,10 @@ use slitpose_protocol::{
     PayloadError, Rejection, Request, encode,
 };
 
-use super::{Device, DeviceError, KeepAlive};
+use super::keep_alive::{self, KeepAlive, ping};
+use super::{Device, DeviceError};
+use crate::clock::HostInstant;
+use crate::pipeline::{Asked, Segment};
 
 /// A board that has just been plugged in needs most of it.
 const HELLO_WITHIN: Duration = Duration::from_secs(2);
@@ -22,7 +25,7 @@ const REPLY_WITHIN: Duration = Duration::from_secs(2);
 const STOP_WITHIN: Duration = Duration::from_millis(500);
 
 /// A board that samples sends something at least this often, if only its status.
-const QUIET: Duration = Duration::from_millis(500);
+const QUIET: Duration = Duration::from_millis(450);
 
 /// What of the bytes around a reply is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +56,11 @@ pub struct Conversation {
     /// Number of the last command.
     number: u16,
     keep_alive: Option<KeepAlive>,
+    /// Where the device does not ping by itself: when to, and with which token.
+    ping_at: Instant,
+    token: u32,
     started: bool,
+    heard_at: Option<HostInstant>,
     quiet: Duration,
     quiet_limit: Duration,
 }
@@ -71,7 +78,10 @@ impl Conversation {
             whole: 0,
             number: 0,
             keep_alive: None,
+            ping_at: Instant::now(),
+            token: 0,
             started: false,
+            heard_at: None,
             quiet: Duration::ZERO,
             quiet_limit: QUIET,
         };
@@ -185,6 +195,18 @@ impl Conversation {
         Ok(())
     }
 
+    /// Appends to `segment` what was received last, as it came, and when, and which pings were sent
+    /// since the time before.
+    pub fn fill(&mut self, segment: &mut Segment) {
+        if !self.inbox.is_empty() {
+            segment.push(&self.inbox, self.heard_at);
+        }
+        match &self.keep_alive {
+            Some(keep_alive) => segment.asked.extend(std::iter::from_fn(|| keep_alive.asked())),
+            None => segment.asked.extend(self.ping()),
+        }
+    }
+
     /// What was received last, as it came.
     pub fn inbox(&self) -> &[u8] {
         &self.inbox
@@ -255,6 +277,20 @@ impl Conversation {
         }
     }
 
+    /// Sends a ping, if it is time for one and the device tells time.
+    fn ping(&mut self) -> Option<Asked> {
+        let now = Instant::now();
+        if !self.started || !self.device.keeps_time() || now < self.ping_at {
+            return None;
+        }
+        self.ping_at = now + keep_alive::INTERVAL;
+        self.token = self.token.wrapping_add(1);
+        let mut buffer = [0; MAX_REQUEST_BYTES];
+        let (packet, asked) = ping(self.token, &mut buffer)?;
+        // A device that has gone is noticed when it is listened to.
+        self.device.send(packet).is_ok().then_some(asked)
+    }
+
     fn command(&mut self, command: Command) -> Result<u16, DeviceError> {
         self.number += 1;
         // Behind a delimiter, which ends whatever half a packet went before.
@@ -267,7 +303,9 @@ impl Conversation {
     }
 
     fn hear(&mut self) -> Result<bool, DeviceError> {
-        self.device.receive(&mut self.inbox).map_err(|source| self.gone(source))
+        let more = self.device.receive(&mut self.inbox).map_err(|source| self.gone(source))?;
+        self.heard_at = self.device.keeps_time().then(HostInstant::now);
+        Ok(more)
     }
 
     fn forget(&mut self) {

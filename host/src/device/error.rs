@@ -132,3 +132,25 @@ pub enum DeviceError {
         reason: String,
     },
 }
+
+impl DeviceError {
+    /// Whether waiting may mend it, without anybody doing anything but plug and switch on.
+    pub fn is_passing(&self) -> bool {
+        match self {
+            Self::Missing { .. }
+            | Self::Silent { .. }
+            | Self::NoHello { .. }
+            | Self::NoReply { .. }
+            | Self::Gone { .. }
+            | Self::Quiet { .. }
+            | Self::Stopped { .. } => true,
+            Self::NotAPath { .. }
+            | Self::NotAPort { .. }
+            | Self::Forbidden { .. }
+            | Self::Busy { .. }
+            | Self::Open { .. }
+            | Self::Version { .. }
+            | Self::Refused { .. } => false,
+        }
+    }
+}

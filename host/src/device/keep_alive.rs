@@ -1,14 +1,20 @@
-//! Signs of life for a board that cannot see its host.
+//! Pings: signs of life for a board that cannot see its host, and a look at its clock.
 
 use std::io::Write;
-use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
 
+use crate::clock::HostInstant;
+use crate::pipeline::Asked;
+
 /// A board on a link without modem lines goes dark after 2 s without a command: four of these.
-const INTERVAL: Duration = Duration::from_millis(500);
+pub(super) const INTERVAL: Duration = Duration::from_millis(500);
+
+/// Pings that nobody has asked about yet; the clock can do without more.
+const MAX_UNTOLD: usize = 16;
 
 /// Number of the pings; a [`Conversation`](super::Conversation) counts its commands from 1.
 pub(super) const PING: u16 = 0;
@@ -18,27 +24,42 @@ pub(super) const PING: u16 = 0;
 #[derive(Debug)]
 pub struct KeepAlive {
     end: Option<Sender<()>>,
+    asked: Receiver<Asked>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl KeepAlive {
-    /// Pings through `port` every half second.
+    /// Pings through `port` at once and every half second.
     pub fn new(mut port: impl Write + Send + 'static) -> Self {
-        let (end, ended) = mpsc::channel();
+        let (end, ended) = bounded(0);
+        let (tell, asked) = bounded(MAX_UNTOLD);
         let thread = std::thread::spawn(move || {
             for token in 0.. {
-                if ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout) {
-                    break;
-                }
                 let mut buffer = [0; MAX_REQUEST_BYTES];
-                if let Ok(ping) = encode(&Request { number: PING, command: Command::Ping { token } }, &mut buffer) {
+                if let Some((ping, told)) = ping(token, &mut buffer) {
+                    // Told before it is sent, so that its answer cannot come first.
+                    let _ = tell.try_send(told);
                     // A port that has gone is noticed by whoever reads from it.
                     let _ = port.write_all(ping);
                 }
+                if ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout) {
+                    break;
+                }
             }
         });
-        Self { end: Some(end), thread: Some(thread) }
+        Self { end: Some(end), asked, thread: Some(thread) }
     }
+
+    /// The next ping that was sent and not told of yet.
+    pub fn asked(&self) -> Option<Asked> {
+        self.asked.try_recv().ok()
+    }
+}
+
+/// A ping, to be sent now.
+pub(super) fn ping(token: u32, buffer: &mut [u8]) -> Option<(&[u8], Asked)> {
+    let packet = encode(&Request { number: PING, command: Command::Ping { token } }, buffer).ok()?;
+    Some((packet, Asked { token, at: HostInstant::now() }))
 }
 
 impl Drop for KeepAlive {

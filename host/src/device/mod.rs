@@ -25,7 +25,7 @@ pub use serial::SerialDevice;
 pub use simulated::SimulatedDevice;
 
 /// A byte stream to a board and back.
-pub trait Device {
+pub trait Device: Send {
     /// What the user calls it.
     fn name(&self) -> &str;
 
@@ -41,6 +41,11 @@ pub trait Device {
     /// # Errors
     /// If the board has gone.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool>;
+
+    /// Whether what comes from it comes when it happens.
+    fn keeps_time(&self) -> bool {
+        true
+    }
 
     /// Shows the board from now on that its host is alive, if it needs that: `None` if not.
     ///

@@ -40,6 +40,10 @@ impl Device for SimulatedDevice {
         Ok(())
     }
 
+    fn keeps_time(&self) -> bool {
+        self.pace.is_real_time()
+    }
+
     /// What the board has to say comes before time passes: commands are answered in no time.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         let before = bytes.len();

@@ -58,9 +58,9 @@ impl Segment {
     /// Appends what `other` says; a link opened anew begins a segment of its own.
     ///
     /// # Panics
-    /// If `other` opens the link anew and `self` is not empty.
+    /// If `other` opens the link anew and `self` has bytes already.
     pub fn append(&mut self, other: &Self) {
-        assert!(!other.opened || self.is_empty(), "a link opened anew within a segment");
+        assert!(!other.opened || self.bytes.is_empty(), "a link opened anew within a segment");
         self.opened |= other.opened;
         self.bytes.extend_from_slice(&other.bytes);
         self.reads.extend_from_slice(&other.reads);

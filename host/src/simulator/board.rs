@@ -39,11 +39,27 @@ impl SimulatedBoard {
     /// # Errors
     /// If no board could run the scene.
     pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64) -> Result<Self, SimulatorError> {
+        Self::numbered(0, file, trajectory, tier, seed)
+    }
+
+    /// The same, one of several: its device id ends in `number`.
+    ///
+    /// # Errors
+    /// If no board could run the scene.
+    pub fn numbered(
+        number: u8,
+        file: &SceneFile,
+        trajectory: Trajectory,
+        tier: Tier,
+        seed: u64,
+    ) -> Result<Self, SimulatorError> {
         let configuration: Configuration = front_end::configuration(file)?;
         let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
         let electronics = Electronics::new(&file.scene, front_end);
+        let mut device_id = *b"simulated\0\0\0";
+        device_id[11] = number;
         let identity = Identity {
-            device_id: *b"simulated\0\0\0",
+            device_id,
             kind: BoardKind::Simulated,
             board: "simulated",
             reset_cause: ResetCause::PowerOn,
