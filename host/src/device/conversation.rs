@@ -8,18 +8,20 @@ use slitpose_protocol::{
 };
 
 use super::keep_alive::{self, KeepAlive, ping};
+use super::version::Versions;
 use super::{Device, DeviceError};
 use crate::clock::HostInstant;
 use crate::pipeline::{Asked, Segment};
 
-/// A board that has just been plugged in needs most of it.
-const HELLO_WITHIN: Duration = Duration::from_secs(2);
+/// A board that has been asked by its other port is free again 2 s later; one that has just been plugged
+/// in needs less.
+const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// A board that was not listening yet is asked again.
 const HELLO_EVERY: Duration = Duration::from_millis(250);
 
 /// A board answers within a millisecond; the scans ahead of its answer may take a tenth of a second.
-const REPLY_WITHIN: Duration = Duration::from_secs(2);
+pub(super) const REPLY_WITHIN: Duration = Duration::from_secs(2);
 
 /// As [`REPLY_WITHIN`], but somebody waits for the program to end.
 const STOP_WITHIN: Duration = Duration::from_millis(500);
@@ -48,9 +50,9 @@ enum Verdict {
 /// A board that is spoken to. Dropped, it tells the board to stop.
 pub struct Conversation {
     device: Box<dyn Device>,
-    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    pub(super) decoder: Decoder<MAX_MESSAGE_BYTES>,
     /// What was received and is kept.
-    inbox: Vec<u8>,
+    pub(super) inbox: Vec<u8>,
     /// How much of it, from the start, is whole packets.
     whole: usize,
     /// Number of the last command.
@@ -96,15 +98,24 @@ impl Conversation {
     ///
     /// # Errors
     /// If no board answers, or `admit` refuses it.
-    pub fn greet<E: From<DeviceError>>(&mut self, mut admit: impl FnMut(&Hello<'_>) -> Result<(), E>) -> Result<(), E> {
+    pub fn greet<E: From<DeviceError>>(&mut self, admit: impl FnMut(&Hello<'_>) -> Result<(), E>) -> Result<(), E> {
+        self.greet_within(HELLO_WITHIN, admit)
+    }
+
+    /// [`greet`](Self::greet)s a board that has to answer within another time.
+    pub(super) fn greet_within<E: From<DeviceError>>(
+        &mut self,
+        within: Duration,
+        mut admit: impl FnMut(&Hello<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
         let asked = Instant::now();
         let mut ask_at = asked;
         let first = self.number + 1;
         let (mut admitted, mut replied, mut answered) = (false, false, false);
         while !answered {
             let now = Instant::now();
-            if now >= asked + HELLO_WITHIN {
-                return Err(self.no_hello().into());
+            if now >= asked + within {
+                return Err(self.no_hello(within).into());
             }
             if now >= ask_at {
                 self.command(Command::Hello)?;
@@ -119,8 +130,8 @@ impl Conversation {
                         admitted = true;
                     }
                     Ok(Message::Reply(reply)) => replied |= (first..=self.number).contains(&reply.number),
-                    Err(FrameError::Payload(source @ PayloadError::Version { .. })) => {
-                        return Err(DeviceError::Version { name: self.name(), source }.into());
+                    Err(FrameError::Payload(PayloadError::Version { theirs: board, .. })) => {
+                        return Err(DeviceError::Version { name: self.name(), versions: Versions { board } }.into());
                     }
                     _ => {}
                 }
@@ -128,7 +139,7 @@ impl Conversation {
             self.forget();
             answered = admitted && replied;
             if !more && !answered {
-                return Err(self.no_hello().into());
+                return Err(self.no_hello(within).into());
             }
         }
         Ok(())
@@ -218,7 +229,7 @@ impl Conversation {
     }
 
     /// Sends a command and waits for its reply; tells whether a hello came, too.
-    fn ask(&mut self, command: Command, keep: Keep, within: Duration) -> Result<bool, DeviceError> {
+    pub(super) fn ask(&mut self, command: Command, keep: Keep, within: Duration) -> Result<bool, DeviceError> {
         let name = name_of(&command);
         let number = self.command(command)?;
         let until = Instant::now() + within;
@@ -302,13 +313,13 @@ impl Conversation {
         Ok(self.number)
     }
 
-    fn hear(&mut self) -> Result<bool, DeviceError> {
+    pub(super) fn hear(&mut self) -> Result<bool, DeviceError> {
         let more = self.device.receive(&mut self.inbox).map_err(|source| self.gone(source))?;
         self.heard_at = self.device.keeps_time().then(HostInstant::now);
         Ok(more)
     }
 
-    fn forget(&mut self) {
+    pub(super) fn forget(&mut self) {
         self.inbox.clear();
         self.whole = 0;
     }
@@ -317,8 +328,8 @@ impl Conversation {
         DeviceError::Gone { name: self.name(), source }
     }
 
-    fn no_hello(&self) -> DeviceError {
-        let (name, seconds) = (self.name(), HELLO_WITHIN.as_secs_f64());
+    fn no_hello(&self, within: Duration) -> DeviceError {
+        let (name, seconds) = (self.name(), within.as_secs_f64());
         let counters = self.decoder.counters();
         match counters.bytes {
             0 => DeviceError::Silent { name, seconds },

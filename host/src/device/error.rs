@@ -2,16 +2,61 @@
 
 use std::io;
 
-use slitpose_protocol::{PayloadError, Rejection};
+use slitpose_protocol::Rejection;
 use thiserror::Error;
+
+use super::DeviceId;
+use super::probe::Listed;
+use super::version::Versions;
 
 /// What went wrong between host and board.
 #[derive(Debug, Error)]
 pub enum DeviceError {
-    /// No path of a port.
+    /// The system does not tell its ports.
+    #[error("cannot list the serial ports of this system; give the path of the board's port, such as /dev/ttyACM0")]
+    Ports {
+        /// What it said.
+        source: serialport::Error,
+    },
+    /// No pattern of paths.
+    #[error("`{pattern}` is no pattern of paths; give one such as '/dev/ttyUSB*'")]
+    Pattern {
+        /// What was given.
+        pattern: String,
+        /// What is wrong with it.
+        source: glob::PatternError,
+    },
+    /// Nothing there is a board.
     #[error(
-        "`{name}` is not the path of a serial port, and this version does not search for boards; \
-         give the path, such as /dev/ttyACM0, or --device sim for a simulated board"
+        "no board found: nothing on USB is a `slitpose board` (1209:0001){}; plug one in, give its port with \
+         --device PATH or where to look with --search, or --device sim for a simulated one",
+        others(asked)
+    )]
+    NoBoard {
+        /// What might have been one.
+        asked: Vec<Listed>,
+    },
+    /// Which one is meant?
+    #[error("there are {} boards: {}; say which with --device SERIAL", boards.len(), in_words(boards))]
+    SeveralBoards {
+        /// All of them.
+        boards: Vec<Listed>,
+    },
+    /// Nothing there is the board asked for.
+    #[error(
+        "the board {device} is not there{}; plug it in, or look with `slitpose device list` what is there",
+        others(there)
+    )]
+    NoSuchBoard {
+        /// The one asked for.
+        device: DeviceId,
+        /// What is there instead.
+        there: Vec<Listed>,
+    },
+    /// Neither a path nor a number.
+    #[error(
+        "`{name}` is neither the path of a serial port nor the serial number of a board (24 hexadecimal digits), as \
+         `slitpose device list` shows them; give the path, such as /dev/ttyACM0, or --device sim for a simulated board"
     )]
     NotAPath {
         /// What was given.
@@ -38,7 +83,7 @@ pub enum DeviceError {
         name: String,
     },
     /// Another program has it open.
-    #[error("{name} is in use by another program; close that first")]
+    #[error("{name} is in use by another program, such as a running `slitpose run`; end that first")]
     Busy {
         /// The path.
         name: String,
@@ -78,12 +123,34 @@ pub enum DeviceError {
         packets: u64,
     },
     /// A board of another time.
-    #[error("the board on {name} speaks another version of the protocol")]
+    #[error("{name} cannot be used: {versions}")]
     Version {
         /// The device.
         name: String,
         /// Which one.
-        source: PayloadError,
+        versions: Versions,
+    },
+    /// A board that says nothing of itself.
+    #[error("the board on {name} sent no status within {seconds} s; reset the board")]
+    NoStatus {
+        /// The device.
+        name: String,
+        /// How long was waited.
+        seconds: f64,
+    },
+    /// A board that did not come back.
+    #[error("the board on {name} has not come back within {seconds} s; reset it, or unplug it and plug it in again")]
+    NotBack {
+        /// The device.
+        name: String,
+        /// How long was waited.
+        seconds: f64,
+    },
+    /// What was stored is not what was to be stored.
+    #[error("the board on {name} says that another scene or schedule is stored than was sent; try again")]
+    NotStored {
+        /// The device.
+        name: String,
     },
     /// A command without a reply.
     #[error("the board on {name} did not reply to {command} within {seconds} s; reset the board")]
@@ -133,18 +200,39 @@ pub enum DeviceError {
     },
 }
 
+/// Boards and ports in a row.
+fn in_words(listed: &[Listed]) -> String {
+    let word = |listed: &Listed| match listed.device() {
+        Some(device) => format!("{device} on {}", listed.port.name),
+        None => format!("{} ({})", listed.port.name, listed.state.as_str()),
+    };
+    listed.iter().map(word).collect::<Vec<_>>().join(", ")
+}
+
+fn others(listed: &[Listed]) -> String {
+    if listed.is_empty() { String::new() } else { format!("; there are {}", in_words(listed)) }
+}
+
 impl DeviceError {
     /// Whether waiting may mend it, without anybody doing anything but plug and switch on.
     pub fn is_passing(&self) -> bool {
         match self {
-            Self::Missing { .. }
+            Self::NoBoard { .. }
+            | Self::NoSuchBoard { .. }
+            | Self::Missing { .. }
             | Self::Silent { .. }
             | Self::NoHello { .. }
+            | Self::NoStatus { .. }
+            | Self::NotBack { .. }
             | Self::NoReply { .. }
             | Self::Gone { .. }
             | Self::Quiet { .. }
             | Self::Stopped { .. } => true,
-            Self::NotAPath { .. }
+            Self::Ports { .. }
+            | Self::Pattern { .. }
+            | Self::SeveralBoards { .. }
+            | Self::NotStored { .. }
+            | Self::NotAPath { .. }
             | Self::NotAPort { .. }
             | Self::Forbidden { .. }
             | Self::Busy { .. }

@@ -5,24 +5,42 @@
 //! them: it greets, configures, starts and stops the board, checks every reply, and hands on what
 //! the board says as it came.
 //!
+//! [`find`] looks for the board a [`Selector`] names, [`list`] for all of them, [`locate`] for one that was
+//! there before.
+//!
 //! Nothing is dropped on this side: bytes that are not fetched wait in the operating system, then in
 //! the board's queue, which gives up its oldest scans when it is full; their numbers show it.
 
+mod board_info;
 mod conversation;
+mod discovery;
 mod error;
+mod holder;
 mod id;
 mod keep_alive;
+mod orders;
+mod ports;
+mod probe;
+mod selector;
 mod serial;
 mod simulated;
+mod version;
 
 use std::io;
 
+pub use board_info::BoardInfo;
 pub use conversation::{Conversation, Keep};
+pub use discovery::{Found, find, list, locate};
 pub use error::DeviceError;
+pub use holder::{Holder, holders};
 pub use id::{DeviceId, DeviceIdError};
 pub use keep_alive::KeepAlive;
+pub use ports::{Port, Search, UsbId, ports};
+pub use probe::{Listed, PortState};
+pub use selector::Selector;
 pub use serial::SerialDevice;
 pub use simulated::SimulatedDevice;
+pub use version::Versions;
 
 /// A byte stream to a board and back.
 pub trait Device: Send {

@@ -1,11 +1,11 @@
 //! A board on a serial port: USB CDC-ACM, a UART, or a pseudo-terminal.
 
 use std::io::{self, ErrorKind, Read, Write};
-use std::path::{MAIN_SEPARATOR, Path};
 use std::time::{Duration, Instant};
 
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 
+use super::selector::is_path;
 use super::{Device, DeviceError, KeepAlive};
 
 /// Enough for a board at 7 kHz behind a UART; USB and pseudo-terminals ignore it.
@@ -70,11 +70,6 @@ impl SerialDevice {
     }
 }
 
-/// Whether `name` looks like the path of a port, and not like the name of a board.
-fn is_path(name: &str) -> bool {
-    name.contains(['/', MAIN_SEPARATOR]) || (cfg!(windows) && name.starts_with("COM")) || Path::new(name).exists()
-}
-
 impl Device for SerialDevice {
     fn name(&self) -> &str {
         &self.name
@@ -117,20 +112,5 @@ impl Drop for SerialDevice {
     fn drop(&mut self) {
         // A port that keeps its lines when closed would leave the board waiting for a host.
         let _ = self.port.write_data_terminal_ready(false);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_of_boards_are_no_paths() {
-        for path in ["/dev/ttyACM0", "./port", "/dev/serial/by-id/board"] {
-            assert!(is_path(path), "{path}");
-        }
-        for name in ["auto", "3600290054485002", "usb"] {
-            assert!(!is_path(name), "{name}");
-        }
     }
 }

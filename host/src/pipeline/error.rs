@@ -5,14 +5,18 @@ use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{ScalingError, ScheduleError};
 use thiserror::Error;
 
+use crate::device::Versions;
+
 /// Why the pipeline cannot go on.
 #[derive(Debug, Error)]
 pub enum PipelineError {
     /// Board and host lay messages out differently.
-    #[error("board `{board}` and this program disagree on the protocol; update whichever is older")]
+    #[error("board `{board}` and this program disagree on the protocol: {versions}")]
     Schema {
         /// The board.
         board: String,
+        /// Of both.
+        versions: Versions,
         /// Which message.
         source: SchemaMismatch,
     },

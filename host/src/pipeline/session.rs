@@ -4,7 +4,7 @@ use slitpose_model::{Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::{Following, PipelineError, SceneMatch};
-use crate::device::DeviceId;
+use crate::device::{DeviceId, Versions};
 use crate::front_end::Stage;
 use crate::scene_file::SceneFile;
 
@@ -24,7 +24,8 @@ pub(super) struct Session {
 /// Checks what of `hello` does not depend on the schedule: the protocol and the scene.
 pub(super) fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     let board = || hello.board.to_owned();
-    hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), source })?;
+    let versions = Versions { board: hello.protocol };
+    hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), versions, source })?;
     if let Some(board_hash) = hello.hashes.scene
         && board_hash != file.hash
         && scene_match == SceneMatch::Required

@@ -1,0 +1,272 @@
+//! Where boards are.
+//!
+//! A board with a USB port of its own is known by what USB says of it, and by its number there: it need not
+//! be asked, and is found again wherever it is plugged in. A board behind a debugger's serial port has to be
+//! asked for its number; so has one in a place that the user names ([`Search`]). To be asked, a port is opened
+//! exclusively, and gets a Hello and nothing else; ports in use are left alone.
+//!
+//! Debuggers are asked only if no board has a USB port of its own: the port that was asked last has a board
+//! for two seconds, and both cables of a Nucleo may be plugged in.
+
+use super::ports::{Port, Search, UsbId, ports};
+use super::probe::{Listed, PortState};
+use super::{DeviceError, DeviceId, Selector};
+
+/// The port of a simulated board.
+const SIM: &str = "sim";
+
+/// Where a board is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// Its port: `sim` for the simulated board, which is everywhere.
+    pub port: String,
+    /// What the port is on USB: by this it is found again under another name.
+    pub usb: Option<UsbId>,
+    /// Which board, as far as it was needed to know.
+    pub device: Option<DeviceId>,
+}
+
+impl From<Listed> for Found {
+    fn from(listed: Listed) -> Self {
+        Self { device: listed.device(), port: listed.port.name, usb: listed.port.usb }
+    }
+}
+
+/// Looks for the board that `selector` names, in the places of `search`, too.
+///
+/// A path is taken as it is: whether there is a board, opening tells.
+///
+/// # Errors
+/// If there is none, or more than one could be meant.
+pub fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
+    match selector {
+        Selector::Sim => Ok(Found { port: SIM.to_owned(), usb: None, device: None }),
+        // A path does without the list of ports, if the system has none.
+        Selector::Path(path) => Ok(Listed::new(Port::at(path, &ports().unwrap_or_default())).into()),
+        Selector::Serial(device) => {
+            let ports = ports()?;
+            if let Some(port) = ports.iter().find(|port| port.device() == Some(*device)) {
+                return Ok(Listed::new(port.clone()).into());
+            }
+            choose(selector, Listed::ask_all(unsure(&ports, search, true)))
+        }
+        Selector::Auto => {
+            let ports = ports()?;
+            let boards: Vec<_> = ports.iter().filter(|port| port.is_board()).cloned().map(Listed::new).collect();
+            let asked = Listed::ask_all(unsure(&ports, search, boards.is_empty()));
+            choose(selector, boards.into_iter().chain(asked).collect())
+        }
+    }
+}
+
+/// All boards, and all ports that might have one. With `ask` they are asked; boards that are measuring are
+/// in use and left alone.
+///
+/// # Errors
+/// If the system does not list its ports.
+pub fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
+    let ports = ports()?;
+    let unsure = unsure(&ports, search, true);
+    let boards: Vec<_> = ports.into_iter().filter(Port::is_board).collect();
+    if !ask {
+        return Ok(boards.into_iter().chain(unsure).map(Listed::new).collect());
+    }
+    // One after the other: a board answers at one port at a time.
+    let mut listed = Listed::ask_all(boards);
+    listed.extend(Listed::ask_all(unsure));
+    Ok(listed)
+}
+
+/// The port of the board that `selector` names, now, without asking anybody: cheap enough for several
+/// times a second. `known` is where it was last, with its number if that is known by now. `None` if it is
+/// not there; or, without `known`, if only [`find`] can tell.
+pub fn locate(selector: &Selector, known: Option<&Found>) -> Option<String> {
+    match selector {
+        Selector::Sim => Some(SIM.to_owned()),
+        // The list is short: the system's own files, no device.
+        _ => located(selector, known, &ports().unwrap_or_default()),
+    }
+}
+
+fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option<String> {
+    let exists = |name: &str| std::path::Path::new(name).exists().then(|| name.to_owned());
+    let device = match selector {
+        Selector::Serial(device) => Some(*device),
+        _ => known.and_then(|known| known.device),
+    };
+    let board = |port: &&Port| device.is_some() && port.device() == device;
+    if let Some(port) = ports.iter().find(board) {
+        return Some(port.name.clone());
+    }
+    match (known, selector) {
+        (Some(Found { usb: Some(usb), port, .. }), _) if !usb.is_board() || usb.device().is_none() => {
+            // The same debugger or adapter; without a number of its own, in the same place.
+            let same = |it: &&Port| it.usb.as_ref() == Some(usb) && (usb.serial.is_some() || it.name == *port);
+            // A debugger may have several ports.
+            let mut same: Vec<_> = ports.iter().filter(same).map(|it| it.name.clone()).collect();
+            let at = same.iter().position(|name| name == port).unwrap_or(0);
+            (!same.is_empty()).then(|| same.swap_remove(at))
+        }
+        (Some(Found { usb: None, port, .. }), _) => exists(port),
+        (Some(_), _) => None,
+        (None, Selector::Path(path)) => exists(path),
+        (None, Selector::Auto) => {
+            let mut boards = ports.iter().filter(|port| port.is_board());
+            boards.next().filter(|_| boards.next().is_none()).map(|port| port.name.clone())
+        }
+        (None, _) => None,
+    }
+}
+
+/// The ports that only answers can tell to be a board's.
+fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
+    let mut unsure: Vec<_> = ports.iter().filter(|port| debuggers && port.is_debugger()).cloned().collect();
+    for name in search.iter().flat_map(Search::names) {
+        let known = ports.iter().filter(|port| port.is_board()).chain(&unsure);
+        let real = super::ports::real_path(&name);
+        if !known.into_iter().any(|port| super::ports::real_path(&port.name) == real) {
+            unsure.push(Port::at(&name, ports));
+        }
+    }
+    unsure
+}
+
+/// The one of `listed` that `selector` means.
+fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError> {
+    let is_board = |listed: &Listed| listed.port.is_board() || listed.board.is_some();
+    let mut boards: Vec<Listed> = Vec::new();
+    for it in listed.iter().filter(|it| is_board(it)) {
+        // A board with two cables counts once, by the port that is its own.
+        let twice = it.device().is_some() && boards.iter().any(|board| board.device() == it.device());
+        if !twice {
+            boards.push(it.clone());
+        }
+    }
+    if let Selector::Serial(device) = selector {
+        let board = boards.into_iter().find(|board| board.device() == Some(*device));
+        return board.map(Found::from).ok_or(DeviceError::NoSuchBoard { device: *device, there: listed });
+    }
+    match boards.len() {
+        0 => match <[Listed; 1]>::try_from(listed) {
+            // Nothing else it could be: opening tells what is the matter.
+            Ok([only]) if matches!(only.state, PortState::InUse | PortState::NoPermission) => Ok(only.into()),
+            Ok([only]) => Err(DeviceError::NoBoard { asked: vec![only] }),
+            Err(asked) => Err(DeviceError::NoBoard { asked }),
+        },
+        1 => Ok(boards.swap_remove(0).into()),
+        _ => Err(DeviceError::SeveralBoards { boards }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FIRST: &str = "0036002900544850025a0320";
+    const SECOND: &str = "0036002900544850025a0321";
+
+    fn usb(name: &str, vid: u16, pid: u16, serial: &str) -> Port {
+        let board = (vid, pid) == super::super::ports::BOARD;
+        let text = |text: &str| board.then(|| text.to_owned());
+        let (manufacturer, product) = (text("slitpose"), text("slitpose board"));
+        Port {
+            name: name.to_owned(),
+            usb: Some(UsbId { vid, pid, serial: Some(serial.to_owned()), manufacturer, product }),
+        }
+    }
+
+    fn board(name: &str, serial: &str) -> Port {
+        usb(name, 0x1209, 0x0001, &serial.to_uppercase())
+    }
+
+    fn debugger(name: &str, serial: &str) -> Port {
+        usb(name, 0x0483, 0x374e, serial)
+    }
+
+    fn listed(ports: &[Port]) -> Vec<Listed> {
+        ports.iter().cloned().map(Listed::new).collect()
+    }
+
+    fn serial(text: &str) -> Selector {
+        Selector::Serial(text.parse().unwrap())
+    }
+
+    #[test]
+    fn the_one_board_is_taken_and_of_several_the_user_chooses() {
+        let error = choose(&Selector::Auto, Vec::new()).unwrap_err().to_string();
+        assert!(error.contains("no board found") && error.contains("1209:0001"), "{error}");
+        let one = choose(&Selector::Auto, listed(&[board("/dev/ttyACM0", FIRST)])).unwrap();
+        assert_eq!((one.port.as_str(), one.device), ("/dev/ttyACM0", Some(FIRST.parse().unwrap())));
+
+        let both = listed(&[board("/dev/ttyACM0", FIRST), board("/dev/ttyACM1", SECOND)]);
+        let error = choose(&Selector::Auto, both.clone()).unwrap_err().to_string();
+        for part in ["2 boards", FIRST, SECOND, "/dev/ttyACM0", "/dev/ttyACM1", "--device SERIAL"] {
+            assert!(error.contains(part), "{error}");
+        }
+        assert_eq!(choose(&serial(SECOND), both.clone()).unwrap().port, "/dev/ttyACM1");
+        let error = choose(&serial("0036002900544850025a0322"), both).unwrap_err().to_string();
+        assert!(error.contains("0036002900544850025a0322 is not there") && error.contains(FIRST), "{error}");
+        // A board with two cables.
+        let twice = listed(&[board("/dev/ttyACM0", FIRST), board("/dev/ttyACM1", FIRST)]);
+        assert_eq!(choose(&Selector::Auto, twice).unwrap().port, "/dev/ttyACM0");
+    }
+
+    #[test]
+    fn what_does_not_answer_is_no_board_but_what_is_in_use_may_be() {
+        let state = |name, state| Listed { state, ..Listed::new(debugger(name, "1")) };
+        let silent = state("/dev/ttyACM0", PortState::NoAnswer);
+        let used = state("/dev/ttyACM1", PortState::InUse);
+        let error = choose(&Selector::Auto, vec![silent.clone(), used.clone()]).unwrap_err().to_string();
+        assert!(error.contains("/dev/ttyACM0 (no answer), /dev/ttyACM1 (in use)"), "{error}");
+        assert!(choose(&Selector::Auto, vec![silent]).is_err());
+        assert_eq!(choose(&Selector::Auto, vec![used]).unwrap().port, "/dev/ttyACM1");
+    }
+
+    #[test]
+    fn a_board_is_found_again_under_another_name() {
+        let before = Found::from(Listed::new(board("/dev/ttyACM0", FIRST)));
+        let after = [board("/dev/ttyACM0", SECOND), board("/dev/ttyACM1", FIRST)];
+        let path = Selector::Path("/dev/ttyACM0".to_owned());
+        for selector in [&Selector::Auto, &path, &serial(FIRST)] {
+            assert_eq!(located(selector, Some(&before), &after).as_deref(), Some("/dev/ttyACM1"));
+            // Another board in its place is not it.
+            assert_eq!(located(selector, Some(&before), &after[..1]), None);
+        }
+        assert_eq!(located(&serial(FIRST), None, &after).as_deref(), Some("/dev/ttyACM1"));
+        assert_eq!(located(&Selector::Auto, None, &after), None, "which?");
+        assert_eq!(located(&Selector::Auto, None, &after[1..]).as_deref(), Some("/dev/ttyACM1"));
+    }
+
+    #[test]
+    fn a_board_behind_a_debugger_is_found_by_the_debugger() {
+        let found = Found { device: FIRST.parse().ok(), ..Found::from(Listed::new(debugger("/dev/ttyACM0", "0031"))) };
+        let after = [debugger("/dev/ttyACM2", "0032"), debugger("/dev/ttyACM1", "0031")];
+        for selector in [Selector::Auto, serial(FIRST)] {
+            assert_eq!(located(&selector, Some(&found), &after).as_deref(), Some("/dev/ttyACM1"));
+            assert_eq!(located(&selector, Some(&found), &after[..1]), None);
+            // Asking is not for `locate`.
+            assert_eq!(located(&selector, None, &after), None);
+        }
+    }
+
+    #[test]
+    fn a_port_without_usb_is_found_in_its_place() {
+        let found = |port: &str| Found { port: port.to_owned(), usb: None, device: FIRST.parse().ok() };
+        assert_eq!(located(&Selector::Auto, Some(&found("/dev/null")), &[]).as_deref(), Some("/dev/null"));
+        assert_eq!(located(&Selector::Auto, Some(&found("/dev/no-such-board")), &[]), None);
+        assert_eq!(located(&Selector::Path("/dev/null".to_owned()), None, &[]).as_deref(), Some("/dev/null"));
+    }
+
+    #[test]
+    fn only_what_might_be_a_board_is_asked() {
+        let adapter = usb("/dev/zero", 0x0403, 0x6001, "A1");
+        let ports = [board("/dev/null", FIRST), debugger("/dev/ttyACM1", "1"), adapter];
+        let names = |search: &[&str], debuggers| {
+            let search: Vec<Search> = search.iter().map(|pattern| pattern.parse().unwrap()).collect();
+            unsure(&ports, &search, debuggers).into_iter().map(|port| port.name).collect::<Vec<_>>()
+        };
+        assert_eq!(names(&[], true), ["/dev/ttyACM1"]);
+        assert!(names(&["/dev/null"], false).is_empty(), "the board itself");
+        assert_eq!(names(&["/dev/zer*", "/dev/zero"], false), ["/dev/zero"]);
+    }
+}

@@ -1,0 +1,121 @@
+//! What a board is told beside measuring: who it is, what to keep, to show itself, to start anew.
+
+use std::time::{Duration, Instant};
+
+use slitpose_protocol::{BootTarget, Command, Hashes, Message, Status};
+
+use super::conversation::REPLY_WITHIN;
+use super::{BoardInfo, Conversation, DeviceError, Keep};
+
+/// A board sends a status every 0.5 s; the first after it was opened may be damaged.
+const STATUS_WITHIN: Duration = Duration::from_millis(1500);
+
+impl Conversation {
+    /// [`greet`](Self::greet)s the board and keeps what it says of itself. Whether it can be used is for
+    /// the caller to judge.
+    ///
+    /// # Errors
+    /// If no board answers within `within`, or one of another version.
+    pub fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
+        let mut last = None;
+        self.greet_within(within, |hello| {
+            last = Some(BoardInfo::from(hello));
+            Ok::<_, DeviceError>(())
+        })?;
+        last.ok_or_else(|| DeviceError::Silent { name: self.name(), seconds: within.as_secs_f64() })
+    }
+
+    /// Waits for the board's next account of itself. What else comes meanwhile is lost.
+    ///
+    /// # Errors
+    /// If there is none, or the board has gone.
+    pub fn status(&mut self) -> Result<Status, DeviceError> {
+        let until = Instant::now() + STATUS_WITHIN;
+        self.decoder.reset();
+        let mut more = true;
+        while more && Instant::now() < until {
+            self.forget();
+            more = self.hear()?;
+            let mut bytes = &self.inbox[..];
+            let mut status = None;
+            while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
+                if let Ok(Message::Status(latest)) = message {
+                    status = Some(latest);
+                }
+            }
+            if let Some(status) = status {
+                return Ok(status);
+            }
+        }
+        Err(DeviceError::NoStatus { name: self.name(), seconds: STATUS_WITHIN.as_secs_f64() })
+    }
+
+    /// Has the board keep its configuration and `hashes`, also without supply.
+    ///
+    /// # Errors
+    /// If its memory does not take them, or it does not reply.
+    pub fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
+        self.order(Command::Store(hashes))
+    }
+
+    /// Has the board forget what it keeps.
+    ///
+    /// # Errors
+    /// If its memory does not forget, or it does not reply.
+    pub fn forget_stored(&mut self) -> Result<(), DeviceError> {
+        self.order(Command::Forget)
+    }
+
+    /// Lets the board's indicator tell for a number of seconds which one it is; 0 ends it.
+    ///
+    /// # Errors
+    /// If it does not reply.
+    pub fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
+        self.order(Command::Identify { seconds })
+    }
+
+    /// Has the board start anew. It replies first, and is gone 0.2 s later at the latest.
+    ///
+    /// # Errors
+    /// If it does not reply.
+    pub fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
+        self.order(Command::Reboot(target))
+    }
+
+    fn order(&mut self, command: Command) -> Result<(), DeviceError> {
+        self.forget();
+        self.decoder.reset();
+        self.ask(command, Keep::Replies, REPLY_WITHIN).map(drop)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slitpose_model::Tier;
+
+    use super::*;
+    use crate::device::SimulatedDevice;
+    use crate::pace::Speed;
+    use crate::scene_file::WIDE;
+    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+    #[test]
+    fn a_board_does_as_it_is_told() {
+        let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 10.0);
+        let board = SimulatedBoard::new(&WIDE.read().unwrap(), still, Tier::Paper, 1).unwrap();
+        let device = SimulatedDevice::new(board, 250e-6, 10.0, Speed::Max);
+        let mut board = Conversation::open(Box::new(device)).unwrap();
+        let within = Duration::from_secs(1);
+        let info = board.introduce(within).unwrap();
+        assert_eq!((info.kind_name(), info.mismatch), ("simulated", None));
+        let status = board.status().unwrap();
+        assert!(!status.acquiring && status.supply_v > 3.0);
+        let hashes = Hashes { scene: Some(7), calibration: Some(8) };
+        board.store(hashes).unwrap();
+        assert_eq!(board.introduce(within).unwrap().hashes, hashes);
+        board.forget_stored().unwrap();
+        assert_eq!(board.introduce(within).unwrap().hashes, Hashes::default());
+        board.identify(1).unwrap();
+        board.reboot(BootTarget::Firmware).unwrap();
+    }
+}

@@ -1,0 +1,232 @@
+//! Serial ports of this host, and what USB says of them.
+
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde::Serialize;
+use serialport::{SerialPortInfo, SerialPortType};
+
+use super::{DeviceError, DeviceId};
+
+/// What a board says of itself on USB. The number is one for tests, shared with others: the texts
+/// have to match, too.
+pub(super) const BOARD: (u16, u16) = (0x1209, 0x0001);
+const MANUFACTURER: &str = "slitpose";
+const PRODUCT: &str = "slitpose board";
+
+/// Debuggers whose serial port may lead to a board: ST-LINK/V2-1 and V3, as Nucleo boards have them
+/// (ST's 49-stlinkv2-1.rules and 49-stlinkv3.rules).
+const DEBUGGERS: [(u16, u16); 9] = [
+    (0x0483, 0x374a),
+    (0x0483, 0x374b),
+    (0x0483, 0x374e),
+    (0x0483, 0x374f),
+    (0x0483, 0x3752),
+    (0x0483, 0x3753),
+    (0x0483, 0x3754),
+    (0x0483, 0x3755),
+    (0x0483, 0x3757),
+];
+
+/// What is known of something on USB without asking it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct UsbId {
+    /// Number of the vendor.
+    pub vid: u16,
+    /// Number of the product.
+    pub pid: u16,
+    /// Its serial number, if it has one: that of a debugger is not that of the board behind it.
+    pub serial: Option<String>,
+    /// Who made it.
+    pub manufacturer: Option<String>,
+    /// What it is.
+    pub product: Option<String>,
+}
+
+impl UsbId {
+    /// Whether this is a board with a USB port of its own.
+    pub fn is_board(&self) -> bool {
+        (self.vid, self.pid) == BOARD
+            && self.manufacturer.as_deref() == Some(MANUFACTURER)
+            && self.product.as_deref() == Some(PRODUCT)
+    }
+
+    /// Whether this is a debugger, with whatever behind it.
+    pub fn is_debugger(&self) -> bool {
+        DEBUGGERS.contains(&(self.vid, self.pid))
+    }
+
+    /// The board, as far as USB tells.
+    pub fn device(&self) -> Option<DeviceId> {
+        self.serial.as_deref().filter(|_| self.is_board())?.parse().ok()
+    }
+}
+
+/// A serial port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// Its path.
+    pub name: String,
+    /// What is on it, if it is on USB.
+    pub usb: Option<UsbId>,
+}
+
+impl Port {
+    /// The port at `name`, and what `ports` knows of it, whatever it is called there.
+    pub(super) fn at(name: &str, ports: &[Self]) -> Self {
+        let real = real_path(name);
+        let usb = ports.iter().find(|port| real_path(&port.name) == real).and_then(|port| port.usb.clone());
+        Self { name: name.to_owned(), usb }
+    }
+
+    /// Whether USB says that this is a board.
+    pub fn is_board(&self) -> bool {
+        self.usb.as_ref().is_some_and(UsbId::is_board)
+    }
+
+    /// Whether it may lead to a board that only answers can tell.
+    pub fn is_debugger(&self) -> bool {
+        self.usb.as_ref().is_some_and(UsbId::is_debugger)
+    }
+
+    /// The board on it, as far as USB tells.
+    pub fn device(&self) -> Option<DeviceId> {
+        self.usb.as_ref()?.device()
+    }
+}
+
+/// The serial ports of this host.
+///
+/// # Errors
+/// If the system does not list them.
+pub fn ports() -> Result<Vec<Port>, DeviceError> {
+    // Without it the library panics; a system that has no folder has no ports.
+    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+        return Ok(Vec::new());
+    }
+    let listed = serialport::available_ports().map_err(|source| DeviceError::Ports { source })?;
+    Ok(from_system(listed))
+}
+
+/// The ports as the system lists them, sorted by name.
+pub(super) fn from_system(listed: Vec<SerialPortInfo>) -> Vec<Port> {
+    let mut ports: Vec<_> = listed
+        .into_iter()
+        .map(|info| Port {
+            name: info.port_name,
+            usb: match info.port_type {
+                SerialPortType::UsbPort(usb) => Some(UsbId {
+                    vid: usb.vid,
+                    pid: usb.pid,
+                    serial: usb.serial_number,
+                    manufacturer: usb.manufacturer,
+                    product: usb.product,
+                }),
+                _ => None,
+            },
+        })
+        .collect();
+    ports.sort_by(|a, b| a.name.cmp(&b.name));
+    // macOS lists each port twice; the one for callers does not wait for a carrier.
+    let callers: Vec<_> =
+        ports.iter().filter_map(|port| port.name.strip_prefix("/dev/cu.").map(str::to_owned)).collect();
+    ports.retain(|port| port.name.strip_prefix("/dev/tty.").is_none_or(|name| !callers.iter().any(|it| it == name)));
+    ports
+}
+
+/// Ports to look at beside those that USB tells to be boards: a path in which `*`, `?` and `[…]` stand
+/// for any characters, any one, and one of those.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Search(String);
+
+impl FromStr for Search {
+    type Err = DeviceError;
+
+    fn from_str(pattern: &str) -> Result<Self, Self::Err> {
+        match glob::Pattern::new(pattern) {
+            Ok(_) => Ok(Self(pattern.to_owned())),
+            Err(source) => Err(DeviceError::Pattern { pattern: pattern.to_owned(), source }),
+        }
+    }
+}
+
+impl Search {
+    /// The character devices that match, sorted by name. What cannot be read does not match.
+    pub(super) fn names(&self) -> Vec<String> {
+        let is_port = |path: &PathBuf| std::fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
+        let matches = glob::glob(&self.0).into_iter().flatten().flatten();
+        matches.filter(is_port).filter_map(|path| path.into_os_string().into_string().ok()).collect()
+    }
+}
+
+/// What a path leads to; itself if there is nothing.
+pub(super) fn real_path(name: &str) -> PathBuf {
+    std::fs::canonicalize(name).unwrap_or_else(|_| name.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use serialport::UsbPortInfo;
+
+    use super::*;
+
+    fn info(name: &str, port_type: SerialPortType) -> SerialPortInfo {
+        SerialPortInfo { port_name: name.to_owned(), port_type }
+    }
+
+    fn usb(vid: u16, pid: u16, texts: [&str; 3]) -> SerialPortType {
+        let [serial_number, manufacturer, product] = texts.map(|text| Some(text.to_owned()));
+        SerialPortType::UsbPort(UsbPortInfo { vid, pid, serial_number, manufacturer, product })
+    }
+
+    #[test]
+    fn a_board_is_known_by_number_and_texts() {
+        let serial = "0036002900544850025A0320";
+        let ports = from_system(vec![
+            info("/dev/ttyUSB0", usb(0x0403, 0x6001, ["A1", "FTDI", "FT232R"])),
+            info("/dev/ttyACM2", usb(0x0483, 0x374e, ["0031", "STMicroelectronics", "STLINK-V3"])),
+            info("/dev/ttyACM1", usb(0x1209, 0x0001, [serial, "slitpose", "slitpose board"])),
+            info("/dev/ttyACM0", usb(0x1209, 0x0001, [serial, "somebody", "else"])),
+            info("/dev/ttyS0", SerialPortType::Unknown),
+        ]);
+        let names: Vec<_> = ports.iter().map(|port| port.name.as_str()).collect();
+        assert_eq!(names, ["/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyACM2", "/dev/ttyS0", "/dev/ttyUSB0"]);
+        let boards: Vec<_> = ports.iter().map(Port::is_board).collect();
+        assert_eq!(boards, [false, true, false, false, false]);
+        let debuggers: Vec<_> = ports.iter().map(Port::is_debugger).collect();
+        assert_eq!(debuggers, [false, false, true, false, false]);
+        // The firmware writes its number in large digits on USB, and as 12 bytes in its hello, in one order.
+        let hello = DeviceId([0x00, 0x36, 0x00, 0x29, 0x00, 0x54, 0x48, 0x50, 0x02, 0x5a, 0x03, 0x20]);
+        assert_eq!(ports[1].device(), Some(hello));
+        assert_eq!(ports[0].device(), None);
+    }
+
+    #[test]
+    fn ports_that_are_listed_twice_count_once() {
+        let port = |name| info(name, SerialPortType::Unknown);
+        let ports = from_system(vec![port("/dev/tty.usb1"), port("/dev/cu.usb1"), port("/dev/tty.other")]);
+        let names: Vec<_> = ports.into_iter().map(|port| port.name).collect();
+        assert_eq!(names, ["/dev/cu.usb1", "/dev/tty.other"]);
+    }
+
+    #[test]
+    fn patterns_match_devices_only() {
+        let names = |pattern: &str| pattern.parse::<Search>().unwrap().names();
+        assert_eq!(names("/dev/nul?"), ["/dev/null"]);
+        assert_eq!(names("/dev/[n]ull"), ["/dev/null"]);
+        assert!(names("/de*").is_empty() && names("/etc/passw?").is_empty());
+        assert!("/dev/tty[".parse::<Search>().is_err());
+    }
+
+    #[test]
+    fn a_link_to_a_port_is_that_port() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("board");
+        std::os::unix::fs::symlink("/dev/null", &link).unwrap();
+        let usb = UsbId { vid: 7, ..UsbId::default() };
+        let ports = [Port { name: "/dev/null".to_owned(), usb: Some(usb.clone()) }];
+        assert_eq!(Port::at(link.to_str().unwrap(), &ports).usb, Some(usb));
+        assert_eq!(Port::at("/dev/zero", &ports).usb, None);
+    }
+}

@@ -1,0 +1,105 @@
+//! Asking a port what is behind it, without disturbing what is there: one Hello is all that is sent.
+
+use std::time::Duration;
+
+use slitpose_protocol::ProtocolVersion;
+
+use super::ports::Port;
+use super::{BoardInfo, Conversation, DeviceError, DeviceId, SerialDevice};
+
+/// A board that is up answers within milliseconds; the rest is for a busy host.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+
+/// What a port is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PortState {
+    /// Nobody has looked.
+    NotAsked,
+    /// A board answers.
+    Free,
+    /// Another program has it.
+    InUse,
+    /// This user may not open it.
+    NoPermission,
+    /// No board answers.
+    NoAnswer,
+    /// A board that this program does not understand.
+    OtherVersion(ProtocolVersion),
+}
+
+impl PortState {
+    /// In words.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::NotAsked => "not asked",
+            Self::Free => "free",
+            Self::InUse => "in use",
+            Self::NoPermission => "no permission",
+            Self::NoAnswer => "no answer",
+            Self::OtherVersion(_) => "other version",
+        }
+    }
+}
+
+/// A port, and what is known of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Listed {
+    /// The port.
+    pub port: Port,
+    /// How it is.
+    pub state: PortState,
+    /// What the board said.
+    pub board: Option<BoardInfo>,
+}
+
+impl Listed {
+    /// A port that has not been asked.
+    pub fn new(port: Port) -> Self {
+        Self { port, state: PortState::NotAsked, board: None }
+    }
+
+    /// Asks it.
+    pub fn ask(port: Port) -> Self {
+        match greet(&port.name) {
+            Ok(board) => {
+                let state = match board.mismatch {
+                    None => PortState::Free,
+                    Some(_) => PortState::OtherVersion(board.protocol),
+                };
+                Self { port, state, board: Some(board) }
+            }
+            Err(error) => {
+                let state = match error {
+                    DeviceError::Busy { .. } => PortState::InUse,
+                    DeviceError::Forbidden { .. } => PortState::NoPermission,
+                    DeviceError::Version { versions, .. } => PortState::OtherVersion(versions.board),
+                    _ => PortState::NoAnswer,
+                };
+                Self { port, state, board: None }
+            }
+        }
+    }
+
+    /// Asks all at once, so that silent ones do not add up.
+    pub fn ask_all(ports: Vec<Port>) -> Vec<Self> {
+        std::thread::scope(|scope| {
+            let asked: Vec<_> = ports
+                .into_iter()
+                .map(|port| {
+                    let fallback = Self::new(port.clone());
+                    (fallback, scope.spawn(move || Self::ask(port)))
+                })
+                .collect();
+            asked.into_iter().map(|(fallback, thread)| thread.join().unwrap_or(fallback)).collect()
+        })
+    }
+
+    /// Which board, as far as it or USB tells.
+    pub fn device(&self) -> Option<DeviceId> {
+        self.board.as_ref().map(|board| board.device).or(self.port.device())
+    }
+}
+
+fn greet(port: &str) -> Result<BoardInfo, DeviceError> {
+    Conversation::open(Box::new(SerialDevice::open(port)?))?.introduce(ANSWER_WITHIN)
+}
