@@ -1,0 +1,68 @@
+//! Why a capture cannot be written or read.
+
+use std::io;
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::device::DeviceId;
+
+/// What went wrong with a capture.
+#[derive(Debug, Error)]
+pub enum CaptureError {
+    /// A capture of an earlier run would be lost.
+    #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file cannot be made.
+    #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
+    Create {
+        /// The file asked for.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Writing failed on the way.
+    #[error(
+        "recording to {} has ended: writing failed; its first {kept_bytes} bytes are whole and can be replayed; \
+         make room there, then record to another file",
+        path.display()
+    )]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// How much of it is whole.
+        kept_bytes: u64,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A report that is not JSON.
+    #[error("a report cannot be written as JSON")]
+    Report(#[from] serde_json::Error),
+    /// A board without a scene.
+    #[error("board {device} is not part of this capture; its scene must be given first")]
+    UnknownDevice {
+        /// Which one.
+        device: DeviceId,
+    },
+    /// The file cannot be opened.
+    #[error("cannot read {}; give a capture written by `run --record` or `simulate`", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Reading failed on the way.
+    #[error("reading {} failed after {bytes} bytes; copy it from that medium if you can, and read the copy", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// How much was read.
+        bytes: u64,
+        /// What the system said.
+        source: io::Error,
+    },
+}

@@ -1,0 +1,82 @@
+//! Poses and velocities as ROS 2 has them.
+
+use glam::DVec3;
+use slitpose_model::{Estimate, TwistEstimate};
+
+use super::cdr::Encoder;
+
+/// The frame that poses and velocities are told in.
+const FRAME: &str = "base";
+
+/// `geometry_msgs/msg/PoseWithCovarianceStamped`.
+pub(super) fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
+    let mut encoder = header(stamp_ns, bytes);
+    vector(&mut encoder, estimate.pose.translation_m);
+    for value in estimate.pose.rotation.to_array() {
+        encoder.f64(value);
+    }
+    covariance(&mut encoder, &estimate.covariance);
+}
+
+/// `geometry_msgs/msg/TwistWithCovarianceStamped`.
+pub(super) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
+    let mut encoder = header(stamp_ns, bytes);
+    vector(&mut encoder, estimate.twist.linear_m_per_s);
+    vector(&mut encoder, estimate.twist.angular_rad_per_s);
+    covariance(&mut encoder, &estimate.covariance);
+}
+
+fn header(stamp_ns: u64, bytes: &mut Vec<u8>) -> Encoder<'_> {
+    const S: u64 = 1_000_000_000;
+    let mut encoder = Encoder::new(bytes);
+    encoder.i32(i32::try_from(stamp_ns / S).unwrap_or(i32::MAX));
+    encoder.u32((stamp_ns % S) as u32);
+    encoder.text(FRAME);
+    encoder
+}
+
+fn vector(encoder: &mut Encoder<'_>, vector: DVec3) {
+    for value in vector.to_array() {
+        encoder.f64(value);
+    }
+}
+
+/// Row-major; ROS 2 has the same order and the same meaning as the solver: rotations about the fixed
+/// axes of the frame.
+fn covariance(encoder: &mut Encoder<'_>, matrix: &[[f64; 6]; 6]) {
+    for value in matrix.as_flattened() {
+        encoder.f64(*value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+    use slitpose_model::{Pose, Twist};
+
+    use super::*;
+
+    /// The numbers of a message, behind its header: 12 bytes and "base" with its zero, then padding.
+    fn numbers(bytes: &[u8]) -> Vec<f64> {
+        let (numbers, rest) = bytes[4 + 24..].as_chunks();
+        assert_eq!(rest.len(), 0);
+        numbers.iter().map(|number| f64::from_le_bytes(*number)).collect()
+    }
+
+    #[test]
+    fn values_stand_in_the_order_of_the_definitions() {
+        let covariance = std::array::from_fn(|row| std::array::from_fn(|column| (10 * row + column) as f64));
+        let flat = covariance.as_flattened();
+        let pose = Pose { translation_m: DVec3::new(1.0, 2.0, 3.0), rotation: DQuat::from_xyzw(0.5, -0.5, 0.5, 0.5) };
+        let mut bytes = Vec::new();
+        encode_pose(1_750_000_000_123_456_789, &Estimate { pose, covariance }, &mut bytes);
+        assert_eq!(bytes[4..8], 1_750_000_000_i32.to_le_bytes());
+        assert_eq!(bytes[8..12], 123_456_789_u32.to_le_bytes());
+        assert_eq!(bytes[12..21], *b"\x05\0\0\0base\0");
+        assert_eq!(numbers(&bytes), [&[1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5], flat].concat());
+
+        let twist = Twist { linear_m_per_s: DVec3::new(4.0, 5.0, 6.0), angular_rad_per_s: DVec3::new(7.0, 8.0, 9.0) };
+        encode_twist(0, &TwistEstimate { twist, covariance }, &mut bytes);
+        assert_eq!(numbers(&bytes), [&[4.0, 5.0, 6.0, 7.0, 8.0, 9.0], flat].concat());
+    }
+}

@@ -1,0 +1,50 @@
+//! Captures: what boards said, as it came and when, in files that explain themselves.
+//!
+//! A capture is an MCAP file (<https://mcap.dev/spec>) with the bytes of every link, scene and
+//! settings of every board, some poses, and reports; CAPTURES.md describes it for others who read or
+//! write such files. [`CaptureSeries`] writes, [`CaptureReader`] reads; neither looks at a clock for
+//! what it writes down.
+//!
+//! What is promised, and how:
+//! * *All that was flushed can be read*, wherever the file is cut: each chunk reaches the file whole,
+//!   and a record says how long it is.
+//! * *Each file stands alone*: it begins with scenes, settings and the last hello of each board, and
+//!   a packet is never split between two, since one that has not ended is held back.
+//! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
+
+mod cdr;
+mod error;
+mod file;
+mod geometry;
+mod index;
+mod link_bytes;
+mod medium;
+mod naming;
+mod packets;
+mod reader;
+mod records;
+mod schemas;
+mod series;
+mod setup;
+#[cfg(test)]
+mod tests;
+
+pub use error::CaptureError;
+pub use naming::Existing;
+pub use reader::{CaptureReader, End, Entry};
+pub use schemas::ANY_OBJECT;
+pub use series::{CaptureSeries, Limits, Recorded};
+pub use setup::{CapturedScene, Settings, Setup};
+
+/// What a capture says of the program that writes it.
+#[derive(Clone, Copy, Debug)]
+pub struct About {
+    /// JSON schema of all reports.
+    pub report_schema: &'static str,
+}
+
+impl Default for About {
+    fn default() -> Self {
+        Self { report_schema: ANY_OBJECT }
+    }
+}

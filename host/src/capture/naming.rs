@@ -1,0 +1,63 @@
+//! Where the files of a capture stand.
+
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// What becomes of a file that is there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// It is kept, and recording refused.
+    Kept,
+    /// It is replaced.
+    Replaced,
+}
+
+/// Makes a file under a name that survives a power cut, too.
+pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
+    if path.is_dir() {
+        return Err(io::ErrorKind::IsADirectory.into());
+    }
+    // Something that is no regular file, such as a device or a named pipe, is written as it is.
+    if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
+        return File::options().write(true).open(path);
+    }
+    let file = match existing {
+        Existing::Kept => File::create_new(path),
+        Existing::Replaced => File::create(path),
+    }?;
+    // Some file systems cannot; the file itself is there.
+    let _ = File::open(folder(path)).and_then(|folder| folder.sync_all());
+    Ok(file)
+}
+
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."))
+}
+
+/// Stem and extension that the names of a series share.
+fn parts(path: &Path) -> (String, String) {
+    let text = |part: Option<&OsStr>| part.map(|part| part.to_string_lossy().into_owned());
+    (text(path.file_stem()).unwrap_or_default(), text(path.extension()).unwrap_or_else(|| "mcap".to_owned()))
+}
+
+/// The file of this number in a series.
+pub(super) fn numbered(path: &Path, number: u64) -> PathBuf {
+    let (stem, extension) = parts(path);
+    path.with_file_name(format!("{stem}-{number:04}.{extension}"))
+}
+
+/// The number behind those that are there.
+pub(super) fn next_number(path: &Path) -> io::Result<u64> {
+    let (stem, extension) = parts(path);
+    let mut last = 0;
+    for entry in fs::read_dir(folder(path))? {
+        let name = entry?.file_name();
+        let number = name.to_str().and_then(|name| {
+            name.strip_prefix(&stem)?.strip_prefix('-')?.strip_suffix(&extension)?.strip_suffix('.')?.parse().ok()
+        });
+        last = last.max(number.unwrap_or(0));
+    }
+    Ok(last + 1)
+}

@@ -1,0 +1,341 @@
+//! A capture as its recorder sees it: one file, or one after the other.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use mcap::McapError;
+use serde::Serialize;
+
+use super::file::{CaptureFile, Channels, io_error, report_bytes};
+use super::naming::{Existing, create, next_number, numbered};
+use super::packets::{Packets, last_hello};
+use super::{About, CaptureError, Setup};
+use crate::device::DeviceId;
+use crate::pipeline::{Record, Segment};
+
+/// A flush is promised each second; this leaves time for the next message to come and for the disk.
+const FLUSH_EVERY: Duration = Duration::from_millis(900);
+
+/// When a file ends and the next begins. Without limits there is one file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Limits {
+    /// Before it is longer than this, summary at its end aside.
+    pub max_bytes: Option<u64>,
+    /// When it has been written for so long.
+    pub max_age: Option<Duration>,
+}
+
+/// What was recorded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Recorded {
+    /// Files begun.
+    pub files: u64,
+    /// Bytes of links that were to be recorded and were not, because writing failed.
+    pub dropped_bytes: u64,
+}
+
+/// A capture that is being recorded.
+///
+/// When writing fails, the call that meets the failure tells it, the file is cut back to its last
+/// flush, and recording [is over](Self::is_recording): all later calls do nothing but count.
+///
+/// In memory it keeps less than 1 kB for each second of the file of the moment, for the index at its end.
+pub struct CaptureSeries {
+    about: About,
+    limits: Limits,
+    output: Output,
+    devices: BTreeMap<DeviceId, DeviceStream>,
+    message: Segment,
+}
+
+/// A board that is recorded.
+struct DeviceStream {
+    setup: Setup,
+    channels: Channels,
+    packets: Packets,
+    /// The last hello that was written.
+    hello: Vec<u8>,
+    /// When it was last heard.
+    log_ns: u64,
+}
+
+/// The file of the moment.
+struct Output {
+    file: Option<CaptureFile<File>>,
+    path: PathBuf,
+    /// The series goes on with this number; `None`: there is one file.
+    next: Option<(PathBuf, u64)>,
+    opened: Instant,
+    flushed: Instant,
+    recorded: Recorded,
+}
+
+impl CaptureSeries {
+    /// Begins a capture. Without limits it is the file `path`. With limits it is a series, with
+    /// numbers from 1 behind the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; it goes on
+    /// behind the numbers that are there already, so that none is ever replaced.
+    ///
+    /// # Errors
+    /// If there is such a file, or it cannot be written.
+    pub fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
+        let next = if limits == Limits::default() {
+            None
+        } else {
+            let number = next_number(path);
+            Some((path.to_owned(), number.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?))
+        };
+        let now = Instant::now();
+        let mut output = Output {
+            file: None,
+            path: path.to_owned(),
+            next,
+            opened: now,
+            flushed: now,
+            recorded: Recorded::default(),
+        };
+        output.open(existing, &about)?;
+        Ok(Self { about, limits, output, devices: BTreeMap::new(), message: Segment::default() })
+    }
+
+    /// Adds a board, ahead of all it says. A board that is given again goes on with the new setup.
+    /// `hello` is its last hello as it came, delimiter included, if that will not come again.
+    ///
+    /// `log_ns` is when: UTC, or the time of a stream that does not go at the pace of time, in
+    /// nanoseconds; here as everywhere.
+    ///
+    /// # Errors
+    /// Those of the disk.
+    pub fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
+        let mut added = None;
+        self.output.attempt(0, |file| {
+            let channels = file.add_device(&setup, log_ns)?;
+            if let Some(hello) = hello {
+                file.hello(channels, hello, log_ns)?;
+            }
+            added = Some(channels);
+            file.flush()
+        })?;
+        let Some(channels) = added else { return Ok(()) };
+        let (packets, before) =
+            self.devices.remove(&setup.device).map(|stream| (stream.packets, stream.hello)).unwrap_or_default();
+        let hello = hello.map_or(before, <[u8]>::to_owned);
+        self.devices.insert(setup.device, DeviceStream { setup, channels, packets, hello, log_ns });
+        Ok(())
+    }
+
+    /// Records what the link of `device` delivered. `log_ns` counts where a read has no time of its own.
+    ///
+    /// # Errors
+    /// Those of the disk; if the board was not [added](Self::add_device).
+    pub fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
+        let bytes = segment.bytes.len() as u64;
+        if let Err(error) = self.rotate_if_due(log_ns) {
+            self.output.recorded.dropped_bytes += bytes;
+            return Err(error);
+        }
+        if !self.is_recording() {
+            self.output.recorded.dropped_bytes += bytes;
+            return Ok(());
+        }
+        let stream = self.devices.get_mut(&device).ok_or(CaptureError::UnknownDevice { device })?;
+        let message = &mut self.message;
+        self.output.attempt(bytes, |file| {
+            stream.log_ns = log_ns;
+            if stream.packets.must_end_before(segment) && stream.packets.take_rest(message) {
+                stream.write(file, message)?;
+            }
+            stream.packets.push(segment);
+            while stream.packets.take(message) {
+                stream.write(file, message)?;
+            }
+            Ok(())
+        })?;
+        self.tick()
+    }
+
+    /// Records the pose of a scan, and its velocity, if there are any.
+    ///
+    /// # Errors
+    /// Those of the disk; if the board was not [added](Self::add_device).
+    pub fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
+        let Some(channels) = self.channels(record.device)? else { return Ok(()) };
+        self.output.attempt(0, |file| file.pose(channels, record, log_ns))?;
+        self.tick()
+    }
+
+    /// Records a report of a board, or of the program itself: health, statistics, events.
+    ///
+    /// # Errors
+    /// Those of the disk; if it cannot be JSON; if the board was not [added](Self::add_device).
+    pub fn report(
+        &mut self,
+        device: Option<DeviceId>,
+        report: &impl Serialize,
+        log_ns: u64,
+    ) -> Result<(), CaptureError> {
+        let channels = match device {
+            Some(device) => match self.channels(device)? {
+                Some(channels) => Some(channels),
+                None => return Ok(()),
+            },
+            None => None,
+        };
+        let report = report_bytes(report)?;
+        self.output.attempt(0, |file| file.report(channels, &report, log_ns))?;
+        self.tick()
+    }
+
+    /// The channels of a board; `None` if recording is over.
+    fn channels(&self, device: DeviceId) -> Result<Option<Channels>, CaptureError> {
+        if !self.is_recording() {
+            return Ok(None);
+        }
+        let stream = self.devices.get(&device).ok_or(CaptureError::UnknownDevice { device })?;
+        Ok(Some(stream.channels))
+    }
+
+    /// Flushes if it is time to; to be called several times a second while nothing comes.
+    ///
+    /// # Errors
+    /// Those of the disk.
+    pub fn tick(&mut self) -> Result<(), CaptureError> {
+        if self.output.flushed.elapsed() < FLUSH_EVERY || self.output.file.as_ref().is_some_and(CaptureFile::is_flushed)
+        {
+            return Ok(());
+        }
+        self.flush()
+    }
+
+    /// Ends the chunk, and waits until all of it would survive a power cut.
+    ///
+    /// # Errors
+    /// Those of the disk.
+    pub fn flush(&mut self) -> Result<(), CaptureError> {
+        self.output.flushed = Instant::now();
+        self.output.attempt(0, CaptureFile::flush)
+    }
+
+    /// Ends the capture.
+    ///
+    /// # Errors
+    /// Those of the disk.
+    pub fn finish(mut self) -> Result<Recorded, CaptureError> {
+        for stream in self.devices.values_mut() {
+            let message = &mut self.message;
+            if stream.packets.take_rest(message) {
+                self.output.attempt(message.bytes.len() as u64, |file| stream.write(file, message))?;
+            }
+        }
+        self.output.end()?;
+        Ok(self.output.recorded)
+    }
+
+    /// Whether what is given is written: until writing fails.
+    pub fn is_recording(&self) -> bool {
+        self.output.file.is_some()
+    }
+
+    /// The file of the moment.
+    pub fn path(&self) -> &Path {
+        &self.output.path
+    }
+
+    /// Length of that file, at most.
+    pub fn bytes(&self) -> u64 {
+        self.output.file.as_ref().map_or(0, CaptureFile::bytes)
+    }
+
+    /// What has been recorded so far.
+    pub fn recorded(&self) -> Recorded {
+        self.output.recorded
+    }
+
+    fn rotate_if_due(&mut self, log_ns: u64) -> Result<(), CaptureError> {
+        if !self.is_recording() {
+            return Ok(());
+        }
+        let is_long = self.limits.max_bytes.is_some_and(|limit| self.bytes() >= limit);
+        let is_old = self.limits.max_age.is_some_and(|limit| self.output.opened.elapsed() >= limit);
+        if !is_long && !is_old {
+            return Ok(());
+        }
+        self.output.end()?;
+        self.output.open(Existing::Kept, &self.about)?;
+        self.output.attempt(0, |file| {
+            for stream in self.devices.values_mut() {
+                stream.channels = file.add_device(&stream.setup, log_ns)?;
+                if !stream.hello.is_empty() {
+                    file.hello(stream.channels, &stream.hello, log_ns)?;
+                }
+            }
+            file.flush()
+        })
+    }
+}
+
+impl DeviceStream {
+    fn write(&mut self, file: &mut CaptureFile<File>, message: &Segment) -> Result<(), McapError> {
+        let first_read = message.reads.iter().find_map(|read| read.at);
+        let first = first_read.or_else(|| message.asked.first().map(|asked| asked.at));
+        file.link(self.channels, message, first.map_or(self.log_ns, |at| at.utc_ns))?;
+        if let Some(hello) = last_hello(&message.bytes) {
+            self.hello.clear();
+            self.hello.extend_from_slice(hello);
+        }
+        Ok(())
+    }
+}
+
+impl Output {
+    /// Begins the next file.
+    fn open(&mut self, existing: Existing, about: &About) -> Result<(), CaptureError> {
+        let existing = match &mut self.next {
+            Some((path, number)) => {
+                self.path = numbered(path, *number);
+                *number += 1;
+                Existing::Kept
+            }
+            None => existing,
+        };
+        let path = self.path.clone();
+        let file = create(&path, existing).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => CaptureError::Exists { path: path.clone() },
+            _ => CaptureError::Create { path: path.clone(), source },
+        })?;
+        self.file = Some(CaptureFile::create(file, about).map_err(|error| {
+            let source = io_error(error);
+            CaptureError::Create { path, source }
+        })?);
+        self.opened = Instant::now();
+        self.recorded.files += 1;
+        Ok(())
+    }
+
+    /// Writes, if nothing has failed so far; `bytes` of a link are dropped if it fails.
+    fn attempt(
+        &mut self,
+        bytes: u64,
+        write: impl FnOnce(&mut CaptureFile<File>) -> Result<(), McapError>,
+    ) -> Result<(), CaptureError> {
+        let Some(file) = &mut self.file else {
+            return Ok(());
+        };
+        let before = file.unflushed_link_bytes();
+        let Err(error) = write(file) else {
+            return Ok(());
+        };
+        self.recorded.dropped_bytes += before + bytes;
+        let kept_bytes = self.file.take().map_or(0, |file| file.cut_back().0);
+        Err(CaptureError::Write { path: self.path.clone(), kept_bytes, source: io_error(error) })
+    }
+
+    /// Ends the file of the moment.
+    fn end(&mut self) -> Result<(), CaptureError> {
+        self.attempt(0, CaptureFile::finish)?;
+        self.file = None;
+        Ok(())
+    }
+}

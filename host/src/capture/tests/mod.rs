@@ -1,0 +1,309 @@
+//! Captures as a whole: written, cut, damaged, split, and read again.
+
+mod damage;
+mod series;
+mod size;
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use slitpose_model::Tier;
+use slitpose_protocol::{Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
+
+use super::file::CaptureFile;
+use super::medium::Medium;
+use super::*;
+use crate::clock::{HostInstant, HostTime};
+use crate::device::DeviceId;
+use crate::front_end;
+use crate::pipeline::{Asked, Following, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
+use crate::scene_file::{SceneFile, WIDE};
+use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+const FIRST: DeviceId = DeviceId(*b"first board.");
+const SECOND: DeviceId = DeviceId(*b"second board");
+
+/// Some time in 2025.
+const BEGIN: HostInstant = HostInstant { monotonic_ns: 5_000_000_000, utc_ns: 1_750_000_000_000_000_000 };
+
+const MS: u64 = 1_000_000;
+
+fn later(at: HostInstant, ns: u64) -> HostInstant {
+    HostInstant { monotonic_ns: at.monotonic_ns + ns, utc_ns: at.utc_ns + ns }
+}
+
+fn settings() -> Settings {
+    Settings { tier: Tier::Exact { tolerance: 1e-6 }, following: Following { filter_s: None, without_clipped: true } }
+}
+
+fn setup(device: DeviceId) -> Setup {
+    Setup::new(device, &WIDE.read().unwrap(), settings())
+}
+
+/// What a simulated board with the head of `file` sends in each of `scans` frames, with or without
+/// the true poses that only simulators know.
+fn stream(file: &SceneFile, scans: usize, truths: bool) -> Vec<Vec<u8>> {
+    let configuration = front_end::configuration(file).unwrap();
+    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 10.0);
+    let mut board = SimulatedBoard::new(file, trajectory, Tier::Paper, 1).unwrap();
+    let mut buffer = [0; MAX_REQUEST_BYTES];
+    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
+        board.write(encode(&Request { number, command }, &mut buffer).unwrap());
+    }
+    let mut frame = || {
+        let mut bytes = Vec::new();
+        board.step(&mut bytes);
+        if !truths {
+            let packets = bytes.split_inclusive(|&byte| byte == DELIMITER);
+            bytes = packets.filter(|packet| !is_truth(packet)).flatten().copied().collect();
+        }
+        bytes
+    };
+    (0..scans).map(|_| frame()).collect()
+}
+
+fn is_truth(mut packet: &[u8]) -> bool {
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    matches!(decoder.next::<Message<'_>>(&mut packet), Some(Ok(Message::Truth(_))))
+}
+
+/// Everything in a capture.
+#[derive(Debug, Default, PartialEq)]
+struct Content {
+    setups: Vec<Setup>,
+    hellos: Vec<(DeviceId, Vec<u8>)>,
+    links: Vec<(Option<DeviceId>, u64, Segment)>,
+}
+
+impl Content {
+    /// Each byte of a board with the time of its read.
+    fn bytes(&self, device: DeviceId) -> Vec<(u8, Option<HostInstant>)> {
+        let of_board = self.links.iter().filter(|(of, ..)| *of == Some(device));
+        of_board.flat_map(|(.., segment)| bytes(segment)).collect()
+    }
+}
+
+fn bytes(segment: &Segment) -> Vec<(u8, Option<HostInstant>)> {
+    segment.chunks().flat_map(|(bytes, at)| bytes.iter().map(move |byte| (*byte, at))).collect()
+}
+
+fn read_all<R: io::Read>(mut reader: CaptureReader<R>) -> (Content, End) {
+    let (mut content, mut segment) = (Content::default(), Segment::default());
+    while let Some(entry) = reader.next(&mut segment).unwrap() {
+        match entry {
+            Entry::Setup(setup) => content.setups.push(*setup),
+            Entry::Hello { device, .. } => content.hellos.push((device, segment.bytes.clone())),
+            Entry::Link { device, log_ns } => content.links.push((device, log_ns, segment.clone())),
+        }
+    }
+    (content, reader.end())
+}
+
+fn read_file(path: &Path) -> (Content, End) {
+    read_all(CaptureReader::open(path).unwrap())
+}
+
+fn read(bytes: &[u8]) -> (Content, End) {
+    read_all(CaptureReader::new(Path::new("memory"), bytes).unwrap())
+}
+
+fn segments(content: Content) -> Vec<Segment> {
+    content.links.into_iter().map(|(.., segment)| segment).collect()
+}
+
+fn joined(content: Content) -> Vec<u8> {
+    segments(content).into_iter().flat_map(|segment| segment.bytes).collect()
+}
+
+/// A disk of limited size.
+#[derive(Debug)]
+struct Disk {
+    bytes: Vec<u8>,
+    room: usize,
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let taken = bytes.len().min(self.room - self.bytes.len());
+        self.bytes.extend_from_slice(&bytes[..taken]);
+        if taken == 0 { Err(io::ErrorKind::StorageFull.into()) } else { Ok(taken) }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Medium for Disk {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn truncate(&mut self, length: u64) -> io::Result<()> {
+        self.bytes.truncate(length as usize);
+        Ok(())
+    }
+}
+
+/// Records the frames of two boards as links deliver them, cut anywhere, and gives what was delivered.
+fn record_two(series: &mut CaptureSeries, frames: &[Vec<u8>]) -> Content {
+    let mut random = ChaCha8Rng::seed_from_u64(15);
+    let mut delivered = Content::default();
+    let all = frames.concat();
+    let mut taken = [0; 2];
+    for device in [FIRST, SECOND] {
+        series.add_device(setup(device), None, 0).unwrap();
+        delivered.setups.push(setup(device));
+    }
+    let mut at = BEGIN;
+    while taken != [all.len(); 2] {
+        for (taken, device) in taken.iter_mut().zip([FIRST, SECOND]) {
+            let mut segment = Segment { opened: *taken == 0, ..Segment::default() };
+            for _ in 0..random.random_range(0..20) {
+                at = later(at, random.random_range(1..2 * MS));
+                let length = random.random_range(1..300).min(all.len() - *taken);
+                segment.push(&all[*taken..*taken + length], Some(at));
+                *taken += length;
+            }
+            if random.random_bool(0.1) {
+                segment.asked.push(Asked { token: random.random(), at });
+            }
+            series.segment(device, &segment, at.utc_ns).unwrap();
+            delivered.links.push((Some(device), at.utc_ns, segment));
+        }
+    }
+    delivered
+}
+
+#[test]
+fn a_capture_holds_what_was_recorded() {
+    let file = WIDE.read().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("two.mcap");
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+    let delivered = record_two(&mut series, &stream(&file, 1000, true));
+    assert_eq!(series.finish().unwrap(), Recorded { files: 1, dropped_bytes: 0 });
+
+    let (content, end) = read_file(&path);
+    assert!(end.finished && !end.has_loss(), "{end:?}");
+    assert_eq!(content.setups, delivered.setups);
+    assert_eq!(content.setups[0].scene.parse().unwrap().hash, file.hash);
+    for device in [FIRST, SECOND] {
+        assert_eq!(content.bytes(device), delivered.bytes(device));
+        let of_board = |content: &Content| -> Vec<Segment> {
+            let links = content.links.iter().filter(|(of, ..)| *of == Some(device));
+            links.map(|(.., segment)| segment.clone()).collect()
+        };
+        let asked = |content: &Content| -> Vec<Asked> {
+            of_board(content).iter().flat_map(|segment| segment.asked.clone()).collect()
+        };
+        assert_eq!(asked(&content), asked(&delivered));
+        let opened = of_board(&content).iter().map(|segment| segment.opened).collect::<Vec<_>>();
+        assert!(opened[0] && opened.iter().filter(|opened| **opened).count() == 1);
+    }
+    for (_, log_ns, segment) in &content.links {
+        assert!(segment.chunks().next().is_none_or(|(_, at)| at.unwrap().utc_ns == *log_ns));
+    }
+}
+
+fn solve(bytes: &[u8]) -> (Vec<Record>, Pipeline) {
+    let mut pipeline = Pipeline::new(WIDE.read().unwrap(), Tier::Paper, SceneMatch::Required);
+    let mut records = Vec::new();
+    let pushed = pipeline.push(bytes, |item| {
+        if let Item::Pose(record) = item {
+            records.push(*record);
+        }
+        Ok::<_, PipelineError>(())
+    });
+    pushed.unwrap();
+    (records, pipeline)
+}
+
+#[test]
+fn what_is_skipped_leaves_its_hello() {
+    let frames = stream(&WIDE.read().unwrap(), 400, true);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("one.mcap");
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+    let delivered = record_two(&mut series, &frames);
+    series.finish().unwrap();
+    let middle = delivered.links[delivered.links.len() / 2].1;
+    let (content, end) = read_all(CaptureReader::open(&path).unwrap().starting_at(middle));
+    assert!(!end.has_loss());
+    assert_eq!(content.setups.len(), 2);
+    assert!(content.links.iter().all(|(_, log_ns, _)| *log_ns >= middle));
+    for device in [FIRST, SECOND] {
+        let (all, kept) = (delivered.bytes(device), content.bytes(device));
+        assert!(kept.len() < all.len() && all.ends_with(&kept), "{} of {}", kept.len(), all.len());
+    }
+    let mut packets = content.hellos[0].1.clone();
+    packets.extend(content.bytes(content.hellos[0].0).iter().map(|(byte, _)| byte));
+    let (records, pipeline) = solve(&packets);
+    assert_eq!(records.last().unwrap().sequence, 399);
+    assert!(records[0].sequence > 0 && !pipeline.counts().has_loss());
+}
+
+#[test]
+fn a_plain_byte_stream_is_read_as_it_is() {
+    let frames = stream(&WIDE.read().unwrap(), 400, true).concat();
+    let (content, end) = read(&frames);
+    assert!(content.links.iter().all(|(device, log_ns, _)| device.is_none() && *log_ns == 0));
+    assert!(content.links.len() > 1);
+    assert_eq!(joined(content), frames);
+    assert_eq!(end, End { finished: true, whole_bytes: frames.len() as u64, ..End::default() });
+}
+
+#[test]
+fn poses_and_reports_are_there_for_other_programs() {
+    let frames = stream(&WIDE.read().unwrap(), 40, true);
+    let (records, _) = solve(&frames.concat());
+    let mut record = Record { device: FIRST, ..records[20] };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("poses.mcap");
+    let about = About { report_schema: r#"{"type":"object","properties":{"well":{"type":"boolean"}}}"# };
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, about).unwrap();
+    series.add_device(setup(FIRST), None, 1).unwrap();
+    series.pose(&record, 2).unwrap();
+    let at = HostTime { monotonic_ns: 7, utc_ns: BEGIN.utc_ns, uncertainty_ns: 8 };
+    record.host_time = Some(at);
+    series.pose(&record, 3).unwrap();
+    series.report(Some(FIRST), &BTreeMap::from([("well", true)]), 4).unwrap();
+    series.report(None, &BTreeMap::from([("well", false)]), 5).unwrap();
+    series.finish().unwrap();
+
+    let bytes = std::fs::read(&path).unwrap();
+    let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(|message| message.unwrap()).collect();
+    let told: Vec<_> = messages
+        .iter()
+        .map(|message| {
+            let schema = message.channel.schema.as_ref().unwrap();
+            let topic = message.channel.topic.replace(&FIRST.to_string(), "ID");
+            (topic, schema.name.as_str(), message.channel.message_encoding.as_str(), message.log_time)
+        })
+        .collect();
+    let pose = ("/slitpose/ID/pose".to_owned(), "geometry_msgs/msg/PoseWithCovarianceStamped", "cdr");
+    let twist = ("/slitpose/ID/twist".to_owned(), "geometry_msgs/msg/TwistWithCovarianceStamped", "cdr");
+    let with = |(topic, schema, encoding): &(String, _, _), log_ns| (topic.clone(), *schema, *encoding, log_ns);
+    assert_eq!(
+        told,
+        [
+            with(&pose, 2),
+            with(&twist, 2),
+            with(&pose, 3),
+            with(&twist, 3),
+            ("/slitpose/ID/report".to_owned(), "slitpose.Report", "json", 4),
+            ("/slitpose/report".to_owned(), "slitpose.Report", "json", 5),
+        ]
+    );
+    assert_eq!(messages[0].sequence, 20);
+    assert_eq!((messages[0].publish_time, messages[2].publish_time), (2, BEGIN.utc_ns));
+    // Stamps: device time while the host's is not known.
+    let stamp_s = |message: &mcap::Message<'_>| u32::from_le_bytes(message.data[4..8].try_into().unwrap());
+    assert_eq!((stamp_s(&messages[0]), stamp_s(&messages[2])), (0, 1_750_000_000));
+    assert_eq!(*messages[4].data, *br#"{"well":true}"#);
+    assert_eq!(*messages[4].channel.schema.as_ref().unwrap().data, *about.report_schema.as_bytes());
+}

@@ -1,0 +1,84 @@
+//! Captures in several files, and files of earlier runs.
+
+use super::*;
+
+#[test]
+fn each_file_of_a_series_stands_alone() {
+    let frames = stream(&WIDE.read().unwrap(), 1000, true);
+    for limits in [
+        Limits { max_bytes: Some(30_000), max_age: None },
+        Limits { max_bytes: Some(1 << 40), max_age: Some(Duration::ZERO) },
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("long.mcap");
+        std::fs::write(folder.path().join("long-0007.mcap"), "of an earlier run").unwrap();
+        let mut series = CaptureSeries::create(&path, limits, Existing::Kept, About::default()).unwrap();
+        let delivered = record_two(&mut series, &frames);
+        let recorded = series.finish().unwrap();
+        assert!(recorded.files >= 4, "{recorded:?}");
+        assert_eq!(std::fs::read(folder.path().join("long-0007.mcap")).unwrap(), b"of an earlier run");
+
+        let mut all = Content::default();
+        let mut sequences = Vec::new();
+        for number in 8..8 + recorded.files {
+            let path = folder.path().join(format!("long-{number:04}.mcap"));
+            let (content, end) = read_file(&path);
+            assert!(end.finished && !end.has_loss(), "{end:?}");
+            assert_eq!(content.setups, delivered.setups);
+            if limits.max_age.is_none() {
+                // What stands at its beginning and end alone is some 15 kB.
+                let length = std::fs::metadata(&path).unwrap().len();
+                assert!(length < 30_000 + 20_000, "{length}");
+            }
+            let mut packets: Vec<u8> = Vec::new();
+            for (device, hello) in &content.hellos {
+                packets.extend(hello.iter().filter(|_| *device == FIRST));
+            }
+            packets.extend(content.bytes(FIRST).iter().map(|(byte, _)| byte));
+            let (records, pipeline) = solve(&packets);
+            assert!(!pipeline.counts().has_loss(), "{path:?}: {:?}", pipeline.counts());
+            sequences.extend(records.iter().map(|record| record.sequence));
+            all.links.extend(content.links);
+        }
+        assert_eq!(sequences, (0..1000).collect::<Vec<_>>());
+        for device in [FIRST, SECOND] {
+            assert_eq!(all.bytes(device), delivered.bytes(device));
+        }
+    }
+}
+
+#[test]
+fn an_earlier_capture_is_not_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    std::fs::write(&path, "of last night").unwrap();
+    let create = |existing| CaptureSeries::create(&path, Limits::default(), existing, About::default());
+    let error = create(Existing::Kept).err().unwrap();
+    assert!(matches!(&error, CaptureError::Exists { path: of } if *of == path), "{error}");
+    assert_eq!(std::fs::read(&path).unwrap(), b"of last night");
+    create(Existing::Replaced).unwrap().finish().unwrap();
+    assert!(read_file(&path).1.finished);
+    let missing = folder.path().join("no/such/folder.mcap");
+    for limits in [Limits::default(), Limits { max_bytes: Some(1), max_age: None }] {
+        let error = CaptureSeries::create(&missing, limits, Existing::Kept, About::default()).err().unwrap();
+        assert!(matches!(error, CaptureError::Create { .. }), "{error}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_failure_is_told_once_and_what_is_dropped_is_counted() {
+    let full = Path::new("/dev/full");
+    let mut series = CaptureSeries::create(full, Limits::default(), Existing::Kept, About::default()).unwrap();
+    let error = series.add_device(setup(FIRST), None, 0).unwrap_err();
+    assert!(matches!(&error, CaptureError::Write { kept_bytes: 0, .. }), "{error}");
+    assert!(!series.is_recording());
+    let mut segment = Segment::default();
+    segment.push(b"abc\0", Some(BEGIN));
+    for _ in 0..3 {
+        series.segment(FIRST, &segment, 0).unwrap();
+    }
+    series.report(Some(FIRST), &"well", 0).unwrap();
+    series.tick().unwrap();
+    assert_eq!(series.finish().unwrap(), Recorded { files: 1, dropped_bytes: 12 });
+}
