@@ -226,6 +226,17 @@ impl Schedule {
         if lit == 0 { 0.0 } else { sum / f64::from(lit) }
     }
 
+    /// Ticks from the frame start to the last conversion of a scan: whoever has the scan has it
+    /// after that. 0 for a schedule that lights nothing.
+    pub fn last_sample_ticks(&self) -> u64 {
+        let spread = u64::from(self.oversampling.saturating_sub(1)) * u64::from(self.conversion_ticks);
+        (0..usize::from(self.cells))
+            .flat_map(|cell| [self.lit_slot(cell), self.dark_slot()].map(|slot| self.first_sample_ticks(slot?, cell)))
+            .flatten()
+            .max()
+            .map_or(0, |first| first + spread)
+    }
+
     /// Words one scan puts on the wire: two currents of each cell, lit, and as many
     /// again if there is a dark slot.
     pub fn words_per_scan(&self) -> usize {
@@ -282,6 +293,8 @@ mod tests {
         assert_eq!(schedule.dark_sample_ticks(0), Some(3.0 * 5_800.0 + 2_432.0));
         // Cells 0 to 5 lie in slots 0, 1, 2, 0, 1, 2: on average slot 1, rank 2½.
         assert_eq!(schedule.reference_ticks(), 5_800.0 + 2_210.0 + 2.5 * 592.0 + 222.0);
+        // The 24th conversion of the dark slot.
+        assert_eq!(schedule.last_sample_ticks(), 3 * 5_800 + 2_210 + 23 * 148);
     }
 
     #[test]
@@ -300,8 +313,11 @@ mod tests {
         assert_eq!(schedule.validate(), Ok(()));
         assert_eq!(schedule.dark_sample_ticks(0), None);
         assert_eq!(schedule.words_per_scan(), 12);
+        // Without it the last is that of cell 5, in slot 2.
+        assert_eq!(schedule.last_sample_ticks(), 2 * 5_800 + 2_210 + 23 * 148);
         schedule.slots.clear();
         assert_eq!(schedule.reference_ticks(), 0.0);
+        assert_eq!(schedule.last_sample_ticks(), 0);
     }
 
     #[test]

@@ -1,0 +1,222 @@
+//! Straight lines between what cannot be later and what cannot be earlier.
+//!
+//! Let x be device time, y host time minus device time, both in nanoseconds. An arrival is a point
+//! that the clock's curve y(x) runs below, a question that was answered is one it runs above. Around
+//! x₀, the newest instant, the curve is y₀ + s (x − x₀) but for ½ρ(x − x₀)², where ρ is the most the
+//! rate changes in a second. So each point, moved away by that much, bounds the straight line
+//! (y₀, s), and all of them together leave a convex set of lines: [`Band`]. Bounds that follow from
+//! its corners hold whatever the delays were; the line chosen in it is the one that leaves the least
+//! sum of delays on both sides, which is the likeliest if delays are exponential: Moon, Skelly and
+//! Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999,
+//! with its linear programme solved on both sides at once.
+
+use std::collections::VecDeque;
+
+/// Rates that a board may have against the host, either way. Boards may run from their controller's
+/// own oscillator: HSI16 of the STM32G474 is good to 1 % at 30 °C and to another 1 % from 0 to 85 °C
+/// (DS12288, table of HSI16 characteristics). A crystal uses a hundredth of it.
+pub(super) const MOST_RATE: f64 = 0.025;
+
+/// How fast the rate may change, per second: that oscillator, 2 % in 85 K, while the board warms by
+/// 0.1 K in a second. A crystal wanders a hundred times more slowly.
+const MOST_WANDER_PER_S: f64 = 25e-6;
+
+/// Host time of which one point is kept.
+const BUCKET_NS: u64 = 50_000_000;
+
+/// Points kept. ½ρx² of the oldest is 0.5 ms: older ones say nothing about the delays of USB.
+const BUCKETS: usize = 128;
+
+/// Device time that the points span.
+pub(super) const WINDOW_NS: i64 = BUCKETS as i64 * BUCKET_NS as i64;
+
+/// Nanoseconds come in whole ones: lines that cross by less do not contradict each other.
+const ROUNDING_NS: f64 = 1.0;
+
+/// Lines are found to a rate of 5e-2/2²⁴ = 3e-9: 0.02 µs over the window.
+const BISECTIONS: usize = 24;
+
+/// How far the curve may be from a straight line at `dx_ns` from where they touch.
+fn bend_ns(dx_ns: f64) -> f64 {
+    0.5e-9 * MOST_WANDER_PER_S * dx_ns * dx_ns
+}
+
+/// Which side of the curve points lie on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    /// Above: arrivals.
+    Above,
+    /// Below: questions.
+    Below,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    x_ns: i64,
+    y_ns: i64,
+}
+
+/// The tightest points of the last seconds on one side of the curve.
+#[derive(Clone, Debug)]
+pub(super) struct Envelope {
+    /// 1 above, −1 below: turns what is below round, so that the least is the tightest.
+    sign: f64,
+    points: VecDeque<Point>,
+    bucket: u64,
+}
+
+impl Envelope {
+    pub(super) fn new(side: Side) -> Self {
+        let sign = if side == Side::Above { 1.0 } else { -1.0 };
+        Self { sign, points: VecDeque::with_capacity(BUCKETS), bucket: 0 }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.points.clear();
+    }
+
+    /// Takes a point from host time `host_ns`; `rate` is about that of the curve. Tells whether it
+    /// begins a new bucket, the one before being complete.
+    pub(super) fn add(&mut self, (x_ns, y_ns): (i64, i64), host_ns: u64, rate: f64) -> bool {
+        let point = Point { x_ns, y_ns };
+        let bucket = host_ns / BUCKET_NS;
+        match self.points.back_mut() {
+            Some(last) if self.bucket == bucket => {
+                let above = (point.y_ns - last.y_ns) as f64 - rate * (point.x_ns - last.x_ns) as f64;
+                if self.sign * above < 0.0 {
+                    *last = point;
+                }
+                return false;
+            }
+            _ => {}
+        }
+        if self.points.len() == BUCKETS {
+            self.points.pop_front();
+        }
+        self.points.push_back(point);
+        self.bucket = bucket;
+        true
+    }
+
+    /// Forgets what lies before `x_ns`.
+    pub(super) fn forget_before(&mut self, x_ns: i64) {
+        while self.points.front().is_some_and(|point| point.x_ns < x_ns) {
+            self.points.pop_front();
+        }
+    }
+
+    /// Forgets what lies before `x_ns` except the newest point: an old bound is better than none.
+    pub(super) fn age(&mut self, x_ns: i64) {
+        while self.points.len() > 1 && self.points[0].x_ns < x_ns {
+            self.points.pop_front();
+        }
+    }
+
+    /// Device times of the oldest and the newest point. Points come nearly in order: a pong may
+    /// overtake a batch.
+    pub(super) fn span_ns(&self) -> Option<(i64, i64)> {
+        let times = || self.points.iter().map(|point| point.x_ns);
+        Some((times().min()?, times().max()?))
+    }
+
+    /// The last point at or before `x_ns`.
+    pub(super) fn last_until(&self, x_ns: i64) -> Option<(i64, i64)> {
+        let point = self.points.iter().rev().find(|point| point.x_ns <= x_ns)?;
+        Some((point.x_ns, point.y_ns))
+    }
+
+    /// Where the lines of a rate end: y at `x0_ns` of the outermost, and how far before `x0_ns` the
+    /// point lies that it touches.
+    fn outermost(&self, rate: f64, x0_ns: i64) -> (f64, f64) {
+        let mut tightest = (f64::INFINITY, 0.0);
+        for point in &self.points {
+            let dx_ns = (x0_ns - point.x_ns) as f64;
+            let y_ns = self.sign * (point.y_ns as f64 + rate * dx_ns) + bend_ns(dx_ns);
+            if y_ns < tightest.0 {
+                tightest = (y_ns, dx_ns);
+            }
+        }
+        (self.sign * tightest.0, tightest.1)
+    }
+
+    fn mean_dx_ns(&self, x0_ns: i64) -> f64 {
+        let sum: f64 = self.points.iter().map(|point| (x0_ns - point.x_ns) as f64).sum();
+        sum / self.points.len() as f64
+    }
+}
+
+/// All straight lines between two envelopes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Band {
+    x0_ns: i64,
+    /// The extremes of y₀, over all lines.
+    lowest_ns: f64,
+    highest_ns: f64,
+    /// The extremes of s, over all lines.
+    least_rate: f64,
+    most_rate: f64,
+    /// The likeliest line.
+    pub(super) rate: f64,
+    pub(super) y0_ns: f64,
+}
+
+impl Band {
+    /// The lines between `above` and `below`, neither of which is empty, seen from `x0_ns`, before
+    /// which all points lie. `None` if there are none.
+    pub(super) fn between(above: &Envelope, below: &Envelope, x0_ns: i64) -> Option<Self> {
+        // Room between the envelopes for a line of this rate, concave in it, and its derivative.
+        let room = |rate| {
+            let ((high_ns, high_dx_ns), (low_ns, low_dx_ns)) =
+                (above.outermost(rate, x0_ns), below.outermost(rate, x0_ns));
+            (high_ns - low_ns + ROUNDING_NS, high_dx_ns - low_dx_ns)
+        };
+        // Newton's method ends in finitely many steps, as the function is made of straight pieces,
+        // and never oversteps the root, as it is concave: stopped early it is on the safe side.
+        let edge = |outermost: f64| {
+            let mut rate = outermost;
+            for _ in 0..BUCKETS {
+                let (room_ns, slope_ns) = room(rate);
+                if room_ns >= 0.0 {
+                    break;
+                }
+                let next = rate - room_ns / slope_ns;
+                let widens_inwards = slope_ns * outermost < 0.0;
+                if !widens_inwards || next.abs() > MOST_RATE {
+                    return None;
+                }
+                rate = next;
+            }
+            Some(rate)
+        };
+        let (least_rate, most_rate) = (edge(-MOST_RATE)?, edge(MOST_RATE)?);
+        let mean_ns = above.mean_dx_ns(x0_ns) - below.mean_dx_ns(x0_ns);
+        let (mut left, mut right) = (least_rate, most_rate);
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (left + right);
+            let rise_ns = room(middle).1 - mean_ns;
+            // Few points leave a choice of rates: the least is taken.
+            let is_level = rise_ns.abs() < ROUNDING_NS;
+            let lies_right = if is_level { middle < 0.0 } else { rise_ns > 0.0 };
+            if lies_right {
+                left = middle;
+            } else {
+                right = middle;
+            }
+        }
+        let rate = 0.5 * (left + right);
+        // Points lie before x₀: seen from there a greater rate reaches higher.
+        let (highest_ns, _) = above.outermost(most_rate, x0_ns);
+        let (lowest_ns, _) = below.outermost(least_rate, x0_ns);
+        let y0_ns = 0.5 * (above.outermost(rate, x0_ns).0 + below.outermost(rate, x0_ns).0);
+        Some(Self { x0_ns, lowest_ns, highest_ns, least_rate, most_rate, rate, y0_ns })
+    }
+
+    /// Between which y the curve is at `x_ns`.
+    pub(super) fn at(&self, x_ns: i64) -> (f64, f64) {
+        let dx_ns = (x_ns - self.x0_ns) as f64;
+        let (falling, rising) =
+            if dx_ns < 0.0 { (self.most_rate, self.least_rate) } else { (self.least_rate, self.most_rate) };
+        let slack_ns = bend_ns(dx_ns) + ROUNDING_NS;
+        (self.lowest_ns + falling * dx_ns - slack_ns, self.highest_ns + rising * dx_ns + slack_ns)
+    }
+}

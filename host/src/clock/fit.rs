@@ -1,0 +1,301 @@
+//! A board's ticks by the host's clocks.
+//!
+//! What a board sent at a tick arrived later than that tick, by a delay that nobody knows; and the
+//! tick of a pong is later than the moment at which its ping was about to be sent. So every arrival
+//! says "not after" and every answered ping "not before", and in the band between them some straight
+//! lines fit: their extremes bound the error, and the likeliest is followed (`band.rs` has the
+//! derivation). The least delays decide; all others do not disturb.
+//!
+//! # What is promised
+//! * The true time of a tick lies within ±[`HostTime::uncertainty_ns`] whatever the delays, as long
+//!   as the board's rate is within 2.5 % of the host's and changes by no more than 25 ppm a second.
+//!   How the least delay is shared out between there and back cannot be known: the uncertainty goes
+//!   down to about half the least round trip, no further.
+//! * A time is never after the arrival of anything taken before it, and none is before the
+//!   one given last: not when the fit is renewed, nor when the board restarts or the host is suspended.
+//! * A new fit is steered to within a second or so; only a time outside its bounds is put right at
+//!   once.
+//! * UTC is the monotonic time plus the difference of the clocks when the last bytes arrived. If the
+//!   host's UTC is put forward, times follow within 0.2 s. If it is put back, times go on at half the
+//!   pace until it has caught up; meanwhile the uncertainty is that of the monotonic time alone.
+//! * The same calls give the same bits. Nothing is allocated after the start; a call costs some
+//!   nanoseconds, and twenty times in a second some microseconds.
+//!
+//! # When there is no time
+//! * Before the first pong: nothing bounds the constant part of the delay.
+//! * After a contradiction, that is when no line passes between the points of the last seconds. A
+//!   clock has jumped (the monotonic clock stands while the host is suspended, the ticks go on), or
+//!   the board is no clock at all: an emulated one at a third of real time. The older half of the
+//!   points is forgotten until the rest agrees; if that leaves no two pongs 0.4 s apart, times come
+//!   again when there are. If that soon ends in the next contradiction, twice as long, up to 3.2 s.
+//!
+//! From the first pong to the second, the rate is only assumed. The uncertainty then relies on no
+//! rate: it reaches from the last ping to the last arrival.
+
+use super::band::{Band, Envelope, Side, WINDOW_NS};
+use super::utc::UtcOffset;
+use super::{HostInstant, HostTime};
+
+/// Pongs over less do not show that a board keeps time. Pings come twice a second.
+const PROOF_NS: i64 = 400_000_000;
+
+/// Time within which most of a step is steered out.
+const STEERING_NS: f64 = 1e9;
+
+/// Finds the host's time of a board's ticks.
+#[derive(Debug)]
+pub struct ClockFit {
+    tick_hz: u32,
+    origin: Option<Origin>,
+    arrivals: Envelope,
+    questions: Envelope,
+    band: Option<Band>,
+    /// What is given out: y at x₀ and the rate from there.
+    steered: Option<Steered>,
+    trust: Trust,
+    last_arrived: Option<u64>,
+    last_answered: Option<u64>,
+    /// Arrival of the newest bytes.
+    newest_ns: u64,
+    utc: UtcOffset,
+    /// The last time given.
+    given: Option<HostTime>,
+}
+
+/// Where device time and host time are counted from.
+#[derive(Clone, Copy, Debug)]
+struct Origin {
+    tick: u64,
+    host_ns: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Steered {
+    x0_ns: i64,
+    y0_ns: f64,
+    rate: f64,
+}
+
+impl Steered {
+    fn at(&self, x_ns: i64) -> f64 {
+        self.y0_ns + self.rate * (x_ns - self.x0_ns) as f64
+    }
+}
+
+/// Whether the board keeps time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trust {
+    /// Nothing speaks against it, nor for it.
+    New,
+    /// Pongs over [`PROOF_NS`] agree.
+    Proven {
+        /// When that was lost and how much was wanted, if ever.
+        doubted: Option<Doubt>,
+    },
+    /// They do not.
+    Lost(Doubt),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Doubt {
+    /// Device time at which they contradicted each other.
+    since_ns: i64,
+    /// Over how much device time pongs must agree.
+    proof_ns: i64,
+}
+
+impl ClockFit {
+    /// For a board that counts `tick_hz` ticks a second.
+    pub fn new(tick_hz: u32) -> Self {
+        Self {
+            tick_hz: tick_hz.max(1),
+            origin: None,
+            arrivals: Envelope::new(Side::Above),
+            questions: Envelope::new(Side::Below),
+            band: None,
+            steered: None,
+            trust: Trust::New,
+            last_arrived: None,
+            last_answered: None,
+            newest_ns: 0,
+            utc: UtcOffset::default(),
+            given: None,
+        }
+    }
+
+    /// Begins anew: the link was opened again, or the ticks count anew, `tick_hz` of them a second.
+    /// Times go on behind those already given.
+    pub fn restart(&mut self, tick_hz: u32) {
+        self.tick_hz = tick_hz.max(1);
+        self.origin = None;
+        self.arrivals.clear();
+        self.questions.clear();
+        self.band = None;
+        self.steered = None;
+        self.trust = Trust::New;
+        self.last_arrived = None;
+        self.last_answered = None;
+    }
+
+    /// Takes in that what the board did at `tick` was known to the host at `at`: the last sample of
+    /// a batch that was complete then. Ticks come in order; one that lies behind the last shows that
+    /// the board has restarted.
+    pub fn arrived(&mut self, tick: u64, at: HostInstant) {
+        if is_behind(tick, self.last_arrived) {
+            self.restart(self.tick_hz);
+        }
+        self.last_arrived = Some(tick);
+        self.observe(tick, at);
+    }
+
+    /// Takes in that a ping about to be sent at `asked` was read by the board at its `tick`, and
+    /// that the answer had come at `at`. As for [`arrived`](Self::arrived), ticks come in order.
+    pub fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
+        if is_behind(tick, self.last_answered) {
+            self.restart(self.tick_hz);
+        }
+        self.last_answered = Some(tick);
+        let (x_ns, origin) = self.device_ns(tick, at);
+        let y_ns = since_ns(asked.monotonic_ns, origin) - x_ns;
+        self.questions.add((x_ns, y_ns), asked.monotonic_ns, self.rate());
+        self.observe(tick, at);
+        self.refit(x_ns);
+    }
+
+    /// The host's time `fraction_ticks` after `tick`, if it is known; see the head of the module. To
+    /// be asked in the order of the scans, and after [`arrived`](Self::arrived) for theirs.
+    pub fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
+        let origin = self.origin?;
+        let (band, steered) = (self.band?, self.steered?);
+        let x_ns = nominal_ns(tick, origin, self.tick_hz) + nearest(fraction_ticks * 1e9 / f64::from(self.tick_hz));
+        let (low_ns, high_ns) = band.at(x_ns);
+        let host_ns = |y_ns: f64| instant(origin, x_ns + nearest(y_ns));
+        let (earliest_ns, latest_ns) = match self.trust {
+            Trust::Lost(_) => return None,
+            Trust::Proven { .. } => (host_ns(low_ns), host_ns(high_ns).min(self.newest_ns)),
+            Trust::New => {
+                let (asked_x_ns, asked_y_ns) = self.questions.last_until(x_ns)?;
+                (instant(origin, asked_x_ns + asked_y_ns).min(host_ns(low_ns)), self.newest_ns)
+            }
+        };
+        let given_ns = self.given.map_or(0, |given| given.monotonic_ns);
+        let monotonic_ns = host_ns(steered.at(x_ns)).min(self.newest_ns).max(given_ns);
+        let utc_ns = self.utc.utc_ns(monotonic_ns);
+        let utc_ns = self
+            .given
+            .map_or(utc_ns, |given| utc_ns.max(given.utc_ns.saturating_add((monotonic_ns - given.monotonic_ns) / 2)));
+        let uncertainty_ns = latest_ns.saturating_sub(monotonic_ns).max(monotonic_ns.saturating_sub(earliest_ns));
+        self.given = Some(HostTime { monotonic_ns, utc_ns, uncertainty_ns });
+        self.given
+    }
+
+    fn observe(&mut self, tick: u64, at: HostInstant) {
+        self.newest_ns = self.newest_ns.max(at.monotonic_ns);
+        self.utc.note(at);
+        let (x_ns, origin) = self.device_ns(tick, at);
+        let y_ns = since_ns(at.monotonic_ns, origin) - x_ns;
+        let is_full = self.arrivals.add((x_ns, y_ns), at.monotonic_ns, self.rate());
+        // It came before it should have been sent.
+        let is_too_early = self.steered.is_some_and(|steered| (y_ns as f64) < steered.at(x_ns));
+        if is_full || is_too_early {
+            self.refit(x_ns);
+        }
+    }
+
+    /// Device time of a tick; the first ever is the origin.
+    fn device_ns(&mut self, tick: u64, at: HostInstant) -> (i64, Origin) {
+        let origin = *self.origin.get_or_insert(Origin { tick, host_ns: at.monotonic_ns });
+        (nominal_ns(tick, origin, self.tick_hz), origin)
+    }
+
+    /// By how many millionths the board's clock is fast; `None` while that is not known.
+    pub fn drift_ppm(&self) -> Option<f64> {
+        self.band.map(|band| -band.rate * 1e6)
+    }
+
+    /// The curve's rate as far as it is known.
+    fn rate(&self) -> f64 {
+        self.band.map_or(0.0, |band| band.rate)
+    }
+
+    fn refit(&mut self, x_ns: i64) {
+        self.arrivals.age(x_ns - WINDOW_NS);
+        self.questions.age(x_ns - WINDOW_NS);
+        let mut agreed = true;
+        let (band, x0_ns) = loop {
+            let (Some(above), Some(below)) = (self.arrivals.span_ns(), self.questions.span_ns()) else {
+                self.band = None;
+                self.steered = None;
+                break (None, x_ns);
+            };
+            let (first_ns, x0_ns) = (above.0.min(below.0), above.1.max(below.1));
+            let band = Band::between(&self.arrivals, &self.questions, x0_ns);
+            if band.is_some() {
+                break (band, x0_ns);
+            }
+            agreed = false;
+            let newer_ns = first_ns + (x0_ns - first_ns) / 2 + 1;
+            self.arrivals.forget_before(newer_ns);
+            self.questions.forget_before(newer_ns);
+        };
+        self.judge(agreed, x0_ns);
+        let Some(band) = band else {
+            return;
+        };
+        let (low_ns, high_ns) = band.at(x0_ns);
+        let followed = self.steered.filter(|_| agreed);
+        let y0_ns = followed.map_or(band.y0_ns, |steered| steered.at(x0_ns).clamp(low_ns, high_ns));
+        let rate = band.rate + (band.y0_ns - y0_ns) / STEERING_NS;
+        self.band = Some(band);
+        self.steered = Some(Steered { x0_ns, y0_ns, rate });
+    }
+
+    /// Considers whether the board keeps time, after the points did or did not agree.
+    fn judge(&mut self, agreed: bool, x0_ns: i64) {
+        let pongs_ns = self.questions.span_ns().map_or(0, |(first_ns, last_ns)| last_ns - first_ns);
+        if !agreed && pongs_ns < PROOF_NS {
+            let before = match self.trust {
+                Trust::New => None,
+                Trust::Proven { doubted } => doubted,
+                Trust::Lost(doubt) => Some(doubt),
+            };
+            let proof_ns = match before {
+                Some(doubt) if x0_ns - doubt.since_ns < 2 * WINDOW_NS => (2 * doubt.proof_ns).min(WINDOW_NS / 2),
+                _ => PROOF_NS,
+            };
+            self.trust = Trust::Lost(Doubt { since_ns: x0_ns, proof_ns });
+            return;
+        }
+        match self.trust {
+            Trust::New if pongs_ns >= PROOF_NS => self.trust = Trust::Proven { doubted: None },
+            Trust::Lost(doubt) if pongs_ns >= doubt.proof_ns => self.trust = Trust::Proven { doubted: Some(doubt) },
+            _ => {}
+        }
+    }
+}
+
+/// Whether `tick` comes before `last`, of a counter that may wrap.
+fn is_behind(tick: u64, last: Option<u64>) -> bool {
+    last.is_some_and(|last| tick.wrapping_sub(last).cast_signed() < 0)
+}
+
+/// Device time of a tick, in whole nanoseconds from the origin.
+fn nominal_ns(tick: u64, origin: Origin, tick_hz: u32) -> i64 {
+    let ticks = i128::from(tick.wrapping_sub(origin.tick).cast_signed());
+    let ns = (ticks * 1_000_000_000).div_euclid(i128::from(tick_hz));
+    i64::try_from(ns).unwrap_or(if ns < 0 { i64::MIN / 4 } else { i64::MAX / 4 })
+}
+
+/// Host time from the origin.
+fn since_ns(host_ns: u64, origin: Origin) -> i64 {
+    host_ns.wrapping_sub(origin.host_ns).cast_signed()
+}
+
+fn instant(origin: Origin, since_ns: i64) -> u64 {
+    origin.host_ns.saturating_add_signed(since_ns)
+}
+
+/// Saturates.
+fn nearest(ns: f64) -> i64 {
+    ns.round() as i64
+}
