@@ -1,0 +1,278 @@
+//! Electrodes or plugs in each other's place: tried on a few scans that the scene does not explain.
+
+use serde::Serialize;
+use slitpose_model::{
+    Effort, MAX_CELLS, MotionPrior, Outcome, Photocurrents, Pose, Reading, Solution, Solver, Twist, Weakness,
+};
+use slitpose_protocol::Schedule;
+
+/// Scans kept to try on.
+const SAMPLES: usize = 8;
+
+/// Fewer scans do not tell an exchange from chance.
+const LEAST_SAMPLES: usize = 4;
+
+/// Scans that the right exchange may leave unexplained: another fault may come by.
+const MISSES: usize = 1;
+
+/// Data beyond the unknowns without which too much fits: those of five cells.
+const LEAST_REDUNDANCY: usize = 4;
+
+/// Steps of a first try, and the χ² beyond which it is no use to try harder. What fits has a χ² of some
+/// tens; the search for a pose that does not exist would take as long as a hundred frames.
+const STEPS: usize = 40;
+const HOPELESS: f64 = 200.0;
+
+/// Tries to find the light of other emitters along with the pose. Each leaves a tenth of what the one
+/// before has left.
+const ROUNDS: usize = 6;
+
+/// The tool of a scan on its own may move as a fast hand does.
+const ANY_MOTION: MotionPrior = MotionPrior {
+    twist: Twist { linear_m_per_s: glam::DVec3::ZERO, angular_rad_per_s: glam::DVec3::ZERO },
+    linear_sigma_m_per_s: 0.5,
+    angular_sigma_rad_per_s: 5.0,
+};
+
+/// What stands in the place of something else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Exchange {
+    /// I_X1 and I_X2 of a cell.
+    Electrodes {
+        /// The cell.
+        cell: usize,
+    },
+    /// Two cells, emitters and detectors.
+    Cells {
+        /// Their numbers, ascending.
+        cells: [usize; 2],
+    },
+}
+
+impl Exchange {
+    /// Whether `cell` takes part.
+    pub fn concerns(&self, cell: usize) -> bool {
+        match self {
+            Self::Electrodes { cell: exchanged } => *exchanged == cell,
+            Self::Cells { cells } => cells.contains(&cell),
+        }
+    }
+
+    /// The next one to try among `count` cells: each cell's electrodes, then each pair of cells.
+    fn next(self, count: usize) -> Option<Self> {
+        match self {
+            Self::Electrodes { cell } if cell + 1 < count => Some(Self::Electrodes { cell: cell + 1 }),
+            Self::Electrodes { .. } => Some(Self::Cells { cells: [0, 1] }).filter(|_| count > 1),
+            Self::Cells { cells: [first, second] } if second + 1 < count => {
+                Some(Self::Cells { cells: [first, second + 1] })
+            }
+            Self::Cells { cells: [first, _] } => {
+                Some(Self::Cells { cells: [first + 1, first + 2] }).filter(|_| first + 2 < count)
+            }
+        }
+    }
+
+    /// The plug that `cell` is on, and the cell that is on plug `cell`.
+    fn other(&self, cell: usize) -> usize {
+        match *self {
+            Self::Cells { cells: [first, second] } if cell == first => second,
+            Self::Cells { cells: [first, second] } if cell == second => first,
+            _ => cell,
+        }
+    }
+
+    /// What would have been measured without it.
+    fn undone(&self, photocurrents: &Photocurrents) -> Photocurrents {
+        let mut photocurrents = photocurrents.clone();
+        match *self {
+            Self::Electrodes { cell } => {
+                if let Reading::Light(pair) = &mut photocurrents.cells[cell] {
+                    std::mem::swap(&mut pair.i_x1_a, &mut pair.i_x2_a);
+                }
+            }
+            Self::Cells { cells: [first, second] } => photocurrents.cells.swap(first, second),
+        }
+        photocurrents
+    }
+}
+
+/// Looks for the exchange that explains what the scene does not. One try a scan, so that none waits.
+#[derive(Debug)]
+pub(super) struct Search {
+    hasty: Box<Solver<f64>>,
+    thorough: Box<Solver<f64>>,
+    exposures_s: Vec<f64>,
+    /// Plugs whose emitters are lit together with that of each plug, one bit each.
+    together: Vec<u16>,
+    samples: [Photocurrents; SAMPLES],
+    kept: usize,
+    keep_every: u32,
+    until_next: u32,
+    trial: Option<Trial>,
+    found: Option<Exchange>,
+}
+
+/// How far a search has come.
+#[derive(Clone, Copy, Debug)]
+struct Trial {
+    exchange: Exchange,
+    sample: usize,
+    misses: usize,
+    /// The exchanges that have explained the scans: the first one, and whether it is the only one.
+    explains: Option<(Exchange, bool)>,
+}
+
+impl Search {
+    /// Every `keep_every`th troubled scan is kept to try on.
+    pub(super) fn new(solver: &Solver<f64>, schedule: &Schedule, exposures_s: Vec<f64>, keep_every: u32) -> Self {
+        let lit_with = |cell: usize| {
+            let slot = schedule.lit_slot(cell).map(|slot| schedule.slots[slot].emitters());
+            slot.into_iter().flatten().filter(|&other| other != cell).fold(0, |set, other| set | 1 << other)
+        };
+        Self {
+            together: (0..exposures_s.len()).map(lit_with).collect(),
+            hasty: Box::new(solver.clone().with_effort(Effort::Steps(STEPS))),
+            thorough: Box::new(solver.clone()),
+            exposures_s,
+            samples: Default::default(),
+            kept: 0,
+            keep_every,
+            until_next: 0,
+            trial: None,
+            found: None,
+        }
+    }
+
+    /// The exchange that alone explains the scans of late, if there is one.
+    pub(super) fn found(&self) -> Option<Exchange> {
+        self.found
+    }
+
+    /// Takes the next scan; goes one step on in the search.
+    pub(super) fn take(&mut self, photocurrents: &Photocurrents, troubled: bool) {
+        if let Some(trial) = self.trial {
+            return self.go_on(trial);
+        }
+        if !troubled {
+            return;
+        }
+        if self.until_next > 0 {
+            self.until_next -= 1;
+            return;
+        }
+        self.until_next = self.keep_every.saturating_sub(1);
+        self.samples[self.kept % SAMPLES].clone_from(photocurrents);
+        self.kept += 1;
+    }
+
+    /// Called several times a second: with most scans unexplained a search begins, unless one is under
+    /// way or there is too little to try on; with most explained nothing is claimed any more.
+    pub(super) fn turned(&mut self, mostly_troubled: bool) {
+        if !mostly_troubled {
+            (self.kept, self.until_next, self.trial, self.found) = (0, 0, None, None);
+        } else if self.trial.is_none() && self.kept >= LEAST_SAMPLES {
+            let exchange = Exchange::Electrodes { cell: 0 };
+            self.trial = Some(Trial { exchange, sample: 0, misses: 0, explains: None });
+        }
+    }
+
+    fn go_on(&mut self, mut trial: Trial) {
+        trial.misses += usize::from(!self.explains(trial.exchange, &self.samples[trial.sample]));
+        trial.sample += 1;
+        let fails = trial.misses > MISSES;
+        if !fails && trial.sample < self.kept.min(SAMPLES) {
+            self.trial = Some(trial);
+            return;
+        }
+        if !fails {
+            trial.explains = Some(trial.explains.map_or((trial.exchange, true), |(first, _)| (first, false)));
+        }
+        match trial.exchange.next(self.exposures_s.len()) {
+            Some(exchange) => self.trial = Some(Trial { exchange, sample: 0, misses: 0, ..trial }),
+            None => {
+                self.found = trial.explains.filter(|(_, alone)| *alone).map(|(exchange, _)| exchange);
+                // The next search has scans of its own.
+                (self.kept, self.until_next, self.trial) = (0, 0, None);
+            }
+        }
+    }
+
+    /// Whether the data of a scan fit the scene once `exchange` is undone.
+    fn explains(&self, exchange: Exchange, sample: &Photocurrents) -> bool {
+        let measured = exchange.undone(sample);
+        let mut undone = measured.clone();
+        for _ in 0..ROUNDS {
+            let hasty = self.solve(&self.hasty, exchange, &undone);
+            if hasty.chi2 <= HOPELESS && is_clean(&self.solve(&self.thorough, exchange, &undone)) {
+                return true;
+            }
+            let Some(estimate) = hasty.estimate else {
+                return false;
+            };
+            undone.clone_from(&measured);
+            if !self.remove_cross_light(exchange, &estimate.pose, &mut undone) {
+                return false;
+            }
+        }
+        false
+    }
+
+    /// Subtracts the light that cells get at `pose` from emitters which `exchange` lights together with
+    /// theirs; `false` if there is none.
+    fn remove_cross_light(&self, exchange: Exchange, pose: &Pose, photocurrents: &mut Photocurrents) -> bool {
+        let mut found = false;
+        for cell in 0..self.together.len() {
+            let set = self.together[exchange.other(cell)];
+            let Reading::Light(pair) = &mut photocurrents.cells[cell] else {
+                continue;
+            };
+            for plug in (0..self.together.len()).filter(|plug| set & (1 << plug) != 0) {
+                let light = self.thorough.plan().crosstalk(cell, exchange.other(plug), pose);
+                pair.i_x1_a -= light.i_x1_a;
+                pair.i_x2_a -= light.i_x2_a;
+                found |= light.total_a() > 0.0;
+            }
+        }
+        found
+    }
+
+    fn solve(&self, solver: &Solver<f64>, exchange: Exchange, undone: &Photocurrents) -> Solution {
+        match exchange {
+            Exchange::Cells { cells: [first, second] } if self.exposures_s[first] != self.exposures_s[second] => {
+                // A cell at another's plug is exposed in the other's slot.
+                let mut exposures_s = [0.0; MAX_CELLS];
+                exposures_s[..self.exposures_s.len()].copy_from_slice(&self.exposures_s);
+                exposures_s.swap(first, second);
+                solver.clone().with_exposures(&exposures_s).solve_moving(undone, &ANY_MOTION)
+            }
+            _ => solver.solve_moving(undone, &ANY_MOTION),
+        }
+    }
+}
+
+/// Whether all cells with light agree on a pose, and enough of them do.
+fn is_clean(solution: &Solution) -> bool {
+    matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(Weakness::FewerCells))
+        && solution.redundancy >= LEAST_REDUNDANCY
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_exchange_is_tried_once() {
+        for count in [1, 2, 6, 16] {
+            let first = Exchange::Electrodes { cell: 0 };
+            let all: Vec<_> = std::iter::successors(Some(first), |exchange| exchange.next(count)).collect();
+            assert_eq!(all.len(), count + count * (count - 1) / 2);
+            for exchange in &all {
+                assert_eq!(all.iter().filter(|other| *other == exchange).count(), 1, "{exchange:?}");
+                if let Exchange::Cells { cells: [first, second] } = exchange {
+                    assert!(first < second && *second < count, "{exchange:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! From sums to verdicts.
+
+use super::finding::{CellHealth, Fault, Finding, HeadHealth, Shares, Verdict};
+use super::window::{Bucket, CellSums};
+use super::{Cell, Exchange, Health};
+
+/// Fewer scans tell nothing.
+const LEAST_SCANS: u32 = 32;
+
+/// Cells that a pose needs.
+const NEEDED: usize = 3;
+
+/// A condition in fewer scans passes: a tool that flies by the edge of its workspace.
+const OFTEN: f64 = 0.1;
+
+/// Stray light has risen if its mean has by more σ than chance gives in years of seconds …
+const RISE_SIGMAS: f64 = 5.0;
+/// … and by a share of an electrode's full scale that costs range: offsets drift by less.
+const RISE_OF_FULL_SCALE: f64 = 0.01;
+
+/// Measured over promised noise from which on something disturbs. A second at 1 kHz tells noise to a few
+/// per cent; front ends differ by their parts' tolerances.
+const NOISY_FROM: f64 = 2.0;
+
+/// Noise of a word, in its steps, from which on it cannot repeat for a second.
+const LIVELY_STEPS: f64 = 0.5;
+
+/// All of the scans, but for the first one after a gap.
+const ALWAYS: f64 = 0.99;
+
+impl Health {
+    /// What the last second tells. Called now and then: it allocates.
+    pub fn report(&self) -> HeadHealth {
+        let sum = self.window.sum();
+        let judged = self.window.is_full() && sum.scans >= LEAST_SCANS;
+        let exchange = self.search.found().filter(|_| judged);
+        let mut findings: Vec<Finding> = exchange.map(of_exchange).into_iter().collect();
+        let cells: Vec<CellHealth> = (0..self.cells.len())
+            .map(|cell| {
+                let mut health = self.measure(cell, &sum);
+                if judged {
+                    health.verdict = self.judge(cell, &health, &sum, exchange);
+                    findings.extend(self.of_cell(&health, sum.cells[cell].looks > 0));
+                }
+                health
+            })
+            .collect();
+        let faint = cells.iter().filter(|cell| cell.verdict == Verdict::Faint).count();
+        let is_faint = |finding: &Finding| matches!(finding.fault, Fault::Cell { verdict: Verdict::Faint, .. });
+        if faint + NEEDED > cells.len() && findings.iter().any(is_faint) {
+            findings.retain(|finding| !is_faint(finding));
+            let text = format!(
+                "{faint} of {} cells see too little light: bring the tool home; if it is there, check its emitters' plug",
+                cells.len()
+            );
+            findings.push(Finding { fault: Fault::TooDark, text });
+        }
+        let unexplained = share(sum.troubled, sum.scans);
+        if judged && unexplained > 0.5 && findings.is_empty() {
+            let text = format!(
+                "{:.0} % of the scans contradict the scene, and no single cell explains it: check that the scene is \
+                 this head's, then calibrate it",
+                100.0 * unexplained
+            );
+            findings.push(Finding { fault: Fault::Unexplained, text });
+        }
+        HeadHealth { unexplained, cells, findings }
+    }
+
+    /// The numbers of a cell.
+    fn measure(&self, cell: usize, sum: &Bucket) -> CellHealth {
+        let (known, sums) = (&self.cells[cell], &sum.cells[cell]);
+        let step_a = self.step_a();
+        let noise_a = sums.dark.variance().map(|variance| variance.sqrt() * step_a);
+        CellHealth {
+            cell,
+            verdict: Verdict::Unknown,
+            shares: Shares {
+                saturated: share(sums.saturated, sum.scans),
+                faint: share(sums.faint, sum.scans),
+                dark: share(sums.missed, sums.looks),
+                clipped: share(sums.clipped, sums.looks),
+                excluded: share(sums.excluded, sum.scans),
+                off: share(sums.missing, sum.scans),
+            },
+            light_a: (sums.measured > 0).then(|| sums.light_a / f64::from(sums.measured)),
+            brightness: (sums.expected > 0).then(|| sums.compared_a / sums.expected_a),
+            stray_a: self.stray_a(known, sums),
+            stray_rise_a: self.rise(cell, sums).map(|(rise_a, _)| rise_a),
+            noise_a,
+            noise_lsb: noise_a.map(|noise_a| noise_a / self.scaling.amperes_per_code.abs()),
+            promised_noise_a: known.promised_noise_a,
+            totals: self.totals[cell],
+        }
+    }
+
+    fn judge(&self, cell: usize, health: &CellHealth, sum: &Bucket, exchange: Option<Exchange>) -> Verdict {
+        let (known, sums, shares) = (&self.cells[cell], &sum.cells[cell], &health.shares);
+        let lively = known.promised_noise_a.is_some_and(|noise_a| noise_a >= LIVELY_STEPS * self.step_a());
+        // Words at the end of their range have no reason to change.
+        let stuck = lively && sums.saturated == 0 && share(sums.still, sum.scans) > ALWAYS;
+        let has_risen = self.rise(cell, sums).is_some_and(|(rise_a, sigma_a)| {
+            let afterglow_a = known.afterglow * self.scaling.full_scale_a();
+            rise_a > RISE_SIGMAS * sigma_a && rise_a > RISE_OF_FULL_SCALE * self.scaling.full_scale_a() + afterglow_a
+        });
+        let is_noisy = match (health.noise_a, known.promised_noise_a) {
+            (Some(noise_a), Some(promised_a)) => promised_a > 0.0 && noise_a > NOISY_FROM * promised_a,
+            _ => false,
+        };
+        let conditions = [
+            (Verdict::Off, shares.off > OFTEN),
+            (Verdict::Swapped, exchange.is_some_and(|exchange| exchange.concerns(cell))),
+            (Verdict::Stuck, stuck),
+            (Verdict::Saturated, shares.saturated > OFTEN),
+            (Verdict::Dark, shares.dark > OFTEN),
+            (Verdict::Excluded, shares.excluded > OFTEN && exchange.is_none()),
+            (Verdict::Faint, shares.faint > OFTEN),
+            (Verdict::StrayRising, has_risen),
+            (Verdict::Noisy, is_noisy),
+        ];
+        conditions.into_iter().find(|(_, holds)| *holds).map_or(Verdict::Ok, |(verdict, _)| verdict)
+    }
+
+    /// Says it in a sentence, unless the exchange is said already or all is well.
+    fn of_cell(&self, health: &CellHealth, has_pose: bool) -> Option<Finding> {
+        let CellHealth { cell, verdict, shares, .. } = health;
+        let percent = |share: f64| 100.0 * share;
+        let nanoamperes = |current_a: Option<f64>| current_a.unwrap_or(f64::NAN) * 1e9;
+        let text = match verdict {
+            Verdict::Unknown | Verdict::Swapped | Verdict::Ok => return None,
+            // The pose has no light for it: the tool is where the cell cannot see it.
+            Verdict::Faint if has_pose => return None,
+            Verdict::Off => format!("the emitter of cell {cell} is off: give it a level above zero"),
+            Verdict::Stuck => {
+                format!("the words of cell {cell} never change: reset the board, then check its converter's wiring")
+            }
+            Verdict::Saturated => format!(
+                "cell {cell} is saturated in {:.0} % of the scans: lower the level of its emitter, or shade it from \
+                 other light",
+                percent(shares.saturated)
+            ),
+            Verdict::Dark => format!(
+                "cell {cell} sees no light in {:.0} % of the scans where the pose says it should: check its emitter, \
+                 its plugs, and what may cover its slit",
+                percent(shares.dark)
+            ),
+            Verdict::Excluded => format!(
+                "cell {cell} contradicts the others in {:.0} % of the scans, with {:.0} % of the light it should have: \
+                 clean its slit and emitter, then calibrate",
+                percent(shares.excluded),
+                percent(health.brightness.unwrap_or(f64::NAN))
+            ),
+            Verdict::Faint => format!(
+                "cell {cell} sees {:.0} nA, and needs {:.0} nA: bring the tool home; if it is there, check emitter, \
+                 plugs and slit",
+                nanoamperes(health.light_a),
+                self.cells[*cell].faint_a * 1e9
+            ),
+            Verdict::StrayRising => format!(
+                "stray light on cell {cell} has risen by {:.0} nA, {:.1} % of full scale: look for a lamp or the sun, \
+                 and shade the cell",
+                nanoamperes(health.stray_rise_a),
+                percent(health.stray_rise_a.unwrap_or(f64::NAN) / self.scaling.full_scale_a())
+            ),
+            Verdict::Noisy => format!(
+                "cell {cell} has {:.1} nA of noise in the dark, its front end promises {:.1} nA: look for light that \
+                 flickers fast, a loose cable, or a noisy supply",
+                nanoamperes(health.noise_a),
+                nanoamperes(health.promised_noise_a)
+            ),
+        };
+        Some(Finding { fault: Fault::Cell { cell: *cell, verdict: *verdict }, text })
+    }
+
+    /// Amperes for one step of a word.
+    fn step_a(&self) -> f64 {
+        self.scaling.amperes_per_code.abs() / f64::from(self.oversampling)
+    }
+
+    fn stray_a(&self, known: &Cell, sums: &CellSums) -> Option<f64> {
+        let mean = sums.dark.mean()?;
+        let codes = mean / f64::from(self.oversampling) - 2.0 * self.scaling.zero_code;
+        Some(codes * self.scaling.amperes_per_code - known.dark_current_a)
+    }
+
+    /// By how much light in the dark has risen since the start, and σ of that, amperes.
+    fn rise(&self, cell: usize, sums: &CellSums) -> Option<(f64, f64)> {
+        let known = &self.cells[cell];
+        let start = &self.start.as_ref()?.cells[cell];
+        // Of the sum of two electrodes.
+        let variance = |sums: &CellSums| Some(2.0 * sums.dark.variance()? / sums.dark.count());
+        let sigma = (variance(start)? + variance(sums)?).sqrt();
+        Some((self.stray_a(known, sums)? - self.stray_a(known, start)?, sigma * self.step_a()))
+    }
+}
+
+fn of_exchange(exchange: Exchange) -> Finding {
+    let text = match exchange {
+        Exchange::Electrodes { cell } => format!(
+            "cell {cell}: electrodes exchanged; exchange the wires of its two anodes, or turn its x_axis round in the \
+             scene"
+        ),
+        Exchange::Cells { cells: [first, second] } => format!(
+            "cells {first} and {second} exchanged; exchange the plugs of both, emitters and detectors, or their \
+             [[cell]] in the scene"
+        ),
+    };
+    Finding { fault: Fault::Exchange(exchange), text }
+}
+
+fn share(part: u32, whole: u32) -> f64 {
+    if whole > 0 { f64::from(part) / f64::from(whole) } else { 0.0 }
+}

@@ -1,0 +1,205 @@
+//! What the scans of a head tell of its optics and wiring, cell by cell, while the tool is followed.
+//!
+//! [`Health`] takes every scan of one board session, together with its photocurrents and solution,
+//! into sums over a second of device time; it allocates nothing. [`HeadHealth`] is what these sums
+//! say: shares, levels, noise, a [`Verdict`] for each cell and, for people, [`Finding`]s.
+//!
+//! Nothing is held against a cell that its pose explains: whether it should see light is asked of
+//! the model. A pose says nothing of cells whose plugs or electrodes are exchanged; when most scans
+//! contradict the scene, such exchanges are tried one after another on a few of them.
+
+mod exchange;
+mod finding;
+mod judge;
+mod window;
+
+use slitpose_model::{Outcome, Photocurrents, Reading, SceneError, Solution, Solver, Status, Tier, Weakness};
+use slitpose_protocol::{AdcScaling, RawScan, Schedule};
+
+pub use exchange::Exchange;
+pub use finding::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
+
+use crate::front_end::{self, Settling, Stage};
+use crate::scene_file::SceneFile;
+use exchange::Search;
+use window::{Bucket, Turn, Window};
+
+/// Looks a second, at most, at what the pose says of the cells: the optics of a cell cost more than
+/// everything else here.
+const LOOKS_PER_S: f64 = 128.0;
+
+/// A cell is missed where the model gives so many times the faint limit, as the solver has it: near
+/// the limit noise decides.
+const MISSED_FROM: f64 = 2.0;
+
+/// Buckets of a window are no shorter, and hold no fewer frames.
+const BUCKET_S: f64 = 0.25;
+const BUCKET_FRAMES: u64 = 8;
+
+/// Scans kept for the search for exchanges are so far apart that the tool has moved between them.
+const SAMPLE_S: f64 = 0.125;
+
+/// Watches the cells of one head over one board session.
+#[derive(Debug)]
+pub struct Health {
+    solver: Box<Solver<f64>>,
+    cells: Vec<Cell>,
+    scaling: AdcScaling,
+    oversampling: u16,
+    bucket_ticks: u64,
+    look_every: u64,
+    window: Window,
+    totals: Vec<CellTotals>,
+    /// Of the first full window.
+    start: Option<Bucket>,
+    before: Option<RawScan>,
+    taken: u64,
+    search: Search,
+}
+
+/// What is known of a cell beforehand.
+#[derive(Clone, Copy, Debug)]
+struct Cell {
+    faint_a: f64,
+    /// Of the photocurrent, above dark.
+    saturation_a: f64,
+    dark_current_a: f64,
+    /// Standard deviation of one dark word by the scene's front end, amperes.
+    promised_noise_a: Option<f64>,
+    /// Most of the cell's own light that the front end can have left in the dark slot, relative.
+    afterglow: f64,
+}
+
+impl Health {
+    /// For a board that runs `schedule` with `scaling` in front of the head of `file`, its poses
+    /// solved in `tier`.
+    ///
+    /// The schedule and the scaling must be valid, and have a slot for each of the scene's cells.
+    ///
+    /// # Errors
+    /// If the scene cannot be compiled.
+    pub fn new(file: &SceneFile, tier: Tier, schedule: &Schedule, scaling: &AdcScaling) -> Result<Self, SceneError> {
+        let exposures_s = Stage::new(file, schedule, scaling).exposures_s();
+        let scene = Stage::weighted_scene(file, schedule, scaling);
+        let solver = Box::new(Solver::new(&scene, tier)?.with_exposures(&exposures_s));
+        let time_constant_s = file.front_end.map_or(0.0, |front_end| front_end.time_constant_s);
+        let cells: Vec<Cell> = file
+            .scene
+            .cells
+            .iter()
+            .enumerate()
+            .map(|(cell, description)| Cell {
+                faint_a: description.detector.faint_a,
+                saturation_a: description
+                    .detector
+                    .saturation_a
+                    .map_or(f64::INFINITY, |limit_a| limit_a - description.detector.dark_current_a),
+                dark_current_a: description.detector.dark_current_a,
+                promised_noise_a: front_end::dark_word_noise_a(file, cell, scaling),
+                afterglow: Settling::of_cell(schedule, cell, time_constant_s)
+                    .map_or(0.0, |settling| (1.0 - settling.gain).max(0.0)),
+            })
+            .collect();
+        let bucket_ticks =
+            ((f64::from(schedule.tick_hz) * BUCKET_S) as u64).max(BUCKET_FRAMES * u64::from(schedule.frame_ticks));
+        Ok(Self {
+            search: Search::new(&solver, schedule, exposures_s, (SAMPLE_S * schedule.frame_rate_hz()) as u32),
+            solver,
+            scaling: *scaling,
+            oversampling: schedule.oversampling,
+            bucket_ticks,
+            look_every: ((schedule.frame_rate_hz() / LOOKS_PER_S) as u64).max(1),
+            window: Window::default(),
+            totals: vec![CellTotals::default(); cells.len()],
+            cells,
+            start: None,
+            before: None,
+            taken: 0,
+        })
+    }
+
+    /// Takes the next scan, what became of it, and its solution.
+    pub fn take(&mut self, scan: &RawScan, photocurrents: &Photocurrents, solution: &Solution) {
+        if self.window.turn(scan.tick / self.bucket_ticks) == Turn::Next {
+            self.turned();
+        }
+        let look = self.taken.is_multiple_of(self.look_every);
+        self.taken += 1;
+        let troubled = is_troubled(&solution.outcome);
+        let bucket = self.window.current();
+        bucket.scans += 1;
+        bucket.troubled += u32::from(troubled);
+        let before = self.before.replace(*scan);
+        let readings = photocurrents.cells.iter().zip(&self.cells).zip(&mut self.totals);
+        for (cell, (((reading, known), total), sums)) in readings.zip(&mut bucket.cells).enumerate() {
+            total.scans += 1;
+            let light_a = match reading {
+                Reading::Missing => {
+                    sums.missing += 1;
+                    total.off += 1;
+                    None
+                }
+                Reading::Light(pair) if pair.total_a() <= known.saturation_a => Some(pair.total_a()),
+                _ => {
+                    sums.saturated += 1;
+                    total.saturated += 1;
+                    None
+                }
+            };
+            if let Some(light_a) = light_a {
+                sums.measured += 1;
+                sums.light_a += light_a;
+                let faint = light_a < known.faint_a;
+                sums.faint += u32::from(faint);
+                total.faint += u64::from(faint);
+            }
+            if solution.excluded.contains(cell) {
+                sums.excluded += 1;
+                total.excluded += 1;
+            }
+            let still = before.as_ref().is_some_and(|before| {
+                before.lit().get(cell) == scan.lit().get(cell)
+                    && before.dark().map(|dark| dark.get(cell)) == scan.dark().map(|dark| dark.get(cell))
+            });
+            sums.still += u32::from(still);
+            if let Some(words) = scan.dark().and_then(|dark| dark.get(cell)) {
+                let before = before.as_ref().and_then(|before| before.dark()?.get(cell).copied());
+                sums.dark.take(*words, before);
+            }
+            if look && let Some(estimate) = &solution.estimate {
+                let response = self.solver.plan().respond(cell, &estimate.pose);
+                let expected_a = response.i_o_a - known.dark_current_a;
+                sums.looks += 1;
+                sums.clipped += u32::from(response.status == Status::Clipped);
+                if expected_a >= MISSED_FROM * known.faint_a
+                    && let Some(light_a) = light_a
+                {
+                    let missed = light_a < known.faint_a;
+                    sums.missed += u32::from(missed);
+                    total.dark += u64::from(missed);
+                    sums.compared_a += light_a;
+                    sums.expected_a += expected_a;
+                    sums.expected += 1;
+                }
+            }
+        }
+        self.search.take(photocurrents, troubled);
+    }
+
+    /// A bucket is full.
+    fn turned(&mut self) {
+        if !self.window.is_full() {
+            return;
+        }
+        let sum = self.window.sum();
+        if self.start.is_none() {
+            self.start = Some(sum.clone());
+        }
+        self.search.turned(2 * sum.troubled > sum.scans);
+    }
+}
+
+/// Whether the scene does not explain the scan: with one liar, several, or none to be named.
+fn is_troubled(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Diverged | Outcome::Degraded(Weakness::Misfit | Weakness::CellExcluded))
+}
