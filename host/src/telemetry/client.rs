@@ -1,0 +1,143 @@
+//! Asks a daemon for its status.
+
+use std::io::{self, Read, Write};
+use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use super::StatusAddress;
+
+/// A daemon answers within milliseconds.
+const WITHIN: Duration = Duration::from_secs(2);
+
+/// Reports take some kilobytes a board.
+const MOST_BYTES: usize = 1 << 24;
+
+/// Why there is no answer.
+#[derive(Debug, Error)]
+pub enum FetchError {
+    /// Nobody listens there.
+    #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
+    Connect {
+        /// The address.
+        address: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The answer broke off, or did not come.
+    #[error("the answer from {address} did not come within {} s; see whether the daemon still runs", WITHIN.as_secs())]
+    Broken {
+        /// The address.
+        address: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Something else listens there.
+    #[error("what listens at {address} is no slitpose daemon; give the address of one")]
+    NotHttp {
+        /// The address.
+        address: String,
+    },
+    /// The daemon answers with a refusal, or with bad news.
+    #[error("{address} answers {status} to {path}: {text}")]
+    Status {
+        /// The address.
+        address: String,
+        /// What was asked for.
+        path: String,
+        /// The status by HTTP.
+        status: u16,
+        /// What it says.
+        text: String,
+    },
+}
+
+/// The text at `path` of the daemon at `address`, such as `/status`.
+///
+/// # Errors
+/// If there is no answer within two seconds, or none with the status 200.
+pub fn fetch(address: &StatusAddress, path: &str) -> Result<String, FetchError> {
+    let connect = |source| FetchError::Connect { address: address.to_string(), source };
+    let answer = match address {
+        StatusAddress::Tcp(to) => {
+            ask(TcpStream::connect_timeout(to, WITHIN).map_err(connect)?, TcpStream::set_read_timeout, path)
+        }
+        StatusAddress::Unix(to) => ask(UnixStream::connect(to).map_err(connect)?, UnixStream::set_read_timeout, path),
+    };
+    let answer = answer.map_err(|source| FetchError::Broken { address: address.to_string(), source })?;
+    match parse(&answer) {
+        Some((200, text)) => Ok(text.to_owned()),
+        Some((status, text)) => Err(FetchError::Status {
+            address: address.to_string(),
+            path: path.to_owned(),
+            status,
+            text: text.trim_end().to_owned(),
+        }),
+        None => Err(FetchError::NotHttp { address: address.to_string() }),
+    }
+}
+
+/// Of HTTP/1.0 (RFC 1945): the answer ends with the connection.
+fn ask<S: Read + Write>(
+    mut stream: S,
+    set_timeout: impl Fn(&S, Option<Duration>) -> io::Result<()>,
+    path: &str,
+) -> io::Result<Vec<u8>> {
+    let until = Instant::now() + WITHIN;
+    write!(stream, "GET {path} HTTP/1.0\r\nHost: localhost\r\n\r\n")?;
+    let (mut answer, mut chunk) = (Vec::new(), [0; 4096]);
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() || answer.len() > MOST_BYTES {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        set_timeout(&stream, Some(left))?;
+        match stream.read(&mut chunk) {
+            Ok(0) => return Ok(answer),
+            Ok(count) => answer.extend_from_slice(&chunk[..count]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Status and body.
+fn parse(answer: &[u8]) -> Option<(u16, &str)> {
+    let answer = std::str::from_utf8(answer).ok()?;
+    let (head, body) = answer.split_once("\r\n\r\n")?;
+    let mut words = head.lines().next()?.split(' ');
+    words.next().filter(|version| version.starts_with("HTTP/1."))?;
+    Some((words.next()?.parse().ok()?, body))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_are_read_and_other_things_are_not() {
+        assert_eq!(
+            parse(b"HTTP/1.0 200 OK\r\nContent-Type: text/plain\r\n\r\nok\r\n\r\nx"),
+            Some((200, "ok\r\n\r\nx"))
+        );
+        assert_eq!(parse(b"HTTP/1.1 503 Service Unavailable\r\n\r\n"), Some((503, "")));
+        for other in
+            [&b""[..], b"SSH-2.0-OpenSSH\r\n\r\n", b"HTTP/1.1 200 OK\r\n", b"HTTP/1.1\r\n\r\n", b"\xff\r\n\r\n"]
+        {
+            assert_eq!(parse(other), None, "{other:?}");
+        }
+    }
+
+    #[test]
+    fn nobody_is_told_from_something_else() {
+        let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = StatusAddress::Tcp(silent.local_addr().unwrap());
+        let answers =
+            std::thread::spawn(move || silent.accept().map(|(mut client, _)| client.write_all(b"SSH-2.0\r\n")));
+        assert!(matches!(fetch(&address, "/status"), Err(FetchError::NotHttp { .. } | FetchError::Broken { .. })));
+        answers.join().unwrap().unwrap().unwrap();
+        assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
+    }
+}

@@ -1,0 +1,93 @@
+//! Whether all is well, and if not, what is not.
+
+use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
+use crate::clock::HostInstant;
+
+/// Reports are made several times a second: one so old comes from a daemon that is stuck.
+const STALE_S: f64 = 3.0;
+
+/// A board that runs and sends no scan for so long is stuck, whatever else it sends.
+const NO_SCAN_S: f64 = 3.0;
+
+impl DaemonReport {
+    /// Everything that keeps good poses from coming, a sentence each. None: all is well.
+    pub fn complaints(&self, now: HostInstant) -> Vec<String> {
+        let mut complaints = Vec::new();
+        if self.boards.is_empty() {
+            complaints.push("there is no board: plug one in".to_owned());
+        }
+        for board in &self.boards {
+            let name = &board.name;
+            complaints.extend(board.complaints(now).into_iter().map(|complaint| format!("{name}: {complaint}")));
+        }
+        if self.recorder.state == RecorderState::Failed {
+            let reason = self.recorder.reason.as_deref().unwrap_or("it gives no reason");
+            complaints.push(format!("the recorder has failed: {reason}"));
+        }
+        complaints
+    }
+}
+
+impl BoardReport {
+    fn complaints(&self, now: HostInstant) -> Vec<String> {
+        let age_s = self.age_s(now);
+        if age_s > STALE_S {
+            return vec![format!("nothing is known for {age_s:.0} s: the program is stuck, start it again")];
+        }
+        if self.link.state != LinkState::Running {
+            let (state, colon) = (self.link.state.as_str(), if self.link.reason.is_some() { ": " } else { "" });
+            return vec![format!("{state}{colon}{}", self.link.reason.as_deref().unwrap_or_default())];
+        }
+        let mut complaints = Vec::new();
+        if let Some(scan_age_s) = self.last_scan_age_s.map(|before_s| before_s + age_s)
+            && scan_age_s > NO_SCAN_S
+        {
+            complaints.push(format!("no scan for {scan_age_s:.0} s: reset the board"));
+        }
+        let (poses, scans) = (self.recent_outcomes.poses(), self.recent_outcomes.all());
+        if 2 * poses < scans {
+            complaints.push(format!("only {poses} of the last {scans} scans gave a pose"));
+        }
+        complaints.extend(self.head.iter().flat_map(|head| &head.findings).map(|finding| finding.text.clone()));
+        complaints
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::report::{LinkReport, Outcomes, RecorderReport};
+    use super::*;
+
+    const NOW: HostInstant = HostInstant { monotonic_ns: 100_000_000_000, utc_ns: 0 };
+
+    fn complaints(board: BoardReport) -> Vec<String> {
+        DaemonReport::of_now(NOW, vec![board], RecorderReport::default()).complaints(NOW)
+    }
+
+    fn running() -> BoardReport {
+        BoardReport {
+            name: "port".to_owned(),
+            made_monotonic_ns: NOW.monotonic_ns - 200_000_000,
+            link: LinkReport { state: LinkState::Running, ..LinkReport::default() },
+            last_scan_age_s: Some(0.1),
+            recent_outcomes: Outcomes { converged: 4000, ..Outcomes::default() },
+            ..BoardReport::default()
+        }
+    }
+
+    #[test]
+    fn a_stream_that_is_stuck_does_not_look_well() {
+        assert_eq!(complaints(running()), Vec::<String>::new());
+        let told = |board: BoardReport, word: &str| {
+            let complaints = complaints(board);
+            assert!(complaints.len() == 1 && complaints[0].contains(word), "{complaints:?}");
+        };
+        // The program no longer makes reports; the board sends no scans; there is no board.
+        told(BoardReport { made_monotonic_ns: NOW.monotonic_ns - 4_000_000_000, ..running() }, "stuck");
+        told(BoardReport { last_scan_age_s: Some(2.9), ..running() }, "no scan");
+        told(BoardReport { link: LinkReport::default(), ..running() }, "searching");
+        // Scans, and no poses.
+        let recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
+        told(BoardReport { recent_outcomes, ..running() }, "only 1 of the last 3");
+    }
+}

@@ -1,0 +1,125 @@
+//! Connections to the status server: few, and short.
+
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::serve::Listener;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
+use tokio::time::{Sleep, sleep};
+
+/// A connection is closed after this, whatever it does: an answer takes milliseconds.
+pub(super) const LIFETIME: Duration = Duration::from_secs(3);
+
+/// Connections at a time; more are closed at once.
+pub(super) const MOST: usize = 100;
+
+/// Before a failed accept is tried again: the files may have run out.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// A listening socket of either kind.
+pub(super) enum Socket {
+    Tcp(TcpListener),
+    Unix(UnixListener),
+}
+
+/// Accepts no more than [`MOST`] connections at a time.
+pub(super) struct Door {
+    socket: Socket,
+    /// One more reference than there are connections.
+    open: Arc<()>,
+}
+
+impl Door {
+    pub(super) fn new(socket: Socket) -> Self {
+        Self { socket, open: Arc::new(()) }
+    }
+}
+
+impl Listener for Door {
+    type Io = Connection;
+    type Addr = ();
+
+    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
+        loop {
+            let accepted = match &self.socket {
+                Socket::Tcp(listener) => listener.accept().await.map(|(stream, _)| Stream::Tcp(stream)),
+                Socket::Unix(listener) => listener.accept().await.map(|(stream, _)| Stream::Unix(stream)),
+            };
+            match accepted {
+                Ok(stream) if Arc::strong_count(&self.open) <= MOST => {
+                    let end = Box::pin(sleep(LIFETIME));
+                    return (Connection { stream, end, _open: Arc::clone(&self.open) }, ());
+                }
+                Ok(_) => {}
+                Err(_) => sleep(PAUSE).await,
+            }
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<Self::Addr> {
+        Ok(())
+    }
+}
+
+enum Stream {
+    Tcp(TcpStream),
+    Unix(UnixStream),
+}
+
+/// A connection that fails at the end of its lifetime.
+pub(super) struct Connection {
+    stream: Stream,
+    end: Pin<Box<Sleep>>,
+    _open: Arc<()>,
+}
+
+impl Connection {
+    /// What `poll` gives, unless time is up.
+    fn in_time<T>(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        poll: impl FnOnce(&mut Stream, &mut Context<'_>) -> Poll<io::Result<T>>,
+    ) -> Poll<io::Result<T>> {
+        let polled = poll(&mut self.stream, context);
+        if polled.is_pending() && self.end.as_mut().poll(context).is_ready() {
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+        }
+        polled
+    }
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_read(context, buffer),
+            Stream::Unix(stream) => Pin::new(stream).poll_read(context, buffer),
+        })
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_write(context, bytes),
+            Stream::Unix(stream) => Pin::new(stream).poll_write(context, bytes),
+        })
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_flush(context),
+            Stream::Unix(stream) => Pin::new(stream).poll_flush(context),
+        })
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.in_time(context, |stream, context| match stream {
+            Stream::Tcp(stream) => Pin::new(stream).poll_shutdown(context),
+            Stream::Unix(stream) => Pin::new(stream).poll_shutdown(context),
+        })
+    }
+}

@@ -1,0 +1,136 @@
+//! Who lost the scans that are missing.
+//!
+//! The numbering shows that scans are missing; the board says how many of them it lost itself, since its
+//! reset, twice a second. What it does not account for was lost on the way.
+
+use slitpose_protocol::Status;
+
+use super::report::BoardLosses;
+
+/// Follows the board's counters across its resets.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LossBook {
+    /// Lost before the last reset, as far as it concerns us.
+    carried: BoardLosses,
+    /// What the counters said when we came, or zero after a reset.
+    base: BoardLosses,
+    last: Option<(u64, BoardLosses)>,
+    next_sequence: Option<u64>,
+    /// Scans that the numbering has missed so far.
+    missed: u64,
+    link_scans: u64,
+}
+
+impl LossBook {
+    /// Takes the number of the next scan. One that goes back is that of a board that was reset.
+    pub(super) fn scan(&mut self, sequence: u64) {
+        self.missed += self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected));
+        self.next_sequence = Some(sequence.wrapping_add(1));
+    }
+
+    /// Takes a status that came behind the scans so far.
+    pub(super) fn status(&mut self, status: &Status) {
+        let now = BoardLosses {
+            scans_dropped: status.scans_dropped,
+            scans_lost: status.scans_lost,
+            adc_overruns: status.adc_overruns.into(),
+        };
+        match self.last {
+            Some((tick, _)) if status.tick < tick => {
+                self.carried = self.board();
+                self.base = BoardLosses::default();
+            }
+            Some(_) => {}
+            // What was lost before the first scan is not ours; what the numbering has missed since is.
+            None => {
+                let dropped = now.scans_dropped.min(self.missed);
+                let lost = now.scans_lost.min(self.missed - dropped);
+                self.base = BoardLosses {
+                    scans_dropped: now.scans_dropped - dropped,
+                    scans_lost: now.scans_lost - lost,
+                    ..now
+                };
+            }
+        }
+        self.last = Some((status.tick, now));
+        // The board knows of a loss before the numbering shows it: only the largest difference counts.
+        let board = self.board();
+        self.link_scans = self.link_scans.max(self.missed.saturating_sub(board.scans_dropped + board.scans_lost));
+    }
+
+    /// What the board has lost.
+    pub(super) fn board(&self) -> BoardLosses {
+        let last = self.last.map_or(self.base, |(_, last)| last);
+        let since = |last: u64, base: u64, carried: u64| carried + last.saturating_sub(base);
+        BoardLosses {
+            scans_dropped: since(last.scans_dropped, self.base.scans_dropped, self.carried.scans_dropped),
+            scans_lost: since(last.scans_lost, self.base.scans_lost, self.carried.scans_lost),
+            adc_overruns: since(last.adc_overruns, self.base.adc_overruns, self.carried.adc_overruns),
+        }
+    }
+
+    /// Scans that were lost on the way.
+    pub(super) fn link_scans(&self) -> u64 {
+        self.link_scans
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn status(tick: u64, scans_dropped: u64, scans_lost: u64) -> Status {
+        Status {
+            tick,
+            acquiring: true,
+            scans_taken: 0,
+            scans_dropped,
+            batches_dropped: 0,
+            scans_lost,
+            adc_overruns: 0,
+            replies_dropped: 0,
+            commands_damaged: 0,
+            commands_rejected: 0,
+            supply_v: 3.3,
+            temperature_k: 300.0,
+            cpu_load_permille: 0,
+        }
+    }
+
+    fn shares(book: &LossBook) -> (u64, u64, u64) {
+        let board = book.board();
+        (board.scans_dropped, board.scans_lost, book.link_scans())
+    }
+
+    #[test]
+    fn each_missing_scan_has_one_place() {
+        let mut book = LossBook::default();
+        // 1000 scans dropped before anybody listened, 4 of ours lost in the first half second.
+        [0, 1, 6].iter().for_each(|&sequence| book.scan(sequence));
+        book.status(&status(1, 1004, 7));
+        assert_eq!(shares(&book), (4, 0, 0));
+        // The board has dropped 10 more; the numbering shows 6 of them so far.
+        book.scan(13);
+        book.status(&status(2, 1014, 7));
+        assert_eq!(shares(&book), (14, 0, 0));
+        // Those, and 3 that nobody accounts for.
+        book.scan(21);
+        book.status(&status(3, 1014, 7));
+        assert_eq!(shares(&book), (14, 0, 3));
+        // Another drop that does not show yet takes nothing away.
+        book.status(&status(4, 1016, 8));
+        assert_eq!(shares(&book), (16, 1, 3));
+    }
+
+    #[test]
+    fn a_reset_of_the_board_takes_nothing_back() {
+        let mut book = LossBook::default();
+        book.scan(0);
+        book.status(&status(100, 50, 0));
+        book.scan(6);
+        book.status(&status(200, 55, 0));
+        [0, 4].iter().for_each(|&sequence| book.scan(sequence));
+        book.status(&status(10, 2, 1));
+        assert_eq!(shares(&book), (7, 1, 0));
+    }
+}

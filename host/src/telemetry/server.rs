@@ -1,0 +1,227 @@
+//! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes.
+//!
+//! The server has a thread of its own and asks for a report when somebody asks it. It has no
+//! authentication: by default it listens for programs of its own host only.
+
+use std::fs::{self, Permissions};
+use std::io;
+use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use axum::Router;
+use axum::http::StatusCode;
+use axum::http::header::{CONNECTION, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use thiserror::Error;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::oneshot;
+
+use super::connection::{Door, Socket};
+use super::{DaemonReport, StatusAddress, metrics, view};
+use crate::clock::HostInstant;
+
+/// Owner and group may ask; nobody else.
+const SOCKET_MODE: u32 = 0o660;
+
+const TEXT: &str = "text/plain; charset=utf-8";
+const JSON: &str = "application/json";
+
+/// Who may ask over TCP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// Programs of this host.
+    Loopback,
+    /// Everybody who can reach the address: the user has said so.
+    Anywhere,
+}
+
+/// Why the status cannot be served.
+#[derive(Debug, Error)]
+pub enum StatusError {
+    /// Others could ask, too.
+    #[error(
+        "{address} can be reached from other hosts, and the status server asks for no password; \
+         give 127.0.0.1 or [::1], or a unix: path"
+    )]
+    NotLoopback {
+        /// The address.
+        address: StatusAddress,
+    },
+    /// Somebody answers at the socket.
+    #[error("another program serves {address}; give another address, or end that program")]
+    InUse {
+        /// The address.
+        address: StatusAddress,
+    },
+    /// The path is taken.
+    #[error("{} is no socket and is left alone; give another path", path.display())]
+    NotASocket {
+        /// The path.
+        path: PathBuf,
+    },
+    /// The address cannot be had.
+    #[error("cannot listen on {address}")]
+    Listen {
+        /// The address.
+        address: StatusAddress,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+/// Serves the status until dropped.
+#[derive(Debug)]
+pub struct StatusServer {
+    address: StatusAddress,
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+    /// Device and inode of our socket: it may have been replaced.
+    file: Option<(PathBuf, [u64; 2])>,
+}
+
+type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
+
+impl StatusServer {
+    /// Serves what `source` says at `address`. A socket that a daemon has left behind is replaced.
+    ///
+    /// # Errors
+    /// If the address cannot be had, or has a wider `reach`.
+    pub fn start(
+        address: &StatusAddress,
+        reach: Reach,
+        source: impl Fn() -> DaemonReport + Send + Sync + 'static,
+    ) -> Result<Self, StatusError> {
+        let listen = |source| StatusError::Listen { address: address.clone(), source };
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
+        let (socket, address, file) = {
+            // Sockets belong to the runtime they are made in.
+            let _entered = runtime.enter();
+            match address {
+                StatusAddress::Tcp(tcp) => {
+                    if reach == Reach::Loopback && !tcp.ip().is_loopback() {
+                        return Err(StatusError::NotLoopback { address: address.clone() });
+                    }
+                    let listener = std::net::TcpListener::bind(tcp).map_err(|source| match source.kind() {
+                        io::ErrorKind::AddrInUse => StatusError::InUse { address: address.clone() },
+                        _ => listen(source),
+                    })?;
+                    let bound = listener.local_addr().map_err(listen)?;
+                    listener.set_nonblocking(true).map_err(listen)?;
+                    let listener = tokio::net::TcpListener::from_std(listener).map_err(listen)?;
+                    (Socket::Tcp(listener), StatusAddress::Tcp(bound), None)
+                }
+                StatusAddress::Unix(path) => {
+                    make_room(path, address)?;
+                    let listener = tokio::net::UnixListener::bind(path).map_err(listen)?;
+                    fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE)).map_err(listen)?;
+                    let file = identity(path).map_err(listen)?;
+                    (Socket::Unix(listener), address.clone(), Some((path.clone(), file)))
+                }
+            }
+        };
+        let (end, ended) = oneshot::channel();
+        let source: Source = Arc::new(source);
+        let routes = routes(&source);
+        let thread = std::thread::Builder::new()
+            .name("status".to_owned())
+            .spawn(move || serve(runtime, socket, routes, ended))
+            .map_err(|source| StatusError::Listen { address: address.clone(), source })?;
+        Ok(Self { address, end: Some(end), thread: Some(thread), file })
+    }
+
+    /// Where it listens; with the port that the system chose, if it was left to it.
+    pub fn address(&self) -> &StatusAddress {
+        &self.address
+    }
+}
+
+impl Drop for StatusServer {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // Should it have panicked there is nobody to tell but standard error, which has been told.
+            let _ = thread.join();
+        }
+        if let Some((path, file)) = self.file.take()
+            && identity(&path).is_ok_and(|found| found == file)
+        {
+            let _ = fs::remove_file(&path);
+        }
+    }
+}
+
+/// Removes a socket at `path` that nobody listens on any more.
+fn make_room(path: &Path, address: &StatusAddress) -> Result<(), StatusError> {
+    let listen = |source| StatusError::Listen { address: address.clone(), source };
+    match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(source) => Err(listen(source)),
+        Ok(found) if !found.file_type().is_socket() => Err(StatusError::NotASocket { path: path.to_owned() }),
+        Ok(_) => match UnixStream::connect(path) {
+            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(listen),
+            Err(source) => Err(listen(source)),
+            Ok(_) => Err(StatusError::InUse { address: address.clone() }),
+        },
+    }
+}
+
+fn identity(path: &Path) -> io::Result<[u64; 2]> {
+    fs::symlink_metadata(path).map(|found| [found.dev(), found.ino()])
+}
+
+fn serve(runtime: Runtime, socket: Socket, routes: Router, ended: oneshot::Receiver<()>) {
+    // Ends with the runtime: connections that hang would make a graceful end wait for them.
+    runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+    // Either way the server has been dropped.
+    let _ = runtime.block_on(ended);
+    drop(runtime);
+}
+
+fn routes(source: &Source) -> Router {
+    let page = |answer: fn(&DaemonReport) -> Response| {
+        let source = Arc::clone(source);
+        get(move || {
+            let source = Arc::clone(&source);
+            async move { answer(&source()) }
+        })
+    };
+    Router::new()
+        .route(
+            "/",
+            page(|report| {
+                reply(StatusCode::OK, TEXT, view::daemon_lines(report, HostInstant::now()).join("\n") + "\n")
+            }),
+        )
+        .route("/status", page(json))
+        .route(
+            "/metrics",
+            page(|report| reply(StatusCode::OK, metrics::CONTENT_TYPE, metrics::text(report, HostInstant::now()))),
+        )
+        .route("/health", page(health))
+        .fallback(|| async {
+            reply(StatusCode::NOT_FOUND, TEXT, "there is /, /status, /metrics and /health\n".to_owned())
+        })
+}
+
+fn json(report: &DaemonReport) -> Response {
+    match serde_json::to_string(report) {
+        Ok(text) => reply(StatusCode::OK, JSON, text + "\n"),
+        Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, format!("{error}\n")),
+    }
+}
+
+fn health(report: &DaemonReport) -> Response {
+    match report.complaints(HostInstant::now()) {
+        complaints if complaints.is_empty() => reply(StatusCode::OK, TEXT, "ok\n".to_owned()),
+        complaints => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, complaints.join("\n") + "\n"),
+    }
+}
+
+/// One answer a connection.
+fn reply(status: StatusCode, content_type: &'static str, text: String) -> Response {
+    (status, [(CONTENT_TYPE, content_type), (CONNECTION, "close")], text).into_response()
+}

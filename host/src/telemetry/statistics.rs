@@ -1,0 +1,253 @@
+//! What becomes of a board's scans, counted.
+
+use slitpose_protocol::{BoardKind, Hello, Severity, Status};
+
+use super::latency::LatencyHistogram;
+use super::losses::LossBook;
+use super::report::{
+    BoardReport, ClockReport, Complaint, HostLosses, Latencies, LinkLosses, LinkReport, Losses, Outcomes, Rates, Vitals,
+};
+use crate::clock::HostInstant;
+use crate::device::DeviceId;
+use crate::health::HeadHealth;
+use crate::pipeline::{Counts, Item, Record};
+
+/// What is called recent is the last full second.
+const INTERVAL_NS: u64 = 1_000_000_000;
+
+/// Accounts for one board, from one pipeline, across all its reconnections.
+#[derive(Clone, Debug)]
+pub struct BoardStatistics {
+    name: String,
+    device: Option<DeviceId>,
+    board: String,
+    firmware: String,
+    reset_cause: String,
+    simulated: bool,
+    book: LossBook,
+    host_losses: HostLosses,
+    status: Option<Status>,
+    complaint: Option<Complaint>,
+    clock: ClockReport,
+    link_latency: LatencyHistogram,
+    host_latency: LatencyHistogram,
+    total_latency: LatencyHistogram,
+    /// Device time of the last scan.
+    last_device_s: Option<f64>,
+    last_read: Option<HostInstant>,
+    begun: Mark,
+    rates: Rates,
+    recent_outcomes: Outcomes,
+}
+
+/// Where an interval begins.
+#[derive(Clone, Copy, Debug)]
+struct Mark {
+    at: HostInstant,
+    scans: u64,
+    outcomes: [u64; 6],
+    device_s: Option<f64>,
+}
+
+impl BoardStatistics {
+    /// For the board that the user calls `name`, from `now` on.
+    pub fn new(name: impl Into<String>, now: HostInstant) -> Self {
+        Self {
+            name: name.into(),
+            device: None,
+            board: String::new(),
+            firmware: String::new(),
+            reset_cause: String::new(),
+            simulated: false,
+            book: LossBook::default(),
+            host_losses: HostLosses::default(),
+            status: None,
+            complaint: None,
+            clock: ClockReport::default(),
+            link_latency: LatencyHistogram::default(),
+            host_latency: LatencyHistogram::default(),
+            total_latency: LatencyHistogram::default(),
+            last_device_s: None,
+            last_read: None,
+            begun: Mark { at: now, scans: 0, outcomes: [0; 6], device_s: None },
+            rates: Rates::default(),
+            recent_outcomes: Outcomes::default(),
+        }
+    }
+
+    /// By how many millionths the board's clock is fast, as soon as that is known.
+    pub fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
+        self.clock.drift_ppm = drift_ppm;
+    }
+
+    /// What the host has not kept so far.
+    pub fn set_host_losses(&mut self, host_losses: HostLosses) {
+        self.host_losses = host_losses;
+    }
+
+    /// Takes what came out of the pipeline: when the bytes that completed it were read and, of a pose,
+    /// when it had been published; `None` where the stream does not go at the pace of time.
+    pub fn take(&mut self, item: &Item<'_>, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
+        match item {
+            Item::Hello(hello) => self.take_hello(hello),
+            Item::Pose(record) => self.take_record(record, read_at, published_at),
+            Item::Status(status) => {
+                self.book.status(status);
+                self.status = Some(**status);
+            }
+            Item::Event { severity, device_time_s, text } if *severity != Severity::Info => {
+                self.complaint = Some(Complaint {
+                    is_error: *severity == Severity::Error,
+                    device_time_s: Some(*device_time_s).filter(|time_s| time_s.is_finite()),
+                    text: (*text).to_owned(),
+                });
+            }
+            Item::Event { .. } | Item::Reply(_) => {}
+        }
+    }
+
+    /// What there is to say at `now`, but for the link, of which others know; `counts` are the pipeline's, `head` is what its cells' health says.
+    /// To be called a few times a second: once a second an interval ends.
+    pub fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
+        if now.monotonic_ns.saturating_sub(self.begun.at.monotonic_ns) >= INTERVAL_NS {
+            self.end_interval(counts, now);
+        }
+        let age_s = |then: HostInstant| now.monotonic_ns.saturating_sub(then.monotonic_ns) as f64 * 1e-9;
+        BoardReport {
+            name: self.name.clone(),
+            device: self.device,
+            board: self.board.clone(),
+            firmware: self.firmware.clone(),
+            simulated: self.simulated,
+            made_monotonic_ns: now.monotonic_ns,
+            made_utc_ns: now.utc_ns,
+            link: LinkReport::default(),
+            scans: counts.scans,
+            last_scan_age_s: self.last_read.map(age_s),
+            rates: self.rates,
+            losses: Losses {
+                board: self.book.board(),
+                link: LinkLosses {
+                    scans: self.book.link_scans(),
+                    bad_checksum: counts.decoder.bad_checksum,
+                    misframed: counts.decoder.misframed,
+                    overlong: counts.decoder.overlong,
+                    unreadable: counts.decoder.unknown
+                        + counts.decoder.malformed
+                        + counts.batches_unreadable
+                        + counts.batches_without_hello,
+                    bytes_skipped: counts.decoder.bytes_skipped,
+                },
+                host: self.host_losses,
+            },
+            outcomes: Outcomes::of(counts.outcomes),
+            recent_outcomes: self.recent_outcomes,
+            latencies: Latencies {
+                link: self.link_latency.latency(),
+                host: self.host_latency.latency(),
+                total: self.total_latency.latency(),
+            },
+            clock: self.clock,
+            vitals: self.status.as_ref().map(|status| self.vitals(status)),
+            complaint: self.complaint.clone(),
+            head,
+        }
+    }
+
+    fn take_hello(&mut self, hello: &Hello<'_>) {
+        self.device = Some(DeviceId(hello.device_id));
+        hello.board.clone_into(&mut self.board);
+        hello.firmware.clone_into(&mut self.firmware);
+        self.reset_cause = format!("{:?}", hello.reset_cause);
+        self.simulated = hello.kind == BoardKind::Simulated;
+    }
+
+    fn take_record(&mut self, record: &Record, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
+        self.book.scan(record.sequence);
+        self.last_device_s = Some(record.device_time_s);
+        self.last_read = read_at;
+        self.clock.uncertainty_s = record.host_time.map(|time| time.uncertainty_ns as f64 * 1e-9);
+        let sampled_ns = record.host_time.map(|time| time.monotonic_ns);
+        let [read_ns, published_ns] = [read_at, published_at].map(|at| at.map(|at| at.monotonic_ns));
+        let record_ns = |histogram: &mut LatencyHistogram, from_ns: Option<u64>, to_ns: Option<u64>| {
+            if let (Some(from_ns), Some(to_ns)) = (from_ns, to_ns) {
+                // A sample that seems to come before its instant: the clock is not known better.
+                histogram.record_ns(to_ns.saturating_sub(from_ns));
+            }
+        };
+        record_ns(&mut self.link_latency, sampled_ns, read_ns);
+        record_ns(&mut self.host_latency, read_ns, published_ns);
+        record_ns(&mut self.total_latency, sampled_ns, published_ns);
+    }
+
+    fn end_interval(&mut self, counts: &Counts, now: HostInstant) {
+        let before = self.begun;
+        let interval_s = (now.monotonic_ns - before.at.monotonic_ns) as f64 * 1e-9;
+        let scans = counts.scans.saturating_sub(before.scans);
+        let span_s = match (before.device_s, self.last_device_s) {
+            (Some(from_s), Some(to_s)) => Some(to_s - from_s),
+            _ => None,
+        };
+        self.rates = Rates {
+            // After a reset of the board the span is negative.
+            device_hz: span_s.filter(|&span_s| span_s > 0.0).map(|span_s| scans as f64 / span_s),
+            host_hz: scans as f64 / interval_s,
+            interval_s,
+        };
+        self.recent_outcomes =
+            Outcomes::of(std::array::from_fn(|i| counts.outcomes[i].saturating_sub(before.outcomes[i])));
+        for histogram in [&mut self.link_latency, &mut self.host_latency, &mut self.total_latency] {
+            histogram.end_interval();
+        }
+        self.begun = Mark { at: now, scans: counts.scans, outcomes: counts.outcomes, device_s: self.last_device_s };
+    }
+
+    fn vitals(&self, status: &Status) -> Vitals {
+        Vitals {
+            reset_cause: self.reset_cause.clone(),
+            acquiring: status.acquiring,
+            supply_v: status.supply_v,
+            temperature_k: status.temperature_k,
+            cpu_load: f64::from(status.cpu_load_permille) * 1e-3,
+            replies_dropped: status.replies_dropped,
+            commands_damaged: status.commands_damaged,
+            commands_rejected: status.commands_rejected,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn at(monotonic_ns: u64) -> HostInstant {
+        HostInstant { monotonic_ns, utc_ns: 1_700_000_000_000_000_000 + monotonic_ns }
+    }
+
+    #[test]
+    fn rates_are_those_of_the_last_second() {
+        let mut statistics = BoardStatistics::new("port", at(0));
+        let mut counts = Counts::default();
+        let mut report = |scans: u64, device_s: f64, now_ns: u64| {
+            counts.scans = scans;
+            counts.outcomes = [scans, 0, 0, 0, 0, 0];
+            statistics.last_device_s = Some(device_s);
+            statistics.report(&counts, None, at(now_ns))
+        };
+        // Device time begins anywhere: of the first interval there is no rate by it.
+        let first = report(1000, 7.0, 1_000_000_000);
+        assert_eq!((first.rates.device_hz, first.rates.host_hz), (None, 1000.0));
+        // Too early for another interval.
+        assert_eq!(report(1500, 7.4, 1_900_000_000).rates, first.rates);
+        // The board's clock is slow: 1 s by the host's is 0.8 s.
+        let second = report(5000, 7.8, 2_000_000_000);
+        assert_eq!((second.rates.host_hz, second.recent_outcomes.converged), (4000.0, 4000));
+        assert!((second.rates.device_hz.unwrap() - 5000.0).abs() < 1e-6);
+        // It was reset.
+        assert_eq!(report(6000, 0.2, 3_000_000_000).rates.device_hz, None);
+        // Nothing comes any more.
+        let last = report(6000, 0.2, 5_000_000_000);
+        assert_eq!((last.rates.device_hz, last.rates.host_hz, last.rates.interval_s), (None, 0.0, 2.0));
+        assert_eq!((last.outcomes.converged, last.recent_outcomes), (6000, Outcomes::default()));
+    }
+}

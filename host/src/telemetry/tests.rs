@@ -1,0 +1,333 @@
+//! The server from outside, and what it serves.
+
+use std::collections::HashMap;
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixStream;
+use std::time::{Duration, Instant};
+
+use slitpose_protocol::{Severity, Status};
+
+use super::*;
+use crate::clock::{HostInstant, HostTime};
+use crate::device::DeviceId;
+use crate::health::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
+use crate::pipeline::{Counts, Item, Record};
+
+/// A name that has everything a label must not show as it is.
+const AWKWARD: &str = "a \"port\"\\with\nlines";
+
+fn cell(cell: usize, verdict: Verdict) -> CellHealth {
+    CellHealth {
+        cell,
+        verdict,
+        shares: Shares { saturated: 0.34, ..Shares::default() },
+        light_a: Some(3.1e-6),
+        brightness: None,
+        stray_a: Some(f64::NAN),
+        stray_rise_a: None,
+        noise_a: Some(1.3e-9),
+        noise_lsb: Some(0.5),
+        promised_noise_a: Some(1.3e-9),
+        totals: CellTotals::default(),
+    }
+}
+
+fn head() -> HeadHealth {
+    let finding = Finding {
+        fault: Fault::Cell { cell: 1, verdict: Verdict::Saturated },
+        text: "cell 1 is saturated in 34 % of the scans: lower the level of its emitter, or shade it from other light"
+            .to_owned(),
+    };
+    HeadHealth {
+        unexplained: 0.0,
+        cells: (0..16).map(|k| cell(k, if k == 1 { Verdict::Saturated } else { Verdict::Ok })).collect(),
+        findings: vec![finding],
+    }
+}
+
+fn record(sequence: u64, sampled_ns: u64) -> Record {
+    let solver = slitpose_model::Solver::<f64>::empty();
+    Record {
+        device: DeviceId(*b"simulated\0\0\0"),
+        sequence,
+        device_time_s: sequence as f64 / 4000.0,
+        host_time: Some(HostTime { monotonic_ns: sampled_ns, utc_ns: sampled_ns, uncertainty_ns: 35_000 }),
+        arrival: None,
+        solution: solver.solve(&slitpose_model::Photocurrents::default()),
+        twist: None,
+        smoothed: None,
+        simulated: true,
+        truth: None,
+    }
+}
+
+/// A board that has run for 4000 scans, all of which took 1 ms to the host and 20 us through it.
+fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
+    let now = HostInstant::now();
+    let begun = HostInstant { monotonic_ns: now.monotonic_ns - 1_000_000_000, utc_ns: now.utc_ns - 1_000_000_000 };
+    let mut statistics = BoardStatistics::new(name, begun);
+    for sequence in 0..4000 {
+        let sampled_ns = begun.monotonic_ns + sequence * 250_000;
+        let later = |ns| Some(HostInstant { monotonic_ns: sampled_ns + ns, utc_ns: 0 });
+        statistics.take(&Item::Pose(&record(sequence, sampled_ns)), later(1_000_000), later(1_020_000));
+    }
+    let status = Status {
+        tick: 1,
+        acquiring: true,
+        scans_taken: 4000,
+        scans_dropped: 0,
+        batches_dropped: 0,
+        scans_lost: 0,
+        adc_overruns: 0,
+        replies_dropped: 0,
+        commands_damaged: 0,
+        commands_rejected: 0,
+        supply_v: 3.3,
+        temperature_k: 300.0,
+        cpu_load_permille: 130,
+    };
+    statistics.take(&Item::Status(&status), None, None);
+    let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
+    statistics.take(&event, None, None);
+    statistics.set_drift_ppm(Some(-12.0));
+    let mut counts = Counts::default();
+    counts.scans = 4000;
+    counts.outcomes = [3999, 1, 0, 0, 0, 0];
+    let link = LinkReport { state: LinkState::Running, ..LinkReport::default() };
+    BoardReport { link, ..statistics.report(&counts, head, now) }
+}
+
+fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
+    DaemonReport::of_now(HostInstant::now(), boards, RecorderReport::default())
+}
+
+fn serve(address: &str) -> Result<StatusServer, StatusError> {
+    let (well, ill) = (board(AWKWARD, None), board("other", Some(head())));
+    StatusServer::start(&address.parse().unwrap(), Reach::Loopback, move || daemon(vec![well.clone(), ill.clone()]))
+}
+
+#[test]
+fn latencies_are_those_of_link_and_host() {
+    let latencies = board("sim", None).latencies;
+    for (latency, expected_s) in [(latencies.link, 1e-3), (latencies.host, 20e-6), (latencies.total, 1.02e-3)] {
+        assert_eq!((latency.total.count, latency.recent.count), (4000, 4000));
+        // Two digits.
+        assert!((latency.total.p50_s / expected_s - 1.0).abs() < 0.01, "{latency:?}");
+        assert!((latency.recent.max_s - expected_s).abs() < 1e-12, "{latency:?}");
+    }
+}
+
+/// Reads Prometheus's text as its description has it: gives each family's type and samples, and fails
+/// at whatever the description does not allow.
+fn check(text: &str) -> HashMap<String, (String, Vec<(String, f64)>)> {
+    let mut families: HashMap<String, (String, Vec<(String, f64)>)> = HashMap::new();
+    let mut current = String::new();
+    for line in text.lines() {
+        if let Some(rest) = line.strip_prefix("# TYPE ") {
+            let (name, kind) = rest.split_once(' ').unwrap();
+            assert!(["counter", "gauge", "summary"].contains(&kind), "{line}");
+            assert_eq!(kind == "counter", name.ends_with("_total"), "{line}");
+            assert!(families.insert(name.to_owned(), (kind.to_owned(), Vec::new())).is_none(), "twice: {line}");
+            name.clone_into(&mut current);
+            continue;
+        }
+        if line.starts_with("# HELP ") {
+            continue;
+        }
+        let name_end = line.find(['{', ' ']).unwrap();
+        let (name, mut rest) = line.split_at(name_end);
+        let family = families.get_mut(&current).unwrap();
+        let suffix = name.strip_prefix(current.as_str()).unwrap_or_else(|| panic!("{line} within {current}"));
+        assert!(suffix.is_empty() || (family.0 == "summary" && ["_sum", "_count"].contains(&suffix)), "{line}");
+        let mut labels = String::new();
+        while let Some(pair) = rest.strip_prefix(['{', ',']) {
+            let (label, value) = pair.split_once("=\"").unwrap();
+            assert!(label.chars().all(|c| c.is_ascii_lowercase()), "{line}");
+            // Up to the first quote that is not escaped; of escapes there are three.
+            let mut characters = value.char_indices();
+            let mut unescaped = String::new();
+            let end = loop {
+                match characters.next().unwrap() {
+                    (at, '"') => break at + 1,
+                    (_, '\\') => unescaped.push(match characters.next().unwrap().1 {
+                        'n' => '\n',
+                        escaped @ ('"' | '\\') => escaped,
+                        other => panic!("\\{other} in {line}"),
+                    }),
+                    (_, other) => unescaped.push(other),
+                }
+            };
+            labels += &format!("{label}={unescaped};");
+            rest = &value[end..];
+            rest = rest.strip_prefix('}').unwrap_or(rest);
+        }
+        let value: f64 = rest.strip_prefix(' ').unwrap_or_else(|| panic!("{line}")).parse().unwrap();
+        assert!(value.is_finite(), "{line}");
+        assert!(!family.1.iter().any(|(before, _)| *before == format!("{suffix};{labels}")), "twice: {line}");
+        family.1.push((format!("{suffix};{labels}"), value));
+    }
+    families
+}
+
+#[test]
+fn metrics_are_what_prometheus_reads() {
+    // Before a board is known there is little to say, but nothing that cannot be read.
+    check(&metrics::text(&daemon(Vec::new()), HostInstant::now()));
+    let mut unknown = board(AWKWARD, None);
+    unknown.device = None;
+    let mut known = board("other", Some(head()));
+    known.device = Some(DeviceId(*b"simulated\0\0\0"));
+    let id = known.label();
+    let families = check(&metrics::text(&daemon(vec![unknown, known]), HostInstant::now()));
+    let value = |name: &str, labels: &str| {
+        let found = families[name].1.iter().find(|(found, _)| *found == labels);
+        found.unwrap_or_else(|| panic!("{name} has no {labels}: {:?}", families[name])).1
+    };
+    assert_eq!(value("slitpose_scans_total", &format!(";device={AWKWARD};")), 4000.0);
+    assert_eq!(value("slitpose_solutions_total", &format!(";device={id};outcome=degraded;")), 1.0);
+    assert_eq!(value("slitpose_latency_seconds", &format!("_count;device={id};stage=host;")), 4000.0);
+    let half = value("slitpose_latency_seconds", &format!(";device={id};stage=link;quantile=0.5;"));
+    assert!((half - 1e-3).abs() < 1e-5, "{half}");
+    assert_eq!(value("slitpose_clock_drift_ratio", &format!(";device={id};")), -12.0 * 1e-6);
+    let saturated = format!(";device={id};cell=1;condition=saturated;");
+    assert_eq!(value("slitpose_cell_condition_ratio", &saturated), 0.34);
+    assert_eq!(value("slitpose_cell_verdict", &format!(";device={id};cell=1;verdict=saturated;")), 1.0);
+    assert!(families["slitpose_cell_stray_amperes"].1.is_empty(), "no sample of what is not a number");
+}
+
+#[test]
+fn the_view_keeps_to_its_width() {
+    let mut long = board(&"a name without end ".repeat(20), Some(head()));
+    long.firmware = "x".repeat(300);
+    long.link.reason = Some("because ".repeat(40));
+    let daemon = daemon(vec![long, board("other", Some(head())), BoardReport::default()]);
+    let lines = view::daemon_lines(&daemon, HostInstant::now());
+    println!("{}", lines.join("\n"));
+    for line in &lines {
+        assert!(line.chars().count() <= view::WIDTH, "{line}");
+    }
+    let has = |text: &str| assert!(lines.iter().any(|line| line.contains(text)), "{text}");
+    has("converged 3999, degraded 1");
+    has("1:saturated(34%)");
+    has("  !         cell 1 is saturated in 34 %");
+    has("known to 35.0 us, fast by -12.00 ppm");
+}
+
+fn is_served(server: &StatusServer) {
+    let get = |path| fetch(server.address(), path);
+    let status: serde_json::Value = serde_json::from_str(&get("/status").unwrap()).unwrap();
+    assert_eq!(status["boards"][0]["name"], AWKWARD);
+    assert_eq!(status["boards"][1]["head"]["cells"][1]["verdict"], "saturated");
+    assert_eq!(status["boards"][1]["link"]["state"], "running");
+    assert!(status["boards"][1]["head"]["cells"][1]["stray_a"].is_null(), "not a number");
+    assert!(get("/").unwrap().contains("converged 3999"));
+    check(&get("/metrics").unwrap());
+    match get("/health") {
+        Err(FetchError::Status { status: 503, text, .. }) => assert!(text.contains("cell 1 is saturated"), "{text}"),
+        other => panic!("{other:?}"),
+    }
+    assert!(matches!(get("/nonsense"), Err(FetchError::Status { status: 404, .. })));
+}
+
+#[test]
+fn the_status_is_served_over_tcp() {
+    let server = serve("127.0.0.1:0").unwrap();
+    is_served(&server);
+    let address = server.address().clone();
+    assert!(matches!(serve(&address.to_string()), Err(StatusError::InUse { .. })));
+    drop(server);
+    assert!(matches!(fetch(&address, "/status"), Err(FetchError::Connect { .. })));
+}
+
+#[test]
+fn the_status_is_served_over_a_unix_socket() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("status");
+    let address = format!("unix:{}", path.display());
+    let server = serve(&address).unwrap();
+    is_served(&server);
+    assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o660);
+    assert!(matches!(serve(&address), Err(StatusError::InUse { .. })), "a daemon that lives keeps its socket");
+    drop(server);
+    assert!(!path.exists(), "the socket is removed");
+
+    // What a daemon that was killed leaves behind.
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    assert!(path.exists());
+    let server = serve(&address).unwrap();
+    is_served(&server);
+    // Somebody has put something else there: it is not ours to remove.
+    fs::remove_file(&path).unwrap();
+    fs::write(&path, "precious").unwrap();
+    drop(server);
+    assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
+    assert!(matches!(serve(&address), Err(StatusError::NotASocket { .. })));
+}
+
+#[test]
+fn other_hosts_are_let_in_only_if_the_user_says_so() {
+    for address in ["0.0.0.0:0", "[::]:0"] {
+        assert!(matches!(serve(address), Err(StatusError::NotLoopback { .. })), "{address}");
+    }
+    let anywhere = StatusServer::start(&"0.0.0.0:0".parse().unwrap(), Reach::Anywhere, || daemon(Vec::new())).unwrap();
+    assert!(matches!(anywhere.address(), StatusAddress::Tcp(address) if address.port() != 0));
+}
+
+#[test]
+fn health_is_ok_of_a_healthy_board() {
+    let started = HostInstant::now();
+    let healthy = board("sim", Some(HeadHealth::default()));
+    let source = move || DaemonReport::of_now(started, vec![healthy.clone()], RecorderReport::default());
+    let server = StatusServer::start(&"127.0.0.1:0".parse().unwrap(), Reach::Loopback, source).unwrap();
+    assert_eq!(fetch(server.address(), "/health").unwrap(), "ok\n");
+}
+
+fn tcp(server: &StatusServer) -> SocketAddr {
+    match server.address() {
+        StatusAddress::Tcp(address) => *address,
+        StatusAddress::Unix(path) => panic!("{}", path.display()),
+    }
+}
+
+#[test]
+fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
+    let server = serve("127.0.0.1:0").unwrap();
+    let begun = Instant::now();
+    let mut silent: Vec<TcpStream> = (0..50).map(|_| TcpStream::connect(tcp(&server)).unwrap()).collect();
+    // Some ask, and do not read; some ask half a question.
+    for (i, stream) in silent.iter_mut().enumerate().skip(20) {
+        stream.write_all(if i % 2 == 0 { b"GET /metrics HTTP/1.1\r\nHost: a\r\n\r\n" } else { b"GET /st" }).unwrap();
+    }
+    assert!(fetch(server.address(), "/status").is_ok());
+    // The server closes what stays silent: reading ends, long before the time limit here.
+    silent[0].set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
+    assert!(begun.elapsed() >= connection::LIFETIME - Duration::from_millis(100), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(55), "closed by the server, not by the time limit");
+    // Dropped with clients hanging it ends all the same.
+    let _hanging = TcpStream::connect(tcp(&server)).unwrap();
+    drop(server);
+}
+
+#[test]
+fn more_connections_than_there_is_room_for_are_closed_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("status");
+    let server = serve(&format!("unix:{}", path.display())).unwrap();
+    let connect = || UnixStream::connect(&path).unwrap();
+    let _room: Vec<UnixStream> = (0..connection::MOST).map(|_| connect()).collect();
+    let begun = Instant::now();
+    let mut beyond = connect();
+    beyond.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    assert!(matches!(beyond.read(&mut [0; 16]), Ok(0) | Err(_)));
+    assert!(begun.elapsed() < Duration::from_secs(55));
+    // When the others have had their time there is room again.
+    let until = Instant::now() + Duration::from_secs(60);
+    while fetch(server.address(), "/status").is_err() {
+        assert!(Instant::now() < until);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
