@@ -1,0 +1,315 @@
+/*
+ * Poses from the slitpose daemon, for control loops in C and C++.
+ *
+ * The daemon sends each pose as one datagram, over a Unix socket or UDP on the same host:
+ *
+ *     struct slitpose_link link;
+ *     struct slitpose_pose pose;
+ *     if (slitpose_open(&link, "unix:/run/slitpose/pose", NULL) == 0)
+ *         while (slitpose_follow(&link, &pose, 1000) > 0)
+ *             if (pose.flags & SLITPOSE_HAS_POSE) ...
+ *
+ * slitpose_follow() is for loops that wait for each pose, slitpose_newest() for loops with a pace of
+ * their own. Both give the newest pose there is, Whether it is new enough is for the caller
+ * to tell: see slitpose_age_ns(), and `datagram`, whose gaps are what was not received. `pose` means
+ * something only after a result above 0.
+ *
+ * Needs nothing but POSIX and a little-endian host: C99 or C++11. With a strict standard (-std=c11)
+ * define _POSIX_C_SOURCE as 200809L ahead of all includes. Not for several threads on one link.
+ */
+#ifndef SLITPOSE_POSE_H
+#define SLITPOSE_POSE_H
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <time.h>
+#include <unistd.h>
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "datagrams are little endian: swap the bytes of every field on this host"
+#endif
+
+#define SLITPOSE_POSE_MAGIC 0x50504c53u    /* "SLPP" */
+#define SLITPOSE_REQUEST_MAGIC 0x51504c53u /* "SLPQ" */
+#define SLITPOSE_VERSION 1u
+
+/* Bits of `flags`. */
+#define SLITPOSE_HAS_POSE 1u      /* translation, rotation and covariance are numbers, not NaN */
+#define SLITPOSE_HAS_TWIST 2u     /* so are the velocities */
+#define SLITPOSE_HAS_HOST_TIME 4u /* the pose's instant is known by the host's clocks */
+#define SLITPOSE_HAS_ARRIVAL 8u   /* arrival_monotonic_ns is known */
+#define SLITPOSE_SIMULATED 16u    /* computed, not measured */
+
+/* Values of `status`. The first two have a pose. */
+enum slitpose_status {
+    SLITPOSE_CONVERGED = 0,
+    SLITPOSE_DEGRADED = 1, /* a pose from fewer data than usual, or that fits them badly */
+    SLITPOSE_AMBIGUOUS = 2,
+    SLITPOSE_UNOBSERVABLE = 3,
+    SLITPOSE_TOO_DARK = 4,
+    SLITPOSE_DIVERGED = 5
+};
+
+/* One pose. SI units, frame base_from_tool: p_base = R p_tool + t. Times in ns; monotonic ones are
+   CLOCK_MONOTONIC. What is not known is 0 or NaN, and its flag is clear. */
+struct slitpose_pose {
+    uint32_t magic;
+    uint16_t version;
+    uint16_t size; /* of the datagram; fields may be added at its end */
+    uint32_t flags;
+    uint16_t status;
+    uint16_t cells_used;
+    uint8_t device[12];      /* id of the board */
+    uint16_t excluded_cells; /* bit k: cell k contradicts all others and was left out */
+    uint16_t redundancy;     /* data minus unknowns */
+    uint64_t datagram;       /* counts the datagrams of the board, from 1 */
+    uint64_t missed;         /* how many your full queue refused since you follow; of UDP unknown */
+    uint64_t sequence;       /* counts the scans of the board */
+    uint64_t device_time_ns; /* the instant the pose refers to, by the board's clock */
+    uint64_t host_monotonic_ns; /* the same instant */
+    uint64_t host_utc_ns;       /* the same instant, since 1970 */
+    uint64_t host_uncertainty_ns;
+    uint64_t arrival_monotonic_ns;   /* the daemon had read the scan */
+    uint64_t published_monotonic_ns; /* the datagram was made */
+    double translation_m[3];
+    double rotation_xyzw[4];
+    double covariance[36]; /* of (t, theta), row-major; t' = t + dt, R' = exp(dtheta) R */
+    double linear_m_per_s[3];
+    double angular_rad_per_s[3];
+    double twist_sigma[6]; /* standard deviations of the six */
+};
+
+/* What is sent to the daemon. */
+struct slitpose_request {
+    uint32_t magic;
+    uint16_t version;
+    uint16_t size;
+    uint16_t mode;
+    uint16_t zero;
+    uint8_t device[12]; /* all zero: every board */
+};
+
+enum slitpose_mode {
+    SLITPOSE_NEWEST = 1, /* the newest datagram of each board, once */
+    SLITPOSE_FOLLOW = 2  /* all datagrams for 3 s; ask again each second */
+};
+
+#define SLITPOSE_CHECK(name, condition) typedef char slitpose_check_##name[(condition) ? 1 : -1]
+#define SLITPOSE_CHECK_AT(field, offset) SLITPOSE_CHECK(field, offsetof(struct slitpose_pose, field) == (offset))
+SLITPOSE_CHECK_AT(size, 6);
+SLITPOSE_CHECK_AT(flags, 8);
+SLITPOSE_CHECK_AT(status, 12);
+SLITPOSE_CHECK_AT(device, 16);
+SLITPOSE_CHECK_AT(excluded_cells, 28);
+SLITPOSE_CHECK_AT(datagram, 32);
+SLITPOSE_CHECK_AT(missed, 40);
+SLITPOSE_CHECK_AT(sequence, 48);
+SLITPOSE_CHECK_AT(device_time_ns, 56);
+SLITPOSE_CHECK_AT(host_monotonic_ns, 64);
+SLITPOSE_CHECK_AT(host_utc_ns, 72);
+SLITPOSE_CHECK_AT(host_uncertainty_ns, 80);
+SLITPOSE_CHECK_AT(arrival_monotonic_ns, 88);
+SLITPOSE_CHECK_AT(published_monotonic_ns, 96);
+SLITPOSE_CHECK_AT(translation_m, 104);
+SLITPOSE_CHECK_AT(rotation_xyzw, 128);
+SLITPOSE_CHECK_AT(covariance, 160);
+SLITPOSE_CHECK_AT(linear_m_per_s, 448);
+SLITPOSE_CHECK_AT(angular_rad_per_s, 472);
+SLITPOSE_CHECK_AT(twist_sigma, 496);
+SLITPOSE_CHECK(pose_bytes, sizeof(struct slitpose_pose) == 544);
+SLITPOSE_CHECK(request_bytes, sizeof(struct slitpose_request) == 24);
+
+/* A socket to the daemon. */
+struct slitpose_link {
+    int fd;               /* readable when a datagram waits: for poll() and its like */
+    uint64_t followed_ns; /* when datagrams were last asked for; 0: not yet */
+    uint8_t device[12];
+};
+
+/* CLOCK_MONOTONIC. */
+static inline uint64_t slitpose_now_ns(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+
+/* How old a pose is: since its instant, or, where that is not known, since it was sent. */
+static inline uint64_t slitpose_age_ns(const struct slitpose_pose *pose)
+{
+    uint64_t since = pose->flags & SLITPOSE_HAS_HOST_TIME ? pose->host_monotonic_ns : pose->published_monotonic_ns;
+    uint64_t now = slitpose_now_ns();
+    return now > since ? now - since : 0;
+}
+
+/* Connects to "unix:PATH" or "udp:127.0.0.1:PORT", for the board with this id or, if NULL, for all.
+   0, or -1 with errno. Where names of sockets are always files (not on Linux), only UDP. */
+static inline int slitpose_open(struct slitpose_link *link, const char *address, const uint8_t device[12])
+{
+    union {
+        struct sockaddr any;
+        struct sockaddr_un local;
+        struct sockaddr_in internet;
+    } daemon;
+    socklen_t length;
+    int failed;
+    memset(&daemon, 0, sizeof daemon);
+    memset(link, 0, sizeof *link);
+    link->fd = -1;
+    if (device)
+        memcpy(link->device, device, sizeof link->device);
+    if (strncmp(address, "unix:", 5) == 0 && strlen(address + 5) < sizeof daemon.local.sun_path) {
+        daemon.local.sun_family = AF_UNIX;
+        memcpy(daemon.local.sun_path, address + 5, strlen(address + 5));
+        length = (socklen_t)sizeof daemon.local;
+    } else if (strncmp(address, "udp:", 4) == 0) {
+        char host[16] = {0};
+        const char *port = strrchr(address, ':');
+        size_t letters = (size_t)(port - address);
+        if (letters > 4 && letters - 4 < sizeof host)
+            memcpy(host, address + 4, letters - 4);
+        daemon.internet.sin_family = AF_INET;
+        daemon.internet.sin_port = htons((uint16_t)strtoul(port + 1, NULL, 10));
+        length = (socklen_t)sizeof daemon.internet;
+        if (inet_pton(AF_INET, host, &daemon.internet.sin_addr) != 1)
+            length = 0;
+    } else {
+        length = 0;
+    }
+    if (length == 0) {
+        errno = EINVAL;
+        return -1;
+    }
+    link->fd = socket(daemon.any.sa_family, SOCK_DGRAM, 0);
+    if (link->fd < 0)
+        return -1;
+    failed = 0;
+    if (daemon.any.sa_family == AF_UNIX) {
+#ifdef __linux__
+        /* The system chooses a name, without which the daemon could not answer. */
+        struct sockaddr_un own;
+        memset(&own, 0, sizeof own);
+        own.sun_family = AF_UNIX;
+        failed = bind(link->fd, (const struct sockaddr *)&own, (socklen_t)sizeof own.sun_family);
+#else
+        errno = ENOTSUP;
+        failed = -1;
+#endif
+    }
+    if (failed != 0 || connect(link->fd, &daemon.any, length) != 0) {
+        int reason = errno;
+        close(link->fd);
+        link->fd = -1;
+        errno = reason;
+        return -1;
+    }
+    return 0;
+}
+
+static inline void slitpose_close(struct slitpose_link *link)
+{
+    if (link->fd >= 0)
+        close(link->fd);
+    link->fd = -1;
+}
+
+/* Asks for datagrams. 0, or -1 with errno: ECONNREFUSED if the daemon has gone. */
+static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mode)
+{
+    struct slitpose_request request;
+    memset(&request, 0, sizeof request);
+    request.magic = SLITPOSE_REQUEST_MAGIC;
+    request.version = SLITPOSE_VERSION;
+    request.size = (uint16_t)sizeof request;
+    request.mode = (uint16_t)mode;
+    memcpy(request.device, link->device, sizeof request.device);
+    return send(link->fd, &request, sizeof request, MSG_DONTWAIT) == (ssize_t)sizeof request ? 0 : -1;
+}
+
+/* Takes the next datagram that waits. 1; 0 if none does; or -1 with errno. */
+static inline int slitpose_receive(struct slitpose_link *link, struct slitpose_pose *pose)
+{
+    for (;;) {
+        ssize_t bytes = recv(link->fd, pose, sizeof *pose, MSG_DONTWAIT);
+        if (bytes < 0 && errno == EINTR)
+            continue;
+        if (bytes < 0)
+            return errno == EAGAIN || errno == EWOULDBLOCK ? 0 : -1;
+        if (bytes == (ssize_t)sizeof *pose && pose->magic == SLITPOSE_POSE_MAGIC &&
+            pose->version == SLITPOSE_VERSION && pose->size >= sizeof *pose)
+            return 1;
+    }
+}
+
+/* Waits until a datagram can be received. 1; 0 if none came in time; or -1 with errno. */
+static inline int slitpose_wait(struct slitpose_link *link, int timeout_ms)
+{
+    struct pollfd waiting;
+    waiting.fd = link->fd;
+    waiting.events = POLLIN;
+    waiting.revents = 0;
+    return poll(&waiting, 1, timeout_ms);
+}
+
+/* Takes all datagrams that wait and keeps the newest. How many, or -1 with errno. */
+static inline int slitpose_drain(struct slitpose_link *link, struct slitpose_pose *pose)
+{
+    struct slitpose_pose next;
+    int received = slitpose_receive(link, pose), count = received;
+    while (received > 0 && (received = slitpose_receive(link, &next)) > 0) {
+        if (next.published_monotonic_ns >= pose->published_monotonic_ns)
+            *pose = next;
+        count++;
+    }
+    return received < 0 ? -1 : count;
+}
+
+/* Asks for the newest pose and waits for the answer, some 50 us. 1; 0 if none came in time: the
+   daemon has no board yet; or -1 with errno. With several boards, the one that sent last. */
+static inline int slitpose_newest(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
+{
+    int ready;
+    if (slitpose_drain(link, pose) < 0 || slitpose_ask(link, SLITPOSE_NEWEST) < 0)
+        return -1;
+    ready = slitpose_wait(link, timeout_ms);
+    if (ready <= 0)
+        return ready;
+    ready = slitpose_drain(link, pose);
+    return ready > 1 ? 1 : ready;
+}
+
+/* Waits for a pose, passes over older ones, and asks for the next ones in time. 1; 0 if none came in
+   time; or -1 with errno. A queue holds about ten: whoever is so late that the newest were
+   refused is given them at once. */
+static inline int slitpose_follow(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
+{
+    const uint64_t late_ns = 1000000;
+    struct slitpose_pose newer;
+    uint64_t now = slitpose_now_ns();
+    int count;
+    if (link->followed_ns == 0 || now - link->followed_ns > 1000000000u) {
+        if (slitpose_ask(link, SLITPOSE_FOLLOW) < 0)
+            return -1;
+        link->followed_ns = now;
+    }
+    count = slitpose_wait(link, timeout_ms);
+    if (count <= 0)
+        return count;
+    count = slitpose_drain(link, pose);
+    if (count > 1 && slitpose_now_ns() - pose->published_monotonic_ns > late_ns &&
+        slitpose_newest(link, &newer, 2) > 0 && newer.published_monotonic_ns > pose->published_monotonic_ns) {
+        newer.missed = pose->missed;
+        *pose = newer;
+    }
+    return count > 1 ? 1 : count;
+}
+
+#endif

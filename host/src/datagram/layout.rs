@@ -1,0 +1,196 @@
+//! What datagrams look like, in both directions. `include/slitpose_pose.h` says the same in C.
+//!
+//! All numbers are little endian, nothing is between them, each is aligned to its size.
+//!
+//! A pose, 544 bytes:
+//!
+//! | at | type | what |
+//! |---|---|---|
+//! | 0 | u32 | magic, "SLPP" |
+//! | 4 | u16 | version, 1: with another one everything behind may be different |
+//! | 6 | u16 | bytes in all; fields may be added at the end without a new version |
+//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated |
+//! | 12 | u16 | status, a number of [`OUTCOMES`](crate::pipeline::OUTCOMES) |
+//! | 14 | u16 | cells that were used |
+//! | 16 | [u8; 12] | id of the board |
+//! | 28 | u16 | cells that contradict all others and were left out, one bit each |
+//! | 30 | u16 | redundancy: data minus unknowns |
+//! | 32 | u64 | number of the datagram, from 1, of this board since the daemon started it |
+//! | 40 | u64 | how many of them the receiver's full queue has refused since it follows; 0 in an answer |
+//! | 48 | u64 | number of the scan, by the board |
+//! | 56 | u64 | the pose's instant by the board's clock, ns |
+//! | 64 | u64 | the same by CLOCK_MONOTONIC, ns; 0 without flag 4 |
+//! | 72 | u64 | the same by UTC, ns since 1970; 0 without flag 4 |
+//! | 80 | u64 | both are right to this, ns; 0 without flag 4 |
+//! | 88 | u64 | when the scan's bytes had been read, CLOCK_MONOTONIC, ns; 0 without flag 8 |
+//! | 96 | u64 | when the datagram was made, CLOCK_MONOTONIC, ns |
+//! | 104 | [f64; 3] | translation of `base_from_tool`, m |
+//! | 128 | [f64; 4] | its rotation, quaternion x, y, z, w |
+//! | 160 | [f64; 36] | covariance of (t, θ), row-major: m², m·rad, rad² |
+//! | 448 | [f64; 3] | velocity in the base frame, m/s |
+//! | 472 | [f64; 3] | angular velocity in the base frame, rad/s |
+//! | 496 | [f64; 6] | standard deviations of those six |
+//!
+//! What is not there is NaN, and its flag is clear. On UDP nobody learns that a queue was full: there
+//! only gaps in the number of the datagram show what was missed.
+//!
+//! A request, 24 bytes: u32 magic "SLPQ" · u16 version, 1 · u16 bytes in all · u16 mode (1 newest,
+//! 2 follow) · u16 zero · \[u8; 12\] id of a board, all zero for every board.
+
+use crate::clock::HostInstant;
+use crate::device::DeviceId;
+use crate::pipeline::{Record, outcome_number};
+
+const POSE_MAGIC: [u8; 4] = *b"SLPP";
+const REQUEST_MAGIC: [u8; 4] = *b"SLPQ";
+const VERSION: u16 = 1;
+
+const HAS_POSE: u32 = 1;
+const HAS_TWIST: u32 = 2;
+const HAS_HOST_TIME: u32 = 4;
+const HAS_ARRIVAL: u32 = 8;
+const IS_SIMULATED: u32 = 16;
+
+const AT_MISSED: usize = 40;
+
+/// A pose as it is sent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PoseDatagram([u8; Self::BYTES]);
+
+impl PoseDatagram {
+    /// Its length.
+    pub const BYTES: usize = 544;
+
+    /// The datagram number `number` of a board, made `now`.
+    pub fn new(record: &Record, number: u64, now: HostInstant) -> Self {
+        let solution = &record.solution;
+        let flags = [
+            (HAS_POSE, solution.estimate.is_some()),
+            (HAS_TWIST, record.twist.is_some()),
+            (HAS_HOST_TIME, record.host_time.is_some()),
+            (HAS_ARRIVAL, record.arrival.is_some()),
+            (IS_SIMULATED, record.simulated),
+        ];
+        let flags = flags.iter().filter(|(_, is_set)| *is_set).fold(0, |flags, (flag, _)| flags | flag);
+        let excluded = solution.excluded.iter().fold(0, |cells, cell| cells | 1_u16 << cell);
+
+        let mut writer = Writer { bytes: [0; Self::BYTES], at: 0 };
+        writer.put(POSE_MAGIC);
+        writer.put(VERSION.to_le_bytes());
+        writer.put((Self::BYTES as u16).to_le_bytes());
+        writer.put(flags.to_le_bytes());
+        writer.put((outcome_number(&solution.outcome) as u16).to_le_bytes());
+        writer.put((solution.cells_used.count() as u16).to_le_bytes());
+        writer.put(record.device.0);
+        writer.put(excluded.to_le_bytes());
+        writer.put((solution.redundancy as u16).to_le_bytes());
+
+        let (time, arrival) = (record.host_time, record.arrival);
+        for number in [
+            number,
+            0,
+            record.sequence,
+            (record.device_time_s * 1e9).round() as u64,
+            time.map_or(0, |time| time.monotonic_ns),
+            time.map_or(0, |time| time.utc_ns),
+            time.map_or(0, |time| time.uncertainty_ns),
+            arrival.map_or(0, |arrival| arrival.monotonic_ns),
+            now.monotonic_ns,
+        ] {
+            writer.put(number.to_le_bytes());
+        }
+
+        let estimate = solution.estimate;
+        writer.numbers(estimate.map(|estimate| estimate.pose.translation_m.to_array()));
+        writer.numbers(estimate.map(|estimate| estimate.pose.rotation.to_array()));
+        for row in 0..6 {
+            writer.numbers(estimate.map(|estimate| estimate.covariance[row]));
+        }
+        let twist = record.twist;
+        writer.numbers(twist.map(|estimate| estimate.twist.linear_m_per_s.to_array()));
+        writer.numbers(twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
+        writer.numbers::<6>(twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));
+        Self(writer.bytes)
+    }
+
+    /// Tells the receiver how many it has missed.
+    pub(super) fn set_missed(&mut self, missed: u64) {
+        self.0[AT_MISSED..AT_MISSED + 8].copy_from_slice(&missed.to_le_bytes());
+    }
+
+    /// As it is sent.
+    pub fn as_bytes(&self) -> &[u8; Self::BYTES] {
+        &self.0
+    }
+
+    pub(super) fn from_bytes(bytes: [u8; Self::BYTES]) -> Self {
+        Self(bytes)
+    }
+}
+
+/// Fills the bytes of a datagram from front to back.
+struct Writer {
+    bytes: [u8; PoseDatagram::BYTES],
+    at: usize,
+}
+
+impl Writer {
+    fn put<const N: usize>(&mut self, value: [u8; N]) {
+        self.bytes[self.at..self.at + N].copy_from_slice(&value);
+        self.at += N;
+    }
+
+    fn numbers<const N: usize>(&mut self, values: Option<[f64; N]>) {
+        for value in values.unwrap_or([f64::NAN; N]) {
+            self.put(value.to_le_bytes());
+        }
+    }
+}
+
+/// What a client asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// How many datagrams.
+    pub mode: Mode,
+    /// Of which board; `None`: of every board.
+    pub device: Option<DeviceId>,
+}
+
+/// How many datagrams a client asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// The newest of each board.
+    Newest,
+    /// All that come within the next seconds.
+    Follow,
+}
+
+impl Request {
+    /// Its length.
+    pub const BYTES: usize = 24;
+
+    /// As it is sent.
+    pub fn to_bytes(self) -> [u8; Self::BYTES] {
+        let mut bytes = [0; Self::BYTES];
+        bytes[..4].copy_from_slice(&REQUEST_MAGIC);
+        bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());
+        bytes[6..8].copy_from_slice(&(Self::BYTES as u16).to_le_bytes());
+        let mode: u16 = match self.mode {
+            Mode::Newest => 1,
+            Mode::Follow => 2,
+        };
+        bytes[8..10].copy_from_slice(&mode.to_le_bytes());
+        bytes[12..].copy_from_slice(&self.device.unwrap_or_default().0);
+        bytes
+    }
+
+    /// What `bytes` ask for; `None` if they are no request of this version.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let device = DeviceId(bytes.get(12..Self::BYTES)?.try_into().ok()?);
+        let device = Some(device).filter(|device| *device != DeviceId::default());
+        [Mode::Newest, Mode::Follow]
+            .map(|mode| Self { mode, device })
+            .into_iter()
+            .find(|request| request.to_bytes() == bytes)
+    }
+}

@@ -1,0 +1,25 @@
+//! The newest pose, as a datagram, for control loops.
+//!
+//! A client sends a [`Request`] to one of the daemon's sockets, on a Unix socket or on UDP. It asks
+//! for the newest datagram of each board once, or for all of them for some seconds. All datagrams are
+//! of one size: [`PoseDatagram`] has their layout, and `include/slitpose_pose.h` says it in C, with
+//! functions to receive them.
+//!
+//! A datagram goes out from the thread that solved it, with nothing between solver and socket.
+//! Nothing there waits: sockets do not block, requests come through a bounded queue, and the newest
+//! datagram is left for answers in a slot whose writer waits for no reader. A client that does not
+//! read fills its own queue and no other; what it misses is counted, and it is told how many.
+
+mod address;
+mod layout;
+mod publisher;
+mod server;
+mod slot;
+mod socket;
+#[cfg(test)]
+mod tests;
+
+pub use address::{Address, AddressError};
+pub use layout::{Mode, PoseDatagram, Request};
+pub use publisher::Publisher;
+pub use server::{DatagramCounts, DatagramError, DatagramServer};

@@ -1,0 +1,84 @@
+//! The sending side, on the thread that solves.
+
+use std::sync::Arc;
+
+use crossbeam_channel::Receiver;
+
+use super::PoseDatagram;
+use super::server::{Counters, Shared};
+use super::slot::Slot;
+use super::socket::{Delivery, Peer};
+use crate::clock::HostInstant;
+use crate::pipeline::Record;
+
+/// Clients that may follow a board at once: each costs its solver some microseconds a scan.
+pub(super) const MAX_FOLLOWERS: usize = 16;
+
+/// A client that wants all datagrams.
+#[derive(Clone, Debug)]
+pub(super) struct Subscription {
+    /// Which of the daemon's sockets it wrote to.
+    pub(super) socket: usize,
+    pub(super) peer: Peer,
+    /// CLOCK_MONOTONIC.
+    pub(super) until_ns: u64,
+}
+
+#[derive(Debug)]
+struct Follower {
+    subscription: Subscription,
+    missed: u64,
+}
+
+/// Sends the poses of one board. It never waits, takes no lock, and allocates nothing.
+#[derive(Debug)]
+pub struct Publisher {
+    shared: Arc<Shared>,
+    slot: Arc<Slot>,
+    subscriptions: Receiver<Subscription>,
+    followers: Vec<Follower>,
+    number: u64,
+}
+
+impl Publisher {
+    pub(super) fn new(shared: Arc<Shared>, slot: Arc<Slot>, subscriptions: Receiver<Subscription>) -> Self {
+        Self { shared, slot, subscriptions, followers: Vec::with_capacity(MAX_FOLLOWERS), number: 0 }
+    }
+
+    /// Sends a pose to all who follow, and leaves it for those who ask.
+    pub fn publish(&mut self, record: &Record, now: HostInstant) {
+        self.number += 1;
+        let mut datagram = PoseDatagram::new(record, self.number, now);
+        self.slot.store(&datagram);
+        self.followers.retain(|follower| now.monotonic_ns <= follower.subscription.until_ns);
+        for subscription in self.subscriptions.try_iter().take(MAX_FOLLOWERS) {
+            admit(&mut self.followers, subscription, &self.shared.counters);
+        }
+        let Shared { sockets, counters } = &*self.shared;
+        self.followers.retain_mut(|Follower { subscription, missed }| {
+            datagram.set_missed(*missed);
+            match sockets[subscription.socket].send(datagram.as_bytes(), &subscription.peer) {
+                Delivery::Sent => Counters::count(&counters.sent),
+                Delivery::Full => {
+                    *missed += 1;
+                    Counters::count(&counters.missed);
+                }
+                Delivery::Gone => return false,
+            }
+            true
+        });
+    }
+}
+
+/// Takes a client in, or renews the lease of one that is known.
+fn admit(followers: &mut Vec<Follower>, new: Subscription, counters: &Counters) {
+    let is_known =
+        |known: &&mut Follower| known.subscription.socket == new.socket && known.subscription.peer == new.peer;
+    if let Some(known) = followers.iter_mut().find(is_known) {
+        known.subscription.until_ns = new.until_ns;
+    } else if followers.len() < MAX_FOLLOWERS {
+        followers.push(Follower { subscription: new, missed: 0 });
+    } else {
+        Counters::count(&counters.refused);
+    }
+}

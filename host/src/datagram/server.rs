@@ -1,0 +1,238 @@
+//! The asking side: requests in, answers out, clients that follow handed on to the publishers.
+
+use std::io;
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::Sender;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use thiserror::Error;
+
+use super::publisher::{MAX_FOLLOWERS, Publisher, Subscription};
+use super::slot::Slot;
+use super::socket::{Delivery, Peer, Socket, SocketFile};
+use super::{Address, AddressError, Mode, Request};
+use crate::clock::HostInstant;
+use crate::device::DeviceId;
+
+/// How long a client is followed after it asked. Clients ask each second.
+pub(super) const LEASE: Duration = Duration::from_secs(3);
+
+/// Why datagrams cannot be served.
+#[derive(Debug, Error)]
+pub enum DatagramError {
+    /// Another daemon answers there.
+    #[error("{} is in use by another program that runs; give another path, or stop that program", path.display())]
+    InUse {
+        /// The socket.
+        path: PathBuf,
+    },
+    /// Something else lies there.
+    #[error("{} exists and is no socket; give another path", path.display())]
+    NotASocket {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The system does not want it.
+    #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]
+    Bind {
+        /// Where.
+        address: Address,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Nothing to listen on.
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    /// No thread.
+    #[error("cannot start a thread for requests")]
+    Thread(#[source] io::Error),
+}
+
+/// What was sent and refused since the server started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DatagramCounts {
+    /// Requests understood, and answered as far as there was an answer.
+    pub requests: u64,
+    /// Requests that were not: of unreadable bytes, from clients without a name, or one client too
+    /// many.
+    pub refused: u64,
+    /// Datagrams sent.
+    pub sent: u64,
+    /// Datagrams for which a client's queue had no room, as far as the system tells: of UDP it does
+    /// not.
+    pub missed: u64,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    requests: AtomicU64,
+    pub(super) refused: AtomicU64,
+    pub(super) sent: AtomicU64,
+    pub(super) missed: AtomicU64,
+}
+
+impl Counters {
+    pub(super) fn count(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// What server and publishers share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) sockets: Vec<Socket>,
+    pub(super) counters: Counters,
+}
+
+/// A board, as the server knows it; its publisher holds the other ends.
+#[derive(Debug)]
+struct Board {
+    device: DeviceId,
+    slot: Weak<Slot>,
+    subscriptions: Sender<Subscription>,
+}
+
+type Boards = Mutex<Vec<Board>>;
+
+/// Answers requests, from a thread of its own, until dropped.
+#[derive(Debug)]
+pub struct DatagramServer {
+    shared: Arc<Shared>,
+    boards: Arc<Boards>,
+    addresses: Vec<Address>,
+    /// Closed, it ends the thread.
+    end: Option<UnixStream>,
+    thread: Option<JoinHandle<()>>,
+    _files: Vec<SocketFile>,
+}
+
+impl DatagramServer {
+    /// Listens on all of `addresses`.
+    ///
+    /// # Errors
+    /// If one of them cannot be had.
+    pub fn bind(addresses: &[Address]) -> Result<Self, DatagramError> {
+        let (mut sockets, mut bound, mut files) = (Vec::new(), Vec::new(), Vec::new());
+        for address in addresses {
+            let (socket, file) = Socket::bind(address)?;
+            bound.push(socket.address(address));
+            sockets.push(socket);
+            files.extend(file);
+        }
+        let shared = Arc::new(Shared { sockets, counters: Counters::default() });
+        let boards = Arc::new(Boards::default());
+        let (end, ended) = UnixStream::pair().map_err(DatagramError::Thread)?;
+        let thread = std::thread::Builder::new()
+            .name("datagrams".to_owned())
+            .spawn({
+                let (shared, boards) = (Arc::clone(&shared), Arc::clone(&boards));
+                move || serve(&shared, &boards, &ended)
+            })
+            .map_err(DatagramError::Thread)?;
+        Ok(Self { shared, boards, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
+    }
+
+    /// Where it listens; a port of 0 has become one that was free.
+    pub fn addresses(&self) -> &[Address] {
+        &self.addresses
+    }
+
+    /// What sends the poses of a board, until it is dropped. Those of one made earlier are no longer
+    /// given to new clients.
+    pub fn publisher(&self, device: DeviceId) -> Publisher {
+        let (sender, receiver) = crossbeam_channel::bounded(MAX_FOLLOWERS);
+        let slot = Arc::new(Slot::new());
+        let mut boards = lock(&self.boards);
+        boards.retain(|board| board.device != device);
+        boards.push(Board { device, slot: Arc::downgrade(&slot), subscriptions: sender });
+        Publisher::new(Arc::clone(&self.shared), slot, receiver)
+    }
+
+    /// What was sent and refused so far.
+    pub fn counts(&self) -> DatagramCounts {
+        let Counters { requests, refused, sent, missed } = &self.shared.counters;
+        let [requests, refused, sent, missed] =
+            [requests, refused, sent, missed].map(|counter| counter.load(Ordering::Relaxed));
+        DatagramCounts { requests, refused, sent, missed }
+    }
+}
+
+impl Drop for DatagramServer {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // It does not panic.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The list stays whole even if a thread should panic meanwhile.
+fn lock(boards: &Boards) -> MutexGuard<'_, Vec<Board>> {
+    boards.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn serve(shared: &Shared, boards: &Boards, ended: &UnixStream) {
+    // One byte more than a request has shows what is too long.
+    let mut buffer = [0; Request::BYTES + 1];
+    loop {
+        let mut watched: Vec<PollFd<'_>> = shared
+            .sockets
+            .iter()
+            .map(AsFd::as_fd)
+            .chain([ended.as_fd()])
+            .map(|descriptor| PollFd::new(descriptor, PollFlags::POLLIN))
+            .collect();
+        // Interrupted, or not: who has nothing to say is not listened to for long.
+        let _ = poll(&mut watched, PollTimeout::NONE);
+        if watched.last().is_none_or(|end| end.any() != Some(false)) {
+            return;
+        }
+        drop(watched);
+        for (socket, receiver) in shared.sockets.iter().enumerate() {
+            while let Ok((count, peer)) = receiver.receive(&mut buffer) {
+                match (Request::from_bytes(&buffer[..count]), peer) {
+                    (Some(request), Some(peer)) => {
+                        answer(shared, boards, request, socket, &peer);
+                        Counters::count(&shared.counters.requests);
+                    }
+                    _ => Counters::count(&shared.counters.refused),
+                }
+            }
+        }
+    }
+}
+
+fn answer(shared: &Shared, boards: &Boards, request: Request, socket: usize, peer: &Peer) {
+    let mut boards = lock(boards);
+    boards.retain(|board| board.slot.strong_count() > 0);
+    for board in boards.iter().filter(|board| request.device.is_none_or(|device| device == board.device)) {
+        match request.mode {
+            Mode::Newest => {
+                let Some(datagram) = board.slot.upgrade().and_then(|slot| slot.load()) else {
+                    continue;
+                };
+                match shared.sockets[socket].send(datagram.as_bytes(), peer) {
+                    Delivery::Sent => Counters::count(&shared.counters.sent),
+                    Delivery::Full => Counters::count(&shared.counters.missed),
+                    Delivery::Gone => {}
+                }
+            }
+            Mode::Follow => {
+                let lease_ns = LEASE.as_nanos() as u64;
+                let until_ns = HostInstant::now().monotonic_ns.saturating_add(lease_ns);
+                let subscription = Subscription { socket, peer: peer.clone(), until_ns };
+                // Full until the next scan: clients ask again.
+                if board.subscriptions.try_send(subscription).is_err() {
+                    Counters::count(&shared.counters.refused);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! Clients in C, compiled as users would.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+use super::{Bench, DEVICE, OTHER, PATIENCE, record};
+use crate::clock::HostInstant;
+use crate::datagram::{PoseDatagram, Publisher};
+use crate::pipeline::Record;
+
+/// What a test compiles and runs.
+fn compile(source: &Path, folder: &TempDir) -> PathBuf {
+    let program = folder.path().join(source.file_stem().unwrap());
+    let include = Path::new(env!("CARGO_MANIFEST_DIR")).join("include");
+    let output = Command::new("cc")
+        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c11", "-I"])
+        .arg(include)
+        .arg("-o")
+        .args([&program, source])
+        .output()
+        .expect("a C compiler, as `cc`");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    program
+}
+
+fn compile_text(name: &str, text: &str, folder: &TempDir) -> PathBuf {
+    let source = folder.path().join(name).with_extension("c");
+    std::fs::write(&source, text).unwrap();
+    compile(&source, folder)
+}
+
+const PRINT_FIELDS: &str = r#"
+#define _POSIX_C_SOURCE 200809L
+#include <stdio.h>
+#include "slitpose_pose.h"
+static void list(const char *name, const double *values, int count)
+{
+    printf("%s", name);
+    for (int i = 0; i < count; i++)
+        printf(" %.17e", values[i]);
+    printf("\n");
+}
+int main(void)
+{
+    struct slitpose_pose p;
+    if (fread(&p, sizeof p, 1, stdin) != 1 || p.magic != SLITPOSE_POSE_MAGIC || p.version != SLITPOSE_VERSION)
+        return 1;
+    printf("%u %u %u %u %.12s %u %u\n", p.size, p.flags, p.status, p.cells_used, (const char *)p.device,
+           p.excluded_cells, p.redundancy);
+    unsigned long long n[] = {p.datagram, p.missed, p.sequence, p.device_time_ns, p.host_monotonic_ns, p.host_utc_ns,
+                              p.host_uncertainty_ns, p.arrival_monotonic_ns, p.published_monotonic_ns};
+    for (int i = 0; i < 9; i++)
+        printf("%llu ", n[i]);
+    printf("\n");
+    list("t", p.translation_m, 3);
+    list("q", p.rotation_xyzw, 4);
+    list("c", p.covariance, 36);
+    list("v", p.linear_m_per_s, 3);
+    list("w", p.angular_rad_per_s, 3);
+    list("s", p.twist_sigma, 6);
+    return 0;
+}
+"#;
+
+fn numbers(line: &str) -> Vec<f64> {
+    line.split(' ').skip(1).map(|number| number.parse().unwrap()).collect()
+}
+
+#[test]
+fn c_reads_what_is_written() {
+    let folder = TempDir::new().unwrap();
+    let program = compile_text("fields", PRINT_FIELDS, &folder);
+    let read = |datagram: &PoseDatagram| {
+        let mut child = Command::new(&program).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        child.stdin.take().unwrap().write_all(datagram.as_bytes()).unwrap();
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success());
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let record = record();
+    let now = HostInstant { monotonic_ns: 123_457_000_001, utc_ns: 0 };
+    let mut datagram = PoseDatagram::new(&record, 77, now);
+    datagram.set_missed(5);
+    let text = read(&datagram);
+    let lines: Vec<&str> = text.lines().collect();
+    let solution = &record.solution;
+    let (used, redundancy) = (solution.cells_used.count(), solution.redundancy);
+    assert_eq!(lines[0], format!("544 31 0 {used} simulated 0 {redundancy}"));
+    let device_time_ns = (record.device_time_s * 1e9).round();
+    assert_eq!(
+        lines[1],
+        format!(
+            "77 5 {} {device_time_ns} 123456789000 1700000000987654321 345 123456999000 123457000001 ",
+            record.sequence
+        )
+    );
+    let (estimate, twist) = (solution.estimate.unwrap(), record.twist.unwrap());
+    assert_eq!(numbers(lines[2]), estimate.pose.translation_m.to_array());
+    assert_eq!(numbers(lines[3]), estimate.pose.rotation.to_array());
+    assert_eq!(numbers(lines[4]), estimate.covariance.concat());
+    assert_eq!(numbers(lines[5]), twist.twist.linear_m_per_s.to_array());
+    assert_eq!(numbers(lines[6]), twist.twist.angular_rad_per_s.to_array());
+    let sigma: Vec<f64> = (0..6).map(|i| twist.covariance[i][i].sqrt()).collect();
+    assert_eq!(numbers(lines[7]), sigma);
+
+    let mut nothing = Record { twist: None, host_time: None, arrival: None, simulated: false, ..record };
+    nothing.solution.estimate = None;
+    nothing.solution.outcome = slitpose_model::Outcome::TooDark;
+    let text = read(&PoseDatagram::new(&nothing, 1, now));
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(lines[0].starts_with("544 0 4 "), "{}", lines[0]);
+    assert!(lines[1].ends_with(" 0 0 0 0 123457000001 "), "{}", lines[1]);
+    assert!(lines[2..].iter().flat_map(|line| numbers(line)).all(f64::is_nan), "{text}");
+}
+
+/// Publishes until a program ends.
+fn publish_for(mut program: Child, publisher: &mut Publisher, record: &Record) -> Output {
+    let since = Instant::now();
+    while program.try_wait().unwrap().is_none() {
+        if since.elapsed() > PATIENCE {
+            program.kill().unwrap();
+            panic!("the client does not end: {:?}", program.wait_with_output());
+        }
+        let now = HostInstant::now();
+        publisher.publish(&Record { arrival: Some(now), ..*record }, now);
+        std::thread::sleep(Duration::from_micros(500));
+    }
+    program.wait_with_output().unwrap()
+}
+
+#[test]
+fn the_example_client_follows_on_both_kinds_of_socket() {
+    let bench = Bench::new();
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/c/follow_pose.c");
+    let program = compile(&example, &bench.folder);
+    let mut publisher = bench.server.publisher(DEVICE);
+    let record = record();
+    let t = record.solution.estimate.unwrap().pose.translation_m;
+    let expected = format!("scan {} converged  t {:+.6} {:+.6} {:+.6} m", record.sequence, t.x, t.y, t.z);
+    for address in bench.server.addresses() {
+        let client = Command::new(&program).args([&address.to_string(), "20"]).stdout(Stdio::piped()).spawn().unwrap();
+        let output = publish_for(client, &mut publisher, &record);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success() && text.lines().count() == 20, "{address}: {text}");
+        assert!(text.lines().all(|line| line.starts_with(&expected) && line.ends_with("us  simulated")), "{text}");
+    }
+    let output = Command::new(&program).arg("udp:nowhere").output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+}
+
+const ASK_ONCE: &str = r#"
+#define _POSIX_C_SOURCE 200809L
+#include <stdio.h>
+#include "slitpose_pose.h"
+int main(int argc, char **argv)
+{
+    struct slitpose_link link;
+    struct slitpose_pose pose;
+    if (argc < 3 || slitpose_open(&link, argv[1], (const uint8_t *)argv[2]) < 0 ||
+        slitpose_newest(&link, &pose, 60000) != 1)
+        return 1;
+    printf("%.12s %llu", (const char *)pose.device, (unsigned long long)pose.datagram);
+    slitpose_close(&link);
+    return 0;
+}
+"#;
+
+#[test]
+fn c_asks_for_the_newest_of_a_board() {
+    let bench = Bench::new();
+    let program = compile_text("newest", ASK_ONCE, &bench.folder);
+    let (mut first, mut second) = (bench.server.publisher(DEVICE), bench.server.publisher(OTHER));
+    let record = record();
+    for _ in 0..4 {
+        first.publish(&record, HostInstant::now());
+        second.publish(&Record { device: OTHER, ..record }, HostInstant::now());
+    }
+    second.publish(&Record { device: OTHER, ..record }, HostInstant::now());
+    for address in bench.server.addresses() {
+        let output = Command::new(&program).args([&address.to_string(), "another one"]).output().unwrap();
+        assert!(output.status.success());
+        assert_eq!(String::from_utf8(output.stdout).unwrap(), "another one 5");
+    }
+}
+
+#[test]
+fn latency_is_measured_by_a_client() {
+    let bench = Bench::new();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/latency/latency.c");
+    let program = compile(&source, &bench.folder);
+    let mut publisher = bench.server.publisher(DEVICE);
+    let address = bench.server.addresses()[0].to_string();
+    let client = Command::new(&program).args([&address, "200", "20"]).stdout(Stdio::piped()).spawn().unwrap();
+    let output = publish_for(client, &mut publisher, &record());
+    let text = String::from_utf8(output.stdout).unwrap();
+    println!("{text}");
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(output.status.success() && lines[0].starts_with("datagrams 220, "), "{text}");
+    assert!(lines[1].starts_with("bytes-in to pose-out: median ") && lines.len() == 3, "{text}");
+}

@@ -1,0 +1,113 @@
+//! What the tests of this folder share.
+
+mod c;
+mod server;
+
+use std::net::{Ipv4Addr, UdpSocket};
+use std::os::unix::net::UnixDatagram;
+use std::time::{Duration, Instant};
+
+use slitpose_model::Tier;
+use tempfile::TempDir;
+
+use super::{Address, DatagramServer, Mode, Request};
+use crate::clock::{HostInstant, HostTime};
+use crate::device::DeviceId;
+use crate::front_end;
+use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use crate::scene_file::WIDE;
+use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+const DEVICE: DeviceId = DeviceId(*b"simulated\0\0\0");
+const OTHER: DeviceId = DeviceId(*b"another one\0");
+
+/// A busy machine may take long for what takes a moment.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Scans of a simulated board, the last with a pose and a twist.
+fn records() -> Vec<Record> {
+    use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+    let tier = Tier::Exact { tolerance: 1e-4 };
+    let file = WIDE.read().unwrap();
+    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 1.0);
+    let mut board = SimulatedBoard::new(&file, trajectory, tier, 1).unwrap();
+    let mut buffer = [0; MAX_REQUEST_BYTES];
+    let configuration = front_end::configuration(&file).unwrap();
+    for (number, command) in [(1, Command::Configure(configuration)), (2, Command::Start)] {
+        board.write(encode(&Request { number, command }, &mut buffer).unwrap());
+    }
+    let mut bytes = Vec::new();
+    for _ in 0..40 {
+        board.step(&mut bytes);
+    }
+    let mut records = Vec::new();
+    let mut pipeline = Pipeline::new(file, tier, SceneMatch::Required);
+    let taken = pipeline.push(&bytes, |item| {
+        if let Item::Pose(record) = item {
+            records.push(*record);
+        }
+        Ok::<_, PipelineError>(())
+    });
+    taken.unwrap();
+    records
+}
+
+fn record() -> Record {
+    let record = *records().last().unwrap();
+    assert!(record.solution.estimate.is_some() && record.twist.is_some());
+    let host_time = HostTime { monotonic_ns: 123_456_789_000, utc_ns: 1_700_000_000_987_654_321, uncertainty_ns: 345 };
+    let arrival = HostInstant { monotonic_ns: 123_456_999_000, utc_ns: 0 };
+    Record { host_time: Some(host_time), arrival: Some(arrival), ..record }
+}
+
+/// A server on both kinds of socket.
+struct Bench {
+    folder: TempDir,
+    server: DatagramServer,
+    clients: u32,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let folder = TempDir::new().unwrap();
+        let unix = Address::Unix(folder.path().join("pose"));
+        let udp = Address::Udp((Ipv4Addr::LOCALHOST, 0).into());
+        let server = DatagramServer::bind(&[unix, udp]).unwrap();
+        Self { folder, server, clients: 0 }
+    }
+
+    fn unix_client(&mut self) -> UnixDatagram {
+        self.clients += 1;
+        let client = UnixDatagram::bind(self.folder.path().join(format!("client {}", self.clients))).unwrap();
+        let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
+        client.connect(path).unwrap();
+        client.set_read_timeout(Some(PATIENCE)).unwrap();
+        client
+    }
+
+    fn udp_client(&self) -> UdpSocket {
+        let client = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let Address::Udp(address) = self.server.addresses()[1] else { panic!("udp second") };
+        client.connect(address).unwrap();
+        client.set_read_timeout(Some(PATIENCE)).unwrap();
+        client
+    }
+
+    /// Sends bytes and waits until the server has seen them.
+    fn tell(&self, send: impl FnOnce() -> std::io::Result<usize>) {
+        let seen = || {
+            let counts = self.server.counts();
+            counts.requests + counts.refused
+        };
+        let (before, since) = (seen(), Instant::now());
+        send().unwrap();
+        while seen() == before {
+            assert!(since.elapsed() < PATIENCE, "no request has come");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn ask(&self, client: &UnixDatagram, mode: Mode, device: Option<DeviceId>) {
+        self.tell(|| client.send(&Request { mode, device }.to_bytes()));
+    }
+}

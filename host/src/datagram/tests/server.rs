@@ -1,0 +1,187 @@
+//! Requests and what becomes of them.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::os::unix::net::UnixDatagram;
+
+use tempfile::TempDir;
+
+use super::{Bench, DEVICE, OTHER, record};
+use crate::clock::HostInstant;
+use crate::datagram::server::LEASE;
+use crate::datagram::{Address, AddressError, DatagramError, DatagramServer, Mode, PoseDatagram, Request};
+use crate::pipeline::Record;
+
+#[test]
+fn requests_are_read_as_they_are_written() {
+    for mode in [Mode::Newest, Mode::Follow] {
+        for device in [None, Some(DEVICE)] {
+            let request = Request { mode, device };
+            let bytes = request.to_bytes();
+            assert_eq!(Request::from_bytes(&bytes), Some(request));
+            for k in 0..12 {
+                let mut changed = bytes;
+                changed[k] ^= 0x80;
+                assert_eq!(Request::from_bytes(&changed), None, "{k}");
+            }
+            assert_eq!(Request::from_bytes(&bytes[..23]), None);
+            assert_eq!(Request::from_bytes(&[&bytes[..], &[0]].concat()), None);
+        }
+    }
+}
+
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap())
+}
+
+fn receive(client: &UnixDatagram) -> [u8; PoseDatagram::BYTES] {
+    let mut bytes = [0; PoseDatagram::BYTES];
+    assert_eq!(client.recv(&mut bytes).unwrap(), PoseDatagram::BYTES);
+    bytes
+}
+
+/// Numbers of all datagrams that wait, and what the last says was missed.
+fn drain(client: &UnixDatagram) -> (Vec<u64>, u64) {
+    client.set_nonblocking(true).unwrap();
+    let (mut numbers, mut missed, mut bytes) = (Vec::new(), 0, [0; PoseDatagram::BYTES]);
+    while client.recv(&mut bytes).is_ok() {
+        numbers.push(u64_at(&bytes, 32));
+        missed = u64_at(&bytes, 40);
+    }
+    client.set_nonblocking(false).unwrap();
+    (numbers, missed)
+}
+
+#[test]
+fn the_newest_is_given_to_who_asks() {
+    let mut bench = Bench::new();
+    let (client, udp) = (bench.unix_client(), bench.udp_client());
+    let (mut first, mut second) = (bench.server.publisher(DEVICE), bench.server.publisher(OTHER));
+    // Nothing to give yet.
+    bench.ask(&client, Mode::Newest, None);
+    let record = record();
+    let other = Record { device: OTHER, ..record };
+    for _ in 0..3 {
+        first.publish(&record, HostInstant::now());
+    }
+    second.publish(&other, HostInstant::now());
+    bench.ask(&client, Mode::Newest, None);
+    let both = [receive(&client), receive(&client)];
+    assert_eq!(
+        both.map(|bytes| (bytes[16..28].to_vec(), u64_at(&bytes, 32))),
+        [(DEVICE.0.to_vec(), 3), (OTHER.0.to_vec(), 1)]
+    );
+    bench.tell(|| udp.send(&Request { mode: Mode::Newest, device: Some(OTHER) }.to_bytes()));
+    let mut bytes = [0; PoseDatagram::BYTES];
+    assert_eq!(udp.recv(&mut bytes).unwrap(), bytes.len());
+    assert_eq!(bytes, both[1]);
+    // A board that has gone says nothing any more.
+    drop(second);
+    bench.ask(&client, Mode::Newest, None);
+    assert_eq!(receive(&client)[16..28], DEVICE.0);
+    bench.ask(&client, Mode::Newest, Some(OTHER));
+    bench.ask(&client, Mode::Newest, None);
+    assert_eq!(drain(&client).0, [3]);
+}
+
+#[test]
+fn who_follows_gets_the_board_it_asked_for_until_its_lease_ends() {
+    let mut bench = Bench::new();
+    let (one, all) = (bench.unix_client(), bench.unix_client());
+    let (mut first, mut second) = (bench.server.publisher(DEVICE), bench.server.publisher(OTHER));
+    let record = record();
+    let mut publish = |now| {
+        first.publish(&record, now);
+        second.publish(&Record { device: OTHER, ..record }, now);
+    };
+    // Read before the requests, it lies before the end of their leases however long the test takes.
+    let now = HostInstant::now();
+    bench.ask(&one, Mode::Follow, Some(OTHER));
+    bench.ask(&all, Mode::Follow, None);
+    publish(now);
+    publish(now);
+    assert_eq!(drain(&one).0, [1, 2]);
+    assert_eq!(drain(&all).0, [1, 1, 2, 2]);
+    let mut later = HostInstant::now();
+    later.monotonic_ns += LEASE.as_nanos() as u64 + 1;
+    publish(later);
+    assert_eq!((drain(&one).0, drain(&all).0), (vec![], vec![]));
+    bench.ask(&one, Mode::Follow, Some(OTHER));
+    publish(now);
+    assert_eq!((drain(&one).0, drain(&all).0), (vec![4], vec![]));
+    // Asked twice, it is still sent once.
+    bench.ask(&one, Mode::Follow, Some(OTHER));
+    publish(now);
+    assert_eq!(drain(&one).0, [5]);
+}
+
+#[test]
+fn who_does_not_read_misses_datagrams_and_delays_nobody() {
+    const PUBLISHED: u64 = 100_000;
+    let mut bench = Bench::new();
+    let (slow, gone) = (bench.unix_client(), bench.unix_client());
+    let mut publisher = bench.server.publisher(DEVICE);
+    let (record, now) = (record(), HostInstant::now());
+    bench.ask(&slow, Mode::Follow, None);
+    bench.ask(&gone, Mode::Follow, None);
+    publisher.publish(&record, now);
+    assert_eq!(bench.server.counts().sent, 2);
+    drop(gone);
+    // A call that waits for the reader would never come back.
+    for _ in 1..PUBLISHED {
+        publisher.publish(&record, now);
+    }
+    let counts = bench.server.counts();
+    assert_eq!(counts.sent + counts.missed, 1 + PUBLISHED);
+    let (numbers, _) = drain(&slow);
+    assert_eq!(numbers, (1..counts.sent).collect::<Vec<_>>());
+    publisher.publish(&record, now);
+    assert_eq!(drain(&slow), (vec![PUBLISHED + 1], counts.missed));
+}
+
+#[test]
+fn what_is_no_request_is_counted_and_nothing_else() {
+    let mut bench = Bench::new();
+    let (client, udp) = (bench.unix_client(), bench.udp_client());
+    let mut publisher = bench.server.publisher(DEVICE);
+    publisher.publish(&record(), HostInstant::now());
+    bench.tell(|| client.send(b"pose, please"));
+    bench.tell(|| udp.send(&[]));
+    bench.tell(|| udp.send(&[0; 2000]));
+    // Who has no name cannot be answered.
+    let Address::Unix(path) = &bench.server.addresses()[0] else { panic!("unix first") };
+    let nameless = UnixDatagram::unbound().unwrap();
+    bench.tell(|| nameless.send_to(&Request { mode: Mode::Newest, device: None }.to_bytes(), path));
+    let counts = bench.server.counts();
+    assert_eq!((counts.requests, counts.refused, counts.sent), (0, 4, 0));
+    bench.ask(&client, Mode::Newest, None);
+    assert_eq!(u64_at(&receive(&client), 32), 1);
+}
+
+#[test]
+fn addresses_are_had_alone_and_given_back() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("pose");
+    let address = [Address::Unix(path.clone())];
+    let living = DatagramServer::bind(&address).unwrap();
+    let error = DatagramServer::bind(&address).unwrap_err();
+    assert!(matches!(&error, DatagramError::InUse { path: in_use } if *in_use == path), "{error}");
+    drop(living);
+    assert!(!path.exists());
+    // A daemon that was killed leaves its file.
+    drop(UnixDatagram::bind(&path).unwrap());
+    assert!(path.exists());
+    let first = DatagramServer::bind(&address).unwrap();
+    // The file of another one is left alone.
+    std::fs::remove_file(&path).unwrap();
+    let second = DatagramServer::bind(&address).unwrap();
+    drop(first);
+    assert!(path.exists());
+    drop(second);
+    std::fs::write(&path, "poses").unwrap();
+    let error = DatagramServer::bind(&address).unwrap_err();
+    assert!(matches!(error, DatagramError::NotASocket { .. }), "{error}");
+
+    let anywhere: SocketAddr = (Ipv4Addr::UNSPECIFIED, 0).into();
+    let error = DatagramServer::bind(&[Address::Udp(anywhere)]).unwrap_err();
+    assert!(matches!(error, DatagramError::Address(AddressError::NotLoopback { .. })), "{error}");
+}
