@@ -1,7 +1,8 @@
 //! What a board says of itself, kept beyond the bytes it came in.
 
+use serde::{Serialize, Serializer};
 use slitpose_protocol::schema::SchemaMismatch;
-use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, ProtocolVersion, ResetCause, Schedule};
+use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, PROTOCOL, ProtocolVersion, ResetCause, Schedule};
 
 use super::DeviceId;
 
@@ -70,5 +71,51 @@ impl BoardInfo {
             ResetCause::Watchdog => "watchdog",
             ResetCause::Panic => "panic",
         }
+    }
+}
+
+/// What programs are told, in SI units.
+#[derive(Serialize)]
+struct Fields<'a> {
+    serial: DeviceId,
+    board: &'a str,
+    kind: &'a str,
+    firmware: &'a str,
+    protocol: String,
+    program_protocol: String,
+    /// The kind of message that both lay out differently.
+    mismatch: Option<&'a str>,
+    reset_cause: &'a str,
+    /// 16 hexadecimal digits, as in messages: JSON numbers do not hold 64 bits everywhere.
+    scene_hash: Option<String>,
+    calibration_hash: Option<String>,
+    full_scale_a: f64,
+    scaling: AdcScaling,
+    frame_rate_hz: f64,
+    configuration: u16,
+    schedule: &'a Schedule,
+}
+
+impl Serialize for BoardInfo {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let hex = |hash: Option<u64>| hash.map(|hash| format!("{hash:016x}"));
+        let fields = Fields {
+            serial: self.device,
+            board: &self.board,
+            kind: self.kind_name(),
+            firmware: &self.firmware,
+            protocol: self.protocol.to_string(),
+            program_protocol: PROTOCOL.to_string(),
+            mismatch: self.mismatch.map(|mismatch| mismatch.name),
+            reset_cause: self.reset_cause_name(),
+            scene_hash: hex(self.hashes.scene),
+            calibration_hash: hex(self.hashes.calibration),
+            full_scale_a: self.scaling.full_scale_a(),
+            scaling: self.scaling,
+            frame_rate_hz: self.schedule.frame_rate_hz(),
+            configuration: self.configuration,
+            schedule: &self.schedule,
+        };
+        fields.serialize(serializer)
     }
 }

@@ -2,12 +2,19 @@
 
 use std::io;
 
+use slitpose_model::Tier;
+
 use super::Device;
+use crate::front_end;
 use crate::pace::{Pace, Speed};
-use crate::simulator::SimulatedBoard;
+use crate::scene_file::SceneFile;
+use crate::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
 
 /// Device time that passes between two waits.
 const WAIT_EVERY_S: f64 = 2e-3;
+
+/// The tool in front of a board that is only tried moves for this long, seconds.
+const MOTION_S: f64 = 60.0;
 
 /// A simulated board for a number of frames.
 #[derive(Debug)]
@@ -18,15 +25,35 @@ pub struct SimulatedDevice {
     frames_at_once: u64,
     frames_passed: u64,
     frames: u64,
+    /// What it said when it was spoken to, and its host has not fetched.
+    said: Vec<u8>,
 }
 
 impl SimulatedDevice {
+    /// A board to be tried, without end and at the pace of time: the head of `file`, a smoothly moved tool.
+    ///
+    /// # Errors
+    /// If no board could run the scene.
+    pub fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
+        let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
+        let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S);
+        let board = SimulatedBoard::new(file, trajectory, Tier::Exact { tolerance: 1e-6 }, 1)?;
+        Ok(Self::new(board, frame_s, f64::INFINITY, Speed::Times(1.0)))
+    }
+
     /// `board` for as many frames of `frame_s` as begin within `duration_s`, which may be infinite.
     pub fn new(board: SimulatedBoard, frame_s: f64, duration_s: f64, speed: Speed) -> Self {
         // The last frame of 0.3 s at 4 kHz must not depend on the last bit of either. Saturates.
         let frames = (duration_s / frame_s - 1e-6).ceil() as u64;
         let frames_at_once = (WAIT_EVERY_S / frame_s).ceil() as u64;
-        Self { board, frame_s, pace: Pace::new(speed), frames_at_once, frames_passed: 0, frames }
+        Self { board, frame_s, pace: Pace::new(speed), frames_at_once, frames_passed: 0, frames, said: Vec::new() }
+    }
+}
+
+impl SimulatedDevice {
+    /// Device time so far, seconds.
+    fn passed_s(&self) -> f64 {
+        self.frames_passed as f64 * self.frame_s
     }
 }
 
@@ -35,7 +62,15 @@ impl Device for SimulatedDevice {
         "sim"
     }
 
+    /// A board that keeps time is as late as its host by then.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if self.pace.is_real_time() {
+            let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
+            while self.frames_passed < due.min(self.frames) {
+                self.board.step(&mut self.said);
+                self.frames_passed += 1;
+            }
+        }
         self.board.write(bytes);
         Ok(())
     }
@@ -47,8 +82,10 @@ impl Device for SimulatedDevice {
     /// What the board has to say comes before time passes: commands are answered in no time.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         let before = bytes.len();
+        bytes.append(&mut self.said);
         self.board.transmit(bytes);
         if bytes.len() > before {
+            self.pace.wait(self.passed_s());
             return Ok(true);
         }
         let until = self.frames.min(self.frames_passed.saturating_add(self.frames_at_once));
@@ -56,7 +93,7 @@ impl Device for SimulatedDevice {
             self.board.step(bytes);
             self.frames_passed += 1;
         }
-        self.pace.wait(self.frames_passed as f64 * self.frame_s);
+        self.pace.wait(self.passed_s());
         Ok(bytes.len() > before || self.frames_passed < self.frames)
     }
 }

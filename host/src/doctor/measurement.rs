@@ -1,0 +1,284 @@
+//! A board that measures for a while: how fast, what gets lost where, and what becomes of it.
+
+use std::time::{Duration, Instant};
+
+use slitpose_model::Tier;
+use slitpose_protocol::{Severity, Status};
+use thiserror::Error;
+
+use super::check::Check;
+use crate::device::{Conversation, DeviceError, Keep};
+use crate::front_end::{self, TimingError};
+use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch};
+use crate::scene_file::SceneFile;
+
+/// As streams are solved.
+const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+
+/// A board, or an emulator, that is slower by more is not waited for; and what it takes to begin.
+const SLOWEST: f64 = 10.0;
+const BEGIN: Duration = Duration::from_secs(5);
+
+/// Rates that differ by more are not those of crystals and of packets cut at the ends of a second or two.
+const RATE_SLACK: f64 = 0.05;
+
+/// The least share of scans with a pose that a tool in its workspace gives.
+const POSES: f64 = 0.99;
+
+/// What the controller runs on: 3.3 V ± 5 %, as the regulator of its board gives it.
+const SUPPLY_V: std::ops::RangeInclusive<f32> = 3.135..=3.465;
+
+/// Ambient limits of the controller (STM32G474xE data sheet, suffix 6), which its own heat may reach.
+const TEMPERATURE_K: std::ops::RangeInclusive<f32> = 273.15 - 40.0..=273.15 + 85.0;
+
+/// A controller that is busier has no time in hand.
+const BUSIEST_PERMILLE: u16 = 900;
+
+/// Complaints of the board that are kept.
+const COMPLAINTS: usize = 5;
+
+/// Why nothing was measured.
+#[derive(Debug, Error)]
+pub(super) enum MeasurementError {
+    /// The scene.
+    #[error(transparent)]
+    Timing(#[from] TimingError),
+    /// What came.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// The board.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+/// What a board did.
+#[derive(Clone, Debug)]
+pub(super) struct Measurement {
+    counts: Counts,
+    before: Status,
+    after: Status,
+    frame_rate_hz: f64,
+    /// Scans that came, and how long by the host's clock.
+    received: (u64, f64),
+    bytes: usize,
+    complaints: Vec<String>,
+}
+
+/// Lets `board` measure for `duration_s` of its time; what it sends goes to `bytes`.
+pub(super) fn measure(
+    board: &mut Conversation,
+    scene: &SceneFile,
+    duration_s: f64,
+    bytes: &mut Vec<u8>,
+) -> Result<Measurement, MeasurementError> {
+    let configuration = front_end::configuration(scene)?;
+    let frame_rate_hz = configuration.schedule.frame_rate_hz();
+    let mut pipeline = Pipeline::new(scene.clone(), TIER, SceneMatch::Waived).until(Some(duration_s));
+    let mut complaints = Vec::new();
+    let mut take = |pipeline: &mut Pipeline, inbox: &[u8]| {
+        let taken = pipeline.push(inbox, |item| {
+            if let Item::Event { severity, text, .. } = item
+                && severity != Severity::Info
+                && complaints.len() < COMPLAINTS
+            {
+                complaints.push(text.to_owned());
+            }
+            Ok::<_, PipelineError>(())
+        })?;
+        bytes.extend_from_slice(&inbox[..taken]);
+        Ok::<_, PipelineError>(())
+    };
+
+    let before = board.status()?;
+    board.configure(configuration)?;
+    board.start()?;
+    let started = Instant::now();
+    let patience = BEGIN + Duration::try_from_secs_f64(SLOWEST * duration_s).unwrap_or(Duration::MAX);
+    take(&mut pipeline, board.inbox())?;
+    let mut first: Option<(u64, Instant)> = None;
+    let mut received = (0, 0.0);
+    while !pipeline.is_complete() && started.elapsed() < patience && board.listen()? {
+        take(&mut pipeline, board.inbox())?;
+        let scans = pipeline.counts().scans;
+        if scans > 0 {
+            let (scans_first, at) = *first.get_or_insert_with(|| (scans, Instant::now()));
+            received = (scans - scans_first, at.elapsed().as_secs_f64());
+        }
+    }
+    board.stop(Keep::All)?;
+    take(&mut pipeline, board.inbox())?;
+    let after = board.status()?;
+    let counts = pipeline.counts();
+    Ok(Measurement { counts, before, after, frame_rate_hz, received, bytes: bytes.len(), complaints })
+}
+
+impl Measurement {
+    /// What the board sends in a second of its time; `None` if it has sent no scan.
+    pub(super) fn bytes_per_s(&self) -> Option<f64> {
+        let seconds = self.counts.scans as f64 / self.frame_rate_hz;
+        (seconds > 0.0).then(|| self.bytes as f64 / seconds)
+    }
+
+    /// What is to be said of it.
+    pub(super) fn checks(&self) -> Vec<Check> {
+        let mut checks =
+            vec![self.rate(), self.losses_on_board(), self.losses_on_the_way(), self.poses(), self.health()];
+        if !self.complaints.is_empty() {
+            checks.push(Check::warning("events", self.complaints.join("; "), "see what the board complains of"));
+        }
+        checks
+    }
+
+    fn rate(&self) -> Check {
+        let (scans, seconds) = self.received;
+        if self.counts.scans == 0 {
+            return Check::failed("rate", "the board measures, but no scan came", "reset the board and try again");
+        }
+        let rate_hz = scans as f64 / seconds;
+        let finding = format!("{rate_hz:.0} scans/s by the host's clock, {:.0} by the schedule", self.frame_rate_hz);
+        if (rate_hz / self.frame_rate_hz - 1.0).abs() <= RATE_SLACK {
+            Check::ok("rate", finding)
+        } else {
+            Check::warning("rate", finding, "look at the load of this host; a longer --duration tells more")
+        }
+    }
+
+    /// Scans the board took and did not send.
+    fn lost_on_board(&self) -> (u64, u64) {
+        let (before, after) = (&self.before, &self.after);
+        let dropped = after.scans_dropped.saturating_sub(before.scans_dropped);
+        (dropped, after.scans_lost.saturating_sub(before.scans_lost))
+    }
+
+    fn losses_on_board(&self) -> Check {
+        let (dropped, lost) = self.lost_on_board();
+        let overruns = self.after.adc_overruns.saturating_sub(self.before.adc_overruns);
+        let finding =
+            format!("{dropped} scans dropped by its queue, {lost} lost at its converters, {overruns} overruns");
+        match (dropped, lost + u64::from(overruns)) {
+            (0, 0) => Check::ok("board", finding),
+            (_, 0) => {
+                let next_step = "the host did not read in time: look at its load, hubs and cable";
+                Check::failed("board", finding, next_step)
+            }
+            _ => Check::failed(
+                "board",
+                finding,
+                "the controller is overloaded: lower front_end.frame_rate_hz, and report it",
+            ),
+        }
+    }
+
+    fn losses_on_the_way(&self) -> Check {
+        let counts = &self.counts;
+        let (dropped, lost) = self.lost_on_board();
+        let missing = counts.scans_lost.saturating_sub(dropped + lost);
+        let unreadable = counts.decoder.unknown + counts.decoder.malformed + counts.batches_unreadable;
+        let (scans, damaged) = (counts.scans, counts.decoder.damaged());
+        let finding =
+            format!("{scans} scans came, {missing} got lost; {damaged} packets damaged, {unreadable} unreadable");
+        if missing + damaged + unreadable == 0 {
+            Check::ok("link", finding)
+        } else {
+            Check::failed("link", finding, "change cable or hub; a UART needs a short one")
+        }
+    }
+
+    fn poses(&self) -> Check {
+        let counts = &self.counts;
+        let outcomes = OUTCOMES.iter().zip(counts.outcomes).filter(|(_, count)| *count > 0);
+        let finding = outcomes.map(|(name, count)| format!("{name} {count}")).collect::<Vec<_>>().join(", ");
+        if counts.scans > 0 && counts.poses() as f64 >= POSES * counts.scans as f64 {
+            Check::ok("poses", finding)
+        } else {
+            let next_step = "is the tool in its workspace, and the scene that of this head? see `slitpose scene check`";
+            Check::warning("poses", if finding.is_empty() { "none".to_owned() } else { finding }, next_step)
+        }
+    }
+
+    fn health(&self) -> Check {
+        // At rest the load says nothing.
+        let status = self.counts.board_status.as_ref().unwrap_or(&self.after);
+        let Status { supply_v, temperature_k, cpu_load_permille, .. } = *status;
+        let finding = format!(
+            "supply {supply_v:.3} V, {:.1} C, load {:.1} %",
+            temperature_k - 273.15,
+            f64::from(cpu_load_permille) / 10.0
+        );
+        // What is no number is in no range.
+        if !SUPPLY_V.contains(&supply_v) {
+            Check::warning("health", finding, "check cable and supply: 3.3 V are wanted, within 5 %")
+        } else if !TEMPERATURE_K.contains(&temperature_k) {
+            Check::warning("health", finding, "keep the board between -40 and 85 C")
+        } else if cpu_load_permille > BUSIEST_PERMILLE {
+            Check::warning("health", finding, "lower front_end.frame_rate_hz: the controller has no time in hand")
+        } else {
+            Check::ok("health", finding)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::SimulatedDevice;
+    use crate::doctor::Verdict::{self, Failed, Ok, Warning};
+    use crate::scene_file::WIDE;
+
+    fn measured() -> (Measurement, Vec<u8>) {
+        let scene = WIDE.read().unwrap();
+        let device = SimulatedDevice::live(&scene).unwrap();
+        let mut board = Conversation::open(Box::new(device)).unwrap();
+        board.introduce(Duration::from_secs(1)).unwrap();
+        let mut bytes = Vec::new();
+        (measure(&mut board, &scene, 0.1, &mut bytes).unwrap(), bytes)
+    }
+
+    fn verdicts(measurement: &Measurement) -> Vec<(&'static str, Verdict)> {
+        // The rate depends on what else this machine does.
+        measurement.checks().iter().skip(1).map(|check| (check.name, check.verdict)).collect()
+    }
+
+    #[test]
+    fn a_good_board_is_found_good_and_each_fault_in_its_place() {
+        let (good, bytes) = measured();
+        assert_eq!(verdicts(&good), [("board", Ok), ("link", Ok), ("poses", Ok), ("health", Ok)]);
+        assert_eq!((good.counts.scans, bytes.len()), (400, good.bytes));
+        // 60 bytes a scan, and as many for the truth of a simulated one.
+        assert!((200e3..800e3).contains(&good.bytes_per_s().unwrap()), "{:?}", good.bytes_per_s());
+
+        let with = |change: fn(&mut Measurement)| {
+            let mut measurement = good.clone();
+            change(&mut measurement);
+            let found = verdicts(&measurement);
+            found.into_iter().filter(|(_, verdict)| *verdict != Ok).collect::<Vec<_>>()
+        };
+        assert_eq!(with(|it| it.counts.scans_lost += 3), [("link", Failed)]);
+        assert_eq!(with(|it| it.counts.decoder.misframed += 1), [("link", Failed)]);
+        assert_eq!(with(|it| it.counts.batches_unreadable += 1), [("link", Failed)]);
+        // Dropped on the board, so missing in the numbers: not the link's fault.
+        let dropped = with(|it| {
+            it.after.scans_dropped += 3;
+            it.counts.scans_lost += 3;
+        });
+        assert_eq!(dropped, [("board", Failed)]);
+        assert_eq!(with(|it| it.after.adc_overruns += 1), [("board", Failed)]);
+        assert_eq!(with(|it| it.counts.outcomes = [0, 0, 0, 0, 400, 0]), [("poses", Warning)]);
+        let status = |it: &mut Measurement, change: fn(&mut Status)| change(it.counts.board_status.as_mut().unwrap());
+        let mut sick = good.clone();
+        sick.counts.board_status = Some(sick.after);
+        let health = |change: fn(&mut Status)| {
+            let mut sick = sick.clone();
+            status(&mut sick, change);
+            sick.health().verdict
+        };
+        assert_eq!(health(|_| ()), Ok);
+        assert_eq!(health(|status| status.supply_v = 3.1), Warning);
+        assert_eq!(health(|status| status.supply_v = f32::NAN), Warning);
+        assert_eq!(health(|status| status.temperature_k = 360.0), Warning);
+        assert_eq!(health(|status| status.temperature_k = f32::NAN), Warning);
+        assert_eq!(health(|status| status.cpu_load_permille = 901), Warning);
+        let with_rate = |scans| Measurement { received: (scans, 0.1), ..good.clone() }.rate().verdict;
+        assert_eq!([400, 390, 350].map(with_rate), [Ok, Ok, Warning]);
+    }
+}

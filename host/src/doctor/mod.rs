@@ -1,0 +1,108 @@
+//! What may be wrong between a board and its poses, looked at one after the other.
+//!
+//! `link` looks for the board and opens it, `head` compares it with its scene, `measurement` lets it measure for
+//! a while, `host` and `disk` look at the machine it is plugged into. A [`Bundle`] packs what was found for whoever
+//! is asked for help. Nothing is changed on the board but its schedule, and nothing stored.
+
+mod bundle;
+mod check;
+mod disk;
+mod head;
+mod host;
+mod link;
+mod measurement;
+
+use std::path::Path;
+
+pub use bundle::Bundle;
+pub use check::{Check, Verdict};
+
+use crate::device::{BoardInfo, Search, Selector};
+use crate::scene_file::{SceneFile, WIDE};
+
+/// What a board sends a second until it has been measured: 4 000 scans of 60 bytes.
+const USUAL_BYTES_PER_S: f64 = 240e3;
+
+/// What is to be looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Subject<'a> {
+    /// Which board.
+    pub device: &'a Selector,
+    /// Where to look for it, too.
+    pub search: &'a [Search],
+    /// The scene of its head, if the user says so.
+    pub scene: Option<&'a SceneFile>,
+    /// Where recordings go.
+    pub folder: &'a Path,
+    /// How long it measures, device seconds.
+    pub duration_s: f64,
+}
+
+/// What was found.
+#[derive(Clone, Debug, Default)]
+pub struct Examination {
+    /// In the order they were made.
+    pub checks: Vec<Check>,
+    /// What the board said of itself.
+    pub board: Option<BoardInfo>,
+    /// The scene it was measured by.
+    pub scene: Option<SceneFile>,
+    /// What it sent while it measured, as it came.
+    pub bytes: Vec<u8>,
+}
+
+impl Examination {
+    /// How many checks ended so.
+    pub fn count(&self, verdict: Verdict) -> usize {
+        self.checks.iter().filter(|check| check.verdict == verdict).count()
+    }
+
+    /// For people: a line a check, and a line for the next step where there is one.
+    pub fn text(&self) -> String {
+        self.checks.iter().map(ToString::to_string).collect()
+    }
+}
+
+/// Looks at everything.
+pub fn examine(subject: &Subject<'_>) -> Examination {
+    let mut examination = Examination::default();
+    let bytes_per_s = board(subject, &mut examination).unwrap_or(USUAL_BYTES_PER_S);
+    examination.checks.extend(host::checks());
+    examination.checks.extend(disk::checks(subject.folder, bytes_per_s));
+    examination
+}
+
+/// Looks at the board, as far as one can get; gives what it sends in a second.
+fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
+    let checks = &mut examination.checks;
+    let reached = link::reach(subject, checks);
+    let Some((mut board, info)) = reached else {
+        checks.extend(["scene", "measurement"].map(|name| Check::skipped(name, "no board to be asked")));
+        return None;
+    };
+    let scene = head::scene(subject.scene, &info, checks);
+    examination.board = Some(info.clone());
+    let Some(scene) = scene else {
+        checks.push(Check::skipped("measurement", "the board belongs to another scene"));
+        return None;
+    };
+    checks.push(head::full_scale(&scene, &info));
+    let measured = measurement::measure(&mut board, &scene, subject.duration_s, &mut examination.bytes);
+    examination.scene = Some(scene);
+    match measured {
+        Ok(measurement) => {
+            checks.extend(measurement.checks());
+            measurement.bytes_per_s()
+        }
+        Err(error) => {
+            let finding = link::in_full(&error);
+            checks.push(Check::failed("measurement", finding, "reset the board and try again"));
+            None
+        }
+    }
+}
+
+/// The default scene, for a board made of it.
+fn default_scene() -> Option<SceneFile> {
+    WIDE.read().ok()
+}
