@@ -2,19 +2,27 @@
 //! the optics of [`slitpose_model`].
 //!
 //! * [`scene_file`] reads what describes a sensor head;
+//! * [`capture`] writes and reads captures;
 //! * [`clock`] reads the clocks of the host;
+//! * [`comparison`] holds poses against a reference;
+//! * [`daemon`] follows boards live;
+//! * [`datagram`] hands the newest pose to control loops;
 //! * [`device`] carries bytes to boards and back, and speaks with them;
+//! * [`doctor`] says what may be wrong;
 //! * [`front_end`] stands between counts and currents;
+//! * [`health`] watches the cells of a head;
 //! * [`identification`] finds an emitter's profile from currents;
 //! * [`pace`] holds a stream to a multiple of device time;
 //! * [`paper`] calculates the source paper's experiments;
 //! * [`pipeline`] turns bytes into poses;
 //! * [`plot`] draws;
 //! * [`report`] studies error against run time;
+//! * [`service`] tells a service manager how it goes;
 //! * [`simulator`] is a board made of arithmetic;
 //! * [`sink`] is where poses go;
 //! * [`survey`] tells what a scene can do;
 //! * [`table`] reads and writes CSV, and is where results go;
+//! * [`telemetry`] tells how daemon, boards and heads do;
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
 //! Inside, everything is SI. Millimetres and degrees appear in scene files, on the command line
@@ -22,10 +30,16 @@
 
 #![forbid(unsafe_code)]
 
+pub mod capture;
 pub mod clock;
 pub mod commands;
+pub mod comparison;
+pub mod daemon;
+pub mod datagram;
 pub mod device;
+pub mod doctor;
 pub mod front_end;
+pub mod health;
 pub mod identification;
 pub mod pace;
 pub mod paper;
@@ -33,7 +47,9 @@ pub mod pipeline;
 pub mod plot;
 pub mod report;
 pub mod scene_file;
+pub mod service;
 pub mod simulator;
 pub mod sink;
 pub mod survey;
 pub mod table;
+pub mod telemetry;

@@ -5,11 +5,10 @@
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::Parser;
-use slitpose::commands::{Cli, run};
+use slitpose::commands::run;
 
 fn main() -> ExitCode {
-    match run(Cli::parse()) {
+    match run(std::env::args_os()) {
         Ok(outcome) => outcome.into(),
         Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
         Err(error) => {

@@ -60,6 +60,11 @@ impl Pace {
         self.speed == Speed::Times(1.0)
     }
 
+    /// Time since device time 0, seconds.
+    pub fn elapsed_s(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+
     /// Sleeps until `device_s` may have passed.
     pub fn wait(&self, device_s: f64) {
         while !self.nap(device_s) {}

@@ -175,7 +175,7 @@ fn wrong_usage_ends_with_two() {
     for (arguments, part) in [
         (&[][..], "Usage"),
         (&["frobnicate"], "frobnicate"),
-        (&["run"], "--device"),
+        (&["run", "--device", "sim", "--scene", "wide,base,wide"], "3 scenes for 1 boards"),
         (&["run", "--device", "sim", "--duration", "soon"], "such as 10s"),
         (&["run", "--device", "sim", "--duration", "0s"], "such as 10s"),
         (&["run", "--device", "sim", "--speed", "0"], "such as 1 or 0.5"),
@@ -191,7 +191,7 @@ fn wrong_usage_ends_with_two() {
         slitpose!().run(arguments).assert_refused(2, &[part]);
     }
     slitpose!()
-        .run(["run", "--device", "/dev/no-such-board"])
+        .run(["run", "--patience", "0s", "--device", "/dev/no-such-board"])
         .assert_refused(1, &["/dev/no-such-board", "--device sim"]);
 }
 

@@ -30,7 +30,7 @@ fn a_recording_replays_as_it_ran() {
         for tier in ["paper", "exact"] {
             for format in ["ndjson", "csv"] {
                 let common = ["--format", format, "--tier", tier];
-                let live = ["--duration", "500ms", "--trajectory", motion, "--record", text(&capture)];
+                let live = ["--duration", "500ms", "--trajectory", motion, "--overwrite", "--record", text(&capture)];
                 let ran = run(&[&live[..], &common[..]].concat());
                 assert_eq!(ran.iter().filter(|byte| **byte == b'\n').count(), 2000 + usize::from(format == "csv"));
                 assert!(replay(&capture, &common) == ran, "{motion}, {tier}, {format}: replay differs from run");
@@ -49,11 +49,16 @@ fn simulating_and_replaying_is_running() {
     assert_eq!((finished.code, finished.stdout.as_slice(), finished.stderr.as_str()), (0, &b""[..], ""));
     let ran = run(&[&common[..], &["--record", text(&recorded)]].concat());
     assert!(replay(&simulated, &[]) == ran, "replay of simulate differs from run");
-    let read = |path| std::fs::read(path).expect("capture");
-    assert!(read(&simulated) == read(&recorded), "simulate wrote another capture than run recorded");
+    assert!(replay(&recorded, &[]) == ran, "replay of a recording differs from run");
 
+    // Standard output takes a capture, too, and the bytes alone are one.
+    let read = |path| std::fs::read(path).expect("capture");
     let finished = slitpose!().run(["simulate", "--output", "-"].iter().chain(&common));
     assert!(finished.code == 0 && finished.stdout == read(&simulated), "standard output got another capture");
+    let bytes = folder.path().join("bytes");
+    let finished = slitpose!().run(["simulate", "--raw", "--output", text(&bytes)].iter().chain(&common));
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    assert!(replay(&bytes, &[]) == ran, "replay of the bytes alone differs from run");
 }
 
 #[test]
@@ -101,14 +106,18 @@ fn the_scene_of_a_capture_is_looked_after() {
     let thick = wide_with(&[("length_mm = 10.0  ", "thickness_mm = 0.15\nlength_mm = 10.0  ")]);
     std::fs::write(&scene, thick).expect("scene");
     let ran = run(&["--duration", "20ms", "--scene", text(&scene), "--record", text(&capture)]);
+    assert!(replay(&capture, &[]) == ran, "a capture holds its scene");
 
-    // The hash names no shipped scene: the default one must not be taken for it.
-    let refused = slitpose!().run(["replay", text(&capture)]);
+    // Bytes alone do not. The hash names no shipped scene: the default one must not be taken for it.
+    let bytes = folder.path().join("bytes");
+    let simulate = ["simulate", "--raw", "--duration", "20ms", "--scene", text(&scene), "--output", text(&bytes)];
+    assert_eq!(slitpose!().run(simulate).code, 0);
+    let refused = slitpose!().run(["replay", text(&bytes)]);
     let wide = slitpose::scene_file::WIDE.read().expect("shipped").hash;
     let own = slitpose_tests::scenes::parse(&std::fs::read_to_string(&scene).expect("scene")).hash;
     refused.assert_refused(1, &[&format!("{wide:016x}"), &format!("{own:016x}"), "--scene"]);
 
-    assert!(replay(&capture, &["--scene", text(&scene)]) == ran, "replay with the scene given differs from run");
+    assert!(replay(&bytes, &["--scene", text(&scene)]) == ran, "replay with the scene given differs from run");
 
     // Asked for by name another scene is used, and said so.
     let other = slitpose!().run(["replay", text(&capture), "--scene", "wide"]);
@@ -117,6 +126,6 @@ fn the_scene_of_a_capture_is_looked_after() {
     assert!(other.stderr.contains(&format!("{own:016x}")), "{}", other.stderr);
 
     // A shipped scene is found by its hash.
-    let ran = run(&["--duration", "20ms", "--record", text(&capture), "--scene", "wide"]);
+    let ran = run(&["--duration", "20ms", "--overwrite", "--record", text(&capture), "--scene", "wide"]);
     assert!(replay(&capture, &[]) == ran);
 }

@@ -115,7 +115,7 @@ fn a_pose_is_printed_before_the_next_scan_comes() {
         now_s > 0.3 || board.act(received, last, sent)
     };
     let terminal = Terminal::serve(device);
-    let mut child = spawn(&terminal, &[]);
+    let mut child = spawn(&terminal, &["--patience", "0s"]);
     let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
     stdout.read_line(&mut String::new()).expect("line");
     let first = Instant::now();
@@ -208,7 +208,7 @@ fn a_board_that_is_unplugged_is_missed() {
     let record = folder.path().join("run.capture");
     let mut board = Board::wide(66);
     let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s < 0.7 && board.act(received, now_s, sent);
-    let (finished, _, path) = run(device, &["--record", record.to_str().expect("UTF-8")]);
+    let (finished, _, path) = run(device, &["--patience", "0s", "--record", record.to_str().expect("UTF-8")]);
     assert_eq!(finished.code, 1, "{}", finished.stderr);
     assert!(finished.stderr.contains(&path) && finished.stderr.contains("unplugged"), "{}", finished.stderr);
     let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
@@ -225,7 +225,7 @@ fn a_board_that_falls_silent_is_missed() {
         move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| now_s >= 0.4 || board.act(received, now_s, sent);
     let (finished, log, path) = run(device, &["--duration", "10s"]);
     assert_eq!(finished.code, 1, "{}", finished.stderr);
-    assert!(finished.stderr.contains(&format!("no data for 0.5 s from the board on {path}")), "{}", finished.stderr);
+    assert!(finished.stderr.contains(&format!("no data for 0.45 s from the board on {path}")), "{}", finished.stderr);
     let lines = ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8"));
     assert!(lines.len() > 100, "{} lines", lines.len());
     assert_eq!(log.commands().last(), Some(&Command::Stop), "told to stop in spite of it");
@@ -249,7 +249,7 @@ fn a_board_that_stops_by_itself_is_missed() {
 #[test]
 fn silence_is_not_a_board() {
     let started = Instant::now();
-    let (finished, log, path) = run(|_: &[u8], _: f64, _: &mut Vec<u8>| true, &[]);
+    let (finished, log, path) = run(|_: &[u8], _: f64, _: &mut Vec<u8>| true, &["--patience", "0s"]);
     finished.assert_refused(1, &[&path, "not a byte"]);
     assert!(started.elapsed() >= Duration::from_secs(2));
     let commands = log.commands();
@@ -267,7 +267,7 @@ fn garbage_is_not_a_board() {
         }
         true
     };
-    let (finished, log, path) = run(garbage, &[]);
+    let (finished, log, path) = run(garbage, &["--patience", "0s"]);
     finished.assert_refused(1, &[&path, "1000 bytes", "no hello"]);
     assert!(log.commands().iter().all(|command| *command == Command::Hello));
 }
@@ -374,10 +374,10 @@ fn what_is_no_port_is_named() {
         (file, "file, not a serial port"),
         (folder, "folder, not a serial port"),
         ("/dev/null", "cannot be opened as a serial port"),
-        ("auto", "give the path"),
-        ("3600290054485002", "give the path"),
+        ("auto", "no board found"),
+        ("3600290054485002", "is neither"),
     ] {
-        slitpose!().run(["run", "--device", device]).assert_refused(1, &[device, part]);
+        slitpose!().run(["run", "--patience", "0s", "--device", device]).assert_refused(1, &[part]);
     }
     for option in [["--seed", "1"], ["--speed", "1"], ["--trajectory", "smooth"]] {
         let (device, [option, value]) = ("/dev/no-such-board", option);

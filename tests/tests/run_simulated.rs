@@ -143,7 +143,7 @@ fn duration_is_device_time_whatever_the_format() {
         assert!(table.rows().all(|row| row.text("simulated") == "true"));
     }
     let summary = run(&["--duration", "100ms", "--format", "summary"]).done();
-    assert!(summary.contains("400 scans, 0 lost"), "{summary}");
+    assert!(summary.contains("400 scans") && summary.contains("lost        board 0, link 0 scans"), "{summary}");
 }
 
 #[test]

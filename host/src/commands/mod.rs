@@ -3,33 +3,54 @@
 //! A verb has its arguments (`Args`) and a function `run`, which returns how it ended. To add
 //! one, add its file, its line in `Verb` and its line in [`run`].
 
+mod completions;
+mod config;
+mod device;
+mod doctor;
+mod export;
 mod identify;
+mod losses;
+mod man;
 mod model;
 mod options;
 mod paper;
+mod playback;
+mod poses;
+mod record;
 mod replay;
 mod report;
 mod run;
 mod scene;
 mod simulate;
 mod solve;
-mod stream;
+mod status;
+mod talk;
+mod tool;
 
+use std::ffi::OsString;
+use std::io;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use slitpose_model::SceneError;
 use thiserror::Error;
 
+pub use config::ConfigError;
 pub use identify::CellProfileError;
-pub use stream::StreamError;
+pub use playback::PlaybackError;
 
+use crate::capture::CaptureError;
+use crate::daemon::BoardError;
+use crate::datagram::DatagramError;
+use crate::device::DeviceError;
 use crate::front_end::TimingError;
 use crate::plot::PlotError;
 use crate::report::ReportError;
 use crate::scene_file::SceneFileError;
 use crate::simulator::{PathError, SimulatorError};
-use crate::table::{OutputError, TableError};
+use crate::table::{Output, OutputError, TableError};
+use crate::telemetry::{FetchError, StatusError};
+use talk::{interrupt, talk};
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///
@@ -46,6 +67,10 @@ pub struct Cli {
 enum Verb {
     Run(run::Args),
     Replay(replay::Args),
+    Export(export::Args),
+    Device(device::Args),
+    Status(status::Args),
+    Doctor(doctor::Args),
     Simulate(simulate::Args),
     Model(model::Args),
     Solve(solve::Args),
@@ -53,6 +78,8 @@ enum Verb {
     Paper(paper::Args),
     Report(report::Args),
     Scene(scene::Args),
+    Completions(completions::Args),
+    Man(man::Args),
 }
 
 /// How a command that did its work ended.
@@ -62,6 +89,8 @@ pub enum Outcome {
     Done,
     /// Done with what there was; input data were damaged or lost.
     DataLost,
+    /// Done, and what was looked at is not as it should be.
+    Failed,
 }
 
 impl From<Outcome> for ExitCode {
@@ -69,6 +98,7 @@ impl From<Outcome> for ExitCode {
         match outcome {
             Outcome::Done => Self::SUCCESS,
             Outcome::DataLost => Self::from(3),
+            Outcome::Failed => Self::FAILURE,
         }
     }
 }
@@ -116,9 +146,44 @@ pub enum CommandError {
         /// The device asked for.
         device: String,
     },
-    /// A stream of scans.
+    /// More scenes than one and yet not one for each board.
+    #[error("{scenes} scenes for {devices} boards; give one for all, or one for each, in the same order")]
+    Scenes {
+        /// Scenes given.
+        scenes: usize,
+        /// Boards given.
+        devices: usize,
+    },
+    /// The configuration file.
     #[error(transparent)]
-    Stream(StreamError),
+    Config(#[from] ConfigError),
+    /// A board.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// A device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// A capture.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// A capture that cannot be solved.
+    #[error(transparent)]
+    Playback(#[from] PlaybackError),
+    /// The way poses are sent on.
+    #[error(transparent)]
+    Datagram(#[from] DatagramError),
+    /// The way the state is told.
+    #[error(transparent)]
+    Status(#[from] StatusError),
+    /// A service manager that cannot be told anything.
+    #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
+    Service(#[source] io::Error),
+    /// The system tells no signals.
+    #[error("cannot listen to signals")]
+    Interrupt(#[source] io::Error),
+    /// A daemon that does not answer.
+    #[error(transparent)]
+    Fetch(#[from] FetchError),
     /// A study of errors and times.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -132,31 +197,58 @@ impl CommandError {
     pub fn is_broken_pipe(&self) -> bool {
         match self {
             Self::Output(error) => error.is_broken_pipe(),
-            Self::Stream(error) => error.is_broken_pipe(),
             _ => false,
         }
+    }
+
+    /// Standard output cannot be written.
+    fn printing(source: io::Error) -> Self {
+        Self::Output(OutputError::Write { target: "standard output".to_owned(), source })
     }
 
     /// What the program ends with.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::OnlySimulated { .. } => ExitCode::from(2),
+            Self::OnlySimulated { .. } | Self::Scenes { .. } | Self::Config(_) => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }
     }
 }
 
-/// Does what the command line asks for.
-pub fn run(cli: Cli) -> Result<Outcome, CommandError> {
+/// The command line as it can be typed here: options of `run` may stand in the environment, too.
+pub fn command() -> clap::Command {
+    Cli::command().mut_subcommand("run", config::with_environment)
+}
+
+/// Does what `arguments`, the name of the program first, ask for; ends the program if they are wrong,
+/// or only ask for help.
+///
+/// # Errors
+/// Why it could not be done.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<Outcome, CommandError> {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let matches = command().get_matches_from(&arguments);
+    let command = config::configured(command(), &matches)?;
+    let matches = command.clone().get_matches_from(&arguments);
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     match cli.verb {
-        Verb::Identify(args) => identify::run(&args),
+        Verb::Run(args) if args.print_config => {
+            Ok(Output::open(None)?.write_text(&config::print(&command, &matches)).map(|()| Outcome::Done)?)
+        }
         Verb::Run(args) => run::run(&args),
         Verb::Replay(args) => replay::run(&args),
+        Verb::Export(args) => export::run(&args),
+        Verb::Device(args) => device::run(&args),
+        Verb::Status(args) => status::run(&args),
+        Verb::Doctor(args) => doctor::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
         Verb::Model(args) => model::run(&args),
         Verb::Solve(args) => solve::run(&args),
+        Verb::Identify(args) => identify::run(&args),
         Verb::Paper(args) => paper::run(&args),
         Verb::Report(args) => report::run(&args),
         Verb::Scene(args) => scene::run(&args),
+        Verb::Completions(args) => completions::run(&args),
+        Verb::Man(args) => man::run(&args),
     }
 }

@@ -4,6 +4,8 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use slitpose_model::{Pose, Tier};
 
+use super::poses::DEFAULT_TOLERANCE;
+
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
 const MOST: f64 = 1e9;
 
@@ -11,8 +13,9 @@ const MOST: f64 = 1e9;
 #[derive(Args, Clone, Copy, Debug)]
 pub(super) struct TierOptions {
     /// Equations as printed in the source paper, or integrated over the spot
-    #[arg(long, value_enum, default_value_t = TierName::Exact)]
-    tier: TierName,
+    /// [default: exact]
+    #[arg(long, value_enum)]
+    tier: Option<TierName>,
     /// Relative error of the exact tier's integrals
     #[arg(long, value_name = "T", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
@@ -29,9 +32,20 @@ enum TierName {
 impl TierOptions {
     /// The tier asked for; exact to `default_tolerance` if nothing is asked.
     pub(super) fn tier(self, default_tolerance: f64) -> Tier {
-        match self.tier {
-            TierName::Paper => Tier::Paper,
-            TierName::Exact => Tier::Exact { tolerance: self.tolerance.unwrap_or(default_tolerance) },
+        self.tier_or(Tier::Exact { tolerance: default_tolerance })
+    }
+
+    /// The tier asked for; what is not asked for is as `usual`, or as usual for streams.
+    pub(super) fn tier_or(self, usual: Tier) -> Tier {
+        let usual_tolerance = match usual {
+            Tier::Exact { tolerance } => tolerance,
+            Tier::Paper => DEFAULT_TOLERANCE,
+        };
+        match (self.tier, self.tolerance) {
+            (Some(TierName::Paper), _) => Tier::Paper,
+            (Some(TierName::Exact), tolerance) => Tier::Exact { tolerance: tolerance.unwrap_or(usual_tolerance) },
+            (None, Some(tolerance)) => Tier::Exact { tolerance },
+            (None, None) => usual,
         }
     }
 }

@@ -1,159 +1,259 @@
-//! `slitpose run`: poses of a board, live.
+//! `slitpose run`: poses of boards, live.
 
-use std::io::Write;
+use std::io::{self, IsTerminal};
 use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use super::stream::{PoseOptions, Stream, ToolOptions, open_scene, talk};
-use super::{CommandError, Outcome};
-use crate::device::{Conversation, Device, DeviceError, Keep, SerialDevice};
+use slitpose_protocol::Hello;
+
+use super::poses::{PoseOptions, parse_duration};
+use super::record::RecordOptions;
+use super::tool::ToolOptions;
+use super::{CommandError, Outcome, interrupt, losses, talk};
+use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
+use crate::datagram::{Address, DatagramServer};
+use crate::device::{DeviceId, Search, Selector};
 use crate::front_end;
 use crate::pace::Speed;
-use crate::pipeline::{Pipeline, SceneMatch};
-use crate::table::Output;
+use crate::pipeline::{self, PipelineError, SceneMatch};
+use crate::scene_file::SceneFile;
+use crate::service::{self, Service};
+use crate::sink;
+use crate::table::OutputError;
+use crate::telemetry::{Reach, RecorderState, StatusAddress, StatusServer};
 
-/// The name of the simulated board.
-const SIM: &str = "sim";
+/// The ends of boards are looked for, and housekeeping is done, so often.
+const MOMENT: Duration = Duration::from_millis(20);
 
-/// Follows the tool in front of a board.
+/// The daemon's account goes into the capture so often.
+const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
+
+/// Follows the tool in front of a board, or of several.
 ///
-/// Starts the board with the schedule of the scene and prints a pose for each scan: a summary on a
-/// terminal, one JSON object a line otherwise. Simulated poses are marked and come with the truth.
+/// Finds the board, starts it with the schedule of the scene and prints a pose for each scan: a
+/// summary on a terminal, one JSON object a line otherwise. A board that goes is looked for until it
+/// is back. Simulated poses are marked and come with the truth.
+///
+/// Each option may also stand in the environment (SLITPOSE_DEVICE, SLITPOSE_SCENE, …) or in a
+/// configuration file (device = "auto"). A flag counts before the environment, that before the file.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  slitpose run --device /dev/ttyACM0 --scene head.toml\n  \
+#[command(after_help = "Examples:\n  slitpose run --scene head.toml\n  \
                   slitpose run --device sim --duration 10s\n  \
-                  slitpose run --device sim --trajectory contact --record contact.capture > poses.ndjson")]
+                  slitpose run --device sim --trajectory contact --record contact.mcap > poses.ndjson\n  \
+                  slitpose run --device /dev/ttyACM0 --publish unix:/run/slitpose/pose --status 127.0.0.1:7450 --format none")]
 pub(super) struct Args {
-    /// Path of the board's serial port, or `sim`: a simulated board
-    #[arg(long, value_name = "DEVICE")]
-    device: String,
-    /// Scene file, or the name of a shipped scene [default: wide]
-    #[arg(long, value_name = "SCENE")]
-    scene: Option<String>,
+    /// Which board: `auto`, a serial number, the path of a port, or `sim`, a simulated one; once for
+    /// each board
+    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto")]
+    device: Vec<String>,
+    /// Scene file, or the name of a shipped scene; one for all boards, or one for each
+    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide")]
+    scene: Vec<String>,
     #[command(flatten)]
     poses: PoseOptions,
-    /// Keep the bytes as received, from the accepted schedule on, in this file
-    #[arg(long, value_name = "FILE")]
-    record: Option<PathBuf>,
+    #[command(flatten)]
+    record: RecordOptions,
+    /// Send poses as datagrams: unix:PATH, or udp:127.0.0.1:PORT
+    #[arg(long, value_name = "ADDRESS", value_delimiter = ',')]
+    publish: Vec<Address>,
+    /// Tell how it goes, as JSON and for Prometheus: 127.0.0.1:PORT, or unix:PATH
+    #[arg(long, value_name = "ADDRESS")]
+    status: Option<StatusAddress>,
+    /// How long to look for a board that is not there: a time, or `forever`
+    /// [default: forever; with --duration not at all]
+    #[arg(long, value_name = "TIME", value_parser = parse_patience)]
+    patience: Option<Patience>,
+    /// Ports to look at for boards, besides those on USB, such as '/dev/ttyS*'
+    #[arg(long, value_name = "PATTERN", value_delimiter = ',')]
+    search: Vec<String>,
+    /// Solve with real-time priority (SCHED_FIFO), 1 to 99
+    #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(1..=99))]
+    real_time: Option<u8>,
     /// Device seconds a second a simulated board runs at, or max [default: 1]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     speed: Option<Speed>,
     #[command(flatten)]
     tool: ToolOptions,
+    /// Configuration file, or none
+    /// [default: ~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print the options in force as a configuration file, and end
+    #[arg(long)]
+    pub(super) print_config: bool,
+}
+
+/// How long to look for a board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Patience(Option<Duration>);
+
+fn parse_patience(text: &str) -> Result<Patience, String> {
+    match text {
+        "forever" => Ok(Patience(None)),
+        "0" | "0s" => Ok(Patience(Some(Duration::ZERO))),
+        _ => Ok(Patience(Some(Duration::from_secs_f64(parse_duration(text)?)))),
+    }
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = open_scene(args.scene.as_deref())?;
-    let tier = args.poses.tier();
-    let configuration = front_end::configuration(&file)?;
-    let device: Box<dyn Device> = if args.device == SIM {
-        let duration_s = args.poses.duration.unwrap_or(f64::INFINITY);
-        Box::new(args.tool.device(&file, tier, duration_s, args.speed.unwrap_or(Speed::Times(1.0)))?)
-    } else {
-        if let Some(option) = args.tool.given().or(args.speed.map(|_| "--speed")) {
-            return Err(CommandError::OnlySimulated { option, device: args.device.clone() });
+    let boards = args.boards()?;
+    let stop = interrupt()?;
+    let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
+    let capture = args.record.open()?;
+    let live = io::stdout().is_terminal();
+    let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
+    let sink = sink::open(args.poses.format(live), output, live);
+    let plan = Plan { boards, sink, capture, datagrams, real_time: args.real_time };
+    let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
+    let status = match &args.status {
+        Some(address) => {
+            let daemon = Arc::clone(&daemon);
+            Some(StatusServer::start(address, Reach::Loopback, move || daemon.report())?)
         }
-        Box::new(SerialDevice::open(&args.device)?)
+        None => None,
     };
-    let record = args.record.as_deref().map(Output::file).transpose()?;
-    let name = file.name.clone();
-    let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
-    let pipeline =
-        Pipeline::new(file, tier, SceneMatch::Required).until(args.poses.duration).following(args.poses.following());
-
-    let mut board = Conversation::open(device)?;
-    let mut greeted = None;
-    board.greet(|hello| {
-        pipeline.check(hello)?;
-        greeted.get_or_insert_with(|| (hello.hashes.scene.is_some(), hello.scaling.full_scale_a()));
-        Ok::<_, CommandError>(())
-    })?;
-    if let (Some((_, board_a)), Some(scene_a)) = (greeted, full_scale_a)
-        && (board_a / scene_a - 1.0).abs() > FULL_SCALE_SLACK
-    {
-        talk(format_args!(
-            "the board on {} measures up to {:.3} uA, the front end of `{name}` up to {:.3} uA: the board's is taken; \
-             correct front_end.full_scale_a, or flash the firmware of this front end",
-            args.device,
-            board_a * 1e6,
-            scene_a * 1e6
-        ));
+    let service = Service::from_environment().map_err(CommandError::Service)?;
+    // A manager that does not listen at this moment will at the next.
+    let notify = |state| drop(service.notify(state));
+    notify(service::READY);
+    let (mut accounted, mut alive) = (Instant::now(), Instant::now());
+    while !daemon.is_over() {
+        std::thread::sleep(MOMENT);
+        if service.watchdog_every().is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
+            alive = Instant::now();
+            notify(service::ALIVE);
+        }
+        if accounted.elapsed() >= ACCOUNT_EVERY {
+            accounted = Instant::now();
+            daemon.record_report();
+        }
     }
-    if greeted.is_some_and(|(has_scene, _)| !has_scene) {
-        talk(format_args!(
-            "the board on {} has no scene stored; taking `{name}` for the scene of its head: give another with --scene",
-            args.device
-        ));
-    }
-    board.configure(configuration)?;
-    let stream = Stream::new(pipeline, &args.poses)?;
-    board.start()?;
-    let mut session = Session { board, stream, record };
-    let followed = session.follow();
-    session.end(followed)
+    notify(service::STOPPING);
+    let ended = daemon.end();
+    drop(status);
+    outcome_of(ended, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }
 
-/// Full scales that differ by more are not those of one front end: resistors are better than that.
-const FULL_SCALE_SLACK: f64 = 0.01;
-
-/// A board that has been started, and where its poses go.
-struct Session<'a> {
-    board: Conversation,
-    stream: Stream<'a>,
-    record: Option<Output>,
+/// Says what was lost; the first error counts.
+fn outcome_of(ended: Ended, interrupted: bool, bounded: bool) -> Result<Outcome, CommandError> {
+    let Ended { boards, printed, capture } = ended;
+    let mut outcome = Outcome::Done;
+    let mut failed = Ok(());
+    for (name, counts, followed) in boards {
+        let wanted = interrupted || (bounded && followed.is_ok());
+        if losses::tell(&name, &counts, wanted) == Outcome::DataLost {
+            outcome = Outcome::DataLost;
+        }
+        failed = failed.and(followed);
+    }
+    if capture.state == RecorderState::Failed || capture.bytes_dropped > 0 {
+        talk(format_args!(
+            "the capture is not whole: {} bytes were not recorded; replay tells what is there",
+            capture.bytes_dropped
+        ));
+        outcome = Outcome::DataLost;
+    }
+    printed.map_err(|source| OutputError::Write { target: "standard output".to_owned(), source })?;
+    failed?;
+    Ok(outcome)
 }
 
-impl Session<'_> {
-    /// Until the end asked for, an interrupt, or an error.
-    fn follow(&mut self) -> Result<(), CommandError> {
-        self.pass_on()?;
-        // A status from before the start tells nothing.
-        let idle = self.stream.board_status().map(|status| status.tick);
-        while !self.stream.is_over() && self.board.listen()? {
-            self.pass_on()?;
-            if let Some(status) = self.stream.board_status()
-                && !status.acquiring
-                && Some(status.tick) != idle
-            {
-                let reason = self.stream.complaint().unwrap_or("it gives no reason; reset the board").to_owned();
-                return Err(DeviceError::Stopped { name: self.board.name(), reason }.into());
+impl Args {
+    /// The boards to follow.
+    fn boards(&self) -> Result<Vec<BoardPlan>, CommandError> {
+        let scenes = self.scene.iter().map(|scene| SceneFile::open(scene)).collect::<Result<Vec<_>, _>>()?;
+        if scenes.len() != 1 && scenes.len() != self.device.len() {
+            return Err(CommandError::Scenes { scenes: scenes.len(), devices: self.device.len() });
+        }
+        let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
+        let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
+        boards.map(|(number, (device, scene))| self.board(number, device, scene, &search)).collect()
+    }
+
+    fn board(
+        &self,
+        number: usize,
+        device: &str,
+        file: &SceneFile,
+        search: &[Search],
+    ) -> Result<BoardPlan, CommandError> {
+        let tier = self.poses.tier();
+        let configuration = front_end::configuration(file)?;
+        let selector: Selector = device.parse()?;
+        let (opener, keeps_time): (Box<dyn Opener>, _) = if selector == Selector::Sim {
+            let duration_s = self.poses.duration.unwrap_or(f64::INFINITY);
+            let speed = self.speed.unwrap_or(Speed::Times(1.0));
+            // More boards than numbers share the last one.
+            let number = u8::try_from(number).unwrap_or(u8::MAX);
+            let device = self.tool.device(number, file, tier, duration_s, speed)?;
+            (Box::new(SimulatedOpener::new(device)), speed == Speed::Times(1.0))
+        } else {
+            if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
+                return Err(CommandError::OnlySimulated { option, device: device.to_owned() });
             }
+            (Box::new(PortOpener::new(selector, search.to_vec())), true)
+        };
+        let patience = match (self.patience, self.poses.duration) {
+            (Some(Patience(patience)), _) => patience,
+            (None, Some(_)) => Some(Duration::ZERO),
+            (None, None) => None,
+        };
+        Ok(BoardPlan {
+            opener,
+            admit: Admission { file: file.clone(), name: device.to_owned(), told: Mutex::new(None) }.into_closure(),
+            file: file.clone(),
+            configuration,
+            tier,
+            following: self.poses.following(),
+            until_s: self.poses.duration,
+            patience,
+            keeps_time,
+            talk: Arc::new(talk),
+        })
+    }
+}
+
+/// Whether a board may be followed, and what its user should know.
+struct Admission {
+    file: SceneFile,
+    name: String,
+    /// The board that was told of last.
+    told: Mutex<Option<DeviceId>>,
+}
+
+impl Admission {
+    fn into_closure(self) -> Admit {
+        Box::new(move |hello| self.admit(hello))
+    }
+
+    fn admit(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
+        pipeline::check(&self.file, SceneMatch::Required, hello)?;
+        let device = DeviceId(hello.device_id);
+        let told = self.told.lock().unwrap_or_else(PoisonError::into_inner).replace(device);
+        if told == Some(device) {
+            return Ok(());
+        }
+        let (name, scene) = (&self.name, &self.file.name);
+        let board_a = hello.scaling.full_scale_a();
+        if let Some(front_end) = &self.file.front_end
+            && !front_end::is_full_scale_of(board_a, front_end.full_scale_a)
+        {
+            talk(format_args!(
+                "the board on {name} measures up to {:.3} uA, the front end of `{scene}` up to {:.3} uA: the \
+                 board's is taken; correct front_end.full_scale_a, or flash the firmware of this front end",
+                board_a * 1e6,
+                front_end.full_scale_a * 1e6
+            ));
+        }
+        if hello.hashes.scene.is_none() {
+            talk(format_args!(
+                "the board on {name} has no scene stored; taking `{scene}` for the scene of its head: give another \
+                 with --scene, or store this one with `slitpose device set --scene {}`",
+                self.file.origin
+            ));
         }
         Ok(())
-    }
-
-    /// Stops the board, prints what was still under way, and closes everything.
-    fn end(mut self, followed: Result<(), CommandError>) -> Result<Outcome, CommandError> {
-        let keep = if self.stream.is_complete() { Keep::Replies } else { Keep::All };
-        let stopped = match self.board.stop(keep) {
-            Err(error @ DeviceError::NoReply { .. }) => {
-                talk(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
-                Err(error.into())
-            }
-            stopped => stopped.map_err(CommandError::from),
-        };
-        let passed_on = self.pass_on();
-        // What has been recorded is kept even if nobody reads the poses any more.
-        if let Some(record) = self.record {
-            record.finish()?;
-        }
-        match followed.and(stopped).and(passed_on) {
-            Ok(()) => Ok(self.stream.finish()?.0),
-            Err(error @ CommandError::Output(_)) => Err(error),
-            Err(error) => {
-                self.stream.finish()?;
-                Err(error)
-            }
-        }
-    }
-
-    fn pass_on(&mut self) -> Result<(), CommandError> {
-        let bytes = self.board.inbox();
-        let pushed = self.stream.push(bytes);
-        if let Some(record) = &mut self.record {
-            let taken = pushed.as_ref().map_or(bytes.len(), |taken| *taken);
-            record.write_all(&bytes[..taken]).map_err(|source| record.error(source))?;
-        }
-        pushed?;
-        Ok(self.stream.tick()?)
     }
 }

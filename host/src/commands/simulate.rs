@@ -1,34 +1,50 @@
 //! `slitpose simulate`: a capture of a simulated board, without solving it.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use slitpose_model::Tier;
+use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
 use super::options::TierOptions;
-use super::stream::{DEFAULT_TOLERANCE, ToolOptions, open_scene, parse_duration};
+use super::poses::{DEFAULT_TOLERANCE, parse_duration};
+use super::tool::ToolOptions;
 use super::{CommandError, Outcome};
-use crate::device::{Conversation, DeviceError, Keep};
+use crate::capture::{About, CaptureSeries, Existing, Limits, Settings, Setup};
+use crate::device::{Conversation, DeviceError, DeviceId, Keep};
 use crate::front_end;
 use crate::pace::Speed;
+use crate::pipeline::{Following, Segment};
+use crate::scene_file::SceneFile;
 use crate::simulator::Trajectory;
 use crate::table::{Output, POSE_COLUMNS, TableWriter};
+
+/// Standard output, as a capture is written to it.
+const STANDARD_OUTPUT: &str = "/dev/stdout";
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///
 /// The truth of each scan is in the capture; --truth writes it as a table, too.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example:\n  slitpose simulate --trajectory fast --duration 2s --output fast.capture --truth fast.csv"
+    after_help = "Example:\n  slitpose simulate --trajectory fast --duration 2s --output fast.mcap --truth fast.csv"
 )]
 pub(super) struct Args {
-    /// Scene file, or the name of a shipped scene [default: wide]
-    #[arg(long, value_name = "SCENE")]
-    scene: Option<String>,
+    /// Scene file, or the name of a shipped scene
+    #[arg(long, value_name = "SCENE", default_value = "wide")]
+    scene: String,
     /// Device time to simulate, such as 10s
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "10s")]
     duration: f64,
     /// Capture to write; - is standard output
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
+    /// Replace a capture that is there already
+    #[arg(long)]
+    overwrite: bool,
+    /// Write the bytes alone, as they would come from a port
+    #[arg(long)]
+    raw: bool,
     /// Table of true poses to write: seq, device_time_s and the columns of a pose
     #[arg(long, value_name = "CSV")]
     truth: Option<PathBuf>,
@@ -39,35 +55,102 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = open_scene(args.scene.as_deref())?;
+    let file = SceneFile::open(&args.scene)?;
     let configuration = front_end::configuration(&file)?;
     let schedule = configuration.schedule.clone();
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
-    let device = args.tool.device(&file, tier, args.duration, Speed::Max)?;
-    let mut output = Output::open(Some(&args.output))?;
-    let truth = args.truth.as_deref().map(Output::file).transpose()?;
-
+    let device = args.tool.device(0, &file, tier, args.duration, Speed::Max)?;
     let mut board = Conversation::open(Box::new(device))?;
-    board.greet(|_| Ok::<_, DeviceError>(()))?;
+    let mut device = DeviceId::default();
+    board.greet(|hello| {
+        device = DeviceId(hello.device_id);
+        Ok::<_, DeviceError>(())
+    })?;
+    let truth = args.truth.as_deref().map(Output::file).transpose()?;
+    let mut record = Recording::begin(args, device, &file, tier, &schedule)?;
+
     board.configure(configuration)?;
     board.start()?;
-    let mut write = |bytes: &[u8]| output.write_all(bytes).map_err(|source| output.error(source));
-    write(board.inbox())?;
+    record.write(&mut board)?;
     while board.listen()? {
-        write(board.inbox())?;
+        record.write(&mut board)?;
     }
     board.stop(Keep::All)?;
-    write(board.inbox())?;
-    output.finish()?;
+    record.write(&mut board)?;
+    record.finish()?;
 
     if let Some(truth) = truth {
         let instants = (0..frames).map(|frame| {
             (frame as f64 * f64::from(schedule.frame_ticks) + schedule.reference_ticks()) / f64::from(schedule.tick_hz)
         });
-        write_truth(truth, &args.tool.trajectory(args.duration)?, instants)?;
+        write_truth(truth, &args.tool.trajectory(0, args.duration)?, instants)?;
     }
     Ok(Outcome::Done)
+}
+
+/// What is written as it comes.
+struct Recording {
+    target: Target,
+    segment: Segment,
+    /// Finds out when the bytes come, by the board's clock.
+    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    tick_hz: f64,
+    device_ns: u64,
+}
+
+enum Target {
+    Bytes(Output),
+    Capture(Box<CaptureSeries>, DeviceId),
+}
+
+impl Recording {
+    fn begin(
+        args: &Args,
+        device: DeviceId,
+        file: &SceneFile,
+        tier: Tier,
+        schedule: &Schedule,
+    ) -> Result<Self, CommandError> {
+        let target = if args.raw {
+            Target::Bytes(Output::open(Some(&args.output))?)
+        } else {
+            let existing = if args.overwrite { Existing::Replaced } else { Existing::Kept };
+            let path = if args.output == Path::new("-") { Path::new(STANDARD_OUTPUT) } else { &args.output };
+            let mut series = CaptureSeries::create(path, Limits::default(), existing, About::default())?;
+            let settings = Settings { tier, following: Following::default() };
+            series.add_device(Setup::new(device, file, settings), None, 0)?;
+            Target::Capture(Box::new(series), device)
+        };
+        let tick_hz = f64::from(schedule.tick_hz);
+        Ok(Self { target, segment: Segment::default(), decoder: Decoder::new(), tick_hz, device_ns: 0 })
+    }
+
+    fn write(&mut self, board: &mut Conversation) -> Result<(), CommandError> {
+        self.segment.clear();
+        board.fill(&mut self.segment);
+        let mut bytes = &self.segment.bytes[..];
+        while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
+            if let Ok(Message::Batch(batch)) = message {
+                self.device_ns = (batch.tick as f64 / self.tick_hz * 1e9) as u64;
+            }
+        }
+        match &mut self.target {
+            Target::Bytes(output) => {
+                output.write_all(&self.segment.bytes).map_err(|source| output.error(source))?;
+            }
+            Target::Capture(series, device) => series.segment(*device, &self.segment, self.device_ns)?,
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), CommandError> {
+        match self.target {
+            Target::Bytes(output) => output.finish()?,
+            Target::Capture(series, _) => drop(series.finish()?),
+        }
+        Ok(())
+    }
 }
 
 fn write_truth(

@@ -3,7 +3,7 @@
 use slitpose_model::{Noise, Scene};
 use slitpose_protocol::{AdcScaling, Schedule};
 
-use crate::scene_file::FrontEnd;
+use crate::scene_file::{FrontEnd, SceneFile};
 
 /// Temperature of detectors whose scene gives none.
 pub const ROOM_TEMPERATURE_K: f64 = 300.0;
@@ -28,9 +28,31 @@ pub(super) fn of_lit_minus_dark(
     Noise {
         shot_bandwidth_hz: bandwidth_hz,
         johnson_bandwidth_hz: words * bandwidth_hz,
-        temperature_k: scene.noise.map_or(ROOM_TEMPERATURE_K, |noise| noise.temperature_k),
+        temperature_k: temperature_k(scene),
         adc_a: (words * converter_variance_lsb2(front_end)).sqrt() * scaling.amperes_per_code.abs() / gain,
     }
+}
+
+/// Standard deviation of one dark word of `cell` as the front end of `file` promises it, both
+/// electrodes alike, amperes; `None` for a scene without front end.
+///
+/// Shot noise of the dark current divides between the electrodes like the current.
+pub fn dark_word_noise_a(file: &SceneFile, cell: usize, scaling: &AdcScaling) -> Option<f64> {
+    let front_end = file.front_end.as_ref()?;
+    let detector = &file.scene.cells.get(cell)?.detector;
+    let bandwidth_hz = word_bandwidth_hz(front_end);
+    let noise = Noise {
+        shot_bandwidth_hz: bandwidth_hz,
+        johnson_bandwidth_hz: bandwidth_hz,
+        temperature_k: temperature_k(&file.scene),
+        adc_a: converter_variance_lsb2(front_end).sqrt() * scaling.amperes_per_code.abs(),
+    };
+    let shot_a2 = 0.25 * noise.shot_a() * detector.dark_current_a;
+    Some((noise.adc_a * noise.adc_a + noise.johnson_a2(detector) + shot_a2).sqrt())
+}
+
+fn temperature_k(scene: &Scene) -> f64 {
+    scene.noise.map_or(ROOM_TEMPERATURE_K, |noise| noise.temperature_k)
 }
 
 /// Variance of the mean of a word's conversions, in squared steps: noise, and rounding (1/12).

@@ -30,6 +30,18 @@ pub struct Counts {
 /// The words for [`Counts::outcomes`].
 pub const OUTCOMES: [&str; 6] = ["converged", "degraded", "ambiguous", "unobservable", "too_dark", "diverged"];
 
+/// Which of [`OUTCOMES`] it is.
+pub fn outcome_number(outcome: &Outcome) -> usize {
+    match outcome {
+        Outcome::Converged => 0,
+        Outcome::Degraded(_) => 1,
+        Outcome::Ambiguous => 2,
+        Outcome::Unobservable(_) => 3,
+        Outcome::TooDark => 4,
+        Outcome::Diverged => 5,
+    }
+}
+
 impl Counts {
     pub(super) fn count_scan(&mut self, sequence: u64) {
         self.scans += 1;
@@ -42,15 +54,7 @@ impl Counts {
     }
 
     pub(super) fn count_outcome(&mut self, outcome: &Outcome) {
-        let index = match outcome {
-            Outcome::Converged => 0,
-            Outcome::Degraded(_) => 1,
-            Outcome::Ambiguous => 2,
-            Outcome::Unobservable(_) => 3,
-            Outcome::TooDark => 4,
-            Outcome::Diverged => 5,
-        };
-        self.outcomes[index] += 1;
+        self.outcomes[outcome_number(outcome)] += 1;
     }
 
     /// Scans that gave a pose.

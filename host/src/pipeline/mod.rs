@@ -9,6 +9,7 @@ mod error;
 mod segment;
 mod session;
 mod span;
+mod timing;
 
 use std::collections::VecDeque;
 
@@ -18,15 +19,18 @@ use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
 };
 
-pub use counts::{Counts, OUTCOMES};
+pub use counts::{Counts, OUTCOMES, outcome_number};
 pub use error::PipelineError;
 pub use segment::{Asked, Read, Segment};
+pub use session::check;
 
-use crate::clock::HostTime;
+use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
+use crate::health::HeadHealth;
 use crate::scene_file::SceneFile;
 use session::Session;
 use span::Span;
+use timing::Timing;
 
 /// True poses that may wait for their scans: more than a board queues.
 const MAX_TRUTHS: usize = 1024;
@@ -42,6 +46,8 @@ pub struct Record {
     pub device_time_s: f64,
     /// The same instant by the host's clocks; `None` while it is not known.
     pub host_time: Option<HostTime>,
+    /// When the last byte of its batch had been read.
+    pub arrival: Option<HostInstant>,
     /// What the solver says of this scan alone.
     pub solution: Solution,
     /// Velocity at that instant, from this scan and a few before.
@@ -108,7 +114,9 @@ struct Flow {
     tier: Tier,
     scene_match: SceneMatch,
     following: Following,
+    watched: bool,
     session: Option<Session>,
+    timing: Timing,
     span: Span,
     truths: VecDeque<Truth>,
     counts: Counts,
@@ -124,7 +132,9 @@ impl Pipeline {
                 tier,
                 scene_match,
                 following: Following::default(),
+                watched: false,
                 session: None,
+                timing: Timing::default(),
                 span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
                 counts: Counts::default(),
@@ -146,24 +156,62 @@ impl Pipeline {
         self
     }
 
-    /// Whether a board that says `hello` can be used, as far as can be told before it is configured.
-    ///
-    /// # Errors
-    /// If it speaks otherwise, or belongs to another scene.
-    pub fn check(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
-        session::check(&self.flow.file, self.flow.scene_match, hello)
+    /// Watches the cells of the head, too: see [`health`](Self::health).
+    #[must_use]
+    pub fn watched(mut self) -> Self {
+        self.flow.watched = true;
+        self
     }
 
     /// Takes `bytes`, cut anywhere, hands on what they complete, and gives how many were taken: all,
-    /// unless the end has come. Then nothing is taken from the first scan behind the end on.
+    /// unless the end has come. Then nothing is taken from the first scan behind the end on. When
+    /// they came is not known: see [`feed`](Self::feed).
     ///
     /// # Errors
     /// If the board cannot be used with this scene, or `sink` fails. Damaged bytes are no error:
     /// they are counted and passed over.
     pub fn push<E: From<PipelineError>>(
         &mut self,
-        mut bytes: &[u8],
+        bytes: &[u8],
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<usize, E> {
+        self.flow.timing.read(None);
+        self.decode(bytes, &mut sink)
+    }
+
+    /// Takes what a link delivered, as [`push`](Self::push) does, and tells the host's time of each
+    /// scan, as soon as pings have been answered and as far as the reads say when they returned.
+    ///
+    /// # Errors
+    /// As for [`push`](Self::push).
+    pub fn feed<E: From<PipelineError>>(
+        &mut self,
+        segment: &Segment,
+        mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<usize, E> {
+        if segment.opened {
+            self.decoder.reset();
+            self.flow.timing.reopen();
+        }
+        for asked in &segment.asked {
+            self.flow.timing.ask(*asked);
+        }
+        let mut taken = 0;
+        for (bytes, at) in segment.chunks() {
+            self.flow.timing.read(at);
+            let count = self.decode(bytes, &mut sink)?;
+            taken += count;
+            if count < bytes.len() {
+                break;
+            }
+        }
+        Ok(taken)
+    }
+
+    fn decode<E: From<PipelineError>>(
+        &mut self,
+        mut bytes: &[u8],
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
         let length = bytes.len();
         // Behind the end only whole packets are taken: the rest of a cut one may not be wanted.
@@ -179,9 +227,19 @@ impl Pipeline {
             if self.flow.span.is_complete() && matches!(message, Message::Batch(_) | Message::Truth(_)) {
                 return Ok(length - ahead);
             }
-            self.flow.take(&message, &mut sink)?;
+            self.flow.take(&message, sink)?;
         }
         Ok(length - bytes.len())
+    }
+
+    /// How the head of the board that is speaking is, if it is [watched](Self::watched).
+    pub fn health(&self) -> Option<HeadHealth> {
+        self.flow.session.as_ref()?.health()
+    }
+
+    /// By how many millionths the clock of the board that is speaking is fast, if that is known.
+    pub fn drift_ppm(&self) -> Option<f64> {
+        self.flow.timing.drift_ppm()
     }
 
     /// Device time between the first scan and the last, seconds.
@@ -228,7 +286,10 @@ impl Flow {
                 })
             }
             Message::Reply(reply) => sink(Item::Reply(reply)),
-            Message::Pong(_) => Ok(()),
+            Message::Pong(pong) => {
+                self.timing.answer(pong);
+                Ok(())
+            }
             Message::Truth(truth) => {
                 if self.truths.len() == MAX_TRUTHS {
                     self.truths.pop_front();
@@ -243,7 +304,9 @@ impl Flow {
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
             return Ok(());
         }
-        self.session = Some(Session::open(&self.file, self.tier, self.scene_match, self.following, hello)?);
+        let session = Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello)?;
+        self.timing.meet(session.device(), hello.schedule.tick_hz);
+        self.session = Some(session);
         Ok(())
     }
 
@@ -261,6 +324,7 @@ impl Flow {
             self.counts.batches_unreadable += 1;
             return Ok(());
         };
+        self.timing.arrive(session.last_tick(batch.tick, scans.len()));
         for scan in scans {
             let device_time_s = session.time_s(&scan);
             if !self.span.admits(device_time_s, session.frame_s()) {
@@ -271,9 +335,10 @@ impl Flow {
             self.counts.count_outcome(&solution.outcome);
             let record = Record {
                 device: session.device(),
-                host_time: None,
                 sequence: scan.sequence,
                 device_time_s,
+                host_time: self.timing.time_of(scan.tick, session.reference_ticks()),
+                arrival: self.timing.at(),
                 solution,
                 twist,
                 smoothed,

@@ -6,6 +6,7 @@ use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 use super::{Following, PipelineError, SceneMatch};
 use crate::device::{DeviceId, Versions};
 use crate::front_end::Stage;
+use crate::health::{HeadHealth, Health};
 use crate::scene_file::SceneFile;
 
 /// What a hello opens.
@@ -17,12 +18,17 @@ pub(super) struct Session {
     schedule: Schedule,
     scaling: AdcScaling,
     reference_ticks: f64,
+    last_sample_ticks: u64,
     stage: Stage,
     tracker: Tracker<f64>,
+    health: Option<Health>,
 }
 
 /// Checks what of `hello` does not depend on the schedule: the protocol and the scene.
-pub(super) fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
+///
+/// # Errors
+/// If the board speaks otherwise, or belongs to another scene.
+pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     let board = || hello.board.to_owned();
     let versions = Versions { board: hello.protocol };
     hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), versions, source })?;
@@ -43,6 +49,7 @@ impl Session {
         tier: Tier,
         scene_match: SceneMatch,
         following: Following,
+        watched: bool,
         hello: &Hello<'_>,
     ) -> Result<Self, PipelineError> {
         check(file, scene_match, hello)?;
@@ -54,6 +61,7 @@ impl Session {
         if board_cells != scene_cells {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
         }
+        let health = if watched { Some(Health::new(file, tier, &hello.schedule, &hello.scaling)?) } else { None };
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
@@ -68,7 +76,9 @@ impl Session {
             kind: hello.kind,
             configuration: hello.configuration,
             reference_ticks: hello.schedule.reference_ticks(),
+            last_sample_ticks: hello.schedule.last_sample_ticks(),
             tracker,
+            health,
             stage,
             schedule: hello.schedule.clone(),
             scaling: hello.scaling,
@@ -113,7 +123,29 @@ impl Session {
         (scan.tick as f64 + self.reference_ticks) / self.tick_hz()
     }
 
+    /// Ticks from the start of a scan's frame to the instant that its pose refers to.
+    pub(super) fn reference_ticks(&self) -> f64 {
+        self.reference_ticks
+    }
+
+    /// Tick of the last sample in a batch of `scans` scans that begins at `tick`.
+    pub(super) fn last_tick(&self, tick: u64, scans: usize) -> u64 {
+        let frames = scans.saturating_sub(1) as u64;
+        tick.wrapping_add(frames.wrapping_mul(u64::from(self.schedule.frame_ticks)))
+            .wrapping_add(self.last_sample_ticks)
+    }
+
     pub(super) fn solve(&mut self, scan: &RawScan) -> Tracked {
-        self.tracker.track(scan.sequence, &self.stage.photocurrents(scan))
+        let photocurrents = self.stage.photocurrents(scan);
+        let tracked = self.tracker.track(scan.sequence, &photocurrents);
+        if let Some(health) = &mut self.health {
+            health.take(scan, &photocurrents, &tracked.solution);
+        }
+        tracked
+    }
+
+    /// How the head is, if it is watched.
+    pub(super) fn health(&self) -> Option<HeadHealth> {
+        self.health.as_ref().map(Health::report)
     }
 }

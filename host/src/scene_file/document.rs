@@ -285,7 +285,7 @@ fn kind_of(value: &DeValue<'_>) -> &'static str {
 }
 
 /// The known key that is spelled almost like `key`: two letters in five may differ.
-fn nearest(key: &str, known: &[&'static str]) -> Option<&'static str> {
+pub(crate) fn nearest<'a>(key: &str, known: &[&'a str]) -> Option<&'a str> {
     let distance = |candidate: &str| strsim::damerau_levenshtein(key, candidate);
     let best = known.iter().copied().min_by_key(|candidate| distance(candidate))?;
     (5 * distance(best) <= 2 * best.chars().count()).then_some(best)

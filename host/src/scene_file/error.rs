@@ -57,7 +57,7 @@ pub struct FilePlace {
 
 impl FilePlace {
     /// The place of a byte offset in `text`.
-    pub(super) fn of(file: &str, text: &str, offset: usize) -> Self {
+    pub(crate) fn of(file: &str, text: &str, offset: usize) -> Self {
         let before = text.get(..offset).unwrap_or(text);
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
         Self {

@@ -20,6 +20,7 @@ use std::path::Path;
 
 use slitpose_model::{Plan, Scene, Tier};
 
+pub(crate) use document::nearest;
 pub use electronics::FrontEnd;
 pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
 pub use lighting::Lighting;

@@ -43,6 +43,11 @@ impl Shipped {
         SHIPPED.iter().find(|shipped| shipped.name == name)
     }
 
+    /// The shipped scene with this hash, read.
+    pub fn with_hash(hash: u64) -> Option<SceneFile> {
+        SHIPPED.iter().filter_map(|shipped| shipped.read().ok()).find(|file| file.hash == hash)
+    }
+
     /// Reads it.
     pub fn read(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(self.name, self.text)

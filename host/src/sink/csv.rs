@@ -2,9 +2,12 @@
 
 use std::io::{self, Write};
 
-use super::Sink;
-use crate::pipeline::{Counts, Item, Record};
+use super::{Accounts, Note, Sink};
+use crate::pipeline::Record;
 use crate::table::SOLUTION_COLUMNS;
+
+/// The host's time of the instant that the pose refers to is empty while not known.
+const STREAM_COLUMNS: [&str; 5] = ["simulated", "device", "host_monotonic_ns", "host_utc_ns", "host_uncertainty_ns"];
 
 /// Writes CSV.
 pub(super) struct Csv<W: Write> {
@@ -21,7 +24,7 @@ impl<W: Write> Csv<W> {
     fn begin(&mut self) -> io::Result<()> {
         if !self.begun {
             self.begun = true;
-            let columns = ["seq", "device_time_s"].into_iter().chain(SOLUTION_COLUMNS).chain(["simulated"]);
+            let columns = ["seq", "device_time_s"].into_iter().chain(SOLUTION_COLUMNS).chain(STREAM_COLUMNS);
             self.writer.write_record(columns)?;
         }
         Ok(())
@@ -51,24 +54,32 @@ impl<W: Write> Csv<W> {
         self.writer.write_field(row.excluded_cells)?;
         self.writer.write_field(row.verified)?;
         self.writer.write_field(if record.simulated { "true" } else { "false" })?;
+        self.writer.write_field(record.device.to_string())?;
+        let time = record.host_time;
+        for ns in
+            [time.map(|time| time.monotonic_ns), time.map(|time| time.utc_ns), time.map(|time| time.uncertainty_ns)]
+        {
+            self.writer.write_field(ns.map_or_else(String::new, |ns| ns.to_string()))?;
+        }
         Ok(self.writer.write_record(None::<&[u8]>)?)
     }
 }
 
 impl<W: Write> Sink for Csv<W> {
-    fn take(&mut self, item: &Item<'_>) -> io::Result<()> {
+    fn pose(&mut self, record: &Record) -> io::Result<()> {
         self.begin()?;
-        match item {
-            Item::Pose(record) => self.write(record),
-            _ => Ok(()),
-        }
+        self.write(record)
     }
 
-    fn tick(&mut self, _: &Counts) -> io::Result<()> {
+    fn note(&mut self, _: &Note) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
         self.writer.flush()
     }
 
-    fn finish(&mut self, _: &Counts) -> io::Result<()> {
+    fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
         self.begin()?;
         self.writer.flush()
     }

@@ -2,53 +2,68 @@
 
 mod csv;
 mod ndjson;
+mod note;
 mod summary;
 
 use std::io::{self, Write};
 
 use clap::ValueEnum;
 
+pub use note::Note;
 pub use summary::Accuracy;
 
-use crate::pipeline::{Counts, Item};
+use crate::pipeline::Record;
+use crate::telemetry::BoardReport;
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// Rates, losses, pose and accuracy, renewed in place on a terminal
+    /// Rates, losses, health, pose and accuracy, renewed in place on a terminal
     Summary,
     /// One JSON object a scan
     Ndjson,
     /// One row a scan
     Csv,
+    /// Nothing: for a daemon that is read by datagrams, or only records
+    None,
 }
+
+/// Gives the accounts of all boards, as they are now.
+pub type Accounts<'a> = dyn Fn() -> Vec<BoardReport> + 'a;
 
 /// Something poses are written to.
 pub trait Sink {
-    /// Takes the next item.
+    /// Takes the next pose, or why there is none.
     ///
     /// # Errors
     /// Those of the output.
-    fn take(&mut self, item: &Item<'_>) -> io::Result<()>;
+    fn pose(&mut self, record: &Record) -> io::Result<()>;
+
+    /// Takes what is not a pose.
+    ///
+    /// # Errors
+    /// Those of the output.
+    fn note(&mut self, note: &Note) -> io::Result<()>;
 
     /// Called now and then while nothing may come.
     ///
     /// # Errors
     /// Those of the output.
-    fn tick(&mut self, counts: &Counts) -> io::Result<()>;
+    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 
     /// Ends the output.
     ///
     /// # Errors
     /// Those of the output.
-    fn finish(&mut self, counts: &Counts) -> io::Result<()>;
+    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
 
-/// The sink of a format; `live` tells whether `output` is a terminal.
-pub fn open<'a>(format: Format, output: impl Write + 'a, live: bool) -> Box<dyn Sink + 'a> {
+/// The sink of a format; `live` tells whether `output` is a terminal. `None` for nothing.
+pub fn open<'a>(format: Format, output: impl Write + Send + 'a, live: bool) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
-        Format::Summary => Box::new(summary::Summary::new(output, live)),
-        Format::Ndjson => Box::new(ndjson::Ndjson::new(output)),
-        Format::Csv => Box::new(csv::Csv::new(output)),
+        Format::Summary => Some(Box::new(summary::Summary::new(output, live))),
+        Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
+        Format::Csv => Some(Box::new(csv::Csv::new(output))),
+        Format::None => None,
     }
 }

@@ -5,14 +5,23 @@ use std::io::{self, Write};
 use serde::Serialize;
 use slitpose_model::{Estimate, Outcome, Pose, Smoothed, TwistEstimate};
 
-use super::Sink;
-use crate::pipeline::{Counts, Item, Record};
+use super::{Accounts, Note, Sink};
+use crate::device::DeviceId;
+use crate::pipeline::Record;
 
 /// A pose as JSON: SI units, frame base_from_tool, quaternion x, y, z, w.
 #[derive(Serialize)]
 struct Line<'a> {
     seq: u64,
+    device: DeviceId,
     device_time_s: f64,
+    /// The same instant by CLOCK_MONOTONIC and by UTC since 1970, absent while not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    host_monotonic_ns: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    host_utc_ns: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    host_uncertainty_ns: Option<u64>,
     status: &'a str,
     /// Why a pose is degraded, or which coordinates an unobservable one leaves open.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -120,7 +129,11 @@ impl<'a> From<&'a Record> for Line<'a> {
         let estimate = solution.estimate;
         Self {
             seq: record.sequence,
+            device: record.device,
             device_time_s: record.device_time_s,
+            host_monotonic_ns: record.host_time.map(|time| time.monotonic_ns),
+            host_utc_ns: record.host_time.map(|time| time.utc_ns),
+            host_uncertainty_ns: record.host_time.map(|time| time.uncertainty_ns),
             status: solution.outcome.as_str(),
             reason: match solution.outcome {
                 Outcome::Degraded(weakness) => Some(weakness.as_str().to_owned()),
@@ -156,19 +169,20 @@ impl<W: Write> Ndjson<W> {
 }
 
 impl<W: Write> Sink for Ndjson<W> {
-    fn take(&mut self, item: &Item<'_>) -> io::Result<()> {
-        if let Item::Pose(record) = item {
-            serde_json::to_writer(&mut self.output, &Line::from(*record))?;
-            self.output.write_all(b"\n")?;
-        }
+    fn pose(&mut self, record: &Record) -> io::Result<()> {
+        serde_json::to_writer(&mut self.output, &Line::from(record))?;
+        self.output.write_all(b"\n")
+    }
+
+    fn note(&mut self, _: &Note) -> io::Result<()> {
         Ok(())
     }
 
-    fn tick(&mut self, _: &Counts) -> io::Result<()> {
+    fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {
         self.output.flush()
     }
 
-    fn finish(&mut self, _: &Counts) -> io::Result<()> {
+    fn finish(&mut self, _: &Accounts<'_>) -> io::Result<()> {
         self.output.flush()
     }
 }

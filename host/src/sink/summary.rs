@@ -6,8 +6,10 @@ use std::time::{Duration, Instant};
 use slitpose_model::Estimate;
 use slitpose_protocol::Severity;
 
-use super::Sink;
-use crate::pipeline::{Counts, Item, OUTCOMES, Record};
+use super::{Accounts, Note, Sink};
+use crate::device::DeviceId;
+use crate::pipeline::Record;
+use crate::telemetry::view;
 
 /// A person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
@@ -38,68 +40,46 @@ impl Accuracy {
         let beyond = error.iter().zip(estimate.sigma()).any(|(error, sigma)| error.abs() > 5.0 * sigma);
         self.beyond_five_sigma += u64::from(beyond);
     }
+
+    /// How many poses were taken.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Two lines for people; `against` names where the truth comes from.
+    pub fn lines(&self, against: &str) -> Vec<String> {
+        if self.count == 0 {
+            return Vec::new();
+        }
+        let count = self.count as f64;
+        vec![
+            format!(
+                "error       {:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest (against {against})",
+                (self.square_m2 / count).sqrt() * 1e6,
+                self.largest_m * 1e6,
+                (self.square_rad2 / count).sqrt() * 1e6,
+                self.largest_rad * 1e6,
+            ),
+            format!(
+                "honesty     mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
+                self.nees_sum / count,
+                self.beyond_five_sigma,
+            ),
+        ]
+    }
 }
 
-/// Writes the summary.
-pub(super) struct Summary<W> {
-    output: W,
-    live: bool,
-    shown: Option<Instant>,
-    lines: usize,
-    board: String,
-    last: Option<Record>,
-    first_device_time_s: Option<f64>,
+/// What was seen of one board.
+struct Seen {
+    device: DeviceId,
+    last: Record,
     accuracy: Accuracy,
-    seen: u64,
 }
 
-impl<W: Write> Summary<W> {
-    pub(super) fn new(output: W, live: bool) -> Self {
-        Self {
-            output,
-            live,
-            shown: None,
-            lines: 0,
-            board: String::new(),
-            last: None,
-            first_device_time_s: None,
-            accuracy: Accuracy::default(),
-            seen: 0,
-        }
-    }
-
-    fn note(&mut self, record: &Record) {
-        self.seen += 1;
-        self.first_device_time_s.get_or_insert(record.device_time_s);
-        if let (Some(estimate), Some(truth)) = (&record.solution.estimate, &record.truth) {
-            self.accuracy.add(estimate, truth);
-        }
-        self.last = Some(*record);
-    }
-
-    fn text(&self, counts: &Counts) -> Vec<String> {
-        let mut lines = vec![self.board.clone()];
-        let (Some(last), Some(first_s)) = (&self.last, self.first_device_time_s) else {
-            lines.push("no scan yet".to_owned());
-            return lines;
-        };
-        let span_s = last.device_time_s - first_s;
-        let rate_hz = if span_s > 0.0 { (self.seen - 1) as f64 / span_s } else { 0.0 };
-        lines.push(format!(
-            "device time {:>9.3} s   {rate_hz:>7.1} scans/s   {} scans, {} lost, {} damaged packets",
-            last.device_time_s,
-            counts.scans,
-            counts.scans_lost,
-            counts.decoder.damaged(),
-        ));
-        let outcomes: Vec<String> = OUTCOMES
-            .iter()
-            .zip(counts.outcomes)
-            .filter(|(_, count)| *count > 0)
-            .map(|(name, count)| format!("{name} {count}"))
-            .collect();
-        lines.push(format!("outcomes    {}", outcomes.join(", ")));
-        match &last.solution.estimate {
+impl Seen {
+    fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        match &self.last.solution.estimate {
             Some(estimate) => {
                 let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
                 let s = estimate.sigma();
@@ -109,33 +89,46 @@ impl<W: Write> Summary<W> {
                 lines.push(format!("rotation    {:>+9.4} {:>+9.4} {:>+9.4} deg", degrees.x, degrees.y, degrees.z));
                 lines.push(format!("  sigma     {:>9.1} {:>9.1} {:>9.1} urad", s[3] * 1e6, s[4] * 1e6, s[5] * 1e6));
             }
-            None => lines.push(format!("position    none: {}", last.solution.outcome.as_str())),
+            None => lines.push(format!("position    none: {}", self.last.solution.outcome.as_str())),
         }
-        let accuracy = &self.accuracy;
-        if accuracy.count > 0 {
-            let count = accuracy.count as f64;
-            lines.push(format!(
-                "error       {:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest (against the simulated truth)",
-                (accuracy.square_m2 / count).sqrt() * 1e6,
-                accuracy.largest_m * 1e6,
-                (accuracy.square_rad2 / count).sqrt() * 1e6,
-                accuracy.largest_rad * 1e6,
-            ));
-            lines.push(format!(
-                "honesty     mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
-                accuracy.nees_sum / count,
-                accuracy.beyond_five_sigma,
-            ));
+        lines.extend(self.accuracy.lines("the simulated truth"));
+        lines
+    }
+}
+
+/// Writes the summary.
+pub(super) struct Summary<W> {
+    output: W,
+    live: bool,
+    shown: Option<Instant>,
+    lines: usize,
+    boards: Vec<Seen>,
+}
+
+impl<W: Write> Summary<W> {
+    pub(super) fn new(output: W, live: bool) -> Self {
+        Self { output, live, shown: None, lines: 0, boards: Vec::new() }
+    }
+
+    fn text(&self, accounts: &Accounts<'_>) -> Vec<String> {
+        let mut lines = Vec::new();
+        for account in accounts() {
+            if !lines.is_empty() {
+                lines.push(String::new());
+            }
+            lines.extend(view::lines(&account));
+            let seen = self.boards.iter().find(|seen| Some(seen.device) == account.device);
+            lines.extend(seen.map(Seen::lines).into_iter().flatten());
         }
         lines
     }
 
-    fn show(&mut self, counts: &Counts) -> io::Result<()> {
+    fn show(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
         if self.live && self.lines > 0 {
             // Back to the first line of the last summary, and clear to the end of the screen.
             write!(self.output, "\x1b[{}A\x1b[J", self.lines)?;
         }
-        let lines = self.text(counts);
+        let lines = self.text(accounts);
         for line in &lines {
             writeln!(self.output, "{line}")?;
         }
@@ -146,36 +139,39 @@ impl<W: Write> Summary<W> {
 }
 
 impl<W: Write> Sink for Summary<W> {
-    fn take(&mut self, item: &Item<'_>) -> io::Result<()> {
-        match item {
-            Item::Hello(hello) => {
-                let id: String = hello.device_id.iter().map(|byte| format!("{byte:02x}")).collect();
-                self.board = format!(
-                    "board       {} ({:?}), id {id}, firmware {}, {:.0} frames/s",
-                    hello.board,
-                    hello.kind,
-                    hello.firmware,
-                    hello.schedule.frame_rate_hz()
-                );
-            }
-            Item::Pose(record) => self.note(record),
-            Item::Event { severity, device_time_s, text } if *severity != Severity::Info => {
+    fn pose(&mut self, record: &Record) -> io::Result<()> {
+        let known = self.boards.iter().position(|seen| seen.device == record.device);
+        let at = known.unwrap_or_else(|| {
+            self.boards.push(Seen { device: record.device, last: *record, accuracy: Accuracy::default() });
+            self.boards.len() - 1
+        });
+        let seen = &mut self.boards[at];
+        seen.last = *record;
+        if let (Some(estimate), Some(truth)) = (&record.solution.estimate, &record.truth) {
+            seen.accuracy.add(estimate, truth);
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, note: &Note) -> io::Result<()> {
+        match note {
+            Note::Event { severity, device_time_s, text, .. } if *severity != Severity::Info => {
                 writeln!(self.output, "{severity:?} at {device_time_s:.3} s: {text}")?;
                 self.lines = 0;
             }
-            _ => {}
+            Note::Event { .. } | Note::Hello { .. } => {}
         }
         Ok(())
     }
 
-    fn tick(&mut self, counts: &Counts) -> io::Result<()> {
+    fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
         if self.live && self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
-            self.show(counts)?;
+            self.show(accounts)?;
         }
         Ok(())
     }
 
-    fn finish(&mut self, counts: &Counts) -> io::Result<()> {
-        self.show(counts)
+    fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
+        self.show(accounts)
     }
 }

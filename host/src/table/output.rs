@@ -1,7 +1,7 @@
 //! Where a command's result goes: standard output, or a file that appears only when complete.
 
 use std::fs::{self, File, Permissions};
-use std::io::{self, BufWriter, StdoutLock, Write};
+use std::io::{self, BufWriter, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
@@ -45,7 +45,7 @@ pub struct Output {
 
 #[derive(Debug)]
 enum Sink {
-    Stdout(BufWriter<StdoutLock<'static>>),
+    Stdout(BufWriter<Stdout>),
     /// A file that is written beside its final name and renamed at the end.
     Pending(BufWriter<NamedTempFile>, PathBuf),
     /// Something that is no regular file, such as a device or a named pipe.
@@ -57,10 +57,7 @@ impl Output {
     pub fn open(path: Option<&Path>) -> Result<Self, OutputError> {
         match path {
             Some(path) if path != Path::new("-") => Self::file(path),
-            _ => Ok(Self {
-                sink: Sink::Stdout(BufWriter::new(io::stdout().lock())),
-                target: "standard output".to_owned(),
-            }),
+            _ => Ok(Self { sink: Sink::Stdout(BufWriter::new(io::stdout())), target: "standard output".to_owned() }),
         }
     }
 

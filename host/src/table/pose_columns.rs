@@ -37,6 +37,11 @@ impl PoseColumns {
         Ok(Self { id, components })
     }
 
+    /// The first column of the pose.
+    pub fn first(&self) -> Column {
+        self.components[0]
+    }
+
     /// The row's identifier, whatever it is.
     pub fn id<'a>(&self, row: &Row<'a>) -> &'a str {
         row.text(self.id)

@@ -1,0 +1,72 @@
+//! `slitpose device set`: which head a board belongs to, kept on the board.
+
+use std::time::Duration;
+
+use slitpose_protocol::Hashes;
+
+use super::{BoardOptions, Connection};
+use crate::commands::{CommandError, Outcome};
+use crate::device::DeviceError;
+use crate::front_end;
+use crate::scene_file::{SceneFile, WIDE};
+use crate::table::Output;
+
+/// A board that has just replied answers at once.
+const HELLO_WITHIN: Duration = Duration::from_secs(1);
+
+/// Has a board keep the schedule and the hash of its head's scene, also without supply.
+///
+/// From then on it starts with that schedule, and `run` refuses to read it by the scene of another head. What is
+/// stored is read back. A calibration stays stored only if the scene stays the same.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose device set --scene head.toml\n  \
+                  slitpose device set --device 0036002900544850025a0320 --clear")]
+pub(super) struct Args {
+    #[command(flatten)]
+    board: BoardOptions,
+    /// The scene of its head: a file, or the name of a shipped scene
+    #[arg(long, value_name = "SCENE", required_unless_present = "clear", conflicts_with = "clear")]
+    scene: Option<String>,
+    /// Forget what is stored; the board starts with its defaults from then on
+    #[arg(long)]
+    clear: bool,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let said = match &args.scene {
+        None => clear(args.board.connect(&WIDE.read()?)?.understood()?)?,
+        Some(scene) => {
+            let file = SceneFile::open(scene)?;
+            let configuration = front_end::configuration(&file)?;
+            let mut connection = args.board.connect(&file)?.understood()?;
+            let before = connection.info.hashes;
+            let same = before.scene == Some(file.hash);
+            let hashes = Hashes { scene: Some(file.hash), calibration: before.calibration.filter(|_| same) };
+            let schedule = configuration.schedule.clone();
+            connection.board.configure(configuration)?;
+            connection.board.store(hashes)?;
+            let after = connection.board.introduce(HELLO_WITHIN)?;
+            if after.hashes != hashes || after.schedule != schedule {
+                return Err(DeviceError::NotStored { name: connection.board.name() }.into());
+            }
+            let forgotten = if before.calibration.is_some() && !same { "; the calibration is forgotten" } else { "" };
+            format!(
+                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s{forgotten}\n",
+                connection.name(),
+                file.name,
+                file.hash,
+                schedule.frame_rate_hz()
+            )
+        }
+    };
+    Output::open(None)?.write_text(&said)?;
+    Ok(Outcome::Done)
+}
+
+fn clear(mut connection: Connection) -> Result<String, CommandError> {
+    connection.board.forget_stored()?;
+    if connection.board.introduce(HELLO_WITHIN)?.hashes != Hashes::default() {
+        return Err(DeviceError::NotStored { name: connection.board.name() }.into());
+    }
+    Ok(format!("{} keeps no scene and no calibration; it starts with its defaults\n", connection.name()))
+}

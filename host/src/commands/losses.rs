@@ -1,0 +1,25 @@
+//! What was damaged or lost on the way, told at the end.
+
+use super::{Outcome, talk};
+use crate::pipeline::Counts;
+
+/// Says on standard error what of a stream was lost, if anything was. A packet under way when the
+/// end was `wanted` is not lost: it was not waited for.
+pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
+    let lossless = if wanted { !counts.has_loss_before_end() } else { !counts.has_loss() };
+    if lossless {
+        return Outcome::Done;
+    }
+    let decoder = counts.decoder;
+    talk(format_args!(
+        "{name}: data were damaged or lost: {} scans missing, {} damaged and {} unreadable packets \
+         ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello",
+        counts.scans_lost,
+        decoder.damaged(),
+        decoder.unknown + decoder.malformed + counts.batches_unreadable,
+        decoder.bytes_skipped,
+        counts.pending_bytes,
+        counts.batches_without_hello,
+    ));
+    Outcome::DataLost
+}

@@ -1,0 +1,364 @@
+//! Captures through the pipeline: what `replay` and `export` share.
+
+use std::cell::RefCell;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
+use thiserror::Error;
+
+use super::poses::{PoseOptions, parse_duration};
+use super::{CommandError, Outcome, interrupt, losses, talk};
+use crate::capture::{CaptureError, CaptureReader, End, Entry, Setup};
+use crate::clock::HostInstant;
+use crate::comparison::Comparison;
+use crate::device::DeviceId;
+use crate::pace::{Pace, Speed};
+use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch, Segment};
+use crate::scene_file::{SceneFile, Shipped, WIDE};
+use crate::sink::{Note, Sink};
+use crate::telemetry::{BoardReport, BoardStatistics};
+
+/// What of captures is solved, and how.
+#[derive(clap::Args, Debug)]
+pub(super) struct PlayOptions {
+    /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
+    #[arg(long, value_name = "SCENE")]
+    scene: Option<String>,
+    /// Begin this long after the beginning; the first poses are then found from nothing
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    from: Option<f64>,
+    /// End this long after the beginning
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    to: Option<f64>,
+    /// Tell on standard error how far poses are from those of this CSV table, with the columns of a
+    /// pose and seq, or time_s
+    #[arg(long, value_name = "CSV")]
+    compare: Option<String>,
+}
+
+/// Why a capture cannot be solved.
+#[derive(Debug, Error)]
+pub enum PlaybackError {
+    /// A capture without a single scan.
+    #[error(
+        "{} holds no scan: {bytes} bytes of links, {packets} readable packets; \
+         give a capture written by `run --record` or `simulate`", path.display()
+    )]
+    NoScan {
+        /// The file.
+        path: PathBuf,
+        /// Bytes that came over links.
+        bytes: u64,
+        /// Packets in them.
+        packets: u64,
+    },
+    /// A range of time that holds nothing.
+    #[error("--to {to_s} s does not lie behind --from {from_s} s; give a later end")]
+    Range {
+        /// The beginning, seconds.
+        from_s: f64,
+        /// The end, seconds.
+        to_s: f64,
+    },
+}
+
+/// Captures being solved.
+pub(super) struct Playback<'a> {
+    files: &'a [PathBuf],
+    play: &'a PlayOptions,
+    poses: &'a PoseOptions,
+    pace: Pace,
+    sink: Option<Box<dyn Sink + Send + 'a>>,
+    comparison: Option<Comparison>,
+    boards: Vec<Board>,
+    stop: Arc<AtomicBool>,
+    progress: ProgressBar,
+}
+
+/// A board of a capture.
+struct Board {
+    /// `None` in the bytes of a port, which are of one board.
+    device: Option<DeviceId>,
+    setup: Option<Box<Setup>>,
+    pipeline: Pipeline,
+    statistics: RefCell<BoardStatistics>,
+}
+
+impl<'a> Playback<'a> {
+    pub(super) fn new(
+        files: &'a [PathBuf],
+        play: &'a PlayOptions,
+        poses: &'a PoseOptions,
+        speed: Speed,
+        sink: Option<Box<dyn Sink + Send + 'a>>,
+    ) -> Result<Self, CommandError> {
+        if let (Some(from_s), Some(to_s)) = (play.from, play.to)
+            && to_s <= from_s
+        {
+            return Err(PlaybackError::Range { from_s, to_s }.into());
+        }
+        let comparison = play.compare.as_deref().map(Comparison::open).transpose()?;
+        let bytes = files.iter().filter_map(|file| fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
+        // It is drawn on terminals only.
+        let progress = ProgressBar::new(bytes);
+        if let Ok(style) = ProgressStyle::with_template("{bar:40} {bytes} of {total_bytes}, {eta} left") {
+            progress.set_style(style);
+        }
+        let stop = interrupt()?;
+        let pace = Pace::new(speed);
+        Ok(Self { files, play, poses, pace, sink, comparison, boards: Vec::new(), stop, progress })
+    }
+
+    /// Solves all of them.
+    pub(super) fn run(mut self) -> Result<Outcome, CommandError> {
+        let start_ns = self.files.first().map(|file| first_log_ns(file)).transpose()?.unwrap_or(0);
+        let at_ns = |offset_s: Option<f64>| offset_s.map(|offset_s| start_ns.saturating_add((offset_s * 1e9) as u64));
+        let (from_ns, to_ns) = (at_ns(self.play.from).unwrap_or(0), at_ns(self.play.to).unwrap_or(u64::MAX));
+        let mut outcome = Outcome::Done;
+        let mut read_bytes = 0;
+        let mut is_over = false;
+        for path in self.files {
+            let mut reader = CaptureReader::open(path)?.starting_at(from_ns);
+            is_over = self.play_file(path, &mut reader, to_ns, read_bytes)?;
+            if is_over {
+                break;
+            }
+            read_bytes += fs::metadata(path).map_or(0, |metadata| metadata.len());
+            if tell_of_end(path, &reader.end()) == Outcome::DataLost {
+                outcome = Outcome::DataLost;
+            }
+        }
+        self.progress.finish_and_clear();
+        self.end(outcome, is_over)
+    }
+
+    /// Solves one file; whether the end asked for has come.
+    fn play_file(
+        &mut self,
+        path: &Path,
+        reader: &mut CaptureReader,
+        to_ns: u64,
+        read_bytes: u64,
+    ) -> Result<bool, CommandError> {
+        let mut segment = Segment::default();
+        while let Some(entry) = reader.next(&mut segment)? {
+            match entry {
+                Entry::Setup(setup) => self.set_up(setup)?,
+                Entry::Hello { device, .. } => self.feed(path, Some(device), &segment)?,
+                Entry::Link { log_ns, .. } if log_ns > to_ns => return Ok(true),
+                Entry::Link { device, .. } => self.feed(path, device, &segment)?,
+            }
+            self.progress.set_position(read_bytes + reader.end().whole_bytes);
+            while !self.is_over() && !self.pace.nap(self.elapsed_s()) {}
+            if self.is_over() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    fn is_over(&self) -> bool {
+        let is_complete = !self.boards.is_empty() && self.boards.iter().all(|board| board.pipeline.is_complete());
+        is_complete || self.stop.load(Ordering::Relaxed)
+    }
+
+    fn elapsed_s(&self) -> f64 {
+        self.boards.iter().map(|board| board.pipeline.elapsed_s()).fold(0.0, f64::max)
+    }
+
+    /// Prepares for a board, unless it goes on as it was.
+    fn set_up(&mut self, setup: Box<Setup>) -> Result<(), CommandError> {
+        let known = self.boards.iter().position(|board| board.device == Some(setup.device));
+        if known.is_some_and(|at| self.boards[at].setup.as_ref() == Some(&setup)) {
+            return Ok(());
+        }
+        let (file, scene_match) = match &self.play.scene {
+            Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
+            None => (setup.scene.parse()?, SceneMatch::Required),
+        };
+        tell_of_scene(&file, Some(setup.scene.hash), scene_match);
+        let pipeline = self.pipeline(file, scene_match, Some(&setup));
+        let device = Some(setup.device);
+        let board = Board::new(device, Some(setup), pipeline);
+        match known {
+            Some(at) => self.boards[at] = board,
+            None => self.boards.push(board),
+        }
+        Ok(())
+    }
+
+    fn pipeline(&self, file: SceneFile, scene_match: SceneMatch, setup: Option<&Setup>) -> Pipeline {
+        let settings = setup.map(|setup| setup.settings);
+        Pipeline::new(file, self.poses.tier_or(settings.map(|settings| settings.tier)), scene_match)
+            .until(self.poses.duration)
+            .following(self.poses.following_or(settings.map(|settings| settings.following)))
+    }
+
+    fn feed(&mut self, path: &Path, device: Option<DeviceId>, segment: &Segment) -> Result<(), CommandError> {
+        let at = match self.boards.iter().position(|board| board.device == device) {
+            Some(at) => at,
+            // Bytes of a port: nothing says whose.
+            None => {
+                let (file, scene_match) = self.scene_of_bytes(path)?;
+                let pipeline = self.pipeline(file, scene_match, None);
+                self.boards.push(Board::new(device, None, pipeline));
+                self.boards.len() - 1
+            }
+        };
+        let Self { boards, sink, comparison, .. } = self;
+        let Board { pipeline, statistics, .. } = &mut boards[at];
+        let statistics = statistics.get_mut();
+        pipeline.feed(segment, |item| {
+            statistics.take(&item, None, None);
+            match item {
+                Item::Pose(record) => {
+                    if let Some(comparison) = comparison {
+                        comparison.add(record)?;
+                    }
+                    if let Some(sink) = sink {
+                        sink.pose(record).map_err(CommandError::printing)?;
+                    }
+                }
+                Item::Hello(hello) => {
+                    if let Some(sink) = sink {
+                        sink.note(&Note::hello(hello)).map_err(CommandError::printing)?;
+                    }
+                }
+                Item::Event { severity, device_time_s, text } => {
+                    if let Some(sink) = sink {
+                        let note = Note::Event { device, severity, device_time_s, text: text.to_owned() };
+                        sink.note(&note).map_err(CommandError::printing)?;
+                    }
+                }
+                // What a board was asked is history.
+                Item::Status(_) | Item::Reply(_) => {}
+            }
+            Ok::<_, CommandError>(())
+        })?;
+        let reports = || self.boards.iter().map(Board::report).collect();
+        match &mut self.sink {
+            Some(sink) => sink.tick(&reports).map_err(CommandError::printing),
+            None => Ok(()),
+        }
+    }
+
+    /// The scene for the bytes of a port: that asked for, else the shipped one that the board names.
+    fn scene_of_bytes(&self, path: &Path) -> Result<(SceneFile, SceneMatch), CommandError> {
+        let hash = scene_hash(path)?;
+        let (file, scene_match) = match &self.play.scene {
+            Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
+            None => {
+                let file = hash.and_then(Shipped::with_hash).map_or_else(|| WIDE.read(), Ok)?;
+                (file, SceneMatch::Required)
+            }
+        };
+        tell_of_scene(&file, hash, scene_match);
+        Ok((file, scene_match))
+    }
+
+    fn end(mut self, mut outcome: Outcome, is_over: bool) -> Result<Outcome, CommandError> {
+        let reports = || self.boards.iter().map(Board::report).collect();
+        if let Some(sink) = &mut self.sink {
+            sink.finish(&reports).map_err(CommandError::printing)?;
+        }
+        let (mut scans, mut bytes, mut packets) = (0, 0, 0);
+        for board in &self.boards {
+            let counts = board.pipeline.counts();
+            scans += counts.scans;
+            bytes += counts.decoder.bytes;
+            packets += counts.decoder.packets;
+            let name = board.device.map_or_else(|| "capture".to_owned(), |device| format!("board {device}"));
+            if losses::tell(&name, &counts, is_over) == Outcome::DataLost {
+                outcome = Outcome::DataLost;
+            }
+        }
+        if let Some(comparison) = &self.comparison {
+            comparison.lines().iter().for_each(|line| talk(format_args!("{line}")));
+        }
+        match self.files.first() {
+            Some(path) if scans == 0 => Err(PlaybackError::NoScan { path: path.clone(), bytes, packets }.into()),
+            _ => Ok(outcome),
+        }
+    }
+}
+
+impl Board {
+    fn new(device: Option<DeviceId>, setup: Option<Box<Setup>>, pipeline: Pipeline) -> Self {
+        let name = device.map_or_else(|| "capture".to_owned(), |device| device.to_string());
+        Self { device, setup, pipeline, statistics: RefCell::new(BoardStatistics::new(name, HostInstant::now())) }
+    }
+
+    fn report(&self) -> BoardReport {
+        let head = self.pipeline.health();
+        self.statistics.borrow_mut().report(&self.pipeline.counts(), head, HostInstant::now())
+    }
+}
+
+/// Says that another scene is used than the capture was made with.
+fn tell_of_scene(file: &SceneFile, hash: Option<u64>, scene_match: SceneMatch) {
+    if let (Some(hash), SceneMatch::Waived) = (hash, scene_match)
+        && hash != file.hash
+    {
+        talk(format_args!(
+            "the capture was made with the scene of hash {hash:016x}; solving it with `{}` ({:016x}) as asked",
+            file.name, file.hash
+        ));
+    }
+}
+
+/// Says what of a file is missing.
+fn tell_of_end(path: &Path, end: &End) -> Outcome {
+    if !end.has_loss() {
+        return Outcome::Done;
+    }
+    let path = path.display();
+    if end.damaged_records > 0 || end.checksum_failed {
+        talk(format_args!("{path} is damaged: {} records of up to a second could not be read", end.damaged_records));
+    }
+    if !end.finished {
+        talk(format_args!(
+            "{path} was not ended by its recorder: it was cut off, or is still being recorded; what came after its \
+             last flush is missing ({} bytes of the file are whole, {} cannot be read)",
+            end.whole_bytes, end.lost_bytes
+        ));
+    }
+    Outcome::DataLost
+}
+
+/// When the first bytes of a capture came.
+fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
+    let mut reader = CaptureReader::open(path)?;
+    let mut segment = Segment::default();
+    while let Some(entry) = reader.next(&mut segment)? {
+        if let Entry::Link { log_ns, .. } = entry {
+            return Ok(log_ns);
+        }
+    }
+    Ok(0)
+}
+
+/// The scene hash of the first hello in the bytes of a port.
+fn scene_hash(path: &Path) -> Result<Option<u64>, CaptureError> {
+    let mut reader = CaptureReader::open(path)?;
+    let mut segment = Segment::default();
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    while reader.next(&mut segment)?.is_some() {
+        let mut bytes = &segment.bytes[..];
+        while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
+            if let Ok(Message::Hello(hello)) = message {
+                return Ok(hello.hashes.scene);
+            }
+        }
+    }
+    Ok(None)
+}
+
+impl From<PipelineError> for CommandError {
+    fn from(error: PipelineError) -> Self {
+        Self::Board(error.into())
+    }
+}

@@ -1,0 +1,96 @@
+//! Recording, as `run` and `simulate` offer it.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::poses::parse_duration;
+use super::talk;
+use crate::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
+use crate::daemon::CapturePlan;
+
+/// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
+const POSES_HZ: f64 = 25.0;
+
+/// What is recorded, and where.
+#[derive(clap::Args, Debug)]
+pub(super) struct RecordOptions {
+    /// Record all that comes, as it comes, in this capture (MCAP), from which `replay` finds the
+    /// same poses again
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Replace a capture that is there already
+    #[arg(long)]
+    overwrite: bool,
+    /// Begin another file (FILE-0001, FILE-0002, …) when one is this long, such as 500MB or 2GiB
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    record_size: Option<u64>,
+    /// Begin another file after this time, such as 1h
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    record_time: Option<f64>,
+    /// Poses a second in the capture, for those who look at it without replaying; 0 for every scan
+    #[arg(long, value_name = "HZ", value_parser = parse_rate, default_value_t = POSES_HZ)]
+    record_poses: f64,
+}
+
+impl RecordOptions {
+    /// Begins the capture asked for.
+    pub(super) fn open(&self) -> Result<Option<CapturePlan>, CaptureError> {
+        let Some(path) = &self.record else { return Ok(None) };
+        let limits = Limits { max_bytes: self.record_size, max_age: self.record_time.map(Duration::from_secs_f64) };
+        let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
+        let series = CaptureSeries::create(path, limits, existing, About::default())?;
+        let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
+        Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
+    }
+}
+
+/// Units of a size, the longest first.
+const UNITS: [(&str, f64); 7] =
+    [("KiB", 1024.0), ("MiB", 1048576.0), ("GiB", 1073741824.0), ("kB", 1e3), ("MB", 1e6), ("GB", 1e9), ("B", 1.0)];
+
+/// No capture is shorter than its beginning.
+const LEAST_BYTES: f64 = 1e5;
+
+fn parse_size(text: &str) -> Result<u64, &'static str> {
+    let text = text.trim();
+    let (number, unit) =
+        UNITS.iter().find_map(|(name, bytes)| Some((text.strip_suffix(name)?, *bytes))).unwrap_or((text, 1.0));
+    match number.trim().parse::<f64>() {
+        // Beyond what a disk holds it saturates.
+        Ok(number) if number.is_finite() && number * unit >= LEAST_BYTES => Ok((number * unit) as u64),
+        _ => Err("give a size of 100kB at least, such as 500MB or 2GiB"),
+    }
+}
+
+fn parse_rate(text: &str) -> Result<f64, &'static str> {
+    match text.parse::<f64>() {
+        Ok(rate) if rate >= 0.0 && rate.is_finite() => Ok(rate),
+        _ => Err("give a number of poses a second, such as 25, or 0 for every scan"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_rates_are_read_or_refused() {
+        for (text, bytes) in [
+            ("500MB", 500_000_000),
+            ("2GiB", 2 << 30),
+            ("123456", 123_456),
+            ("0.5 GB", 500_000_000),
+            ("200kB", 200_000),
+        ] {
+            assert_eq!(parse_size(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "1", "-5MB", "many", "nanGB", "99kB", "5 MBit"] {
+            assert!(parse_size(text).is_err(), "{text}");
+        }
+        assert_eq!((parse_rate("0"), parse_rate("12.5")), (Ok(0.0), Ok(12.5)));
+        for text in ["", "-1", "inf", "often"] {
+            assert!(parse_rate(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! The tool in front of a simulated board.
+
+use slitpose_model::Tier;
+
+use super::CommandError;
+use crate::device::SimulatedDevice;
+use crate::front_end;
+use crate::pace::Speed;
+use crate::scene_file::SceneFile;
+use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+/// The tool in front of a simulated board.
+#[derive(clap::Args, Debug)]
+pub(super) struct ToolOptions {
+    /// still, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
+    /// [default: smooth]
+    #[arg(long, value_name = "MOTION")]
+    trajectory: Option<String>,
+    /// Seed of motion and noise [default: 1]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+}
+
+/// A motion that plans ahead for no end in sight does so for an hour.
+const ENDLESS_PLAN_S: f64 = 3600.0;
+
+impl ToolOptions {
+    /// The first option that was given, if any.
+    pub(super) fn given(&self) -> Option<&'static str> {
+        self.trajectory.as_ref().map(|_| "--trajectory").or(self.seed.map(|_| "--seed"))
+    }
+
+    /// The simulated board with this number and the head of `file`, for `duration_s`, which may be
+    /// infinite. Each number has a seed of its own.
+    pub(super) fn device(
+        &self,
+        number: u8,
+        file: &SceneFile,
+        tier: Tier,
+        duration_s: f64,
+        speed: Speed,
+    ) -> Result<SimulatedDevice, CommandError> {
+        let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
+        let seed = self.seed(number);
+        let trajectory = self.trajectory(number, duration_s)?;
+        let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed)?;
+        Ok(SimulatedDevice::new(board, frame_s, duration_s, speed))
+    }
+
+    fn seed(&self, number: u8) -> u64 {
+        self.seed.unwrap_or(1).wrapping_add(number.into())
+    }
+
+    /// The motion of the tool of that board over `duration_s`, which may be infinite.
+    pub(super) fn trajectory(&self, number: u8, duration_s: f64) -> Result<Trajectory, CommandError> {
+        use clap::ValueEnum;
+        let name = self.trajectory.as_deref().unwrap_or("smooth");
+        match TrajectoryKind::from_str(name, false) {
+            Ok(kind) => {
+                let plan_s = if duration_s.is_finite() { duration_s } else { ENDLESS_PLAN_S };
+                Ok(Trajectory::of_kind(kind, self.seed(number), plan_s))
+            }
+            Err(_) => Ok(Trajectory::from_table(name)?),
+        }
+    }
+}

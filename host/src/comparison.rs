@@ -1,0 +1,134 @@
+//! Poses beside a reference: how far they are off, axis by axis.
+
+use slitpose_model::Pose;
+
+use crate::pipeline::Record;
+use crate::simulator::{PathError, Trajectory};
+use crate::sink::Accuracy;
+use crate::table::{Column, PoseColumns, TableError, TableReader};
+
+/// Names and units of the axes, and what a metre or radian of them is.
+const AXES: [(&str, &str, f64); 6] = [
+    ("x", "um", 1e6),
+    ("y", "um", 1e6),
+    ("z", "um", 1e6),
+    ("rx", "urad", 1e6),
+    ("ry", "urad", 1e6),
+    ("rz", "urad", 1e6),
+];
+
+/// Where the tool was, by a table.
+pub struct Comparison {
+    name: String,
+    reference: Reference,
+    accuracy: Accuracy,
+    axes: [Axis; 6],
+    /// Scans without a pose, or that the reference says nothing of.
+    unmatched: u64,
+}
+
+enum Reference {
+    /// By the number of the scan, in order.
+    Scans { table: Box<TableReader>, sequence: Column, poses: PoseColumns, next: Option<(u64, Pose)> },
+    /// By device time, between whose poses the tool moved evenly.
+    Path(Trajectory),
+}
+
+/// The error along one axis.
+#[derive(Clone, Copy, Default)]
+struct Axis {
+    sum: f64,
+    square: f64,
+    largest: f64,
+}
+
+impl Comparison {
+    /// With the CSV table `file`: the columns of a pose, and `seq`, as `simulate --truth` and `replay
+    /// --format csv` write it, or else `time_s`, device seconds.
+    ///
+    /// # Errors
+    /// If it is no such table.
+    pub fn open(file: &str) -> Result<Self, PathError> {
+        let table = TableReader::open(file)?;
+        let reference = match table.optional_column("seq")? {
+            Some(sequence) => {
+                let poses = PoseColumns::keyed(&table, "seq")?;
+                Reference::Scans { table: Box::new(table), sequence, poses, next: None }
+            }
+            None => Reference::Path(Trajectory::from_table(file)?),
+        };
+        Ok(Self {
+            name: file.to_owned(),
+            reference,
+            accuracy: Accuracy::default(),
+            axes: [Axis::default(); 6],
+            unmatched: 0,
+        })
+    }
+
+    /// Takes the next pose.
+    ///
+    /// # Errors
+    /// If the table cannot be read on.
+    pub fn add(&mut self, record: &Record) -> Result<(), TableError> {
+        let reference = match &mut self.reference {
+            Reference::Scans { table, sequence, poses, next } => {
+                while next.is_none_or(|(number, _)| number < record.sequence) {
+                    match read_scan(table, *sequence, *poses)? {
+                        Some(read) => *next = Some(read),
+                        None => break,
+                    }
+                }
+                next.filter(|(number, _)| *number == record.sequence).map(|(_, pose)| pose)
+            }
+            Reference::Path(path) => Some(path.pose(record.device_time_s)),
+        };
+        let (Some(estimate), Some(reference)) = (record.solution.estimate, reference) else {
+            self.unmatched += 1;
+            return Ok(());
+        };
+        self.accuracy.add(&estimate, &reference);
+        let (dt, dr) = estimate.pose.displacement_from(&reference);
+        for (axis, error) in self.axes.iter_mut().zip([dt.x, dt.y, dt.z, dr.x, dr.y, dr.z]) {
+            axis.sum += error;
+            axis.square += error * error;
+            axis.largest = axis.largest.max(error.abs());
+        }
+        Ok(())
+    }
+
+    /// What came out, in lines for people.
+    pub fn lines(&self) -> Vec<String> {
+        let count = self.accuracy.count();
+        let mut lines =
+            vec![format!("{count} poses compared with {}, {} scans without a counterpart", self.name, self.unmatched)];
+        if count == 0 {
+            return lines;
+        }
+        lines.extend(self.accuracy.lines("the reference"));
+        lines.push("axis          mean        rms    largest".to_owned());
+        for ((name, unit, scale), axis) in AXES.iter().zip(&self.axes) {
+            let (mean, rms) = (axis.sum / count as f64, (axis.square / count as f64).sqrt());
+            lines.push(format!(
+                "{name:<4} {:>13.3} {:>10.3} {:>10.3} {unit}",
+                mean * scale,
+                rms * scale,
+                axis.largest * scale
+            ));
+        }
+        lines
+    }
+}
+
+/// The next scan of the table that has a pose.
+fn read_scan(table: &mut TableReader, sequence: Column, poses: PoseColumns) -> Result<Option<(u64, Pose)>, TableError> {
+    while let Some(row) = table.next_row()? {
+        let number = row.number(sequence)?;
+        if row.text(poses.first()).is_empty() {
+            continue;
+        }
+        // Numbers of scans are whole; what is not comes out as its whole part and meets no scan.
+        return Ok(Some((number as u64, poses.pose(&row)?)));
+    }
+    Ok(None)
+}

@@ -1,0 +1,153 @@
+//! The two threads of a board.
+
+use std::panic::resume_unwind;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::bounded;
+use slitpose_model::Tier;
+use slitpose_protocol::{Configuration, Hello};
+
+use super::circuit::{Filler, circuit};
+use super::error::BoardError;
+use super::inlet::{CaptureInlet, Overflow, Parcel};
+use super::link::Link;
+use super::opener::Opener;
+use super::reader::Reader;
+use super::real_time;
+use super::slot::BoardSlot;
+use super::solver::{Consumers, Outbox, SolverThread};
+use super::{Talk, spawn};
+use crate::clock::HostInstant;
+use crate::datagram::DatagramServer;
+use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch};
+use crate::scene_file::SceneFile;
+use crate::telemetry::BoardStatistics;
+
+/// Reads on their way to the solver: at a read a millisecond a quarter of a second.
+const SEGMENTS: usize = 256;
+
+/// Verdicts that the reader has not looked at yet.
+const VERDICTS: usize = 4;
+
+/// Whether a board that says this can be followed.
+pub type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
+
+/// A board and what to do with it.
+pub struct BoardPlan {
+    /// How to come by it.
+    pub opener: Box<dyn Opener>,
+    /// Its head.
+    pub file: SceneFile,
+    /// What it is told to do.
+    pub configuration: Configuration,
+    /// Who may be followed.
+    pub admit: Admit,
+    /// Equations.
+    pub tier: Tier,
+    /// What follows them.
+    pub following: Following,
+    /// Device seconds after which it is done.
+    pub until_s: Option<f64>,
+    /// How long to look for it when it is not there; `None`: for ever.
+    pub patience: Option<Duration>,
+    /// Whether device time passes by itself. If not it waits for whoever is behind.
+    pub keeps_time: bool,
+    /// Says something to the user.
+    pub talk: Arc<Talk>,
+}
+
+impl BoardPlan {
+    pub(super) fn slot(&self) -> Arc<BoardSlot> {
+        Arc::new(BoardSlot::new(self.opener.name(), Link::new(Arc::clone(&self.talk))))
+    }
+}
+
+/// Where the poses of a board go.
+pub(super) struct Outlets {
+    pub(super) outboxes: Option<Filler<Outbox>>,
+    pub(super) parcels: Option<(Filler<Parcel>, f64)>,
+    pub(super) datagrams: Option<Arc<DatagramServer>>,
+    pub(super) real_time: Option<u8>,
+}
+
+/// The threads of a board.
+pub(super) struct BoardThreads {
+    name: String,
+    reader: JoinHandle<Result<(), BoardError>>,
+    solver: JoinHandle<Counts>,
+    slot: Arc<BoardSlot>,
+}
+
+impl BoardThreads {
+    pub(super) fn start(
+        number: usize,
+        plan: BoardPlan,
+        outlets: Outlets,
+        slot: &Arc<BoardSlot>,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Self, BoardError> {
+        let name = plan.opener.name();
+        let (filler, drainer) = circuit(SEGMENTS);
+        let (tell, verdicts) = bounded(VERDICTS);
+        let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
+        let inlet = |(parcels, every_s)| CaptureInlet::new(number, parcels, overflow, every_s);
+        let pipeline = Pipeline::new(plan.file, plan.tier, SceneMatch::Required)
+            .until(plan.until_s)
+            .following(plan.following)
+            .watched();
+        let solver = SolverThread {
+            pipeline,
+            segments: drainer,
+            verdicts: tell,
+            consumers: Consumers {
+                datagrams: outlets.datagrams,
+                publisher: None,
+                statistics: BoardStatistics::new(name.clone(), HostInstant::now()),
+                printer: outlets.outboxes,
+                outbox: None,
+                capture: outlets.parcels.map(inlet),
+                device: None,
+                complaint: None,
+            },
+            slot: Arc::clone(slot),
+        };
+        let reader = Reader {
+            opener: plan.opener,
+            configuration: plan.configuration,
+            admit: plan.admit,
+            patience: plan.patience,
+            segments: filler,
+            verdicts,
+            slot: Arc::clone(slot),
+            stop: Arc::clone(stop),
+        };
+        let (talk_slot, priority) = (Arc::clone(slot), outlets.real_time);
+        let solve = move || {
+            if let Some(remedy) = priority.and_then(|priority| real_time::claim(priority).err()) {
+                talk_slot.link.say(format_args!("{remedy}"));
+            }
+            solver.run()
+        };
+        let solver = spawn(format!("solve {number}"), solve)?;
+        let reader = spawn(format!("read {number}"), move || reader.run())?;
+        Ok(Self { name, reader, solver, slot: Arc::clone(slot) })
+    }
+
+    pub(super) fn is_finished(&self) -> bool {
+        self.reader.is_finished() && self.solver.is_finished()
+    }
+
+    /// Whether the reader has ended with an error.
+    pub(super) fn is_given_up(&self) -> bool {
+        self.reader.is_finished() && self.slot.link.is_given_up()
+    }
+
+    pub(super) fn end(self) -> (String, Counts, Result<(), BoardError>) {
+        let read = self.reader.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let counts = self.solver.join().unwrap_or_else(|panic| resume_unwind(panic));
+        (self.name, counts, read)
+    }
+}

@@ -1,0 +1,191 @@
+//! Boards followed live: what `slitpose run` does.
+//!
+//! ```text
+//!            ┌────────┐ segments ┌────────┐──▶ datagrams        at once; a slow reader misses some
+//!  board ──▶ │ reader │ ───────▶ │ solver │──▶ printer          waits: standard output never drops
+//!            └────────┘          └────────┘──▶ recorder         drops, counts, and says so in the capture
+//!                 ▲  verdicts        │    └──▶ account          a few times a second
+//!                 └──────────────────┘
+//! ```
+//!
+//! Each board has a reader and a solver, all share one recorder and one printer; each is a thread. What
+//! goes between them goes in containers of which there is a fixed number (see `circuit`), so that
+//! nothing is allocated per scan and no queue grows. If a solver cannot hand on to the printer it
+//! waits, then its reader does, then bytes wait in the operating system, and at last on the board,
+//! which gives up its oldest scans; their numbers show it.
+
+mod board;
+mod circuit;
+mod error;
+mod inlet;
+mod link;
+mod opener;
+mod printer;
+mod reader;
+mod real_time;
+mod recorder;
+mod slot;
+mod solver;
+
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+pub use board::{Admit, BoardPlan};
+pub use error::BoardError;
+pub use link::Talk;
+pub use opener::{Opener, PortOpener, SimulatedOpener};
+pub use recorder::CapturePlan;
+
+use crate::clock::HostInstant;
+use crate::datagram::DatagramServer;
+use crate::pipeline::Counts;
+use crate::sink::Sink;
+use crate::telemetry::{DaemonReport, RecorderReport};
+use board::BoardThreads;
+use circuit::circuit;
+use recorder::RecorderThread;
+use slot::BoardSlot;
+
+/// Pieces of poses on their way to the printer: a tenth of a second of one board at 4 kHz.
+const OUTBOXES: usize = 128;
+
+/// A solver gives an account five times a second.
+const HANGS_AFTER_S: f64 = 5.0;
+
+/// What a daemon does.
+pub struct Plan {
+    /// The boards it follows.
+    pub boards: Vec<BoardPlan>,
+    /// Where poses are printed.
+    pub sink: Option<Box<dyn Sink + Send>>,
+    /// Where all is recorded.
+    pub capture: Option<CapturePlan>,
+    /// Who is sent poses.
+    pub datagrams: Option<DatagramServer>,
+    /// Real-time priority of the solvers.
+    pub real_time: Option<u8>,
+}
+
+/// Boards being followed.
+pub struct Daemon {
+    started: HostInstant,
+    slots: Vec<Arc<BoardSlot>>,
+    boards: Mutex<Vec<BoardThreads>>,
+    printer: Mutex<Option<JoinHandle<io::Result<()>>>>,
+    recorder: Option<RecorderThread>,
+    stop: Arc<AtomicBool>,
+}
+
+/// How it ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// For each board: what the user calls it, what came, and what went wrong.
+    pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
+    /// Whether all could be printed.
+    pub printed: io::Result<()>,
+    /// What was recorded.
+    pub capture: RecorderReport,
+}
+
+impl Daemon {
+    /// Starts all threads. They end when their boards do, when `stop` is set, or when nobody can
+    /// be printed to any more.
+    ///
+    /// # Errors
+    /// If the system gives no more threads.
+    pub fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
+        let Plan { boards, sink, capture, datagrams, real_time } = plan;
+        let datagrams = datagrams.map(Arc::new);
+        let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
+        let (printer, outboxes) = match sink {
+            Some(sink) => {
+                let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1));
+                let (slots, stop) = (slots.clone(), Arc::clone(&stop));
+                let accounts = move || slots.iter().map(|slot| slot.report()).collect();
+                let print = move || printer::print(&drainer, sink, &accounts, &stop);
+                (Some(spawn("printer".to_owned(), print)?), Some(filler))
+            }
+            None => (None, None),
+        };
+        let (recorder, parcels) = match capture {
+            Some(capture) => {
+                let (thread, filler) = RecorderThread::start(capture, &boards)?;
+                (Some(thread), Some(filler))
+            }
+            None => (None, None),
+        };
+        let mut threads = Vec::new();
+        for (number, board) in boards.into_iter().enumerate() {
+            let outlets = board::Outlets {
+                outboxes: outboxes.clone(),
+                parcels: parcels.clone(),
+                datagrams: datagrams.clone(),
+                real_time,
+            };
+            threads.push(BoardThreads::start(number, board, outlets, &slots[number], &stop)?);
+        }
+        Ok(Self {
+            started: HostInstant::now(),
+            slots,
+            boards: Mutex::new(threads),
+            printer: Mutex::new(printer),
+            recorder,
+            stop,
+        })
+    }
+
+    /// How it goes.
+    pub fn report(&self) -> DaemonReport {
+        let boards = self.slots.iter().map(|slot| slot.report()).collect();
+        DaemonReport::of_now(
+            self.started,
+            boards,
+            self.recorder.as_ref().map(RecorderThread::report).unwrap_or_default(),
+        )
+    }
+
+    /// Puts how it goes into the capture.
+    pub fn record_report(&self) {
+        if let Some(recorder) = &self.recorder {
+            recorder.account(self.report());
+        }
+    }
+
+    /// Whether no thread hangs: each solver has given an account of late, also when nothing came.
+    pub fn is_alive(&self) -> bool {
+        let now = HostInstant::now();
+        self.slots.iter().all(|slot| slot.report().age_s(now) < HANGS_AFTER_S)
+    }
+
+    /// Whether nothing will ever come again. If a board had to be given up the others are told to end.
+    pub fn is_over(&self) -> bool {
+        let boards = self.boards.lock().unwrap_or_else(PoisonError::into_inner);
+        if boards.iter().any(BoardThreads::is_given_up) {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        boards.iter().all(BoardThreads::is_finished)
+    }
+
+    /// Waits for the end of all threads.
+    pub fn end(&self) -> Ended {
+        let threads = std::mem::take(&mut *self.boards.lock().unwrap_or_else(PoisonError::into_inner));
+        let boards = threads.into_iter().map(BoardThreads::end).collect();
+        let printer = self.printer.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let printed =
+            printer.map_or(Ok(()), |printer| printer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        Ended { boards, printed, capture: self.recorder.as_ref().map(RecorderThread::end).unwrap_or_default() }
+    }
+}
+
+/// As much as the main thread has: a solver is 100 KB, and moved about while it is made.
+const STACK_BYTES: usize = 8 << 20;
+
+/// A thread with a name.
+fn spawn<T: Send + 'static>(
+    name: String,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, BoardError> {
+    std::thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(run).map_err(BoardError::Thread)
+}

@@ -1,0 +1,176 @@
+//! The thread that reads a board: it finds the board, starts it, and hands on what it says. When
+//! the board goes, it looks for it again.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::Receiver;
+use slitpose_protocol::Configuration;
+
+use super::board::Admit;
+use super::circuit::Filler;
+use super::error::BoardError;
+use super::opener::Opener;
+use super::slot::BoardSlot;
+use crate::device::{Conversation, DeviceError, DeviceId, Keep};
+use crate::pipeline::Segment;
+
+/// Between two looks for a board that is not there: short enough that a re-plugged one is back at once.
+const SOON: Duration = Duration::from_millis(100);
+
+/// Between two attempts at a board that is there but will not do.
+const LATER: Duration = Duration::from_millis(500);
+
+/// An end is noticed within this.
+const MOMENT: Duration = Duration::from_millis(20);
+
+/// What the solver thread has found out.
+#[derive(Debug)]
+pub(super) enum Verdict {
+    /// All scans asked for have come.
+    Complete,
+    /// The board has stopped by itself; what it said last.
+    Stopped(Option<String>),
+    /// What it sends cannot be used.
+    Unusable(BoardError),
+}
+
+/// Reads one board.
+pub(super) struct Reader {
+    pub(super) opener: Box<dyn Opener>,
+    pub(super) configuration: Configuration,
+    pub(super) admit: Admit,
+    /// How long to look for a board that is not there; `None`: for ever.
+    pub(super) patience: Option<Duration>,
+    pub(super) segments: Filler<Segment>,
+    pub(super) verdicts: Receiver<Verdict>,
+    pub(super) slot: Arc<BoardSlot>,
+    pub(super) stop: Arc<AtomicBool>,
+}
+
+/// How listening ended.
+enum Ending {
+    /// As asked for, or because nothing will ever come again.
+    Wanted(Keep),
+    Lost(BoardError),
+}
+
+impl Reader {
+    /// Reads until it is told to stop, all has come, or the board is given up.
+    pub(super) fn run(mut self) -> Result<(), BoardError> {
+        let ended = self.follow();
+        self.slot.link.ended(ended.as_ref().err());
+        ended
+    }
+
+    fn follow(&mut self) -> Result<(), BoardError> {
+        let mut missing_since = Instant::now();
+        let mut connected = false;
+        loop {
+            let error = match self.connect() {
+                Ok(mut board) => {
+                    connected = true;
+                    let ending = self.listen(&mut board);
+                    missing_since = Instant::now();
+                    match ending {
+                        Ending::Wanted(keep) => return self.end(board, keep),
+                        // Dropped, the conversation tells the board to stop, if that can still be told.
+                        Ending::Lost(error) => error,
+                    }
+                }
+                Err(error) => error,
+            };
+            // At first somebody is there to mend what waiting does not.
+            let is_hopeless = !connected && !error.is_passing();
+            if is_hopeless || self.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
+                return Err(error);
+            }
+            self.slot.link.lost(&error);
+            self.rest(if error.is_absence() { SOON } else { LATER });
+            if self.stops() {
+                return Ok(());
+            }
+        }
+    }
+
+    fn stops(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn rest(&self, pause: Duration) {
+        let until = Instant::now() + pause;
+        while !self.stops() && Instant::now() < until {
+            std::thread::sleep(MOMENT);
+        }
+    }
+
+    /// Opens, greets, configures and starts the board.
+    fn connect(&mut self) -> Result<Conversation, BoardError> {
+        let device = self.opener.open()?;
+        self.slot.link.connecting();
+        let mut board = Conversation::open(device)?;
+
+        let Self { admit, opener, .. } = self;
+        board.greet(|hello| {
+            admit(hello)?;
+            opener.greeted(DeviceId(hello.device_id));
+            Ok::<_, BoardError>(())
+        })?;
+        board.configure(self.configuration.clone())?;
+        board.start()?;
+        // A verdict on what came before says nothing of what comes now.
+        while self.verdicts.try_recv().is_ok() {}
+        self.slot.link.running(&board.name());
+        Ok(board)
+    }
+
+    fn listen(&mut self, board: &mut Conversation) -> Ending {
+        self.pass_on(board, true);
+        loop {
+            match self.verdicts.try_recv() {
+                Ok(Verdict::Complete) => return Ending::Wanted(Keep::Replies),
+                Ok(Verdict::Unusable(error)) => return Ending::Lost(error),
+                Ok(Verdict::Stopped(reason)) => {
+                    let reason = reason.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
+                    return Ending::Lost(DeviceError::Stopped { name: board.name(), reason }.into());
+                }
+                Err(_) if self.stops() => return Ending::Wanted(Keep::All),
+                Err(_) => {}
+            }
+            match board.listen() {
+                Ok(true) => self.pass_on(board, false),
+                Ok(false) => {
+                    self.pass_on(board, false);
+                    return Ending::Wanted(Keep::All);
+                }
+                Err(error) => return Ending::Lost(error.into()),
+            }
+        }
+    }
+
+    /// Darkens the board and hands on what was still under way.
+    fn end(&mut self, mut board: Conversation, keep: Keep) -> Result<(), BoardError> {
+        let stopped = board.stop(keep);
+        self.pass_on(&mut board, false);
+        if let Err(DeviceError::NoReply { .. }) = stopped {
+            self.slot
+                .link
+                .say(format_args!("the emitters of the board may still be lit; it goes dark when its port is closed"));
+        }
+        Ok(stopped?)
+    }
+
+    /// Hands on what was received last. Waits if the solver is behind: bytes then wait in the
+    /// operating system and on the board.
+    fn pass_on(&mut self, board: &mut Conversation, opened: bool) {
+        let Some(mut segment) = self.segments.spare() else {
+            // The solver has ended, and will not take any more.
+            return;
+        };
+        segment.clear();
+        segment.opened = opened;
+        board.fill(&mut segment);
+        self.segments.hand_over(segment);
+    }
+}

@@ -1,0 +1,33 @@
+//! The account of a board, as its threads keep it and others read it.
+
+use std::sync::{Mutex, PoisonError};
+
+use super::link::Link;
+use crate::clock::HostInstant;
+use crate::pipeline::Pipeline;
+use crate::telemetry::{BoardReport, BoardStatistics};
+
+/// The account of a board.
+pub(super) struct BoardSlot {
+    pub(super) link: Link,
+    report: Mutex<BoardReport>,
+}
+
+impl BoardSlot {
+    pub(super) fn new(name: String, link: Link) -> Self {
+        Self { link, report: Mutex::new(BoardReport { name, ..BoardReport::default() }) }
+    }
+
+    /// Renews it; a few times a second.
+    pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
+        statistics.set_drift_ppm(pipeline.drift_ppm());
+        let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
+        *self.report.lock().unwrap_or_else(PoisonError::into_inner) = report;
+    }
+
+    /// The newest one.
+    pub(super) fn report(&self) -> BoardReport {
+        let report = self.report.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        BoardReport { link: self.link.report(), ..report }
+    }
+}

@@ -1,0 +1,273 @@
+//! The clocks of the board that is speaking, as its reads and pings tell.
+
+use slitpose_protocol::Pong;
+
+use super::Asked;
+use crate::clock::{ClockFit, HostInstant, HostTime};
+use crate::device::DeviceId;
+
+/// Pings that may wait for their answers: four seconds of them.
+const PINGS: usize = 8;
+
+/// Reads, pings and the fit they make.
+#[derive(Debug, Default)]
+pub(super) struct Timing {
+    /// When the bytes that are being taken were read.
+    at: Option<HostInstant>,
+    /// The last pings without an answer, the oldest at `next`.
+    asked: [Option<Asked>; PINGS],
+    next: usize,
+    board: Option<(DeviceId, u32)>,
+    fit: Option<ClockFit>,
+}
+
+impl Timing {
+    /// The link was opened anew: what was under way is lost, and the board may be another.
+    pub(super) fn reopen(&mut self) {
+        self.asked = [None; PINGS];
+        if let (Some(fit), Some((_, tick_hz))) = (&mut self.fit, self.board) {
+            fit.restart(tick_hz);
+        }
+    }
+
+    /// A ping was sent.
+    pub(super) fn ask(&mut self, asked: Asked) {
+        self.asked[self.next] = Some(asked);
+        self.next = (self.next + 1) % PINGS;
+    }
+
+    /// What is taken from now on was read at `at`.
+    pub(super) fn read(&mut self, at: Option<HostInstant>) {
+        self.at = at;
+    }
+
+    /// When that was.
+    pub(super) fn at(&self) -> Option<HostInstant> {
+        self.at
+    }
+
+    /// A board speaks; its times go on as long as it is the same.
+    pub(super) fn meet(&mut self, device: DeviceId, tick_hz: u32) {
+        match (&mut self.fit, self.board) {
+            (Some(_), Some(known)) if known == (device, tick_hz) => return,
+            (Some(fit), Some((known, _))) if known == device => fit.restart(tick_hz),
+            _ => self.fit = Some(ClockFit::new(tick_hz)),
+        }
+        self.board = Some((device, tick_hz));
+    }
+
+    /// A ping was answered.
+    pub(super) fn answer(&mut self, pong: &Pong) {
+        let matches = |asked: &&mut Option<Asked>| asked.is_some_and(|asked| asked.token == pong.token);
+        let Some(asked) = self.asked.iter_mut().find(matches).and_then(Option::take) else {
+            return;
+        };
+        if let (Some(fit), Some(at)) = (&mut self.fit, self.at) {
+            fit.answered(asked.at, pong.tick, at);
+        }
+    }
+
+    /// A batch has come whose last sample was taken at `last_tick`.
+    pub(super) fn arrive(&mut self, last_tick: u64) {
+        if let (Some(fit), Some(at)) = (&mut self.fit, self.at) {
+            fit.arrived(last_tick, at);
+        }
+    }
+
+    /// By how many millionths the board's clock is fast.
+    pub(super) fn drift_ppm(&self) -> Option<f64> {
+        self.fit.as_ref()?.drift_ppm()
+    }
+
+    /// The host's time `fraction_ticks` after `tick`.
+    pub(super) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
+        self.at?;
+        self.fit.as_mut()?.time_of(tick, fraction_ticks)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slitpose_model::Tier;
+    use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+
+    use crate::clock::HostInstant;
+    use crate::front_end;
+    use crate::pipeline::{Asked, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
+    use crate::scene_file::{SceneFile, WIDE};
+    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+    use crate::sink::{self, Format};
+
+    const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
+
+    /// Host time at which the board began to count, nanoseconds.
+    const START_NS: u64 = 90_000_000_000;
+
+    /// What the bytes of a frame took to the host.
+    const DELAY_NS: u64 = 70_000;
+
+    struct Bench {
+        file: SceneFile,
+        board: SimulatedBoard,
+        frame_ns: u64,
+        frames: u64,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let file = WIDE.read().unwrap();
+            let configuration = front_end::configuration(&file).unwrap();
+            let frame_ns = (1e9 / configuration.schedule.frame_rate_hz()) as u64;
+            let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 2.0);
+            let board = SimulatedBoard::new(&file, trajectory, TIER, 1).unwrap();
+            let mut bench = Self { file, board, frame_ns, frames: 0 };
+            bench.tell(1, Command::Configure(configuration));
+            bench.tell(2, Command::Start);
+            bench
+        }
+
+        fn tell(&mut self, number: u16, command: Command) {
+            let mut buffer = [0; MAX_REQUEST_BYTES];
+            self.board.write(encode(&Request { number, command }, &mut buffer).unwrap());
+        }
+
+        /// What the link delivers in some frames, with a ping in the middle of the first.
+        fn segment(&mut self, frames: u64, token: u32) -> Segment {
+            let mut segment = Segment::default();
+            let now_ns = |frames| START_NS + frames * self.frame_ns;
+            let asked_ns = now_ns(self.frames) - DELAY_NS;
+            segment.asked.push(Asked { token, at: instant(asked_ns) });
+            let ends: Vec<u64> = (self.frames + 1..=self.frames + frames).map(now_ns).collect();
+            self.tell(0, Command::Ping { token });
+            let mut bytes = Vec::new();
+            for end_ns in ends {
+                bytes.clear();
+                self.board.step(&mut bytes);
+                segment.push(&bytes, Some(instant(end_ns + DELAY_NS)));
+            }
+            self.frames += frames;
+            segment
+        }
+
+        fn pipeline(&self) -> Pipeline {
+            Pipeline::new(self.file.clone(), TIER, SceneMatch::Required)
+        }
+    }
+
+    fn instant(monotonic_ns: u64) -> HostInstant {
+        HostInstant { monotonic_ns, utc_ns: monotonic_ns + 1_700_000_000_000_000_000 }
+    }
+
+    fn feed(pipeline: &mut Pipeline, segment: &Segment) -> (usize, Vec<Record>) {
+        let mut records = Vec::new();
+        let taken = pipeline.feed(segment, |item| {
+            if let Item::Pose(record) = item {
+                records.push(*record);
+            }
+            Ok::<_, PipelineError>(())
+        });
+        (taken.unwrap(), records)
+    }
+
+    #[test]
+    fn scans_have_the_time_at_which_they_were_taken() {
+        let mut bench = Bench::new();
+        let mut pipeline = bench.pipeline();
+        for token in 0..8 {
+            let segment = bench.segment(400, token);
+            let (taken, records) = feed(&mut pipeline, &segment);
+            assert_eq!(taken, segment.bytes.len());
+            // The pong comes with the first scans.
+            for record in &records[usize::from(token == 0) * 10..] {
+                let time = record.host_time.unwrap();
+                let truth_ns = START_NS + (record.device_time_s * 1e9) as u64;
+                assert!(time.monotonic_ns.abs_diff(truth_ns) <= time.uncertainty_ns, "{time:?}, {truth_ns}");
+                let arrival = record.arrival.unwrap();
+                assert!(
+                    time.monotonic_ns <= arrival.monotonic_ns && segment.reads.iter().any(|r| r.at == Some(arrival))
+                );
+                // Between a ping and its pong lie a frame and twice the delay.
+                assert!(token < 6 || time.uncertainty_ns < bench.frame_ns + 2 * DELAY_NS, "{time:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_instants_there_are_no_times_and_the_poses_are_the_same() {
+        let mut bench = Bench::new();
+        let segment = bench.segment(50, 0);
+        let (_, timed) = feed(&mut bench.pipeline(), &segment);
+        let mut pushed = Vec::new();
+        let taken = bench.pipeline().push(&segment.bytes, |item| {
+            if let Item::Pose(record) = item {
+                pushed.push(*record);
+            }
+            Ok::<_, PipelineError>(())
+        });
+        assert_eq!(taken.unwrap(), segment.bytes.len());
+        assert_eq!(timed.len(), pushed.len());
+        for (timed, pushed) in timed.iter().zip(&pushed) {
+            assert!(pushed.host_time.is_none() && pushed.arrival.is_none());
+            assert_eq!(timed.solution.estimate, pushed.solution.estimate);
+        }
+        assert!(timed.iter().any(|record| record.host_time.is_some()));
+    }
+
+    #[test]
+    fn a_link_opened_anew_begins_with_a_whole_packet_and_a_new_clock() {
+        let mut bench = Bench::new();
+        let mut pipeline = bench.pipeline();
+        let mut segment = bench.segment(50, 0);
+        segment.truncate(segment.bytes.len() - 1);
+        let (_, records) = feed(&mut pipeline, &segment);
+        let pending = pipeline.counts().pending_bytes;
+        assert!(pending > 0 && records.iter().any(|record| record.host_time.is_some()));
+        let mut segment = bench.segment(50, 1);
+        segment.opened = true;
+        segment.asked.clear();
+        let (_, records) = feed(&mut pipeline, &segment);
+        // No ping, no time; and an answer to a ping from before says nothing.
+        assert!(!records.is_empty() && records.iter().all(|record| record.host_time.is_none()));
+        assert_eq!(pipeline.counts().decoder.bytes_skipped, pending);
+    }
+
+    #[test]
+    fn what_is_behind_the_end_is_not_taken() {
+        let mut bench = Bench::new();
+        let mut pipeline = bench.pipeline().until(Some(20.0 * bench.frame_ns as f64 * 1e-9));
+        let segment = bench.segment(50, 0);
+        let (taken, records) = feed(&mut pipeline, &segment);
+        assert!(taken < segment.bytes.len() && records.len() == 20 && pipeline.is_complete());
+    }
+
+    #[test]
+    fn times_are_written_as_far_as_they_are_known() {
+        let mut bench = Bench::new();
+        let segment = bench.segment(50, 0);
+        let (_, records) = feed(&mut bench.pipeline(), &segment);
+        let (before, after) = (&Record { host_time: None, ..records[0] }, &records[records.len() - 1]);
+        let time = after.host_time.unwrap();
+        let written = |format| {
+            let mut output = Vec::new();
+            let mut sink = sink::open(format, &mut output, false).unwrap();
+            for record in [before, after] {
+                sink.pose(record).unwrap();
+            }
+            sink.finish(&Vec::new).unwrap();
+            drop(sink);
+            String::from_utf8(output).unwrap()
+        };
+        let [monotonic, utc, uncertainty] = [time.monotonic_ns, time.utc_ns, time.uncertainty_ns];
+        let (ndjson, csv) = (written(Format::Ndjson), written(Format::Csv));
+        let lines: Vec<&str> = ndjson.lines().collect();
+        let device = r#""device":"73696d756c61746564000000""#;
+        assert!(lines[0].contains(device) && !lines[0].contains("host_"), "{}", lines[0]);
+        let times =
+            format!(r#""host_monotonic_ns":{monotonic},"host_utc_ns":{utc},"host_uncertainty_ns":{uncertainty},"#);
+        assert!(lines[1].contains(device) && lines[1].contains(&times), "{}", lines[1]);
+        let lines: Vec<&str> = csv.lines().collect();
+        assert!(lines[0].ends_with(",device,host_monotonic_ns,host_utc_ns,host_uncertainty_ns"), "{csv}");
+        assert!(lines[1].ends_with(",73696d756c61746564000000,,,"), "{csv}");
+        assert!(lines[2].ends_with(&format!(",{monotonic},{utc},{uncertainty}")), "{csv}");
+    }
+}

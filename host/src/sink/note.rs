@@ -1,0 +1,47 @@
+//! What is not a pose, but worth telling whoever reads the poses.
+
+use slitpose_protocol::{BoardKind, Hello, Severity};
+
+use crate::device::DeviceId;
+
+/// What is not a pose.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Note {
+    /// A board introduced itself.
+    Hello {
+        /// Its number.
+        device: DeviceId,
+        /// Its name.
+        board: String,
+        /// Whether its photocurrents are measured or computed.
+        kind: BoardKind,
+        /// Its firmware.
+        firmware: String,
+        /// Frames a second of its schedule.
+        frame_rate_hz: f64,
+    },
+    /// Something happened on a board.
+    Event {
+        /// The board; `None` if it has not introduced itself.
+        device: Option<DeviceId>,
+        /// How bad it is.
+        severity: Severity,
+        /// By the board's clock, seconds.
+        device_time_s: f64,
+        /// What.
+        text: String,
+    },
+}
+
+impl Note {
+    /// That a board introduced itself.
+    pub fn hello(hello: &Hello<'_>) -> Self {
+        Self::Hello {
+            device: DeviceId(hello.device_id),
+            board: hello.board.to_owned(),
+            kind: hello.kind,
+            firmware: hello.firmware.to_owned(),
+            frame_rate_hz: hello.schedule.frame_rate_hz(),
+        }
+    }
+}
