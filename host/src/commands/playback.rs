@@ -20,7 +20,7 @@ use crate::pace::{Pace, Speed};
 use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch, Segment};
 use crate::scene_file::{SceneFile, Shipped, WIDE};
 use crate::sink::{Note, Sink};
-use crate::telemetry::{BoardReport, BoardStatistics};
+use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState};
 
 /// What of captures is solved, and how.
 #[derive(clap::Args, Debug)]
@@ -293,8 +293,11 @@ impl Board {
     }
 
     fn report(&self) -> BoardReport {
-        let head = self.pipeline.health();
-        self.statistics.borrow_mut().report(&self.pipeline.counts(), head, HostInstant::now())
+        let now = HostInstant::now();
+        let report = self.statistics.borrow_mut().report(&self.pipeline.counts(), self.pipeline.health(), now);
+        // What a capture has to say it has said.
+        let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
+        BoardReport { link, ..report }
     }
 }
 
