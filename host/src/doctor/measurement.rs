@@ -9,7 +9,7 @@ use thiserror::Error;
 use super::check::Check;
 use crate::device::{Conversation, DeviceError, Keep};
 use crate::front_end::{self, TimingError};
-use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch};
+use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch, Segment};
 use crate::scene_file::SceneFile;
 
 /// As streams are solved.
@@ -61,6 +61,8 @@ pub(super) struct Measurement {
     /// Scans that came, and how long by the host's clock.
     received: (u64, f64),
     bytes: usize,
+    /// By how many millionths its clock is fast, and how well its instants are known at the end, ns.
+    clock: Option<(f64, u64)>,
     complaints: Vec<String>,
 }
 
@@ -75,17 +77,22 @@ pub(super) fn measure(
     let frame_rate_hz = configuration.schedule.frame_rate_hz();
     let mut pipeline = Pipeline::new(scene.clone(), TIER, SceneMatch::Waived).until(Some(duration_s));
     let mut complaints = Vec::new();
-    let mut take = |pipeline: &mut Pipeline, inbox: &[u8]| {
-        let taken = pipeline.push(inbox, |item| {
-            if let Item::Event { severity, text, .. } = item
-                && severity != Severity::Info
-                && complaints.len() < COMPLAINTS
-            {
-                complaints.push(text.to_owned());
+    let mut segment = Segment::default();
+    let mut uncertainty_ns = None;
+    let mut take = |pipeline: &mut Pipeline, board: &mut Conversation| {
+        segment.clear();
+        board.fill(&mut segment);
+        let taken = pipeline.feed(&segment, |item| {
+            match item {
+                Item::Pose(record) => uncertainty_ns = record.host_time.map(|time| time.uncertainty_ns),
+                Item::Event { severity, text, .. } if severity != Severity::Info && complaints.len() < COMPLAINTS => {
+                    complaints.push(text.to_owned());
+                }
+                _ => {}
             }
             Ok::<_, PipelineError>(())
         })?;
-        bytes.extend_from_slice(&inbox[..taken]);
+        bytes.extend_from_slice(&segment.bytes[..taken]);
         Ok::<_, PipelineError>(())
     };
 
@@ -94,11 +101,11 @@ pub(super) fn measure(
     board.start()?;
     let started = Instant::now();
     let patience = BEGIN + Duration::try_from_secs_f64(SLOWEST * duration_s).unwrap_or(Duration::MAX);
-    take(&mut pipeline, board.inbox())?;
+    take(&mut pipeline, board)?;
     let mut first: Option<(u64, Instant)> = None;
     let mut received = (0, 0.0);
     while !pipeline.is_complete() && started.elapsed() < patience && board.listen()? {
-        take(&mut pipeline, board.inbox())?;
+        take(&mut pipeline, board)?;
         let scans = pipeline.counts().scans;
         if scans > 0 {
             let (scans_first, at) = *first.get_or_insert_with(|| (scans, Instant::now()));
@@ -106,10 +113,11 @@ pub(super) fn measure(
         }
     }
     board.stop(Keep::All)?;
-    take(&mut pipeline, board.inbox())?;
+    take(&mut pipeline, board)?;
     let after = board.status()?;
     let counts = pipeline.counts();
-    Ok(Measurement { counts, before, after, frame_rate_hz, received, bytes: bytes.len(), complaints })
+    let clock = pipeline.drift_ppm().zip(uncertainty_ns);
+    Ok(Measurement { counts, clock, before, after, frame_rate_hz, received, bytes: bytes.len(), complaints })
 }
 
 impl Measurement {
@@ -121,8 +129,14 @@ impl Measurement {
 
     /// What is to be said of it.
     pub(super) fn checks(&self) -> Vec<Check> {
-        let mut checks =
-            vec![self.rate(), self.losses_on_board(), self.losses_on_the_way(), self.poses(), self.health()];
+        let mut checks = vec![
+            self.rate(),
+            self.clock(),
+            self.losses_on_board(),
+            self.losses_on_the_way(),
+            self.poses(),
+            self.health(),
+        ];
         if !self.complaints.is_empty() {
             checks.push(Check::warning("events", self.complaints.join("; "), "see what the board complains of"));
         }
@@ -140,6 +154,20 @@ impl Measurement {
             Check::ok("rate", finding)
         } else {
             Check::warning("rate", finding, "look at the load of this host; a longer --duration tells more")
+        }
+    }
+
+    fn clock(&self) -> Check {
+        match self.clock {
+            Some((drift_ppm, uncertainty_ns)) => Check::ok(
+                "board clock",
+                format!("fast by {drift_ppm:.0} ppm; its instants are known to {:.0} us", uncertainty_ns as f64 * 1e-3),
+            ),
+            None => Check::warning(
+                "board clock",
+                "does not follow the clock of this host".to_owned(),
+                "give a longer --duration: it takes two pings; an emulated board may be too slow",
+            ),
         }
     }
 
