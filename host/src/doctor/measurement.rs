@@ -263,8 +263,8 @@ mod tests {
     }
 
     fn verdicts(measurement: &Measurement) -> Vec<(&'static str, Verdict)> {
-        // The rate depends on what else this machine does.
-        measurement.checks().iter().skip(1).map(|check| (check.name, check.verdict)).collect()
+        // The rate depends on what else this machine does, and so does the clock.
+        measurement.checks().iter().skip(2).map(|check| (check.name, check.verdict)).collect()
     }
 
     #[test]
@@ -306,6 +306,13 @@ mod tests {
         assert_eq!(health(|status| status.temperature_k = 360.0), Warning);
         assert_eq!(health(|status| status.temperature_k = f32::NAN), Warning);
         assert_eq!(health(|status| status.cpu_load_permille = 901), Warning);
+        // It takes two pings, half a second apart.
+        assert_eq!(good.clock().verdict, Warning);
+        let known = Measurement { clock: Some((-12.4, 250_000)), ..good.clone() }.clock();
+        assert!(
+            known.verdict == Ok && known.finding.contains("-12 ppm") && known.finding.contains("250 us"),
+            "{known:?}"
+        );
         let with_rate = |scans| Measurement { received: (scans, 0.1), ..good.clone() }.rate().verdict;
         assert_eq!([400, 390, 350].map(with_rate), [Ok, Ok, Warning]);
     }
