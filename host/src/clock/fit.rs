@@ -210,7 +210,8 @@ impl ClockFit {
 
     /// By how many millionths the board's clock is fast; `None` while that is not known.
     pub fn drift_ppm(&self) -> Option<f64> {
-        self.band.map(|band| -band.rate * 1e6)
+        let is_proven = matches!(self.trust, Trust::Proven { .. });
+        self.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
     }
 
     /// The curve's rate as far as it is known.
