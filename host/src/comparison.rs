@@ -81,7 +81,7 @@ impl Comparison {
                 }
                 next.filter(|(number, _)| *number == record.sequence).map(|(_, pose)| pose)
             }
-            Reference::Path(path) => Some(path.pose(record.device_time_s)),
+            Reference::Path(path) => path.covers(record.device_time_s).then(|| path.pose(record.device_time_s)),
         };
         let (Some(estimate), Some(reference)) = (record.solution.estimate, reference) else {
             self.unmatched += 1;

@@ -375,10 +375,11 @@ fn what_is_no_port_is_named() {
         (folder, "folder, not a serial port"),
         ("/dev/null", "cannot be opened as a serial port"),
         ("auto", "no board found"),
-        ("3600290054485002", "is neither"),
+        ("0036002900544850025a0320", "is not there"),
     ] {
         slitpose!().run(["run", "--patience", "0s", "--device", device]).assert_refused(1, &[part]);
     }
+    slitpose!().run(["run", "--device", "3600290054485002"]).assert_refused(2, &["is neither"]);
     for option in [["--seed", "1"], ["--speed", "1"], ["--trajectory", "smooth"]] {
         let (device, [option, value]) = ("/dev/no-such-board", option);
         slitpose!().run(["run", "--device", device, option, value]).assert_refused(2, &[option, device]);

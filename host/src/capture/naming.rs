@@ -3,6 +3,7 @@
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io;
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
 /// What becomes of a file that is there already.
@@ -14,10 +15,16 @@ pub enum Existing {
     Replaced,
 }
 
+/// Stands for standard output.
+const STANDARD_OUTPUT: &str = "-";
+
 /// Makes a file under a name that survives a power cut, too.
 pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
     if path.is_dir() {
         return Err(io::ErrorKind::IsADirectory.into());
+    }
+    if path == Path::new(STANDARD_OUTPUT) {
+        return io::stdout().as_fd().try_clone_to_owned().map(File::from);
     }
     // Something that is no regular file, such as a device or a named pipe, is written as it is.
     if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {

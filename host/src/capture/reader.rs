@@ -174,6 +174,8 @@ impl<R: Read> CaptureReader<R> {
                 None
             }
             Entry::Link { device: Some(device), log_ns } => {
+                // UTC may be put back later: what has begun goes on.
+                self.from_ns = 0;
                 let Some(hello) = self.owed.remove(&device) else {
                     return Some(entry);
                 };

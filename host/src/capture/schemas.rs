@@ -15,7 +15,8 @@ pub(super) const LINK_BYTES: RosType = RosType {
 # byte stream of the board: packets that end with a zero byte, COBS-stuffed, with a CRC-32.
 # A message usually holds some 20 ms and ends with a packet.
 
-# The link was opened anew ahead of these bytes: half a packet before, if any, is lost.
+# The link was opened anew ahead of these bytes, or the recorder was too slow and left some out:
+# half a packet before, if any, is lost.
 bool opened
 uint8[] data
 

@@ -35,8 +35,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let extension = args.output.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     let by_name = Format::from_str(extension, true).unwrap_or(Format::Csv);
     let mut output = Output::open(Some(&args.output))?;
+    let target = output.target().to_owned();
     let sink = sink::open(args.poses.format_or(by_name), &mut output, false);
-    let played = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, sink)?.run();
+    let played = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, (sink, &target))?.run();
     let outcome = played?;
     output.finish()?;
     Ok(outcome)

@@ -12,9 +12,10 @@ pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
     }
     let decoder = counts.decoder;
     talk(format_args!(
-        "{name}: data were damaged or lost: {} scans missing, {} damaged and {} unreadable packets \
+        "{name}: data were damaged or lost: {} scans missing, {} restarts of the board, {} damaged and {} unreadable packets \
          ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello",
         counts.scans_lost,
+        counts.restarts,
         decoder.damaged(),
         decoder.unknown + decoder.malformed + counts.batches_unreadable,
         decoder.bytes_skipped,

@@ -209,7 +209,11 @@ impl CommandError {
     /// What the program ends with.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::OnlySimulated { .. } | Self::Scenes { .. } | Self::Config(_) => ExitCode::from(2),
+            Self::OnlySimulated { .. }
+            | Self::Scenes { .. }
+            | Self::Config(_)
+            | Self::Playback(PlaybackError::Range { .. })
+            | Self::Device(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }) => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }
     }

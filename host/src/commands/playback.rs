@@ -19,8 +19,12 @@ use crate::device::DeviceId;
 use crate::pace::{Pace, Speed};
 use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch, Segment};
 use crate::scene_file::{SceneFile, Shipped, WIDE};
-use crate::sink::{Note, Sink};
+use crate::sink::{Format, Note, Sink};
+use crate::table::OutputError;
 use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState};
+
+/// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
+const LATEST_NS: u64 = 1_000_000_000;
 
 /// What of captures is solved, and how.
 #[derive(clap::Args, Debug)]
@@ -56,6 +60,17 @@ pub enum PlaybackError {
         /// Packets in them.
         packets: u64,
     },
+    /// Nothing of the capture lies in the part that was asked for.
+    #[error("there is no scan from {from_s} s after the beginning of {} on; give an earlier --from", path.display())]
+    Beyond {
+        /// The file.
+        path: PathBuf,
+        /// The beginning asked for, seconds.
+        from_s: f64,
+    },
+    /// A reference for one board, and several of them.
+    #[error("--compare compares one board, and the capture holds several; record them apart")]
+    SeveralBoards,
     /// A range of time that holds nothing.
     #[error("--to {to_s} s does not lie behind --from {from_s} s; give a later end")]
     Range {
@@ -71,8 +86,12 @@ pub(super) struct Playback<'a> {
     files: &'a [PathBuf],
     play: &'a PlayOptions,
     poses: &'a PoseOptions,
-    pace: Pace,
+    speed: Speed,
+    /// From the first bytes on.
+    pace: Option<Pace>,
     sink: Option<Box<dyn Sink + Send + 'a>>,
+    /// Where that writes.
+    target: &'a str,
     comparison: Option<Comparison>,
     boards: Vec<Board>,
     stop: Arc<AtomicBool>,
@@ -86,6 +105,8 @@ struct Board {
     setup: Option<Box<Setup>>,
     pipeline: Pipeline,
     statistics: RefCell<BoardStatistics>,
+    /// Nothing more can be made of it until its link was opened anew.
+    is_unusable: bool,
 }
 
 impl<'a> Playback<'a> {
@@ -94,7 +115,7 @@ impl<'a> Playback<'a> {
         play: &'a PlayOptions,
         poses: &'a PoseOptions,
         speed: Speed,
-        sink: Option<Box<dyn Sink + Send + 'a>>,
+        (sink, target): (Option<Box<dyn Sink + Send + 'a>>, &'a str),
     ) -> Result<Self, CommandError> {
         if let (Some(from_s), Some(to_s)) = (play.from, play.to)
             && to_s <= from_s
@@ -109,8 +130,7 @@ impl<'a> Playback<'a> {
             progress.set_style(style);
         }
         let stop = interrupt()?;
-        let pace = Pace::new(speed);
-        Ok(Self { files, play, poses, pace, sink, comparison, boards: Vec::new(), stop, progress })
+        Ok(Self { files, play, poses, speed, pace: None, sink, target, comparison, boards: Vec::new(), stop, progress })
     }
 
     /// Solves all of them.
@@ -149,11 +169,15 @@ impl<'a> Playback<'a> {
             match entry {
                 Entry::Setup(setup) => self.set_up(setup)?,
                 Entry::Hello { device, .. } => self.feed(path, Some(device), &segment)?,
-                Entry::Link { log_ns, .. } if log_ns > to_ns => return Ok(true),
+                Entry::Link { log_ns, .. } if log_ns > to_ns.saturating_add(LATEST_NS) => return Ok(true),
+                Entry::Link { log_ns, .. } if log_ns > to_ns => {}
                 Entry::Link { device, .. } => self.feed(path, device, &segment)?,
             }
             self.progress.set_position(read_bytes + reader.end().whole_bytes);
-            while !self.is_over() && !self.pace.nap(self.elapsed_s()) {}
+            let elapsed_s = self.elapsed_s();
+            let speed = self.speed;
+            let pace = self.pace.get_or_insert_with(|| Pace::new(speed));
+            while !self.stop.load(Ordering::Relaxed) && !pace.nap(elapsed_s) {}
             if self.is_over() {
                 return Ok(true);
             }
@@ -193,9 +217,11 @@ impl<'a> Playback<'a> {
 
     fn pipeline(&self, file: SceneFile, scene_match: SceneMatch, setup: Option<&Setup>) -> Pipeline {
         let settings = setup.map(|setup| setup.settings);
-        Pipeline::new(file, self.poses.tier_or(settings.map(|settings| settings.tier)), scene_match)
+        let pipeline = Pipeline::new(file, self.poses.tier_or(settings.map(|settings| settings.tier)), scene_match)
             .until(self.poses.duration)
-            .following(self.poses.following_or(settings.map(|settings| settings.following)))
+            .following(self.poses.following_or(settings.map(|settings| settings.following)));
+        // Only people look at the cells.
+        if self.poses.format_or(Format::Ndjson) == Format::Summary { pipeline.watched() } else { pipeline }
     }
 
     fn feed(&mut self, path: &Path, device: Option<DeviceId>, segment: &Segment) -> Result<(), CommandError> {
@@ -209,10 +235,18 @@ impl<'a> Playback<'a> {
                 self.boards.len() - 1
             }
         };
-        let Self { boards, sink, comparison, .. } = self;
-        let Board { pipeline, statistics, .. } = &mut boards[at];
+        if self.comparison.is_some() && self.boards.len() > 1 {
+            return Err(PlaybackError::SeveralBoards.into());
+        }
+        let Self { boards, sink, comparison, target, .. } = self;
+        let printing = |source| OutputError::Write { target: (*target).to_owned(), source };
+        let Board { pipeline, statistics, is_unusable, .. } = &mut boards[at];
         let statistics = statistics.get_mut();
-        pipeline.feed(segment, |item| {
+        *is_unusable &= !segment.opened;
+        if *is_unusable {
+            return Ok(());
+        }
+        let fed = pipeline.feed(segment, |item| {
             statistics.take(&item, None, None);
             match item {
                 Item::Pose(record) => {
@@ -220,28 +254,36 @@ impl<'a> Playback<'a> {
                         comparison.add(record)?;
                     }
                     if let Some(sink) = sink {
-                        sink.pose(record).map_err(CommandError::printing)?;
+                        sink.pose(record).map_err(printing)?;
                     }
                 }
                 Item::Hello(hello) => {
                     if let Some(sink) = sink {
-                        sink.note(&Note::hello(hello)).map_err(CommandError::printing)?;
+                        sink.note(&Note::hello(hello)).map_err(printing)?;
                     }
                 }
                 Item::Event { severity, device_time_s, text } => {
                     if let Some(sink) = sink {
                         let note = Note::Event { device, severity, device_time_s, text: text.to_owned() };
-                        sink.note(&note).map_err(CommandError::printing)?;
+                        sink.note(&note).map_err(printing)?;
                     }
                 }
                 // What a board was asked is history.
                 Item::Status(_) | Item::Reply(_) => {}
             }
             Ok::<_, CommandError>(())
-        })?;
+        });
+        match fed {
+            // Then the daemon had lost its board, and looked for it again.
+            Err(CommandError::Board(error)) if pipeline.counts().scans > 0 => {
+                talk(format_args!("{error}; going on where the link was opened anew"));
+                *is_unusable = true;
+            }
+            fed => drop(fed?),
+        }
         let reports = || self.boards.iter().map(Board::report).collect();
         match &mut self.sink {
-            Some(sink) => sink.tick(&reports).map_err(CommandError::printing),
+            Some(sink) => Ok(sink.tick(&reports).map_err(printing)?),
             None => Ok(()),
         }
     }
@@ -263,7 +305,8 @@ impl<'a> Playback<'a> {
     fn end(mut self, mut outcome: Outcome, is_over: bool) -> Result<Outcome, CommandError> {
         let reports = || self.boards.iter().map(Board::report).collect();
         if let Some(sink) = &mut self.sink {
-            sink.finish(&reports).map_err(CommandError::printing)?;
+            let target = self.target.to_owned();
+            sink.finish(&reports).map_err(|source| OutputError::Write { target, source })?;
         }
         let (mut scans, mut bytes, mut packets) = (0, 0, 0);
         for board in &self.boards {
@@ -280,6 +323,9 @@ impl<'a> Playback<'a> {
             comparison.lines().iter().for_each(|line| talk(format_args!("{line}")));
         }
         match self.files.first() {
+            Some(path) if scans == 0 && self.play.from.is_some() => {
+                Err(PlaybackError::Beyond { path: path.clone(), from_s: self.play.from.unwrap_or_default() }.into())
+            }
             Some(path) if scans == 0 => Err(PlaybackError::NoScan { path: path.clone(), bytes, packets }.into()),
             _ => Ok(outcome),
         }
@@ -289,7 +335,8 @@ impl<'a> Playback<'a> {
 impl Board {
     fn new(device: Option<DeviceId>, setup: Option<Box<Setup>>, pipeline: Pipeline) -> Self {
         let name = device.map_or_else(|| "capture".to_owned(), |device| device.to_string());
-        Self { device, setup, pipeline, statistics: RefCell::new(BoardStatistics::new(name, HostInstant::now())) }
+        let statistics = RefCell::new(BoardStatistics::new(name, HostInstant::now()));
+        Self { device, setup, pipeline, statistics, is_unusable: false }
     }
 
     fn report(&self) -> BoardReport {

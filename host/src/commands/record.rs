@@ -37,7 +37,10 @@ impl RecordOptions {
     /// Begins the capture asked for.
     pub(super) fn open(&self) -> Result<Option<CapturePlan>, CaptureError> {
         let Some(path) = &self.record else { return Ok(None) };
-        let limits = Limits { max_bytes: self.record_size, max_age: self.record_time.map(Duration::from_secs_f64) };
+        let limits = Limits {
+            max_bytes: self.record_size,
+            max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
+        };
         let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
         let series = CaptureSeries::create(path, limits, existing, About::default())?;
         let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };

@@ -35,5 +35,5 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let live = io::stdout().is_terminal();
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = sink::open(args.poses.format(live), output, live);
-    Playback::new(&args.files, &args.play, &args.poses, args.speed, sink)?.run()
+    Playback::new(&args.files, &args.play, &args.poses, args.speed, (sink, "standard output"))?.run()
 }

@@ -3,7 +3,7 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::Hello;
@@ -12,6 +12,7 @@ use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::tool::ToolOptions;
 use super::{CommandError, Outcome, interrupt, losses, talk};
+use crate::clock::HostInstant;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
 use crate::device::{DeviceId, Search, Selector};
@@ -21,8 +22,7 @@ use crate::pipeline::{self, PipelineError, SceneMatch};
 use crate::scene_file::SceneFile;
 use crate::service::{self, Service};
 use crate::sink;
-use crate::table::OutputError;
-use crate::telemetry::{Reach, RecorderState, StatusAddress, StatusServer};
+use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
 
 /// The ends of boards are looked for, and housekeeping is done, so often.
 const MOMENT: Duration = Duration::from_millis(20);
@@ -93,7 +93,7 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
     match text {
         "forever" => Ok(Patience(None)),
         "0" | "0s" => Ok(Patience(Some(Duration::ZERO))),
-        _ => Ok(Patience(Some(Duration::from_secs_f64(parse_duration(text)?)))),
+        _ => Ok(Patience(Some(Duration::try_from_secs_f64(parse_duration(text)?).unwrap_or(Duration::MAX)))),
     }
 }
 
@@ -101,20 +101,27 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let boards = args.boards()?;
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
-    let capture = args.record.open()?;
     let live = io::stdout().is_terminal();
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = sink::open(args.poses.format(live), output, live);
-    let plan = Plan { boards, sink, capture, datagrams, real_time: args.real_time };
-    let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
+    let service = Service::from_environment().map_err(CommandError::Service)?;
+    // All that can fail comes before the first thread: a board that is lit is stopped by its own.
+    let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
     let status = match &args.status {
         Some(address) => {
-            let daemon = Arc::clone(&daemon);
-            Some(StatusServer::start(address, Reach::Loopback, move || daemon.report())?)
+            let followed = Arc::clone(&followed);
+            let report = move || match followed.get() {
+                Some(daemon) => daemon.report(),
+                None => DaemonReport::of_now(began, Vec::new(), RecorderReport::default()),
+            };
+            Some(StatusServer::start(address, Reach::Loopback, report)?)
         }
         None => None,
     };
-    let service = Service::from_environment().map_err(CommandError::Service)?;
+    let capture = args.record.open()?;
+    let plan = Plan { boards, sink, capture, datagrams, real_time: args.real_time };
+    let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
+    let daemon = followed.get_or_init(|| daemon);
     // A manager that does not listen at this moment will at the next.
     let notify = |state| drop(service.notify(state));
     notify(service::READY);
@@ -133,15 +140,20 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     notify(service::STOPPING);
     let ended = daemon.end();
     drop(status);
-    outcome_of(ended, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
+    let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
+    outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }
 
 /// Says what was lost; the first error counts.
-fn outcome_of(ended: Ended, interrupted: bool, bounded: bool) -> Result<Outcome, CommandError> {
+fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool) -> Result<Outcome, CommandError> {
     let Ended { boards, printed, capture } = ended;
     let mut outcome = Outcome::Done;
     let mut failed = Ok(());
-    for (name, counts, followed) in boards {
+    for ((name, counts, followed), &reconnects) in boards.into_iter().zip(reconnects) {
+        if reconnects > 0 {
+            talk(format_args!("{name}: the board was missed {reconnects} times; what it took meanwhile is lost"));
+            outcome = Outcome::DataLost;
+        }
         let wanted = interrupted || (bounded && followed.is_ok());
         if losses::tell(&name, &counts, wanted) == Outcome::DataLost {
             outcome = Outcome::DataLost;
@@ -155,9 +167,12 @@ fn outcome_of(ended: Ended, interrupted: bool, bounded: bool) -> Result<Outcome,
         ));
         outcome = Outcome::DataLost;
     }
-    printed.map_err(|source| OutputError::Write { target: "standard output".to_owned(), source })?;
     failed?;
-    Ok(outcome)
+    match printed {
+        // The reader of the poses has gone; what was lost besides still counts.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe && outcome == Outcome::DataLost => Ok(outcome),
+        printed => printed.map(|()| outcome).map_err(CommandError::printing),
+    }
 }
 
 impl Args {

@@ -1,7 +1,7 @@
 //! `slitpose simulate`: a capture of a simulated board, without solving it.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
@@ -18,9 +18,6 @@ use crate::pipeline::{Following, Segment};
 use crate::scene_file::SceneFile;
 use crate::simulator::Trajectory;
 use crate::table::{Output, POSE_COLUMNS, TableWriter};
-
-/// Standard output, as a capture is written to it.
-const STANDARD_OUTPUT: &str = "/dev/stdout";
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///
@@ -116,8 +113,7 @@ impl Recording {
             Target::Bytes(Output::open(Some(&args.output))?)
         } else {
             let existing = if args.overwrite { Existing::Replaced } else { Existing::Kept };
-            let path = if args.output == Path::new("-") { Path::new(STANDARD_OUTPUT) } else { &args.output };
-            let mut series = CaptureSeries::create(path, Limits::default(), existing, About::default())?;
+            let mut series = CaptureSeries::create(&args.output, Limits::default(), existing, About::default())?;
             let settings = Settings { tier, following: Following::default() };
             series.add_device(Setup::new(device, file, settings), None, 0)?;
             Target::Capture(Box::new(series), device)

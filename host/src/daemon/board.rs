@@ -111,6 +111,7 @@ impl BoardThreads {
                 capture: outlets.parcels.map(inlet),
                 device: None,
                 complaint: None,
+                refused: None,
             },
             slot: Arc::clone(slot),
         };
@@ -121,6 +122,7 @@ impl BoardThreads {
             patience: plan.patience,
             segments: filler,
             verdicts,
+            connection: 0,
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
         };

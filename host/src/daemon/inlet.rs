@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
+
 use super::circuit::Filler;
 use crate::device::DeviceId;
 use crate::pipeline::{Record, Segment};
@@ -19,21 +21,21 @@ pub(super) struct Parcel {
     pub(super) board: usize,
     /// The board, once it has introduced itself.
     pub(super) device: Option<DeviceId>,
+    /// The packet with which it introduced itself, where the capture has missed it.
+    pub(super) hello: Vec<u8>,
     /// When the first scan in it was taken, by the board's clock.
     pub(super) device_ns: u64,
     /// What came.
     pub(super) segment: Segment,
     /// Some of the poses in it.
     pub(super) poses: Vec<Record>,
-    /// Bytes ahead of it that no parcel was left for.
-    pub(super) bytes_dropped: u64,
 }
 
 impl Parcel {
     fn clear(&mut self) {
+        self.hello.clear();
         self.segment.clear();
         self.poses.clear();
-        self.bytes_dropped = 0;
     }
 }
 
@@ -58,6 +60,10 @@ pub(super) struct CaptureInlet {
     begun: Instant,
     device: Option<DeviceId>,
     device_ns: u64,
+    /// The packet with which the board introduced itself last.
+    hello: Vec<u8>,
+    /// The capture has missed something since the last piece.
+    has_gap: bool,
     bytes_dropped: u64,
 }
 
@@ -74,6 +80,8 @@ impl CaptureInlet {
             begun: Instant::now(),
             device: None,
             device_ns: 0,
+            hello: Vec::new(),
+            has_gap: false,
             bytes_dropped: 0,
         }
     }
@@ -95,17 +103,30 @@ impl CaptureInlet {
             parcel.board = self.board;
             parcel.device = self.device;
             parcel.device_ns = self.device_ns;
-            parcel.bytes_dropped = std::mem::take(&mut self.bytes_dropped);
-            // What comes does not follow what was kept last.
-            parcel.segment.opened = parcel.bytes_dropped > 0;
+            if std::mem::take(&mut self.has_gap) {
+                // What comes does not follow what was kept last, and may be by another configuration.
+                parcel.segment.opened = true;
+                parcel.hello.extend_from_slice(&self.hello);
+            }
             parcel
         });
         self.begun = Instant::now();
     }
 
+    /// Bytes that no piece was left for.
+    pub(super) fn bytes_dropped(&self) -> u64 {
+        self.bytes_dropped
+    }
+
     /// Keeps who the board is.
-    pub(super) fn hello(&mut self, device: DeviceId) {
-        self.device = Some(device);
+    pub(super) fn hello(&mut self, hello: &Hello<'_>) {
+        self.device = Some(DeviceId(hello.device_id));
+        let mut buffer = [0; MAX_MESSAGE_BYTES];
+        // It has come as a packet, so it fits one.
+        if let Ok(packet) = encode(&Message::Hello(hello.clone()), &mut buffer) {
+            self.hello.clear();
+            self.hello.extend_from_slice(packet);
+        }
         if let Some(parcel) = &mut self.under_way {
             parcel.device = self.device;
         }
@@ -130,6 +151,7 @@ impl CaptureInlet {
     pub(super) fn keep(&mut self, segment: &Segment) {
         let Some(parcel) = &mut self.under_way else {
             self.bytes_dropped += segment.bytes.len() as u64;
+            self.has_gap = true;
             return;
         };
         if segment.opened {

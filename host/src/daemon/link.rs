@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::error::{BoardError, with_causes};
 use crate::clock::HostInstant;
-use crate::device::DeviceError;
+use crate::device::{DeviceError, DeviceId};
 use crate::telemetry::{LinkReport, LinkState};
 
 /// Says something to the user.
@@ -22,6 +22,7 @@ pub(super) struct Link {
 struct State {
     report: LinkReport,
     has_run: bool,
+    device: Option<DeviceId>,
     is_given_up: bool,
     missed_since: Option<Instant>,
 }
@@ -63,6 +64,14 @@ impl Link {
         state.set(LinkState::Connecting, reason);
     }
 
+    /// A board has introduced itself on `port`.
+    pub(super) fn greeted(&self, device: DeviceId, port: &str) {
+        let before = self.lock().device.replace(device);
+        if let Some(before) = before.filter(|before| *before != device) {
+            self.say(format_args!("the board on {port} is {device} now; before it was {before}"));
+        }
+    }
+
     /// Scans come from `port`.
     pub(super) fn running(&self, port: &str) {
         let mut state = self.lock();
@@ -93,7 +102,7 @@ impl Link {
         state.set(kind, Some(reason.clone()));
         drop(state);
         if !is_known {
-            self.say(format_args!("{reason}; looking for it until it is back"));
+            self.say(format_args!("{reason}; looking for it"));
         }
     }
 

@@ -42,7 +42,7 @@ use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::pipeline::Counts;
 use crate::sink::Sink;
-use crate::telemetry::{DaemonReport, RecorderReport};
+use crate::telemetry::{DaemonReport, LinkState, RecorderReport};
 use board::BoardThreads;
 use circuit::circuit;
 use recorder::RecorderThread;
@@ -139,11 +139,14 @@ impl Daemon {
     /// How it goes.
     pub fn report(&self) -> DaemonReport {
         let boards = self.slots.iter().map(|slot| slot.report()).collect();
-        DaemonReport::of_now(
-            self.started,
-            boards,
-            self.recorder.as_ref().map(RecorderThread::report).unwrap_or_default(),
-        )
+        DaemonReport::of_now(self.started, boards, self.recorded(RecorderThread::report))
+    }
+
+    /// What the recorder says, with what never came to it.
+    fn recorded(&self, report: impl FnOnce(&RecorderThread) -> RecorderReport) -> RecorderReport {
+        let mut report = self.recorder.as_ref().map(report).unwrap_or_default();
+        report.bytes_dropped += self.slots.iter().map(|slot| slot.report().losses.host.bytes_unrecorded).sum::<u64>();
+        report
     }
 
     /// Puts how it goes into the capture.
@@ -156,7 +159,8 @@ impl Daemon {
     /// Whether no thread hangs: each solver has given an account of late, also when nothing came.
     pub fn is_alive(&self) -> bool {
         let now = HostInstant::now();
-        self.slots.iter().all(|slot| slot.report().age_s(now) < HANGS_AFTER_S)
+        let reports = self.slots.iter().map(|slot| slot.report());
+        reports.filter(|report| report.link.state != LinkState::Ended).all(|report| report.age_s(now) < HANGS_AFTER_S)
     }
 
     /// Whether nothing will ever come again. If a board had to be given up the others are told to end.
@@ -175,7 +179,7 @@ impl Daemon {
         let printer = self.printer.lock().unwrap_or_else(PoisonError::into_inner).take();
         let printed =
             printer.map_or(Ok(()), |printer| printer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        Ended { boards, printed, capture: self.recorder.as_ref().map(RecorderThread::end).unwrap_or_default() }
+        Ended { boards, printed, capture: self.recorded(RecorderThread::end) }
     }
 }
 

@@ -1,13 +1,24 @@
 //! How a reader comes by its board, the first time and again.
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use crate::device::{
     Device, DeviceError, DeviceId, Found, Search, Selector, SerialDevice, SimulatedDevice, find, locate,
 };
+
+/// Held while ports are asked for boards, and until the one that was found has answered: two that look
+/// at the same time would find each other's ports in use.
+static LOOKING: Mutex<()> = Mutex::new(());
 
 /// How a reader comes by its board.
 pub trait Opener: Send {
     /// What the user calls the board.
     fn name(&self) -> String;
+
+    /// Waits until nobody else looks for boards, where looking would disturb.
+    fn turn(&self) -> Option<MutexGuard<'static, ()>> {
+        None
+    }
 
     /// Opens a way to it.
     ///
@@ -39,14 +50,22 @@ impl Opener for PortOpener {
         self.selector.to_string()
     }
 
+    fn turn(&self) -> Option<MutexGuard<'static, ()>> {
+        let looks = !matches!(self.selector, Selector::Path(_));
+        looks.then(|| LOOKING.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     fn open(&mut self) -> Result<Box<dyn Device>, DeviceError> {
-        let port = match locate(&self.selector, self.known.as_ref()) {
-            Some(port) => port,
-            None => {
-                let found = find(&self.selector, &self.search)?;
-                self.known.insert(found).port.clone()
+        let found = match locate(&self.selector, self.known.as_ref()) {
+            // What it is on USB, so that it is found again under another name.
+            Some(port) => {
+                let known = self.known.take().and_then(|known| known.device);
+                let found = find(&Selector::Path(port), &[])?;
+                Found { device: found.device.or(known), ..found }
             }
+            None => find(&self.selector, &self.search)?,
         };
+        let port = self.known.insert(found).port.clone();
         Ok(Box::new(SerialDevice::open(&port)?))
     }
 

@@ -4,7 +4,7 @@
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::circuit::{Drainer, Dry};
 use super::solver::{Outbox, Outgoing};
@@ -13,6 +13,9 @@ use crate::telemetry::BoardReport;
 
 /// Without a pose to print it looks about so often.
 const IDLE: Duration = Duration::from_millis(50);
+
+/// A stream that is always behind is flushed and shown at least so often.
+const TICK_AFTER: Duration = Duration::from_millis(200);
 
 /// Gives the accounts of all boards.
 pub(super) type Accounts = dyn Fn() -> Vec<BoardReport> + Send;
@@ -26,6 +29,7 @@ pub(super) fn print(
     stop: &Arc<AtomicBool>,
 ) -> io::Result<()> {
     let mut failed = None;
+    let mut ticked_at = Instant::now();
     loop {
         let (taken, is_over) = match outboxes.next(IDLE) {
             Ok(mut outbox) => {
@@ -41,8 +45,11 @@ pub(super) fn print(
             (Some(_), _) => Ok(()),
             (None, true) => sink.finish(accounts),
             // More waits to be printed than to be shown.
-            (None, false) if !outboxes.is_empty() => Ok(()),
-            (None, false) => sink.tick(accounts),
+            (None, false) if !outboxes.is_empty() && ticked_at.elapsed() < TICK_AFTER => Ok(()),
+            (None, false) => {
+                ticked_at = Instant::now();
+                sink.tick(accounts)
+            }
         };
         if let Err(error) = taken.and(ticked) {
             failed = Some(error);

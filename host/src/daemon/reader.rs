@@ -44,7 +44,9 @@ pub(super) struct Reader {
     /// How long to look for a board that is not there; `None`: for ever.
     pub(super) patience: Option<Duration>,
     pub(super) segments: Filler<Segment>,
-    pub(super) verdicts: Receiver<Verdict>,
+    pub(super) verdicts: Receiver<(u64, Verdict)>,
+    /// Number of the connection, from 1; a verdict carries that of its own.
+    pub(super) connection: u64,
     pub(super) slot: Arc<BoardSlot>,
     pub(super) stop: Arc<AtomicBool>,
 }
@@ -66,11 +68,11 @@ impl Reader {
 
     fn follow(&mut self) -> Result<(), BoardError> {
         let mut missing_since = Instant::now();
-        let mut connected = false;
+        let mut is_first = true;
         loop {
             let error = match self.connect() {
                 Ok(mut board) => {
-                    connected = true;
+                    is_first = false;
                     let ending = self.listen(&mut board);
                     missing_since = Instant::now();
                     match ending {
@@ -81,8 +83,10 @@ impl Reader {
                 }
                 Err(error) => error,
             };
-            // At first somebody is there to mend what waiting does not.
-            let is_hopeless = !connected && !error.is_passing();
+            // At first somebody is there to mend what waiting does not. Later a port may still be closed to
+            // us just after it has appeared.
+            let is_hopeless = is_first && !error.is_passing();
+            is_first = false;
             if is_hopeless || self.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
                 return Err(error);
             }
@@ -107,20 +111,23 @@ impl Reader {
 
     /// Opens, greets, configures and starts the board.
     fn connect(&mut self) -> Result<Conversation, BoardError> {
+        let _turn = self.opener.turn();
         let device = self.opener.open()?;
         self.slot.link.connecting();
         let mut board = Conversation::open(device)?;
 
-        let Self { admit, opener, .. } = self;
+        let Self { admit, opener, slot, .. } = self;
+        let name = board.name();
         board.greet(|hello| {
             admit(hello)?;
-            opener.greeted(DeviceId(hello.device_id));
+            let device = DeviceId(hello.device_id);
+            opener.greeted(device);
+            slot.link.greeted(device, &name);
             Ok::<_, BoardError>(())
         })?;
         board.configure(self.configuration.clone())?;
         board.start()?;
-        // A verdict on what came before says nothing of what comes now.
-        while self.verdicts.try_recv().is_ok() {}
+        self.connection += 1;
         self.slot.link.running(&board.name());
         Ok(board)
     }
@@ -128,25 +135,33 @@ impl Reader {
     fn listen(&mut self, board: &mut Conversation) -> Ending {
         self.pass_on(board, true);
         loop {
-            match self.verdicts.try_recv() {
-                Ok(Verdict::Complete) => return Ending::Wanted(Keep::Replies),
-                Ok(Verdict::Unusable(error)) => return Ending::Lost(error),
-                Ok(Verdict::Stopped(reason)) => {
+            match self.verdict() {
+                Some(Verdict::Complete) => return Ending::Wanted(Keep::Replies),
+                Some(Verdict::Unusable(error)) => return Ending::Lost(error),
+                Some(Verdict::Stopped(reason)) => {
                     let reason = reason.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
                     return Ending::Lost(DeviceError::Stopped { name: board.name(), reason }.into());
                 }
-                Err(_) if self.stops() => return Ending::Wanted(Keep::All),
-                Err(_) => {}
+                None if self.stops() => return Ending::Wanted(Keep::All),
+                None => {}
             }
             match board.listen() {
-                Ok(true) => self.pass_on(board, false),
-                Ok(false) => {
-                    self.pass_on(board, false);
-                    return Ending::Wanted(Keep::All);
+                Ok(more) => {
+                    let is_taken = self.pass_on(board, false);
+                    if !more || !is_taken {
+                        return Ending::Wanted(Keep::All);
+                    }
                 }
                 Err(error) => return Ending::Lost(error.into()),
             }
         }
+    }
+
+    /// The next verdict. One on an earlier connection says nothing of this one, but that all has come.
+    fn verdict(&self) -> Option<Verdict> {
+        self.verdicts.try_iter().find_map(|(connection, verdict)| {
+            (connection == self.connection || matches!(verdict, Verdict::Complete)).then_some(verdict)
+        })
     }
 
     /// Darkens the board and hands on what was still under way.
@@ -162,15 +177,15 @@ impl Reader {
     }
 
     /// Hands on what was received last. Waits if the solver is behind: bytes then wait in the
-    /// operating system and on the board.
-    fn pass_on(&mut self, board: &mut Conversation, opened: bool) {
+    /// operating system and on the board. `false` if the solver has ended, and takes no more.
+    fn pass_on(&mut self, board: &mut Conversation, opened: bool) -> bool {
         let Some(mut segment) = self.segments.spare() else {
-            // The solver has ended, and will not take any more.
-            return;
+            return false;
         };
         segment.clear();
         segment.opened = opened;
         board.fill(&mut segment);
         self.segments.hand_over(segment);
+        true
     }
 }

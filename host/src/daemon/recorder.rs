@@ -47,6 +47,7 @@ pub(super) struct RecorderThread {
 struct Source {
     file: SceneFile,
     settings: Settings,
+    keeps_time: bool,
     device: Option<DeviceId>,
 }
 
@@ -57,6 +58,8 @@ struct Recorder {
     talk: Arc<Talk>,
     report: Arc<Mutex<RecorderReport>>,
     bytes_missing: u64,
+    /// When what was recorded last came.
+    log_ns: u64,
 }
 
 impl RecorderThread {
@@ -68,17 +71,20 @@ impl RecorderThread {
         let source = |board: &BoardPlan| Source {
             file: board.file.clone(),
             settings: Settings { tier: board.tier, following: board.following },
+            keeps_time: board.keeps_time,
             device: None,
         };
-        let report = Arc::new(Mutex::new(RecorderReport::default()));
+        let recording = RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() };
+        let report = Arc::new(Mutex::new(recording));
         let recorder = Recorder {
             series: plan.series,
             sources: boards.iter().map(source).collect(),
             talk: plan.talk,
             report: Arc::clone(&report),
             bytes_missing: 0,
+            log_ns: 0,
         };
-        recorder.publish(RecorderState::Recording, None);
+        recorder.publish();
         let thread = spawn("record".to_owned(), move || recorder.run(&drainer, &accounts))?;
         let this = Self { thread: Mutex::new(Some(thread)), accounts: Mutex::new(Some(tell)), report };
         Ok((this, (filler, plan.poses_hz.recip())))
@@ -125,17 +131,18 @@ impl Recorder {
                 let done = self.record_account(&report);
                 self.tell_of(done);
             }
-            if self.series.is_recording() {
-                self.publish(RecorderState::Recording, None);
-            }
+            self.publish();
         }
-        let Self { series, talk, report, .. } = self;
-        let was_recording = series.is_recording();
+        let Self { series, talk, report, bytes_missing, .. } = self;
         let finished = series.finish();
         let mut report = report.lock().unwrap_or_else(PoisonError::into_inner);
         match finished {
-            Ok(_) if was_recording => report.state = RecorderState::Off,
-            Ok(_) => {}
+            Ok(recorded) => {
+                report.bytes_dropped = recorded.dropped_bytes + bytes_missing;
+                if report.state == RecorderState::Recording {
+                    report.state = RecorderState::Off;
+                }
+            }
             Err(error) => {
                 let reason = with_causes(&error);
                 talk(format_args!("{reason}"));
@@ -152,11 +159,13 @@ impl Recorder {
             Some(read) => read.at.map_or(parcel.device_ns, |at| at.utc_ns),
             None => now_ns,
         };
+        self.log_ns = log_ns;
+        let hello = Some(parcel.hello.as_slice()).filter(|hello| !hello.is_empty());
         if let Some(device) = parcel.device
-            && source.device != Some(device)
+            && (source.device != Some(device) || hello.is_some())
         {
             source.device = Some(device);
-            let added = self.series.add_device(Setup::new(device, &source.file, source.settings), None, log_ns);
+            let added = self.series.add_device(Setup::new(device, &source.file, source.settings), hello, log_ns);
             if added.is_err() {
                 self.bytes_missing += parcel.segment.bytes.len() as u64;
                 return added;
@@ -167,13 +176,14 @@ impl Recorder {
             self.bytes_missing += parcel.segment.bytes.len() as u64;
             return Ok(());
         };
-        self.bytes_missing += parcel.bytes_dropped;
         self.series.segment(device, &parcel.segment, log_ns)?;
         parcel.poses.iter().try_for_each(|record| self.series.pose(record, log_ns))
     }
 
     fn record_account(&mut self, report: &DaemonReport) -> Result<(), CaptureError> {
-        let now_ns = HostInstant::now().utc_ns;
+        // On one timeline with what the boards say.
+        let keep_time = self.sources.iter().all(|source| source.keeps_time);
+        let now_ns = if keep_time { HostInstant::now().utc_ns } else { self.log_ns };
         for board in &report.boards {
             if let Some(device) = board.device.filter(|device| self.sources.iter().any(|it| it.device == Some(*device)))
             {
@@ -188,15 +198,14 @@ impl Recorder {
         if let Err(error) = done {
             let reason = with_causes(&error);
             (self.talk)(format_args!("{reason}"));
-            self.publish(RecorderState::Failed, Some(reason));
+            let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
+            (report.state, report.reason) = (RecorderState::Failed, Some(reason));
         }
     }
 
-    fn publish(&self, state: RecorderState, reason: Option<String>) {
+    fn publish(&self) {
         let recorded = self.series.recorded();
         let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
-        report.state = state;
-        report.reason = reason;
         report.file = Some(self.series.path().display().to_string());
         report.bytes = self.series.bytes();
         report.files = recorded.files;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Sender;
-use slitpose_protocol::{Reply, Severity};
+use slitpose_protocol::{Rejection, Reply, Severity};
 
 use super::BoardSlot;
 use super::circuit::{Drainer, Dry, Filler};
@@ -16,7 +16,7 @@ use crate::datagram::{DatagramServer, Publisher};
 use crate::device::DeviceId;
 use crate::pipeline::{Counts, Item, Pipeline, Record, Segment};
 use crate::sink::Note;
-use crate::telemetry::BoardStatistics;
+use crate::telemetry::{BoardStatistics, HostLosses};
 
 /// Without anything to solve it looks about so often.
 const IDLE: Duration = Duration::from_millis(100);
@@ -39,7 +39,7 @@ pub(super) type Outbox = Vec<Outgoing>;
 pub(super) struct SolverThread {
     pub(super) pipeline: Pipeline,
     pub(super) segments: Drainer<Segment>,
-    pub(super) verdicts: Sender<Verdict>,
+    pub(super) verdicts: Sender<(u64, Verdict)>,
     pub(super) consumers: Consumers,
     pub(super) slot: Arc<BoardSlot>,
 }
@@ -55,6 +55,8 @@ pub(super) struct Consumers {
     pub(super) device: Option<DeviceId>,
     /// The last warning or error of the board.
     pub(super) complaint: Option<String>,
+    /// What the board did not want to do.
+    pub(super) refused: Option<Rejection>,
 }
 
 impl SolverThread {
@@ -62,18 +64,23 @@ impl SolverThread {
     pub(super) fn run(mut self) -> Counts {
         let mut is_unusable = false;
         let mut is_complete = false;
+        let mut connection = 0;
         let mut idle_tick = None;
         let mut accounted = Instant::now();
         loop {
             match self.segments.next(IDLE) {
                 Ok(mut segment) => {
                     let opened = segment.opened;
+                    connection += u64::from(opened);
                     is_unusable &= !opened;
-                    // What is queued behind the end belongs to nobody.
-                    if !is_unusable && !is_complete {
+                    // What is queued behind the end belongs to nobody; what cannot be solved is recorded.
+                    if is_unusable && !is_complete {
+                        self.consumers.begin(&segment);
+                        self.consumers.keep(&segment);
+                    } else if !is_complete {
                         if let Err(error) = self.solve(&mut segment) {
                             is_unusable = true;
-                            self.tell(Verdict::Unusable(error));
+                            self.tell(connection, Verdict::Unusable(error));
                         }
                         let status = self.pipeline.counts().board_status;
                         if opened {
@@ -82,11 +89,11 @@ impl SolverThread {
                         } else if status.is_some_and(|status| !status.acquiring && Some(status.tick) != idle_tick) {
                             idle_tick = status.map(|status| status.tick);
                             let complaint = self.consumers.complaint.take();
-                            self.tell(Verdict::Stopped(complaint));
+                            self.tell(connection, Verdict::Stopped(complaint));
                         }
                         if self.pipeline.is_complete() {
                             is_complete = true;
-                            self.tell(Verdict::Complete);
+                            self.tell(connection, Verdict::Complete);
                         }
                     }
                     self.segments.give_back(segment);
@@ -111,16 +118,24 @@ impl SolverThread {
         consumers.hand_over_outbox();
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
         consumers.keep(segment);
-        fed.map(drop)
+        match consumers.refused.take() {
+            Some(rejection) => fed.and(Err(BoardError::Refused(rejection))),
+            None => fed.map(drop),
+        }
     }
 
-    fn tell(&self, verdict: Verdict) {
+    fn tell(&self, connection: u64, verdict: Verdict) {
         // A reader that has ended needs no verdict, and one that has had many will look at the first.
-        let _ = self.verdicts.try_send(verdict);
+        let _ = self.verdicts.try_send((connection, verdict));
     }
 
     fn account(&mut self) {
-        self.slot.account(&self.pipeline, &mut self.consumers.statistics);
+        let Consumers { statistics, capture, publisher, .. } = &mut self.consumers;
+        statistics.set_host_losses(HostLosses {
+            bytes_unrecorded: capture.as_ref().map_or(0, CaptureInlet::bytes_dropped),
+            poses_unsent: publisher.as_ref().map_or(0, Publisher::missed),
+        });
+        self.slot.account(&self.pipeline, statistics);
     }
 }
 
@@ -140,7 +155,7 @@ impl Consumers {
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
                 if let Some(capture) = &mut self.capture {
-                    capture.hello(device);
+                    capture.hello(hello);
                 }
                 self.note(|| Note::hello(hello));
             }
@@ -151,7 +166,8 @@ impl Consumers {
                 let (device, severity, device_time_s) = (self.device, *severity, *device_time_s);
                 self.note(|| Note::Event { device, severity, device_time_s, text: (*text).to_owned() });
             }
-            Item::Reply(Reply { outcome: Err(rejection), .. }) => return Err(BoardError::Refused(*rejection)),
+            // Told when all of the segment is solved: what came is not to be lost.
+            Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
             Item::Reply(_) | Item::Status(_) => {}
         }
         self.statistics.take(item, None, None);
@@ -160,11 +176,10 @@ impl Consumers {
 
     /// The most urgent first.
     fn take_pose(&mut self, item: &Item<'_>, record: &Record) -> Result<(), BoardError> {
-        let now = HostInstant::now();
         if let Some(publisher) = &mut self.publisher {
-            publisher.publish(record, now);
+            publisher.publish(record, HostInstant::now());
         }
-        self.statistics.take(item, record.arrival, record.arrival.map(|_| now));
+        self.statistics.take(item, record.arrival, record.arrival.map(|_| HostInstant::now()));
         if let Some(capture) = &mut self.capture {
             capture.pose(record);
         }

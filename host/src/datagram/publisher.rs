@@ -38,11 +38,17 @@ pub struct Publisher {
     subscriptions: Receiver<Subscription>,
     followers: Vec<Follower>,
     number: u64,
+    missed: u64,
 }
 
 impl Publisher {
     pub(super) fn new(shared: Arc<Shared>, slot: Arc<Slot>, subscriptions: Receiver<Subscription>) -> Self {
-        Self { shared, slot, subscriptions, followers: Vec::with_capacity(MAX_FOLLOWERS), number: 0 }
+        Self { shared, slot, subscriptions, followers: Vec::with_capacity(MAX_FOLLOWERS), number: 0, missed: 0 }
+    }
+
+    /// Datagrams that followers have missed because they did not take them in time.
+    pub fn missed(&self) -> u64 {
+        self.missed
     }
 
     /// Sends a pose to all who follow, and leaves it for those who ask.
@@ -55,12 +61,14 @@ impl Publisher {
             admit(&mut self.followers, subscription, &self.shared.counters);
         }
         let Shared { sockets, counters } = &*self.shared;
+        let missed_by_all = &mut self.missed;
         self.followers.retain_mut(|Follower { subscription, missed }| {
             datagram.set_missed(*missed);
             match sockets[subscription.socket].send(datagram.as_bytes(), &subscription.peer) {
                 Delivery::Sent => Counters::count(&counters.sent),
                 Delivery::Full => {
                     *missed += 1;
+                    *missed_by_all += 1;
                     Counters::count(&counters.missed);
                 }
                 Delivery::Gone => return false,

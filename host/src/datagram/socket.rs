@@ -1,10 +1,10 @@
 //! Sockets of both kinds, none of which ever blocks.
 
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{self, UnixDatagram};
 use std::path::{Path, PathBuf};
 
@@ -128,8 +128,19 @@ impl AsFd for Socket {
     }
 }
 
-/// Binds a path, in place of a socket that a daemon has left behind when it was killed.
+/// Whoever is of the daemon's group may ask; it needs the right to write for that.
+const SOCKET_MODE: u32 = 0o660;
+
+/// Binds a path, for the daemon's user and group.
 fn bind_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
+    let socket = claim_path(path)?;
+    fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE))
+        .map_err(|source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source })?;
+    Ok(socket)
+}
+
+/// Binds a path, in place of a socket that a daemon has left behind when it was killed.
+fn claim_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
     let error = |source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source };
     match UnixDatagram::bind(path) {
         Err(source) if source.kind() == ErrorKind::AddrInUse => {}

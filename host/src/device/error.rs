@@ -175,7 +175,7 @@ pub enum DeviceError {
         source: Rejection,
     },
     /// The port is no longer there.
-    #[error("the board on {name} has gone; if it was unplugged, plug it in and start again")]
+    #[error("the board on {name} has gone; if it was unplugged, plug it in again")]
     Gone {
         /// The device.
         name: String,
@@ -183,7 +183,7 @@ pub enum DeviceError {
         source: io::Error,
     },
     /// Bytes have ceased to come.
-    #[error("no data for {seconds} s from the board on {name}; reset the board and start again")]
+    #[error("no data for {seconds} s from the board on {name}; reset the board")]
     Quiet {
         /// The device.
         name: String,

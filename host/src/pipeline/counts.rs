@@ -53,6 +53,11 @@ impl Counts {
         self.next_sequence = Some(sequence.wrapping_add(1));
     }
 
+    /// Another board speaks, or the same one about another session: its numbers are its own.
+    pub(super) fn begin_numbering(&mut self) {
+        self.next_sequence = None;
+    }
+
     pub(super) fn count_outcome(&mut self, outcome: &Outcome) {
         self.outcomes[outcome_number(outcome)] += 1;
     }
@@ -70,6 +75,7 @@ impl Counts {
     /// Whether data were damaged or lost before the end.
     pub fn has_loss_before_end(&self) -> bool {
         self.scans_lost > 0
+            || self.restarts > 0
             || self.batches_without_hello > 0
             || self.batches_unreadable > 0
             || self.decoder.bytes_skipped > 0

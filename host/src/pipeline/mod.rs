@@ -304,6 +304,9 @@ impl Flow {
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
             return Ok(());
         }
+        if self.session.as_ref().is_some_and(|session| session.device() != DeviceId(hello.device_id)) {
+            self.counts.begin_numbering();
+        }
         let session = Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello)?;
         self.timing.meet(session.device(), hello.schedule.tick_hz);
         self.session = Some(session);

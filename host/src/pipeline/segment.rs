@@ -6,7 +6,8 @@ use crate::clock::HostInstant;
 /// when each read returned, and the pings sent meanwhile. It is made to be filled again and again.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Segment {
-    /// The link was opened anew ahead of these bytes: half a packet before is lost.
+    /// The link was opened anew ahead of these bytes, or some are missing in a capture: half a packet
+    /// before is lost.
     pub opened: bool,
     /// All bytes.
     pub bytes: Vec<u8>,

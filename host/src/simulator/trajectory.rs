@@ -108,6 +108,18 @@ impl Trajectory {
         Ok(Self(Motion::Path(knots)))
     }
 
+    /// Whether a path says where the tool is at `time_s`; before it begins and after it ends the tool
+    /// rests.
+    pub fn covers(&self, time_s: f64) -> bool {
+        match &self.0 {
+            Motion::Still | Motion::Sines(_) => true,
+            Motion::Path(knots) => {
+                knots.first().is_some_and(|first| time_s >= first.0)
+                    && knots.last().is_some_and(|last| time_s <= last.0)
+            }
+        }
+    }
+
     /// Where the tool is at `time_s`.
     pub fn pose(&self, time_s: f64) -> Pose {
         match &self.0 {

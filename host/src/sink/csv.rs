@@ -30,6 +30,15 @@ impl<W: Write> Csv<W> {
         Ok(())
     }
 
+    /// A field, without allocating.
+    fn text(&mut self, value: impl std::fmt::Display) -> io::Result<()> {
+        use std::fmt::Write;
+        self.field.clear();
+        // Writing to a String cannot fail.
+        let _ = write!(self.field, "{value}");
+        Ok(self.writer.write_field(&self.field)?)
+    }
+
     fn number(&mut self, value: Option<f64>) -> io::Result<()> {
         use std::fmt::Write;
         self.field.clear();
@@ -41,25 +50,28 @@ impl<W: Write> Csv<W> {
     }
 
     fn write(&mut self, record: &Record) -> io::Result<()> {
-        self.writer.write_field(record.sequence.to_string())?;
+        self.text(record.sequence)?;
         self.number(Some(record.device_time_s))?;
         let row = crate::table::SolutionRow::of(&record.solution);
         self.writer.write_field(row.status)?;
         for value in row.numbers {
             self.number(value)?;
         }
-        self.writer.write_field(row.iterations.to_string())?;
-        self.writer.write_field(row.cells_used.to_string())?;
+        self.text(row.iterations)?;
+        self.text(row.cells_used)?;
         self.writer.write_field(row.free_directions)?;
         self.writer.write_field(row.excluded_cells)?;
         self.writer.write_field(row.verified)?;
         self.writer.write_field(if record.simulated { "true" } else { "false" })?;
-        self.writer.write_field(record.device.to_string())?;
+        self.text(record.device)?;
         let time = record.host_time;
         for ns in
             [time.map(|time| time.monotonic_ns), time.map(|time| time.utc_ns), time.map(|time| time.uncertainty_ns)]
         {
-            self.writer.write_field(ns.map_or_else(String::new, |ns| ns.to_string()))?;
+            match ns {
+                Some(ns) => self.text(ns)?,
+                None => self.writer.write_field("")?,
+            }
         }
         Ok(self.writer.write_record(None::<&[u8]>)?)
     }

@@ -31,7 +31,10 @@ impl DaemonReport {
 impl BoardReport {
     fn complaints(&self, now: HostInstant) -> Vec<String> {
         let age_s = self.age_s(now);
-        if age_s > STALE_S {
+        if self.link.state == LinkState::Ended && self.link.reason.is_none() {
+            return Vec::new();
+        }
+        if self.link.state != LinkState::Ended && age_s > STALE_S {
             return vec![format!("nothing is known for {age_s:.0} s: the program is stuck, start it again")];
         }
         if self.link.state != LinkState::Running {

@@ -22,6 +22,11 @@ pub(super) struct LossBook {
 }
 
 impl LossBook {
+    /// Another board speaks from now on: its numbers are its own.
+    pub(super) fn begin_numbering(&mut self) {
+        self.next_sequence = None;
+    }
+
     /// Takes the number of the next scan. One that goes back is that of a board that was reset.
     pub(super) fn scan(&mut self, sequence: u64) {
         self.missed += self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected));

@@ -155,7 +155,10 @@ impl BoardStatistics {
     }
 
     fn take_hello(&mut self, hello: &Hello<'_>) {
-        self.device = Some(DeviceId(hello.device_id));
+        let device = DeviceId(hello.device_id);
+        if self.device.replace(device).is_some_and(|before| before != device) {
+            self.book.begin_numbering();
+        }
         hello.board.clone_into(&mut self.board);
         hello.firmware.clone_into(&mut self.firmware);
         self.reset_cause = format!("{:?}", hello.reset_cause);
