@@ -64,7 +64,7 @@ pub struct Plan {
     pub capture: Option<CapturePlan>,
     /// Who is sent poses.
     pub datagrams: Option<DatagramServer>,
-    /// Real-time priority of the solvers.
+    /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
 }
 
