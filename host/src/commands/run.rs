@@ -68,7 +68,7 @@ pub(super) struct Args {
     /// Ports to look at for boards, besides those on USB, such as '/dev/ttyS*'
     #[arg(long, value_name = "PATTERN", value_delimiter = ',')]
     search: Vec<String>,
-    /// Solve with real-time priority (SCHED_FIFO), 1 to 99
+    /// Read and solve with real-time priority (SCHED_FIFO), 1 to 99
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(1..=99))]
     real_time: Option<u8>,
     /// Device seconds a second a simulated board runs at, or max [default: 1]
@@ -101,6 +101,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let boards = args.boards()?;
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
+    for address in datagrams.iter().flat_map(DatagramServer::addresses) {
+        talk(format_args!("poses at {address}"));
+    }
     let capture = args.record.open()?;
     let live = io::stdout().is_terminal();
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
@@ -110,7 +113,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let status = match &args.status {
         Some(address) => {
             let daemon = Arc::clone(&daemon);
-            Some(StatusServer::start(address, Reach::Loopback, move || daemon.report())?)
+            let server = StatusServer::start(address, Reach::Loopback, move || daemon.report())?;
+            talk(format_args!("status at {}", server.address()));
+            Some(server)
         }
         None => None,
     };
