@@ -172,6 +172,7 @@ impl Daemon {
     pub fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *self.boards.lock().unwrap_or_else(PoisonError::into_inner));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
+        self.record_report();
         let printer = self.printer.lock().unwrap_or_else(PoisonError::into_inner).take();
         let printed =
             printer.map_or(Ok(()), |printer| printer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));

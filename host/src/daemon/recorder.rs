@@ -129,6 +129,11 @@ impl Recorder {
                 self.publish(RecorderState::Recording, None);
             }
         }
+        // The last one comes when all boards have ended.
+        for report in accounts {
+            let done = self.record_account(&report);
+            self.tell_of(done);
+        }
         let Self { series, talk, report, .. } = self;
         let was_recording = series.is_recording();
         let finished = series.finish();
