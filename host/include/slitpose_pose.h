@@ -10,7 +10,7 @@
  *             if (pose.flags & SLITPOSE_HAS_POSE) ...
  *
  * slitpose_follow() is for loops that wait for each pose, slitpose_newest() for loops with a pace of
- * their own. Both give the newest pose there is, Whether it is new enough is for the caller
+ * their own. Both give the newest pose there is. Whether it is new enough is for the caller
  * to tell: see slitpose_age_ns(), and `datagram`, whose gaps are what was not received. `pose` means
  * something only after a result above 0.
  *
@@ -286,21 +286,26 @@ static inline int slitpose_newest(struct slitpose_link *link, struct slitpose_po
     return ready > 1 ? 1 : ready;
 }
 
-/* Waits for a pose, passes over older ones, and asks for the next ones in time. 1; 0 if none came in
-   time; or -1 with errno. A queue holds about ten: whoever is so late that the newest were
-   refused is given them at once. */
+/* Waits for a pose, passes over older ones, and asks for the next ones in time, also while it waits:
+   for ever if the timeout is negative. 1; 0 if none came in time; or -1 with errno. A queue holds
+   about ten: whoever is so late that the newest were refused is given them at once. */
 static inline int slitpose_follow(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
 {
-    const uint64_t late_ns = 1000000;
+    const uint64_t late_ns = 1000000, renewal_ns = 1000000000;
+    const int renewal_ms = 1000;
     struct slitpose_pose newer;
-    uint64_t now = slitpose_now_ns();
-    int count;
-    if (link->followed_ns == 0 || now - link->followed_ns > 1000000000u) {
-        if (slitpose_ask(link, SLITPOSE_FOLLOW) < 0)
-            return -1;
-        link->followed_ns = now;
-    }
-    count = slitpose_wait(link, timeout_ms);
+    int count, piece_ms;
+    do {
+        uint64_t now = slitpose_now_ns();
+        if (link->followed_ns == 0 || now - link->followed_ns > renewal_ns) {
+            if (slitpose_ask(link, SLITPOSE_FOLLOW) < 0)
+                return -1;
+            link->followed_ns = now;
+        }
+        piece_ms = timeout_ms < 0 || timeout_ms > renewal_ms ? renewal_ms : timeout_ms;
+        count = slitpose_wait(link, piece_ms);
+        timeout_ms -= timeout_ms < 0 ? 0 : piece_ms;
+    } while (count == 0 && timeout_ms != 0);
     if (count <= 0)
         return count;
     count = slitpose_drain(link, pose);

@@ -3,14 +3,18 @@
 
 usage: read_capture.py FILE
 
-Prints one line of JSON; exit code 1 if the file is not what host/CAPTURES.md says.
+Prints one line of JSON; exit code 1 if the file is not what host/CAPTURES.md says, 3 if it ends before
+its end, as that of a recorder that was cut off: then the line says what could be read.
 """
 
 import json
 import math
 import sys
 
+from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 LINK = "slitpose_msgs/msg/LinkBytes"
@@ -18,13 +22,6 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 SCHEMAS = {"link": LINK, "hello": LINK, "pose": POSE, "twist": TWIST, "report": "slitpose.Report"}
 NO_TIME = 2**64 - 1
-
-
-class JsonDecoderFactory:
-    """Reports are JSON."""
-
-    def decoder_for(self, message_encoding, _schema):
-        return json.loads if message_encoding == "json" else None
 
 
 def check(condition, what):
@@ -46,42 +43,103 @@ def check_covariance(covariance):
         check(covariance[7 * i] >= 0.0, "a negative variance")
 
 
-def summary(path):
-    topics = {}
-    raw_bytes = 0
-    timed_reads = 0
+def vector(message):
+    return [message.x, message.y, message.z]
+
+
+class Contents:
+    """What is in a capture, record by record."""
+
+    def __init__(self):
+        self.finished = True
+        self.raw_bytes = 0
+        self.timed_reads = 0
+        self.positions_m = []
+        self.scenes, self.devices, self.schemas, self.channels, self.topics = {}, [], {}, {}, {}
+        self._ros = DecoderFactory()
+
+    def take(self, record):
+        if isinstance(record, Header):
+            check(record.profile == "ros2" and record.library.startswith("slitpose "), f"header {record}")
+        elif isinstance(record, Attachment):
+            check(record.media_type == "application/toml" and record.data, "a scene without text")
+            self.scenes[record.name] = record
+        elif isinstance(record, Metadata) and record.name == "slitpose.device":
+            self._take_device(record.metadata)
+        elif isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            schema = self.schemas[record.schema_id]
+            kind = record.topic.rsplit("/", 1)[1]
+            check(schema.name == SCHEMAS.get(kind), f"{record.topic} has schema {schema.name}")
+            self.channels[record.id] = record
+        elif isinstance(record, Message):
+            self._take_message(record)
+
+    def _take_device(self, device):
+        check(device["scene"] in self.scenes, "a board without scene")
+        check(device["tier"] in ("paper", "exact"), "a board without tier")
+        self.devices.append(device)
+
+    def _take_message(self, record):
+        channel = self.channels[record.channel_id]
+        schema = self.schemas[channel.schema_id]
+        topic = self.topics.setdefault(channel.topic, {"messages": 0, "schema": schema.name})
+        topic["messages"] += 1
+        if channel.message_encoding == "json":
+            json.loads(record.data)
+            return
+        check(self.devices, "a message before its board")
+        message = self._ros.decoder_for(channel.message_encoding, schema)(record.data)
+        if schema.name == LINK:
+            check_link(message)
+            if channel.topic.endswith("/link"):
+                self.raw_bytes += len(message.data)
+                self.timed_reads += sum(time != NO_TIME for time in message.read_monotonic_ns)
+            return
+        check(message.header.frame_id == "base", "a pose or velocity in another frame")
+        if schema.name == POSE:
+            check_covariance(message.pose.covariance)
+            q = message.pose.pose.orientation
+            check(abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) < 1e-6, "a rotation is no unit quaternion")
+            self.positions_m.append(vector(message.pose.pose.position))
+        else:
+            check_covariance(message.twist.covariance)
+
+    def counts(self):
+        """Messages of each kind, of all boards."""
+        counts = {}
+        for topic, found in self.topics.items():
+            kind = topic.rsplit("/", 1)[1]
+            counts[kind] = counts.get(kind, 0) + found["messages"]
+        return counts
+
+
+def read(path):
+    """Reads from the front, which can be done wherever the file ends."""
+    contents = Contents()
     with open(path, "rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory(), JsonDecoderFactory()], validate_crcs=True)
-        header = reader.get_header()
-        check(header.profile == "ros2" and header.library.startswith("slitpose "), f"header {header}")
-        scenes = {attachment.name: attachment for attachment in reader.iter_attachments()}
-        devices = [data.metadata for data in reader.iter_metadata() if data.name == "slitpose.device"]
-        check(devices, "no board")
-        for device in devices:
-            scene = scenes.get(device["scene"])
-            check(scene is not None and scene.media_type == "application/toml" and scene.data, "a board without scene")
-            check(device["tier"] in ("paper", "exact"), "a board without tier")
-        for schema, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
-            kind = channel.topic.rsplit("/", 1)[1]
-            check(schema.name == SCHEMAS.get(kind), f"{channel.topic} has schema {schema.name}")
-            topic = topics.setdefault(channel.topic, {"messages": 0, "schema": schema.name})
-            topic["messages"] += 1
-            if schema.name == LINK:
-                check_link(message)
-                if kind == "link":
-                    raw_bytes += len(message.data)
-                    timed_reads += sum(time != NO_TIME for time in message.read_monotonic_ns)
-            elif schema.name == POSE:
-                check(message.header.frame_id == "base", "a pose in another frame")
-                check_covariance(message.pose.covariance)
-                position, q = message.pose.pose.position, message.pose.pose.orientation
-                check(abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) < 1e-6, "a rotation is no unit quaternion")
-                topic.setdefault("first_position_m", [position.x, position.y, position.z])
-            elif schema.name == TWIST:
-                check(message.header.frame_id == "base", "a velocity in another frame")
-                check_covariance(message.twist.covariance)
-    check(raw_bytes > 0, "no bytes of a link")
-    return {"topics": topics, "raw_bytes": raw_bytes, "timed_reads": timed_reads, "scenes": sorted(scenes)}
+        try:
+            for record in StreamReader(file, validate_crcs=True).records:
+                contents.take(record)
+        except EndOfFile:
+            contents.finished = False
+    if contents.finished:
+        check_index(path, contents)
+    check(contents.raw_bytes > 0 or not contents.finished, "no bytes of a link")
+    return contents
+
+
+def check_index(path, contents):
+    """What the end of the file says of the rest."""
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        check(summary is not None and summary.statistics is not None, "no summary")
+        messages = sum(topic["messages"] for topic in contents.topics.values())
+        check(summary.statistics.message_count == messages, "the summary counts other messages")
+        check(sum(1 for _ in reader.iter_messages()) == messages, "the index leads to other messages")
+        check({scene.name for scene in reader.iter_attachments()} == set(contents.scenes), "scenes without an index")
 
 
 def main():
@@ -89,11 +147,14 @@ def main():
         print("usage: read_capture.py FILE", file=sys.stderr)
         return 2
     try:
-        print(json.dumps(summary(sys.argv[1])))
+        contents = read(sys.argv[1])
     except Exception as error:  # whatever a reader stumbles over is what this program is for
         print(f"{sys.argv[1]}: {type(error).__name__}: {error}", file=sys.stderr)
         return 1
-    return 0
+    shown = ("finished", "topics", "raw_bytes", "timed_reads")
+    line = {name: getattr(contents, name) for name in shown}
+    print(json.dumps({**line, "scenes": sorted(contents.scenes)}))
+    return 0 if contents.finished else 3
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 //! What several whole-chain tests share.
 //!
 //! * [`process`] runs the `slitpose` command;
-//! * [`terminal`] puts boards on pseudo-terminals;
+//! * [`terminal`] puts boards on pseudo-terminals, [`latency`] times their poses up to a client in C;
 //! * [`scenes`] writes scene files, [`poses`] draws poses, [`capture`] records a simulated board;
 //! * [`table`] and [`ndjson`] read what commands print;
 //! * [`mod@reference`] holds independent numbers;
@@ -13,6 +13,7 @@
 
 pub mod capture;
 pub mod consistency;
+pub mod latency;
 pub mod monte_carlo;
 pub mod ndjson;
 pub mod poses;

@@ -17,6 +17,9 @@ use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, 
 
 use crate::capture::STREAM;
 
+/// Frames a second of the default scene.
+pub const FRAME_RATE_HZ: f64 = 4000.0;
+
 /// What is on the other side of a terminal.
 pub trait Device: Send + 'static {
     /// Takes what the host has sent, appends to `sent` what goes to the host, `now_s` after the host
@@ -136,7 +139,7 @@ fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>) 
 
 /// A board that has fallen behind catches up with so many frames a millisecond, not at one go: it
 /// would be silent meanwhile.
-const FRAMES_AT_ONCE: usize = 20;
+const FRAMES_AT_ONCE: u64 = 20;
 
 /// A board does not sample while so much waits for its host: it loses nothing, and replies are not late.
 const BACKLOG_BYTES: usize = 4096;
@@ -147,6 +150,8 @@ pub struct Board {
     board: SimulatedBoard,
     frame_s: f64,
     frames: u64,
+    /// What it says when the frame under way is over.
+    said: Vec<u8>,
 }
 
 impl Board {
@@ -166,7 +171,7 @@ impl Board {
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, seed, 10.0);
         let board = SimulatedBoard::new(file, trajectory, STREAM, seed).expect("can be simulated");
         let schedule = slitpose::front_end::configuration(file).expect("has a schedule").schedule;
-        Self { board, frame_s: schedule.frame_rate_hz().recip(), frames: 0 }
+        Self { board, frame_s: schedule.frame_rate_hz().recip(), frames: 0, said: Vec::new() }
     }
 
     /// Does what `command` says, whoever gives it.
@@ -175,16 +180,24 @@ impl Board {
     }
 }
 
+/// Its clock is one: whatever it is sent reaches it later by its ticks, too, and nothing it says
+/// comes earlier than its ticks say.
 impl Device for Board {
     fn act(&mut self, received: &[u8], now_s: f64, sent: &mut Vec<u8>) -> bool {
-        self.board.write(received);
-        self.board.transmit(sent);
-        for _ in 0..FRAMES_AT_ONCE {
-            if self.frames as f64 * self.frame_s >= now_s || sent.len() > BACKLOG_BYTES {
-                break;
-            }
-            self.board.step(sent);
+        // Frames that are over by now, and the one under way if there is something to be heard in it.
+        let over = (now_s / self.frame_s) as u64;
+        let wanted = match received {
+            [] => over.min(self.frames + FRAMES_AT_ONCE),
+            _ => over + 1,
+        };
+        while self.frames < wanted && sent.len() <= BACKLOG_BYTES {
+            self.board.step(&mut self.said);
             self.frames += 1;
+        }
+        self.board.write(received);
+        self.board.transmit(&mut self.said);
+        if self.frames <= over {
+            sent.append(&mut self.said);
         }
         true
     }

@@ -1,15 +1,21 @@
 //! On its way from bytes to pose a scan touches no heap: what could grow, or stall, does not exist.
 
+use std::os::unix::net::UnixDatagram;
+
 use allocation_counter::AllocationInfo;
 use slitpose::clock::{HostInstant, HostTime};
-use slitpose::front_end::Stage;
+use slitpose::datagram::{self, Address, DatagramServer, Mode, PoseDatagram};
+use slitpose::device::DeviceId;
+use slitpose::front_end::{self, Stage};
 use slitpose::health::Health;
-use slitpose::pipeline::{Item, PipelineError};
+use slitpose::pipeline::{Asked, Item, PipelineError, Segment};
 use slitpose::scene_file::WIDE;
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose::telemetry::BoardStatistics;
 use slitpose_model::Tier;
+use slitpose_protocol::Command;
 use slitpose_tests::capture::{STREAM, capture, decode, pipeline, solve};
+use slitpose_tests::terminal::request;
 
 const SCANS: usize = 10_000;
 
@@ -95,4 +101,89 @@ fn watching_and_counting_allocate_nothing() {
         assert_eq!(info.count_total, 0);
     }
     assert_eq!(health.report().cells[0].totals.scans, 2 * SCANS as u64);
+}
+
+/// What a board says in `frames` frames, with a ping every half second, in reads of four frames as
+/// they come over USB; by a host whose clock starts with the board's.
+fn segments(frames: usize) -> Vec<Segment> {
+    let file = WIDE.read().expect("shipped");
+    let configuration = front_end::configuration(&file).expect("schedule");
+    let frame_ns = (configuration.schedule.frame_rate_hz().recip() * 1e9) as u64;
+    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 53, 10.0);
+    let mut board = SimulatedBoard::new(&file, trajectory, STREAM, 53).expect("can be simulated");
+    board.write(&request(1, Command::Configure(configuration)));
+    board.write(&request(2, Command::Start));
+    let at = |frame: usize| HostInstant { monotonic_ns: frame as u64 * frame_ns, utc_ns: frame as u64 * frame_ns };
+    let mut read = |start: usize| {
+        let mut segment = Segment { opened: start == 0, ..Segment::default() };
+        if start.is_multiple_of(2000) {
+            let token = start as u32;
+            segment.asked.push(Asked { token, at: at(start) });
+            board.write(&request(0, Command::Ping { token }));
+        }
+        let mut bytes = Vec::new();
+        (0..4).for_each(|_| board.step(&mut bytes));
+        // A quarter of a millisecond on its way.
+        segment.push(&bytes, Some(at(start + 5)));
+        segment
+    };
+    (0..frames).step_by(4).map(&mut read).collect()
+}
+
+#[test]
+fn following_a_board_live_allocates_nothing() {
+    // As large as that of the daemon's threads.
+    let thread = std::thread::Builder::new().stack_size(8 << 20).spawn(follow_a_board_live);
+    thread.expect("a thread").join().expect("no panic");
+}
+
+fn follow_a_board_live() {
+    let file = WIDE.read().expect("shipped");
+    let segments = segments(SCANS + 4000);
+    let mut pipeline = pipeline(&file, STREAM).watched();
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("pose");
+    let server = DatagramServer::bind(&[Address::Unix(path.clone())]).expect("can be had");
+    let client = UnixDatagram::bind(folder.path().join("client")).expect("socket");
+    client.set_nonblocking(true).expect("does not block");
+    client.send_to(&datagram::Request { mode: Mode::Follow, device: None }.to_bytes(), &path).expect("asks");
+    while server.counts().requests == 0 {
+        std::thread::yield_now();
+    }
+
+    let mut publisher = None;
+    let mut statistics = BoardStatistics::new("sim", HostInstant::default());
+    let (mut poses, mut timed, mut received) = (0, 0, 0);
+    let mut datagram = [0; PoseDatagram::BYTES];
+    // As the thread of the daemon does that solves.
+    let mut follow = |segment: &Segment| {
+        let fed = pipeline.feed(segment, |item| {
+            if let Item::Hello(hello) = &item {
+                publisher.get_or_insert_with(|| server.publisher(DeviceId(hello.device_id)));
+            }
+            let Item::Pose(record) = &item else {
+                statistics.take(&item, None, None);
+                return Ok::<_, PipelineError>(());
+            };
+            let now = record.arrival.expect("a time");
+            publisher.as_mut().expect("hello first").publish(record, now);
+            statistics.take(&item, record.arrival, Some(now));
+            poses += 1;
+            timed += u64::from(record.host_time.is_some());
+            while client.recv(&mut datagram).is_ok() {
+                received += 1;
+            }
+            Ok(())
+        });
+        assert_eq!(fed.expect("suits"), segment.bytes.len());
+    };
+    // The second ping has been answered by then.
+    let (warm_up, measured) = segments.split_at(1000);
+    warm_up.iter().for_each(&mut follow);
+    let info = allocation_counter::measure(|| measured.iter().for_each(&mut follow));
+    println!("{poses} poses, {timed} with time, {received} received: {info:?}");
+    assert_eq!(info.count_total, 0);
+    assert_eq!((poses, received), (SCANS + 4000, SCANS + 4000));
+    assert!(timed >= SCANS as u64, "{timed}");
+    assert!(pipeline.health().is_some() && pipeline.drift_ppm().is_some());
 }

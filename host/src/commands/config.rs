@@ -4,6 +4,7 @@
 //! given counts. The file's values become the defaults of the command line, so that they are read
 //! and checked by the same rules as flags.
 
+use std::collections::HashMap;
 use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::fs;
@@ -11,8 +12,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::parser::ValueSource;
-use clap::{ArgAction, ArgMatches, Command};
+use clap::{Arg, ArgAction, ArgMatches, Command};
 use thiserror::Error;
+use toml::Value;
 use toml::de::{DeTable, DeValue};
 
 use crate::scene_file::{FilePlace, nearest};
@@ -65,33 +67,50 @@ pub enum ConfigError {
         /// What was found.
         found: &'static str,
     },
+    /// A value that the option does not take.
+    #[error("{place}: {message}; see `slitpose {VERB} --help`")]
+    Value {
+        /// Where.
+        place: FilePlace,
+        /// What the command line would say of it.
+        message: String,
+    },
 }
 
 fn hint(nearest: Option<&str>) -> String {
     nearest.map_or_else(String::new, |nearest| format!(", `{nearest}` is"))
 }
 
+/// The command line with a configuration behind it.
+pub(super) struct Configured {
+    /// With the file's values as defaults.
+    pub(super) command: Command,
+    /// The file.
+    path: Option<PathBuf>,
+    /// The options in it.
+    keys: Vec<String>,
+}
+
 /// `command`, with the defaults of the configuration file that `matches` and the environment ask for.
-pub(super) fn configured(command: Command, matches: &ArgMatches) -> Result<Command, ConfigError> {
-    let Some((VERB, asked)) = matches.subcommand() else {
-        return Ok(command);
+pub(super) fn configured(command: Command, matches: &ArgMatches) -> Result<Configured, ConfigError> {
+    let path = match matches.subcommand() {
+        Some((VERB, asked)) => path_asked_for(asked),
+        _ => None,
     };
-    let Some(path) = path_asked_for(asked) else {
-        return Ok(command);
+    let (Some(path), Some(verb)) = (path, command.find_subcommand(VERB)) else {
+        return Ok(Configured { command, path: None, keys: Vec::new() });
     };
     let text = fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;
-    let verb = command.find_subcommand(VERB).map(Command::get_arguments).into_iter().flatten();
-    let known: Vec<String> = verb.map(|arg| arg.get_id().to_string()).filter(|id| is_option(id)).collect();
-    let mut values = read(&path, &text, &known)?;
-    Ok(command.mut_subcommand(VERB, |verb| {
-        verb.mut_args(|arg| match values.iter().position(|(key, _)| key == arg.get_id().as_str()) {
-            Some(at) => {
-                let (_, texts) = values.swap_remove(at);
-                arg.default_values(texts)
-            }
+    let values = read(&path, &text, verb)?;
+    let keys = values.iter().map(|(key, _)| key.clone()).collect();
+    let mut values: HashMap<_, _> = values.into_iter().collect();
+    let command = command.mut_subcommand(VERB, |verb| {
+        verb.mut_args(|arg| match values.remove(arg.get_id().as_str()) {
+            Some(texts) => arg.default_values(texts),
             None => arg,
         })
-    }))
+    });
+    Ok(Configured { command, path: Some(path), keys })
 }
 
 /// Each option of `verb`, from the environment, too: SLITPOSE_ and its name.
@@ -124,30 +143,58 @@ fn default_paths() -> Vec<PathBuf> {
     user.into_iter().chain([PathBuf::from("/etc")]).map(|folder| folder.join(FILE)).collect()
 }
 
-/// The values in a file by option.
-fn read(path: &Path, text: &str, known: &[String]) -> Result<Vec<(String, Vec<OsString>)>, ConfigError> {
+/// The values in a file by option of `verb`.
+fn read(path: &Path, text: &str, verb: &Command) -> Result<Vec<(String, Vec<OsString>)>, ConfigError> {
     let origin = path.display().to_string();
     let place = |offset| FilePlace::of(&origin, text, offset);
     let table = DeTable::parse(text).map_err(|error| ConfigError::Syntax {
         place: place(error.span().map_or(0, |span| span.start)),
         message: error.message().replace('\n', ", "),
     })?;
+    let options = || verb.get_arguments().filter(|arg| is_option(arg.get_id().as_str()));
     let mut values = Vec::new();
     for (key, value) in table.get_ref() {
         let name = key.get_ref().to_string();
-        if !known.contains(&name) {
-            let known: Vec<&str> = known.iter().map(String::as_str).collect();
+        let Some(option) = options().find(|arg| arg.get_id() == name.as_str()) else {
+            let known: Vec<&str> = options().map(|arg| arg.get_id().as_str()).collect();
             let nearest = nearest(&name, &known).map(str::to_owned);
             return Err(ConfigError::UnknownKey { place: place(key.span().start), key: name, nearest });
-        }
+        };
+        let at = value.span().start;
         let texts = texts_of(value.get_ref()).map_err(|found| ConfigError::Kind {
-            place: place(value.span().start),
+            place: place(at),
             key: name.clone(),
             found,
         })?;
+        check(verb, option, &texts).map_err(|message| ConfigError::Value { place: place(at), message })?;
         values.push((name, texts));
     }
     Ok(values)
+}
+
+/// What the command line would say of these values of an option, if they are wrong.
+fn check(verb: &Command, option: &Arg, texts: &[OsString]) -> Result<(), String> {
+    let name = option.get_id();
+    match (option.get_action(), texts) {
+        (ArgAction::SetTrue, [text]) if text == "true" || text == "false" => return Ok(()),
+        (ArgAction::SetTrue, _) => return Err(format!("`{name}` is true or false")),
+        (ArgAction::Append, []) if !option.get_default_values().is_empty() => {
+            return Err(format!("`{name}` needs at least one value"));
+        }
+        (ArgAction::Append, _) | (_, [_]) => {}
+        _ => return Err(format!("`{name}` has one value")),
+    }
+    for text in texts {
+        let mut typed = OsString::from(format!("--{}=", option.get_long().unwrap_or_default()));
+        typed.push(text);
+        if let Err(error) = verb.clone().try_get_matches_from([OsString::from(VERB), typed]) {
+            let text = error.to_string();
+            let lines = text.lines().map(str::trim).take_while(|line| !line.is_empty());
+            let message = lines.collect::<Vec<_>>().join(" ");
+            return Err(message.strip_prefix("error: ").unwrap_or(&message).to_owned());
+        }
+    }
+    Ok(())
 }
 
 fn texts_of(value: &DeValue<'_>) -> Result<Vec<OsString>, &'static str> {
@@ -176,37 +223,33 @@ fn text_of(value: &DeValue<'_>) -> Result<OsString, &'static str> {
 }
 
 /// The options in force as a configuration file, each with where it comes from.
-pub(super) fn print(command: &Command, matches: &ArgMatches) -> String {
+pub(super) fn print(configured: &Configured, matches: &ArgMatches) -> String {
+    let Configured { command, path, keys } = configured;
     let (Some(verb), Some((VERB, given))) = (command.find_subcommand(VERB), matches.subcommand()) else {
         return String::new();
     };
-    let path = path_asked_for(given);
-    let mut text = match &path {
+    let mut text = match path {
         Some(path) => format!("# with {}\n", path.display()),
         None => "# without a configuration file\n".to_owned(),
     };
     for arg in verb.get_arguments().filter(|arg| is_option(arg.get_id().as_str())) {
         let id = arg.get_id().as_str();
-        let raw: Vec<String> = given
-            .try_get_raw(id)
-            .ok()
-            .flatten()
-            .map(|values| values.map(|value| value.to_string_lossy().into_owned()).collect())
-            .unwrap_or_default();
+        let raw = given.try_get_raw(id).ok().flatten().unwrap_or_default();
+        let texts: Vec<String> = raw.map(|value| value.to_string_lossy().into_owned()).collect();
         let source = match given.value_source(id) {
             Some(ValueSource::CommandLine) => "flag",
             Some(ValueSource::EnvVariable) => "environment",
-            _ if raw.is_empty() => "default",
-            _ => "file or default",
+            _ if keys.iter().any(|key| key == id) => "file",
+            _ => "default",
         };
-        let value = match arg.get_action() {
-            ArgAction::SetTrue => raw.first().cloned().unwrap_or_else(|| "false".to_owned()),
-            ArgAction::Append => format!("{raw:?}"),
-            _ => raw.first().map_or_else(|| "\"\"".to_owned(), |value| format!("{value:?}")),
+        let unset = if texts.is_empty() { "# " } else { "" };
+        let value = match (arg.get_action(), texts.first()) {
+            (ArgAction::SetTrue, Some(flag)) => flag.clone(),
+            (ArgAction::Append, _) => Value::from(texts).to_string(),
+            (_, text) => Value::from(text.map_or("", String::as_str)).to_string(),
         };
-        let comment = if raw.is_empty() { "# " } else { "" };
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "{comment}{id} = {value}  # {source}");
+        let _ = writeln!(text, "{unset}{id} = {value}  # {source}");
     }
     text
 }
@@ -216,8 +259,9 @@ mod tests {
     use super::*;
 
     fn read_text(text: &str) -> Result<Vec<(String, Vec<OsString>)>, String> {
-        let known = ["device", "duration", "without_clipped", "seed"].map(str::to_owned);
-        read(Path::new("config.toml"), text, &known).map_err(|error| error.to_string())
+        let command = crate::commands::command();
+        let verb = command.find_subcommand(VERB).unwrap();
+        read(Path::new("config.toml"), text, verb).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -238,6 +282,11 @@ mod tests {
             ("seed = ", ["config.toml:1", "not valid TOML"]),
             ("seed = { a = 1 }", ["config.toml:1:8", "a table"]),
             ("device = [['a']]", ["config.toml:1:10", "a list of lists"]),
+            ("device = []", ["config.toml:1:10", "at least one"]),
+            ("seed = ['1', '2']", ["config.toml:1:8", "one value"]),
+            ("overwrite = 1", ["config.toml:1:13", "true or false"]),
+            ("\nduration = 'soon'", ["config.toml:2:12", "'--duration <TIME>'"]),
+            ("format = 'xml'", ["config.toml:1:10", "ndjson"]),
         ] {
             let message = read_text(text).unwrap_err();
             assert!(parts.iter().all(|part| message.contains(part)), "{message}");

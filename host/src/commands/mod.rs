@@ -232,12 +232,12 @@ pub fn command() -> clap::Command {
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<Outcome, CommandError> {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let matches = command().get_matches_from(&arguments);
-    let command = config::configured(command(), &matches)?;
-    let matches = command.clone().get_matches_from(&arguments);
+    let configured = config::configured(command(), &matches)?;
+    let matches = configured.command.clone().get_matches_from(&arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     match cli.verb {
         Verb::Run(args) if args.print_config => {
-            Ok(Output::open(None)?.write_text(&config::print(&command, &matches)).map(|()| Outcome::Done)?)
+            Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)
         }
         Verb::Run(args) => run::run(&args),
         Verb::Replay(args) => replay::run(&args),

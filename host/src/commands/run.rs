@@ -68,7 +68,7 @@ pub(super) struct Args {
     /// Ports to look at for boards, besides those on USB, such as '/dev/ttyS*'
     #[arg(long, value_name = "PATTERN", value_delimiter = ',')]
     search: Vec<String>,
-    /// Solve with real-time priority (SCHED_FIFO), 1 to 99
+    /// Read and solve with real-time priority (SCHED_FIFO), 1 to 99
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(1..=99))]
     real_time: Option<u8>,
     /// Device seconds a second a simulated board runs at, or max [default: 1]
@@ -101,6 +101,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let boards = args.boards()?;
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
+    for address in datagrams.iter().flat_map(DatagramServer::addresses) {
+        talk(format_args!("poses at {address}"));
+    }
     let live = io::stdout().is_terminal();
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = sink::open(args.poses.format(live), output, live);
@@ -114,7 +117,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
                 Some(daemon) => daemon.report(),
                 None => DaemonReport::of_now(began, Vec::new(), RecorderReport::default()),
             };
-            Some(StatusServer::start(address, Reach::Loopback, report)?)
+            let server = StatusServer::start(address, Reach::Loopback, report)?;
+            talk(format_args!("status at {}", server.address()));
+            Some(server)
         }
         None => None,
     };

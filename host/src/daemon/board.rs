@@ -133,8 +133,13 @@ impl BoardThreads {
             }
             solver.run()
         };
+        let read = move || {
+            // The solver says it if that may not be.
+            let _ = priority.map(real_time::claim);
+            reader.run()
+        };
         let solver = spawn(format!("solve {number}"), solve)?;
-        let reader = spawn(format!("read {number}"), move || reader.run())?;
+        let reader = spawn(format!("read {number}"), read)?;
         Ok(Self { name, reader, solver, slot: Arc::clone(slot) })
     }
 

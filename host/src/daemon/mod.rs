@@ -64,7 +64,7 @@ pub struct Plan {
     pub capture: Option<CapturePlan>,
     /// Who is sent poses.
     pub datagrams: Option<DatagramServer>,
-    /// Real-time priority of the solvers.
+    /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
 }
 
@@ -176,6 +176,7 @@ impl Daemon {
     pub fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *self.boards.lock().unwrap_or_else(PoisonError::into_inner));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
+        self.record_report();
         let printer = self.printer.lock().unwrap_or_else(PoisonError::into_inner).take();
         let printed =
             printer.map_or(Ok(()), |printer| printer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));

@@ -133,6 +133,12 @@ impl Recorder {
             }
             self.publish();
         }
+        // The last one comes when all boards have ended.
+        for report in accounts {
+            let done = self.record_account(&report);
+            self.tell_of(done);
+        }
+        self.publish();
         let Self { series, talk, report, bytes_missing, .. } = self;
         let finished = series.finish();
         let mut report = report.lock().unwrap_or_else(PoisonError::into_inner);

@@ -12,6 +12,7 @@
 
 mod address;
 mod layout;
+mod leases;
 mod publisher;
 mod server;
 mod slot;

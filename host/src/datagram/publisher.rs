@@ -24,6 +24,13 @@ pub(super) struct Subscription {
     pub(super) until_ns: u64,
 }
 
+impl Subscription {
+    /// Whether both are of the same client.
+    pub(super) fn is_of(&self, other: &Self) -> bool {
+        self.socket == other.socket && self.peer == other.peer
+    }
+}
+
 #[derive(Debug)]
 struct Follower {
     subscription: Subscription,
@@ -80,9 +87,7 @@ impl Publisher {
 
 /// Takes a client in, or renews the lease of one that is known.
 fn admit(followers: &mut Vec<Follower>, new: Subscription, counters: &Counters) {
-    let is_known =
-        |known: &&mut Follower| known.subscription.socket == new.socket && known.subscription.peer == new.peer;
-    if let Some(known) = followers.iter_mut().find(is_known) {
+    if let Some(known) = followers.iter_mut().find(|known| known.subscription.is_of(&new)) {
         known.subscription.until_ns = new.until_ns;
     } else if followers.len() < MAX_FOLLOWERS {
         followers.push(Follower { subscription: new, missed: 0 });

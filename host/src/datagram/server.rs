@@ -13,6 +13,7 @@ use crossbeam_channel::Sender;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use thiserror::Error;
 
+use super::leases::Leases;
 use super::publisher::{MAX_FOLLOWERS, Publisher, Subscription};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, SocketFile};
@@ -98,13 +99,18 @@ struct Board {
     subscriptions: Sender<Subscription>,
 }
 
-type Boards = Mutex<Vec<Board>>;
+/// Who sends, and who wants to be sent to.
+#[derive(Debug, Default)]
+struct Directory {
+    boards: Vec<Board>,
+    leases: Leases,
+}
 
 /// Answers requests, from a thread of its own, until dropped.
 #[derive(Debug)]
 pub struct DatagramServer {
     shared: Arc<Shared>,
-    boards: Arc<Boards>,
+    directory: Arc<Mutex<Directory>>,
     addresses: Vec<Address>,
     /// Closed, it ends the thread.
     end: Option<UnixStream>,
@@ -126,16 +132,16 @@ impl DatagramServer {
             files.extend(file);
         }
         let shared = Arc::new(Shared { sockets, counters: Counters::default() });
-        let boards = Arc::new(Boards::default());
+        let directory = Arc::new(Mutex::new(Directory::default()));
         let (end, ended) = UnixStream::pair().map_err(DatagramError::Thread)?;
         let thread = std::thread::Builder::new()
             .name("datagrams".to_owned())
             .spawn({
-                let (shared, boards) = (Arc::clone(&shared), Arc::clone(&boards));
-                move || serve(&shared, &boards, &ended)
+                let (shared, directory) = (Arc::clone(&shared), Arc::clone(&directory));
+                move || serve(&shared, &directory, &ended)
             })
             .map_err(DatagramError::Thread)?;
-        Ok(Self { shared, boards, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
+        Ok(Self { shared, directory, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
     }
 
     /// Where it listens; a port of 0 has become one that was free.
@@ -143,14 +149,19 @@ impl DatagramServer {
         &self.addresses
     }
 
-    /// What sends the poses of a board, until it is dropped. Those of one made earlier are no longer
-    /// given to new clients.
+    /// What sends the poses of a board, until it is dropped, also to clients that asked before it was
+    /// there. Those of one made earlier are no longer given to new clients.
     pub fn publisher(&self, device: DeviceId) -> Publisher {
         let (sender, receiver) = crossbeam_channel::bounded(MAX_FOLLOWERS);
         let slot = Arc::new(Slot::new());
-        let mut boards = lock(&self.boards);
-        boards.retain(|board| board.device != device);
-        boards.push(Board { device, slot: Arc::downgrade(&slot), subscriptions: sender });
+        let mut directory = lock(&self.directory);
+        for subscription in directory.leases.of(device, HostInstant::now().monotonic_ns) {
+            if sender.try_send(subscription.clone()).is_err() {
+                Counters::count(&self.shared.counters.refused);
+            }
+        }
+        directory.boards.retain(|board| board.device != device);
+        directory.boards.push(Board { device, slot: Arc::downgrade(&slot), subscriptions: sender });
         Publisher::new(Arc::clone(&self.shared), slot, receiver)
     }
 
@@ -173,12 +184,12 @@ impl Drop for DatagramServer {
     }
 }
 
-/// The list stays whole even if a thread should panic meanwhile.
-fn lock(boards: &Boards) -> MutexGuard<'_, Vec<Board>> {
-    boards.lock().unwrap_or_else(PoisonError::into_inner)
+/// The lists stay whole even if a thread should panic meanwhile.
+fn lock(directory: &Mutex<Directory>) -> MutexGuard<'_, Directory> {
+    directory.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn serve(shared: &Shared, boards: &Boards, ended: &UnixStream) {
+fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {
     // One byte more than a request has shows what is too long.
     let mut buffer = [0; Request::BYTES + 1];
     loop {
@@ -199,7 +210,7 @@ fn serve(shared: &Shared, boards: &Boards, ended: &UnixStream) {
             while let Ok((count, peer)) = receiver.receive(&mut buffer) {
                 match (Request::from_bytes(&buffer[..count]), peer) {
                     (Some(request), Some(peer)) => {
-                        answer(shared, boards, request, socket, &peer);
+                        answer(shared, &mut lock(directory), request, socket, &peer);
                         Counters::count(&shared.counters.requests);
                     }
                     _ => Counters::count(&shared.counters.refused),
@@ -209,27 +220,28 @@ fn serve(shared: &Shared, boards: &Boards, ended: &UnixStream) {
     }
 }
 
-fn answer(shared: &Shared, boards: &Boards, request: Request, socket: usize, peer: &Peer) {
-    let mut boards = lock(boards);
+fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: usize, peer: &Peer) {
+    let Directory { boards, leases } = directory;
     boards.retain(|board| board.slot.strong_count() > 0);
-    for board in boards.iter().filter(|board| request.device.is_none_or(|device| device == board.device)) {
-        match request.mode {
-            Mode::Newest => {
-                let Some(datagram) = board.slot.upgrade().and_then(|slot| slot.load()) else {
-                    continue;
-                };
+    let wanted = boards.iter().filter(|board| request.device.is_none_or(|device| device == board.device));
+    match request.mode {
+        Mode::Newest => {
+            for datagram in wanted.filter_map(|board| board.slot.upgrade()?.load()) {
                 match shared.sockets[socket].send(datagram.as_bytes(), peer) {
                     Delivery::Sent => Counters::count(&shared.counters.sent),
                     Delivery::Full => Counters::count(&shared.counters.missed),
                     Delivery::Gone => {}
                 }
             }
-            Mode::Follow => {
-                let lease_ns = LEASE.as_nanos() as u64;
-                let until_ns = HostInstant::now().monotonic_ns.saturating_add(lease_ns);
-                let subscription = Subscription { socket, peer: peer.clone(), until_ns };
+        }
+        Mode::Follow => {
+            let now_ns = HostInstant::now().monotonic_ns;
+            let until_ns = now_ns.saturating_add(LEASE.as_nanos() as u64);
+            let subscription = Subscription { socket, peer: peer.clone(), until_ns };
+            leases.renew(request.device, &subscription, now_ns);
+            for board in wanted {
                 // Full until the next scan: clients ask again.
-                if board.subscriptions.try_send(subscription).is_err() {
+                if board.subscriptions.try_send(subscription.clone()).is_err() {
                     Counters::count(&shared.counters.refused);
                 }
             }

@@ -46,22 +46,23 @@ impl Accuracy {
         self.count
     }
 
-    /// Two lines for people; `against` names where the truth comes from.
+    /// Three lines for people; `against` names where the truth comes from.
     pub fn lines(&self, against: &str) -> Vec<String> {
         if self.count == 0 {
             return Vec::new();
         }
         let count = self.count as f64;
         vec![
+            format!("against     {against}"),
             format!(
-                "error       {:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest (against {against})",
+                "  error     {:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest",
                 (self.square_m2 / count).sqrt() * 1e6,
                 self.largest_m * 1e6,
                 (self.square_rad2 / count).sqrt() * 1e6,
                 self.largest_rad * 1e6,
             ),
             format!(
-                "honesty     mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
+                "  honesty   mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
                 self.nees_sum / count,
                 self.beyond_five_sigma,
             ),

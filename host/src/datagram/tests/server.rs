@@ -185,3 +185,24 @@ fn addresses_are_had_alone_and_given_back() {
     let error = DatagramServer::bind(&[Address::Udp(anywhere)]).unwrap_err();
     assert!(matches!(error, DatagramError::Address(AddressError::NotLoopback { .. })), "{error}");
 }
+
+#[test]
+fn who_asks_before_the_board_is_there_follows_it() {
+    let mut bench = Bench::new();
+    let [every, first, second] = [None, Some(DEVICE), Some(OTHER)].map(|device| {
+        let client = bench.unix_client();
+        // Twice, as clients do: each is followed once.
+        bench.ask(&client, Mode::Follow, device);
+        bench.ask(&client, Mode::Follow, device);
+        client
+    });
+    let record = record();
+    let mut publisher = bench.server.publisher(DEVICE);
+    publisher.publish(&record, HostInstant::now());
+    // The same board comes back under its name.
+    drop(publisher);
+    bench.server.publisher(DEVICE).publish(&record, HostInstant::now());
+    for (client, expected) in [(&every, &[1, 1][..]), (&first, &[1, 1]), (&second, &[])] {
+        assert_eq!(drain(client).0, expected);
+    }
+}

@@ -1,0 +1,86 @@
+"""Captures of the `slitpose` that the variable SLITPOSE names, read by public packages: see `run`."""
+
+import csv
+import io
+import os
+import subprocess
+import tempfile
+import unittest
+
+from read_capture import read
+
+FRAME_RATE_HZ = 4000
+POSES_HZ = 25
+
+#: Of the shipped scene: six cells of two words of 16 bits.
+LEAST_SCAN_BYTES = 24
+
+
+def slitpose(*arguments):
+    """Standard output of a command that has done its work."""
+    command = [os.environ["SLITPOSE"], *arguments]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+class Captures(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.simulated, cls.followed, cls.whole, cls.cut = (
+            os.path.join(folder.name, name + ".mcap") for name in ("simulated", "followed", "whole", "cut")
+        )
+        slitpose("simulate", "--duration", "1s", "--output", cls.simulated)
+        run = ("run", "--config", "none", "--device", "sim", "--speed", "max", "--format", "csv")
+        cls.printed = slitpose(*run, "--duration", "2s", "--record", cls.followed)
+        slitpose(*run, "--duration", "2s", "--record", cls.whole, "--record-poses", "0")
+        with open(cls.whole, "rb") as whole, open(cls.cut, "wb") as cut:
+            content = whole.read()
+            cut.write(content[: len(content) * 6 // 10])
+
+    def test_bytes_alone(self):
+        contents = read(self.simulated)
+        self.assertTrue(contents.finished)
+        self.assertNotIn("pose", contents.counts())
+        self.assertGreater(contents.raw_bytes, FRAME_RATE_HZ * LEAST_SCAN_BYTES)
+        self.assertEqual((contents.timed_reads, len(contents.devices)), (0, 1))
+        self.assertEqual(list(contents.scenes), ["wide.toml"])
+
+    def test_poses_as_printed(self):
+        contents = read(self.followed)
+        self.assertTrue(contents.finished)
+        counts = contents.counts()
+        self.assertEqual(counts["pose"], 2 * POSES_HZ)
+        # That of the first scan is not known.
+        self.assertIn(counts["twist"], (counts["pose"], counts["pose"] - 1))
+        self.assertGreater(counts["report"], 0)
+        rows = csv.DictReader(io.StringIO(self.printed))
+        printed_m = [[float(row[f"t{axis}_mm"]) * 1e-3 for axis in "xyz"] for row in rows]
+        self.assertEqual(len(printed_m), 2 * FRAME_RATE_HZ)
+        # At this distance from each other, but for one that rounding moves to the next scan.
+        last, distance = None, FRAME_RATE_HZ // POSES_HZ
+        for position_m in contents.positions_m:
+            start, end = (0, 1) if last is None else (last + distance - 1, last + distance + 2)
+            near = range(start, min(end, len(printed_m)))
+            last = next((row for row in near if self._is_same(printed_m[row], position_m)), None)
+            self.assertIsNotNone(last, f"{position_m} is not among the rows {near}")
+
+    @staticmethod
+    def _is_same(a, b):
+        return all(abs(x - y) < 1e-12 for x, y in zip(a, b))
+
+    def test_a_pose_for_every_scan(self):
+        contents = read(self.whole)
+        self.assertEqual(contents.counts()["pose"], 2 * FRAME_RATE_HZ)
+
+    def test_a_capture_that_was_cut_off(self):
+        whole, cut = read(self.whole), read(self.cut)
+        self.assertFalse(cut.finished)
+        print("\ncut:", cut.counts(), "of", whole.counts())
+        self.assertEqual(cut.positions_m, whole.positions_m[: len(cut.positions_m)])
+        self.assertGreater(len(cut.positions_m), 0)
+        self.assertLess(len(cut.positions_m), len(whole.positions_m))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,148 @@
+//! The options of `run` from flags, environment and file, as a process sees them.
+
+use std::path::{Path, PathBuf};
+
+use slitpose_tests::process::Finished;
+use slitpose_tests::slitpose;
+use tempfile::TempDir;
+
+/// A place for configuration files, and for a home without one.
+struct Bench(TempDir);
+
+impl Bench {
+    fn new() -> Self {
+        Self(TempDir::new().expect("temporary folder"))
+    }
+
+    fn file(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.0.path().join(name);
+        std::fs::create_dir_all(path.parent().expect("a folder")).expect("folder");
+        std::fs::write(&path, text).expect("file");
+        path
+    }
+
+    /// `slitpose run` with nothing in the environment that could configure it.
+    fn run(&self, environment: &[(&str, &str)], arguments: &[&str]) -> Finished {
+        let mut command = slitpose!().command(["run"].iter().chain(arguments));
+        let inherited = std::env::vars_os().map(|(name, _)| name);
+        for name in inherited.filter(|name| name.to_string_lossy().starts_with("SLITPOSE_")) {
+            command.env_remove(name);
+        }
+        command.env("XDG_CONFIG_HOME", self.0.path()).envs(environment.iter().copied());
+        command.output().expect("slitpose runs").into()
+    }
+
+    fn printed(&self, environment: &[(&str, &str)], arguments: &[&str]) -> String {
+        let arguments = [arguments, &["--print-config"]].concat();
+        self.run(environment, &arguments).done()
+    }
+}
+
+/// The line of an option in a printed configuration.
+fn line<'a>(printed: &'a str, option: &str) -> &'a str {
+    let is_of = |line: &&str| line.trim_start_matches("# ").starts_with(&format!("{option} = "));
+    printed.lines().find(is_of).unwrap_or_else(|| panic!("no `{option}` in:\n{printed}"))
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+/// What a printed configuration says, without where it comes from.
+fn values(printed: &str) -> Vec<&str> {
+    let lines = printed.lines().filter(|line| !line.starts_with("# with"));
+    lines.map(|line| line.rsplit_once("  # ").expect("a source").0).collect()
+}
+
+#[test]
+fn a_flag_counts_before_the_environment_before_the_file_before_the_default() {
+    let bench = Bench::new();
+    let file = bench.file("some.toml", "device = 'sim'\nseed = 5\nwithout_clipped = true\nscene = ['base']\n");
+    let file = text(&file);
+    let unconfigured = bench.printed(&[], &["--config", "none"]);
+    assert_eq!(line(&unconfigured, "device"), r#"device = ["auto"]  # default"#);
+    assert_eq!(line(&unconfigured, "seed"), r#"# seed = ""  # default"#);
+    assert_eq!(line(&unconfigured, "without_clipped"), "without_clipped = false  # default");
+
+    let configured = bench.printed(&[], &["--config", file]);
+    assert!(configured.starts_with(&format!("# with {file}\n")), "{configured}");
+    assert_eq!(line(&configured, "device"), r#"device = ["sim"]  # file"#);
+    assert_eq!(line(&configured, "seed"), r#"seed = "5"  # file"#);
+    assert_eq!(line(&configured, "without_clipped"), "without_clipped = true  # file");
+    assert_eq!(line(&configured, "record_poses"), r#"record_poses = "25"  # default"#);
+
+    let environment = [("SLITPOSE_DEVICE", "a,b"), ("SLITPOSE_SEED", "6"), ("SLITPOSE_CONFIG", file)];
+    let from_environment = bench.printed(&environment, &[]);
+    assert_eq!(line(&from_environment, "device"), r#"device = ["a", "b"]  # environment"#);
+    assert_eq!(line(&from_environment, "seed"), r#"seed = "6"  # environment"#);
+    assert_eq!(line(&from_environment, "scene"), r#"scene = ["base"]  # file"#);
+
+    let flagged = bench.printed(&environment, &["--seed", "7"]);
+    assert_eq!(line(&flagged, "seed"), r#"seed = "7"  # flag"#);
+    assert_eq!(line(&flagged, "device"), r#"device = ["a", "b"]  # environment"#);
+    assert_eq!(line(&flagged, "scene"), r#"scene = ["base"]  # file"#);
+    // A flag may ask for another file than the environment, and for none.
+    assert_eq!(line(&bench.printed(&environment, &["--config", "none"]), "scene"), r#"scene = ["wide"]  # default"#);
+}
+
+#[test]
+fn the_users_own_file_is_found() {
+    let bench = Bench::new();
+    bench.file("slitpose/config.toml", "seed = 9\n");
+    assert_eq!(line(&bench.printed(&[], &[]), "seed"), r#"seed = "9"  # file"#);
+}
+
+#[test]
+fn what_is_printed_configures_the_same() {
+    let bench = Bench::new();
+    let odd_path = "a \"quoted\\ fol'der/\u{e9}\u{7f}.mcap";
+    let flags = [
+        &["--device", "sim", "--device", "sim", "--scene", "base", "--duration", "1500ms", "--format", "csv"][..],
+        &["--filter", "5ms", "--without-clipped", "--tier", "exact", "--tolerance", "1e-7", "--record", odd_path],
+        &["--overwrite", "--record-size", "500MB", "--record-poses", "0", "--publish", "unix:a,udp:127.0.0.1:0"],
+        &["--status", "127.0.0.1:0", "--patience", "forever", "--real-time", "50", "--speed", "max", "--seed", "3"],
+    ]
+    .concat();
+    for flags in [&flags[..], &[]] {
+        let printed = bench.printed(&[], flags);
+        let file = bench.file("printed.toml", &printed);
+        let again = bench.printed(&[], &["--config", text(&file)]);
+        assert_eq!(values(&again), values(&printed));
+        assert!(!again.contains("# flag"), "{again}");
+    }
+}
+
+#[test]
+fn a_file_configures_a_run() {
+    let bench = Bench::new();
+    let file = "device = 'sim'\nspeed = 'max'\nduration = '100ms'\nformat = 'csv'\ntier = 'paper'\n";
+    let file = bench.file("run.toml", file);
+    let configured = bench.run(&[], &["--config", text(&file)]).done();
+    let flags = "--device sim --speed max --duration 100ms --format csv --tier paper";
+    assert_eq!(configured, bench.run(&[], &flags.split(' ').collect::<Vec<_>>()).done());
+    assert_eq!(configured.lines().count(), 401);
+}
+
+#[test]
+fn mistakes_in_a_file_are_named_with_their_place() {
+    let bench = Bench::new();
+    for (content, place, parts) in [
+        ("seed = 1\ndevise = 'sim'\n", "2:1", &["`devise`", "`device` is"][..]),
+        ("print_config = true\n", "1:1", &["`print_config`"]),
+        ("[run]\nseed = 1\n", "1:2", &["`run`"]),
+        ("seed = \n", "1:", &["not valid TOML"]),
+        ("\n\nduration = 'soon'\n", "3:12", &["'soon'", "--duration", "10s"]),
+        ("format = 'xml'\n", "1:10", &["'xml'", "ndjson"]),
+        ("device = []\n", "1:10", &["at least one"]),
+        ("seed = [1, 2]\n", "1:8", &["one value"]),
+        ("overwrite = 'yes'\n", "1:13", &["true or false"]),
+        ("real_time = 100\n", "1:13", &["1..=99"]),
+    ] {
+        let file = bench.file("wrong.toml", content);
+        let place = format!("{}:{place}", file.display());
+        let parts = [&[place.as_str()], parts].concat();
+        bench.run(&[], &["--config", text(&file)]).assert_refused(2, &parts);
+    }
+    bench.run(&[], &["--config", "/nowhere.toml"]).assert_refused(2, &["/nowhere.toml", "--config none"]);
+    bench.run(&[("SLITPOSE_SEED", "many")], &["--config", "none"]).assert_refused(2, &["'many'", "--seed"]);
+}
