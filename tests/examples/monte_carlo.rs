@@ -12,6 +12,7 @@ use slitpose_model::{Scene, Tier, Uncertainty};
 use slitpose_tests::monte_carlo::lies::Conduct;
 use slitpose_tests::monte_carlo::trials::Trials;
 use slitpose_tests::monte_carlo::{HALF_DEG, HALF_MM, cold, efficiency, lies, moving, subsets};
+use slitpose_tests::verdicts::Verdicts;
 
 /// Root mean square error over the bound.
 const MOST_RATIO: f64 = 1.03;
@@ -57,19 +58,6 @@ enum Study {
 impl Options {
     fn trials(&self, count: usize) -> Trials {
         Trials { count: self.count.unwrap_or(count), seed: self.seed }
-    }
-}
-
-/// Prints what is out of bounds, and remembers that something was.
-#[derive(Default)]
-struct Verdicts {
-    failed: usize,
-}
-
-impl Verdicts {
-    fn check(&mut self, good: bool, what: &str) {
-        println!("  {}: {what}", if good { "ok" } else { "FAILS" });
-        self.failed += usize::from(!good);
     }
 }
 
@@ -169,6 +157,5 @@ fn main() -> ExitCode {
             Study::Subsets => subsets(&options, &mut verdicts),
         }
     }
-    println!("{} out of bounds", verdicts.failed);
-    if verdicts.failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    verdicts.end()
 }

@@ -6,11 +6,13 @@
 //! * [`table`] and [`ndjson`] read what commands print;
 //! * [`mod@reference`] holds independent numbers;
 //! * [`consistency`] judges poses against the truth, [`statistics`] says how far chance goes;
-//! * [`monte_carlo`] studies the solver over many random poses.
+//! * [`monte_carlo`] studies the solver over many random poses;
+//! * [`acceptance`] puts the whole daemon to long, rough and fast use; [`verdicts`] counts what is out of bounds.
 //!
 //! Nothing here calls the product to judge the product: errors, their covariances and
 //! interpolations are computed anew.
 
+pub mod acceptance;
 pub mod capture;
 pub mod consistency;
 pub mod latency;
@@ -23,3 +25,4 @@ pub mod scenes;
 pub mod statistics;
 pub mod table;
 pub mod terminal;
+pub mod verdicts;

@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 /// The command under test. Only a test knows where cargo put it: see [`slitpose!`](crate::slitpose).
@@ -33,6 +34,25 @@ impl Slitpose {
     /// The executable at `path`.
     pub fn at(path: &'static str) -> Self {
         Self { path }
+    }
+
+    /// That of `path`, or the one that cargo has put beside the running example.
+    ///
+    /// # Panics
+    /// If there is none.
+    pub fn given_or_beside(path: Option<PathBuf>) -> Self {
+        let path = path.unwrap_or_else(|| {
+            let example = std::env::current_exe().expect("the running example has a path");
+            example.parent().and_then(Path::parent).expect("a folder of examples").join("slitpose")
+        });
+        assert!(path.is_file(), "no {}; build it with `cargo build --release -p slitpose`", path.display());
+        // Once in a process.
+        Self { path: path.into_os_string().into_string().expect("UTF-8 path").leak() }
+    }
+
+    /// Where it is.
+    pub fn path(self) -> &'static str {
+        self.path
     }
 
     /// Runs it with nothing on standard input.

@@ -13,6 +13,7 @@ use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use nix::unistd::{read, ttyname, write};
 use slitpose::scene_file::{SceneFile, WIDE};
 use slitpose::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_model::Tier;
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Reply, Request, encode};
 
 use crate::capture::STREAM;
@@ -73,6 +74,19 @@ impl Terminal {
     /// # Panics
     /// If the system has no terminals.
     pub fn serve(device: impl Device) -> Self {
+        Self::start(device, true)
+    }
+
+    /// The same, but it stays when the host closes it, which may open it again: only the device can pull the
+    /// plug. Its log is empty.
+    ///
+    /// # Panics
+    /// If the system has no terminals.
+    pub fn serve_until_pulled(device: impl Device) -> Self {
+        Self::start(device, false)
+    }
+
+    fn start(device: impl Device, ends_with_host: bool) -> Self {
         let pair = openpty(None, None).expect("pseudo-terminal");
         let path = ttyname(&pair.slave).expect("path").to_str().expect("UTF-8").to_owned();
         let mut settings = tcgetattr(&pair.slave).expect("settings");
@@ -85,7 +99,7 @@ impl Terminal {
         drop(pair.slave);
         let opened = Arc::new(OnceLock::new());
         let (master, clock) = (pair.master, Arc::clone(&opened));
-        let thread = std::thread::spawn(move || serve(&master, device, &clock));
+        let thread = std::thread::spawn(move || serve(&master, device, &clock, ends_with_host));
         Self { path, opened, thread }
     }
 
@@ -103,34 +117,48 @@ impl Terminal {
     }
 }
 
-fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>) -> Log {
+fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>, ends_with_host: bool) -> Log {
     let mut log = Log::default();
+    let mut received = Vec::new();
     let mut pending = Vec::new();
     loop {
         let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
         poll(&mut fds, PollTimeout::from(1_u8)).expect("poll");
         let events = fds[0].revents().unwrap_or(PollFlags::empty());
-        let start = log.received.len();
+        received.clear();
         if events.contains(PollFlags::POLLIN) {
             let mut chunk = [0; 4096];
             match read(master, &mut chunk) {
-                Ok(count) => log.received.extend_from_slice(&chunk[..count]),
+                Ok(count) => received.extend_from_slice(&chunk[..count]),
                 Err(Errno::EAGAIN | Errno::EIO) => {}
                 Err(error) => panic!("{error}"),
             }
         } else if events.contains(PollFlags::POLLHUP) {
-            if opened.get().is_some() {
+            std::thread::sleep(Duration::from_millis(1));
+            if opened.get().is_none() {
+                continue;
+            }
+            if ends_with_host {
                 return log;
             }
-            std::thread::sleep(Duration::from_millis(1));
-            continue;
+            // Nobody hears it.
+            pending.clear();
         }
         let now_s = opened.get_or_init(Instant::now).elapsed().as_secs_f64();
-        if !device.act(&log.received[start..], now_s, &mut pending) {
+        let plugged = device.act(&received, now_s, &mut pending);
+        if ends_with_host {
+            log.received.extend_from_slice(&received);
+        }
+        if !plugged {
             return log;
         }
         match write(master, &pending) {
-            Ok(count) => log.sent.extend(pending.drain(..count)),
+            Ok(count) => {
+                let written = pending.drain(..count);
+                if ends_with_host {
+                    log.sent.extend(written);
+                }
+            }
             Err(Errno::EAGAIN | Errno::EIO) => {}
             Err(error) => panic!("{error}"),
         }
@@ -142,7 +170,7 @@ fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>) 
 const FRAMES_AT_ONCE: u64 = 20;
 
 /// A board does not sample while so much waits for its host: it loses nothing, and replies are not late.
-const BACKLOG_BYTES: usize = 4096;
+pub const BACKLOG_BYTES: usize = 4096;
 
 /// The simulated board in real time, or slower if machine or host are.
 #[derive(Debug)]
@@ -168,10 +196,23 @@ impl Board {
     /// # Panics
     /// If no board can run the scene.
     pub fn of(file: &SceneFile, seed: u64) -> Self {
+        Self::numbered(0, file, STREAM, seed)
+    }
+
+    /// One of several, with optics of `tier`.
+    ///
+    /// # Panics
+    /// If no board can run the scene.
+    pub fn numbered(number: u8, file: &SceneFile, tier: Tier, seed: u64) -> Self {
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, seed, 10.0);
-        let board = SimulatedBoard::new(file, trajectory, STREAM, seed).expect("can be simulated");
+        let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed).expect("can be simulated");
         let schedule = slitpose::front_end::configuration(file).expect("has a schedule").schedule;
         Self { board, frame_s: schedule.frame_rate_hz().recip(), frames: 0, said: Vec::new() }
+    }
+
+    /// Whether it has caught up with the time `now_s`.
+    pub fn has_reached(&self, now_s: f64) -> bool {
+        self.frames as f64 * self.frame_s >= now_s
     }
 
     /// Does what `command` says, whoever gives it.

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use slitpose_protocol::Command;
 use slitpose_tests::scenes::wide_with;
 use slitpose_tests::slitpose;
 use slitpose_tests::table::Table;
+use slitpose_tests::terminal::{Board, Terminal};
 
 fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8 path")
@@ -36,6 +38,27 @@ fn a_recording_replays_as_it_ran() {
                 assert!(replay(&capture, &common) == ran, "{motion}, {tier}, {format}: replay differs from run");
             }
         }
+    }
+}
+
+/// With the instants of arrivals, pings and their answers, which no second run has again.
+#[test]
+fn what_came_over_a_terminal_in_real_time_replays_as_it_ran() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("live.mcap");
+    for (format, filter) in [("ndjson", &[][..]), ("ndjson", &["--filter", "5ms"]), ("csv", &["--filter", "5ms"])] {
+        let terminal = Terminal::serve(Board::wide(23));
+        let live = ["--device", &terminal.path, "--duration", "1500ms", "--overwrite", "--record", text(&capture)];
+        let finished = slitpose!().run(["run", "--format", format].iter().chain(&live).chain(filter));
+        assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{format}");
+        let commands = terminal.closed().commands();
+        assert!(commands.iter().any(|command| matches!(command, Command::Ping { .. })), "{commands:?}");
+        let printed = String::from_utf8(finished.stdout.clone()).expect("UTF-8");
+        // The board's clock is known after its first answers.
+        assert!(format == "csv" || printed.contains("host_utc_ns"), "no instant by the host's clock");
+        assert!(format == "csv" || printed.contains("filtered") != filter.is_empty());
+        // The filter is the one of the recording.
+        assert!(replay(&capture, &["--format", format]) == finished.stdout, "{format}, {filter:?}: replay differs");
     }
 }
 

@@ -23,3 +23,10 @@ pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
     }
     Ok(stop)
 }
+
+/// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the
+/// end of the program: whatever else it does goes on.
+pub(super) fn outlive_file_limits() -> Result<(), CommandError> {
+    // A signal that is taken notice of is not fatal.
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default()).map(drop).map_err(CommandError::Interrupt)
+}

@@ -70,9 +70,10 @@ impl Reader {
         let mut missing_since = Instant::now();
         let mut is_first = true;
         loop {
+            let mut ran = false;
             let error = match self.connect() {
                 Ok(mut board) => {
-                    is_first = false;
+                    (is_first, ran) = (false, true);
                     let ending = self.listen(&mut board);
                     missing_since = Instant::now();
                     match ending {
@@ -91,7 +92,8 @@ impl Reader {
                 return Err(error);
             }
             self.slot.link.lost(&error);
-            self.rest(if error.is_absence() { SOON } else { LATER });
+            // A board that has just run is most likely about to run again.
+            self.rest(if ran || error.is_absence() { SOON } else { LATER });
             if self.stops() {
                 return Ok(());
             }

@@ -314,7 +314,8 @@ fn it_ends_with_its_standard_input_whoever_listens() {
     assert!(std::path::Path::new(&emulator.path).exists(), "{}", emulator.path);
     // What comes on standard input is not an end.
     (&emulator.stdin).write_all(b"words\n").expect("read");
-    let mut child = slitpose().command(["run", "--patience", "0s", "--device", &emulator.path]).spawn().expect("slitpose starts");
+    let mut child =
+        slitpose().command(["run", "--patience", "0s", "--device", &emulator.path]).spawn().expect("slitpose starts");
     let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
     stdout.read_line(&mut String::new()).expect("line");
     let path = emulator.path.clone();

@@ -1,0 +1,21 @@
+//! The whole daemon in long, rough and fast use: each study runs the `slitpose` command, prints what it
+//! measured, and says which bounds were kept.
+//!
+//! * [`soak`]: several boards for a long time, and nothing lost or growing;
+//! * [`replug`]: a board that goes in all manners and comes back;
+//! * [`kill`]: what a capture holds of a daemon that was killed;
+//! * [`hour`]: how fast long captures are solved, and in how much memory;
+//! * [`builds`]: whether two builds give the same poses, bit for bit.
+//!
+//! Each is an example of this package, in full size, and a test, in small. [`daemon`] is the process under
+//! test, [`usage`] what it takes, which only Linux tells.
+
+pub mod builds;
+pub mod daemon;
+pub mod hour;
+pub mod kill;
+pub mod replug;
+pub mod scan_table;
+pub mod soak;
+pub mod unplugging;
+pub mod usage;
