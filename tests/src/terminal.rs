@@ -169,6 +169,10 @@ fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>, 
 /// would be silent meanwhile.
 const FRAMES_AT_ONCE: u64 = 20;
 
+/// As many before it hears a command, so that its clock is right then: some hundredths of a second of a
+/// slow machine. One that is further behind is no clock.
+const FRAMES_BEFORE_COMMAND: u64 = 200;
+
 /// A board does not sample while so much waits for its host: it loses nothing, and replies are not late.
 pub const BACKLOG_BYTES: usize = 4096;
 
@@ -229,7 +233,7 @@ impl Device for Board {
         let over = (now_s / self.frame_s) as u64;
         let wanted = match received {
             [] => over.min(self.frames + FRAMES_AT_ONCE),
-            _ => over + 1,
+            _ => (over + 1).min(self.frames + FRAMES_BEFORE_COMMAND),
         };
         while self.frames < wanted && sent.len() <= BACKLOG_BYTES {
             self.board.step(&mut self.said);

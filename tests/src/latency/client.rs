@@ -13,6 +13,8 @@ const HAS_HOST_TIME: u32 = 4;
 pub struct Received {
     /// Number of the scan.
     pub sequence: u64,
+    /// Number of the datagram: a gap is what the client missed.
+    pub datagram: u64,
     /// Whether the host's time of the scan was known.
     pub has_host_time: bool,
     /// The daemon had read its bytes.
@@ -55,9 +57,9 @@ pub(super) fn follow(program: &Path, address: &str, plan: &Plan, folder: &Path) 
 
 fn received(line: &str) -> Received {
     let numbers: Vec<u64> = line.split(' ').map(|number| number.parse().expect("a number")).collect();
-    let [sequence, flags, arrival_ns, published_ns, received_ns] = numbers[..] else {
-        panic!("`{line}` is no line of five numbers");
+    let [sequence, datagram, flags, arrival_ns, published_ns, received_ns] = numbers[..] else {
+        panic!("`{line}` is no line of six numbers");
     };
     let has_host_time = flags & u64::from(HAS_HOST_TIME) != 0;
-    Received { sequence, has_host_time, arrival_ns, published_ns, received_ns }
+    Received { sequence, datagram, has_host_time, arrival_ns, published_ns, received_ns }
 }
