@@ -62,9 +62,9 @@ impl Device for SimulatedDevice {
         "sim"
     }
 
-    /// A board that keeps time is as late as its host by then.
+    /// A board that samples at the pace of time is as late as its host by then.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        if self.pace.is_real_time() {
+        if self.pace.is_real_time() && self.frames_passed > 0 {
             let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
             while self.frames_passed < due.min(self.frames) {
                 self.board.step(&mut self.said);

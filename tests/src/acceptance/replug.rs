@@ -21,7 +21,7 @@ use super::daemon::{Daemon, boards, name_in};
 use super::unplugging::{Manner, Supplied, cable, locked};
 use super::usage::Usage;
 use crate::process::Slitpose;
-use crate::terminal::Terminal;
+use crate::terminal::{Terminal, occupy};
 use crate::verdicts::Verdicts;
 
 /// Whatever is not there after this will not come.
@@ -78,6 +78,8 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
     let mut rng = ChaCha8Rng::seed_from_u64(conditions.seed);
     let folder = tempfile::tempdir().expect("temporary folder");
     let link = name_in(folder.path(), "board");
+    // Other tests look for their boards, too; two of this one do not share numbers.
+    let _others = occupy(32 + std::process::id() as usize % 64);
     let board = Supplied::new(conditions.seed);
     let mut port = Port::new(&board, 0);
     locked(&board).plug_in(0);
