@@ -17,7 +17,7 @@ use slitpose_model::Tier;
 use super::daemon::{Daemon, Ended, boards, name_in, scans};
 use super::metered::{Meter, Metered};
 use super::scan_table::{self, Scans};
-use super::usage::{Mean, Usage};
+use super::usage::{Usage, resident_in_quarters};
 use crate::process::Slitpose;
 use crate::terminal::{Board, Terminal};
 use crate::verdicts::Verdicts;
@@ -195,11 +195,7 @@ fn hold_breath(daemon: &Daemon, meters: &[Arc<Meter>]) -> Vec<(u64, u64)> {
 impl Report {
     /// The mean of memory over the second quarter of the time, and over the last, bytes.
     pub fn resident_bytes(&self) -> [f64; 2] {
-        let mut quarters = [Mean::default(); 4];
-        for (number, sample) in self.samples.iter().enumerate() {
-            quarters[number * 4 / self.samples.len()] += sample.usage.resident_bytes as f64;
-        }
-        [quarters[1].value(), quarters[3].value()]
+        resident_in_quarters(&self.samples.iter().map(|sample| sample.usage).collect::<Vec<_>>())
     }
 
     /// Says which bounds were kept.
