@@ -27,9 +27,9 @@ struct Options {
     /// Poses must be there again within this
     #[arg(long, default_value = "1s", value_parser = humantime::parse_duration)]
     within: Duration,
-    /// Memory may grow by so many KiB after the first twenty cycles
-    #[arg(long, default_value_t = 1024)]
-    most_growth_kib: u64,
+    /// Memory may grow by so many KiB from the second quarter to the last
+    #[arg(long, default_value_t = 1024.0)]
+    most_growth_kib: f64,
     /// The command to test [default: the one beside this example]
     #[arg(long)]
     slitpose: Option<PathBuf>,
@@ -37,7 +37,7 @@ struct Options {
 
 fn main() -> ExitCode {
     let Options { cycles, seed, within, most_growth_kib, slitpose } = Options::parse();
-    let conditions = Conditions { cycles, seed, within, most_growth_bytes: most_growth_kib * 1024 };
+    let conditions = Conditions { cycles, seed, within, most_growth_bytes: most_growth_kib * 1024.0 };
     let report = study(Slitpose::given_or_beside(slitpose), &conditions);
     print!("{report}");
     let mut verdicts = Verdicts::default();

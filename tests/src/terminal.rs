@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, FdFlag, OFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::pty::openpty;
+use nix::pty::{PtyMaster, openpty, posix_openpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use nix::unistd::{read, ttyname, write};
 use slitpose::scene_file::{SceneFile, WIDE};
@@ -41,6 +41,17 @@ pub struct Terminal {
     pub path: String,
     opened: Arc<OnceLock<Instant>>,
     thread: JoinHandle<Log>,
+}
+
+/// Takes so many terminals, as long as they are kept. Numbers of terminals are given again, and whoever looks
+/// for a board that was at such a number would take the next one there for it: behind these numbers nobody
+/// looks.
+///
+/// # Panics
+/// If the system has not as many.
+pub fn occupy(count: usize) -> Vec<PtyMaster> {
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_CLOEXEC;
+    (0..count).map(|_| posix_openpt(flags).expect("pseudo-terminal")).collect()
 }
 
 /// What went over a terminal.

@@ -15,7 +15,7 @@ fn a_board_is_back_however_it_went() {
         // A busy machine may take its time.
         within: Duration::from_secs(15),
         // So few cycles say little about memory.
-        most_growth_bytes: 16 << 20,
+        most_growth_bytes: f64::from(16 << 20),
     };
     let report = study(slitpose!(), &conditions);
     println!("{report}");

@@ -8,12 +8,14 @@
 //! * [`builds`]: whether two builds give the same poses, bit for bit.
 //!
 //! Each is an example of this package, in full size, and a test, in small. [`daemon`] is the process under
-//! test, [`usage`] what it takes, which only Linux tells.
+//! test, [`usage`] what it takes, which only Linux tells; [`metered`] and [`unplugging`] are its boards,
+//! [`scan_table`] counts what a capture holds.
 
 pub mod builds;
 pub mod daemon;
 pub mod hour;
 pub mod kill;
+pub mod metered;
 pub mod replug;
 pub mod scan_table;
 pub mod soak;

@@ -4,7 +4,7 @@ use std::fmt;
 use std::os::unix::net::UnixDatagram;
 use std::process::Stdio;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -13,13 +13,13 @@ use serde_json::Value;
 use slitpose::datagram::{Mode, Request};
 use slitpose::scene_file::WIDE;
 use slitpose_model::Tier;
-use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
 use super::daemon::{Daemon, Ended, boards, name_in, scans};
+use super::metered::{Meter, Metered};
 use super::scan_table::{self, Scans};
-use super::usage::{Mean, Usage};
+use super::usage::{Usage, resident_in_quarters};
 use crate::process::Slitpose;
-use crate::terminal::{BACKLOG_BYTES, Board, Device, Terminal};
+use crate::terminal::{Board, Terminal};
 use crate::verdicts::Verdicts;
 
 /// An account is renewed each 200 ms, also when nothing comes; boards that are silent for longer than 450 ms
@@ -71,69 +71,6 @@ pub struct Report {
     capture_bytes: u64,
     ended: (Option<i32>, String),
     replayed: (i32, String),
-}
-
-/// What the study and a board tell each other.
-#[derive(Debug, Default)]
-struct Meter {
-    scans: AtomicU64,
-    holds_breath: AtomicBool,
-    is_unplugged: AtomicBool,
-}
-
-/// A board that counts its scans and sends no truths: no real one does.
-struct Metered {
-    board: Board,
-    meter: Arc<Meter>,
-    decoder: Decoder<MAX_MESSAGE_BYTES>,
-    schedule: Option<Schedule>,
-    own: Vec<u8>,
-    packet: Vec<u8>,
-    sampled_s: f64,
-}
-
-impl Metered {
-    fn new(board: Board, meter: Arc<Meter>) -> Self {
-        let (own, packet) = (Vec::new(), Vec::new());
-        Self { board, meter, decoder: Decoder::new(), schedule: None, own, packet, sampled_s: 0.0 }
-    }
-
-    /// Whether the packet goes to the host.
-    fn count(&mut self) -> bool {
-        let mut packet = &self.packet[..];
-        match self.decoder.next::<Message<'_>>(&mut packet) {
-            Some(Ok(Message::Truth(_))) => return false,
-            Some(Ok(Message::Hello(hello))) => self.schedule = Some(hello.schedule),
-            Some(Ok(Message::Batch(batch))) => {
-                let scans = batch.scans(self.schedule.as_ref().expect("hello first")).expect("readable").len();
-                self.meter.scans.fetch_add(scans as u64, Ordering::Relaxed);
-            }
-            _ => {}
-        }
-        true
-    }
-}
-
-impl Device for Metered {
-    fn act(&mut self, received: &[u8], now_s: f64, sent: &mut Vec<u8>) -> bool {
-        // Without time passing a board answers and takes no scans.
-        if sent.len() <= BACKLOG_BYTES && !self.meter.holds_breath.load(Ordering::Relaxed) {
-            self.sampled_s = now_s;
-        }
-        let mut own = std::mem::take(&mut self.own);
-        let plugged = self.board.act(received, self.sampled_s, &mut own);
-        for byte in own.drain(..) {
-            self.packet.push(byte);
-            if byte == DELIMITER {
-                if self.count() {
-                    sent.extend_from_slice(&self.packet);
-                }
-                self.packet.clear();
-            }
-        }
-        self.own = own;
-        plugged && !self.meter.is_unplugged.load(Ordering::Relaxed)
-    }
 }
 
 /// A client that is sent every pose.
@@ -221,8 +158,9 @@ fn watch(daemon: &Daemon, conditions: &Conditions) -> (Vec<Sample>, Value) {
     let mut samples = Vec::new();
     let mut status = Value::Null;
     while begun.elapsed() < conditions.duration {
-        status = daemon.status().expect("the daemon tells how it goes");
+        // First, or the connection of whoever asks for the status would be counted, or not.
         let usage = daemon.usage().expect("the daemon runs");
+        status = daemon.status().expect("the daemon tells how it goes");
         samples.push(Sample { elapsed_s: begun.elapsed().as_secs_f64(), usage, scans: scans(&status).iter().sum() });
         let next = conditions.every * samples.len() as u32;
         std::thread::sleep(next.saturating_sub(begun.elapsed()));
@@ -257,11 +195,7 @@ fn hold_breath(daemon: &Daemon, meters: &[Arc<Meter>]) -> Vec<(u64, u64)> {
 impl Report {
     /// The mean of memory over the second quarter of the time, and over the last, bytes.
     pub fn resident_bytes(&self) -> [f64; 2] {
-        let mut quarters = [Mean::default(); 4];
-        for (number, sample) in self.samples.iter().enumerate() {
-            quarters[number * 4 / self.samples.len()] += sample.usage.resident_bytes as f64;
-        }
-        [quarters[1].value(), quarters[3].value()]
+        resident_in_quarters(&self.samples.iter().map(|sample| sample.usage).collect::<Vec<_>>())
     }
 
     /// Says which bounds were kept.

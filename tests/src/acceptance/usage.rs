@@ -46,7 +46,7 @@ impl Usage {
 
 /// A mean being formed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Mean {
+struct Mean {
     sum: f64,
     count: f64,
 }
@@ -60,7 +60,17 @@ impl AddAssign<f64> for Mean {
 
 impl Mean {
     /// The mean; NaN of nothing.
-    pub fn value(self) -> f64 {
+    fn value(self) -> f64 {
         self.sum / self.count
     }
+}
+
+/// The mean of the memory over the second quarter of the samples, and over the last, bytes: what a program
+/// uses for the first time it uses in the first.
+pub fn resident_in_quarters(samples: &[Usage]) -> [f64; 2] {
+    let mut quarters = [Mean::default(); 4];
+    for (number, usage) in samples.iter().enumerate() {
+        quarters[number * 4 / samples.len()] += usage.resident_bytes as f64;
+    }
+    [quarters[1].value(), quarters[3].value()]
 }
