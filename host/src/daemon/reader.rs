@@ -16,10 +16,13 @@ use super::slot::BoardSlot;
 use crate::device::{Conversation, DeviceError, DeviceId, Keep};
 use crate::pipeline::Segment;
 
-/// Between two looks for a board that is not there: short enough that a re-plugged one is back at once.
+/// Between two looks for a board that was there a moment ago: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);
 
-/// Between two attempts at a board that is there but will not do.
+/// How long it was there a moment ago. To look for ports costs 0.1 ms and more.
+const RECENTLY: Duration = Duration::from_secs(10);
+
+/// Between two looks for a board that stays away, and two attempts at one that is there but will not do.
 const LATER: Duration = Duration::from_millis(500);
 
 /// An end is noticed within this.
@@ -92,8 +95,9 @@ impl Reader {
                 return Err(error);
             }
             self.slot.link.lost(&error);
-            // A board that has just run is most likely about to run again.
-            self.rest(if ran || error.is_absence() { SOON } else { LATER });
+            // A board that has just run is most likely about to run again; one that stays away costs less.
+            let is_soon = ran || (error.is_absence() && missing_since.elapsed() < RECENTLY);
+            self.rest(if is_soon { SOON } else { LATER });
             if self.stops() {
                 return Ok(());
             }
