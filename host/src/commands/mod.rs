@@ -3,6 +3,7 @@
 //! A verb has its arguments (`Args`) and a function `run`, which returns how it ended. To add
 //! one, add its file, its line in `Verb` and its line in [`run`].
 
+mod capture_files;
 mod completions;
 mod config;
 mod device;

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use thiserror::Error;
 
+use super::capture_files::{first_log_ns, scene_hash, tell_of_end, tell_of_scene};
 use super::poses::{PoseOptions, parse_duration};
 use super::{CommandError, Outcome, interrupt, losses, talk};
-use crate::capture::{CaptureError, CaptureReader, End, Entry, Setup};
+use crate::capture::{CaptureReader, Entry, Setup};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::device::DeviceId;
@@ -346,65 +346,6 @@ impl Board {
         let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
         BoardReport { link, ..report }
     }
-}
-
-/// Says that another scene is used than the capture was made with.
-fn tell_of_scene(file: &SceneFile, hash: Option<u64>, scene_match: SceneMatch) {
-    if let (Some(hash), SceneMatch::Waived) = (hash, scene_match)
-        && hash != file.hash
-    {
-        talk(format_args!(
-            "the capture was made with the scene of hash {hash:016x}; solving it with `{}` ({:016x}) as asked",
-            file.name, file.hash
-        ));
-    }
-}
-
-/// Says what of a file is missing.
-fn tell_of_end(path: &Path, end: &End) -> Outcome {
-    if !end.has_loss() {
-        return Outcome::Done;
-    }
-    let path = path.display();
-    if end.damaged_records > 0 || end.checksum_failed {
-        talk(format_args!("{path} is damaged: {} records of up to a second could not be read", end.damaged_records));
-    }
-    if !end.finished {
-        talk(format_args!(
-            "{path} was not ended by its recorder: it was cut off, or is still being recorded; what came after its \
-             last flush is missing ({} bytes of the file are whole, {} cannot be read)",
-            end.whole_bytes, end.lost_bytes
-        ));
-    }
-    Outcome::DataLost
-}
-
-/// When the first bytes of a capture came.
-fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
-    let mut reader = CaptureReader::open(path)?;
-    let mut segment = Segment::default();
-    while let Some(entry) = reader.next(&mut segment)? {
-        if let Entry::Link { log_ns, .. } = entry {
-            return Ok(log_ns);
-        }
-    }
-    Ok(0)
-}
-
-/// The scene hash of the first hello in the bytes of a port.
-fn scene_hash(path: &Path) -> Result<Option<u64>, CaptureError> {
-    let mut reader = CaptureReader::open(path)?;
-    let mut segment = Segment::default();
-    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
-    while reader.next(&mut segment)?.is_some() {
-        let mut bytes = &segment.bytes[..];
-        while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
-            if let Ok(Message::Hello(hello)) = message {
-                return Ok(hello.hashes.scene);
-            }
-        }
-    }
-    Ok(None)
 }
 
 impl From<PipelineError> for CommandError {
