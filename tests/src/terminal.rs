@@ -227,7 +227,7 @@ impl Board {
 
     /// Whether it has caught up with the time `now_s`.
     pub fn has_reached(&self, now_s: f64) -> bool {
-        self.frames as f64 * self.frame_s >= now_s
+        self.frames >= (now_s / self.frame_s) as u64
     }
 
     /// Does what `command` says, whoever gives it.

@@ -22,12 +22,15 @@ use super::solver::{Consumers, Outbox, SolverThread};
 use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
-use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch};
+use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch, Segment};
 use crate::scene_file::SceneFile;
 use crate::telemetry::BoardStatistics;
 
 /// Reads on their way to the solver: at a read a millisecond a quarter of a second.
 const SEGMENTS: usize = 256;
+
+/// As much as one read of a port gives.
+const SEGMENT_BYTES: usize = 4096;
 
 /// Verdicts that the reader has not looked at yet.
 const VERDICTS: usize = 4;
@@ -90,7 +93,7 @@ impl BoardThreads {
         stop: &Arc<AtomicBool>,
     ) -> Result<Self, BoardError> {
         let name = plan.opener.name();
-        let (filler, drainer) = circuit(SEGMENTS);
+        let (filler, drainer) = circuit(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
         let (tell, verdicts) = bounded(VERDICTS);
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let inlet = |(parcels, every_s)| CaptureInlet::new(number, parcels, overflow, every_s);

@@ -5,13 +5,14 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 
-/// A circuit of `count` containers: at most that many are full at a time.
-pub(super) fn circuit<T: Default>(count: usize) -> (Filler<T>, Drainer<T>) {
+/// A circuit of `count` containers, each made by `make`: at most that many are full at a time. They go round
+/// in turn, so that all of them are soon as large as they get.
+pub(super) fn circuit<T>(count: usize, make: impl Fn() -> T) -> (Filler<T>, Drainer<T>) {
     let (full_out, full_in) = bounded(count);
     let (empty_out, empty_in) = bounded(count);
     for _ in 0..count {
         // There is room for all of them.
-        let _ = empty_out.try_send(T::default());
+        let _ = empty_out.try_send(make());
     }
     (Filler { full: full_out, empty: empty_in }, Drainer { full: full_in, empty: empty_out })
 }
@@ -94,7 +95,7 @@ mod tests {
 
     #[test]
     fn containers_go_round() {
-        let (filler, drainer) = circuit::<Vec<u8>>(2);
+        let (filler, drainer) = circuit(2, Vec::<u8>::new);
         for round in 0..10 {
             let mut first = filler.spare().unwrap();
             first.push(round);
@@ -114,12 +115,12 @@ mod tests {
 
     #[test]
     fn what_is_under_way_arrives_after_the_filler_has_gone() {
-        let (filler, drainer) = circuit::<Vec<u8>>(1);
+        let (filler, drainer) = circuit(1, Vec::<u8>::new);
         filler.hand_over(filler.spare().unwrap());
         drop(filler);
         assert_eq!(drainer.next(AT_ONCE), Ok(Vec::new()));
         assert_eq!(drainer.next(AT_ONCE), Err(Dry::Forever));
-        let (filler, drainer) = circuit::<Vec<u8>>(1);
+        let (filler, drainer) = circuit(1, Vec::<u8>::new);
         let container = filler.spare().unwrap();
         drop(drainer);
         filler.hand_over(container);

@@ -14,6 +14,9 @@ const PIECE: Duration = Duration::from_millis(20);
 /// A piece is handed over at this length, however fast bytes come.
 const PIECE_BYTES: usize = 1 << 15;
 
+/// An ordinary piece of a board at 4 kHz, the truths of a simulated one included.
+const ORDINARY_BYTES: usize = 12 << 10;
+
 /// What a capture gets of one board in one piece.
 #[derive(Debug, Default)]
 pub(super) struct Parcel {
@@ -32,6 +35,11 @@ pub(super) struct Parcel {
 }
 
 impl Parcel {
+    /// An empty one with room for an ordinary piece.
+    pub(super) fn with_room() -> Self {
+        Self { segment: Segment::with_capacity(ORDINARY_BYTES), poses: Vec::with_capacity(2), ..Self::default() }
+    }
+
     fn clear(&mut self) {
         self.hello.clear();
         self.segment.clear();

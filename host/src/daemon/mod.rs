@@ -47,6 +47,7 @@ use board::BoardThreads;
 use circuit::circuit;
 use recorder::RecorderThread;
 use slot::BoardSlot;
+use solver::{OUTBOX_POSES, Outbox};
 
 /// Pieces of poses on their way to the printer: a tenth of a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -101,7 +102,7 @@ impl Daemon {
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let (printer, outboxes) = match sink {
             Some(sink) => {
-                let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1));
+                let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
                 let (slots, stop) = (slots.clone(), Arc::clone(&stop));
                 let accounts = move || slots.iter().map(|slot| slot.report()).collect();
                 let print = move || printer::print(&drainer, sink, &accounts, &stop);

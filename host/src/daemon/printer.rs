@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::circuit::{Drainer, Dry};
-use super::solver::{Outbox, Outgoing};
+use super::solver::{OUTBOX_POSES, Outbox, Outgoing};
 use crate::sink::Sink;
 use crate::telemetry::BoardReport;
 
@@ -35,6 +35,8 @@ pub(super) fn print(
             Ok(mut outbox) => {
                 let taken = if failed.is_none() { take(&mut *sink, &outbox) } else { Ok(()) };
                 outbox.clear();
+                // A stall has made it longer, and there are many.
+                outbox.shrink_to(OUTBOX_POSES);
                 outboxes.give_back(outbox);
                 (taken, false)
             }

@@ -66,7 +66,7 @@ impl RecorderThread {
     /// Starts it, and gives where boards put their pieces and how far apart in device time, seconds,
     /// poses shall be.
     pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> Result<(Self, (Filler<Parcel>, f64)), BoardError> {
-        let (filler, drainer) = circuit(PARCELS_A_BOARD * boards.len().max(1));
+        let (filler, drainer) = circuit(PARCELS_A_BOARD * boards.len().max(1), Parcel::with_room);
         let (tell, accounts) = bounded(ACCOUNTS);
         let source = |board: &BoardPlan| Source {
             file: board.file.clone(),

@@ -32,6 +32,9 @@ pub(super) enum Outgoing {
     Note(Note),
 }
 
+/// Poses in an ordinary outbox, and more: some milliseconds of a board at 4 kHz.
+pub(super) const OUTBOX_POSES: usize = 16;
+
 /// What goes to the printer in one piece.
 pub(super) type Outbox = Vec<Outgoing>;
 

@@ -13,6 +13,10 @@ use crate::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKin
 /// Device time that passes between two waits.
 const WAIT_EVERY_S: f64 = 2e-3;
 
+/// Device time that passes at one go when it lags behind its host's. On a host that is too slow for it, it
+/// lags for good, and is no clock.
+const CATCH_UP_S: f64 = 20e-3;
+
 /// The tool in front of a board that is only tried moves for this long, seconds.
 const MOTION_S: f64 = 60.0;
 
@@ -66,7 +70,8 @@ impl Device for SimulatedDevice {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         if self.pace.is_real_time() && self.frames_passed > 0 {
             let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
-            while self.frames_passed < due.min(self.frames) {
+            let within = self.frames_passed + (CATCH_UP_S / self.frame_s) as u64;
+            while self.frames_passed < due.min(within).min(self.frames) {
                 self.board.step(&mut self.said);
                 self.frames_passed += 1;
             }

@@ -36,11 +36,21 @@ pub struct Asked {
     pub at: HostInstant,
 }
 
+/// Memory that is kept for bytes: what a board at 4 kHz sends in 30 ms, truths included. After a stall
+/// a segment may have grown beyond, and there are many.
+const KEPT_BYTES: usize = 1 << 14;
+
 impl Segment {
-    /// Empties it and keeps its memory.
+    /// An empty one with room for this many bytes.
+    pub fn with_capacity(bytes: usize) -> Self {
+        Self { bytes: Vec::with_capacity(bytes), ..Self::default() }
+    }
+
+    /// Empties it and keeps its memory, unless it has grown out of all proportion.
     pub fn clear(&mut self) {
         self.opened = false;
         self.bytes.clear();
+        self.bytes.shrink_to(KEPT_BYTES);
         self.reads.clear();
         self.asked.clear();
     }

