@@ -229,6 +229,8 @@ impl Board {
 
 impl Device for Board {
     fn act(&mut self, received: &[u8], now_s: f64, sent: &mut Vec<u8>) -> bool {
+        self.board.write(received);
+        self.board.transmit(sent);
         for _ in 0..FRAMES_AT_ONCE {
             if self.has_reached(now_s) || sent.len() > BACKLOG_BYTES {
                 break;
@@ -236,9 +238,6 @@ impl Device for Board {
             self.board.step(sent);
             self.frames += 1;
         }
-        // Time first: an answer to a ping tells it.
-        self.board.write(received);
-        self.board.transmit(sent);
         true
     }
 }
