@@ -146,11 +146,11 @@ fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>, 
             }
         } else if events.contains(PollFlags::POLLHUP) {
             std::thread::sleep(Duration::from_millis(1));
-            if opened.get().is_none() {
-                continue;
-            }
             if ends_with_host {
-                return log;
+                if opened.get().is_some() {
+                    return log;
+                }
+                continue;
             }
             // Nobody hears it.
             pending.clear();
