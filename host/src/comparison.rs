@@ -7,15 +7,8 @@ use crate::simulator::{PathError, Trajectory};
 use crate::sink::Accuracy;
 use crate::table::{Column, PoseColumns, TableError, TableReader};
 
-/// Names and units of the axes, and what a metre or radian of them is.
-const AXES: [(&str, &str, f64); 6] = [
-    ("x", "um", 1e6),
-    ("y", "um", 1e6),
-    ("z", "um", 1e6),
-    ("rx", "urad", 1e6),
-    ("ry", "urad", 1e6),
-    ("rz", "urad", 1e6),
-];
+/// Names of the axes and units of a millionth along them.
+const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];
 
 /// Where the tool was, by a table.
 pub struct Comparison {
@@ -107,13 +100,13 @@ impl Comparison {
         }
         lines.extend(self.accuracy.lines("the reference"));
         lines.push("axis          mean        rms    largest".to_owned());
-        for ((name, unit, scale), axis) in AXES.iter().zip(&self.axes) {
+        for ((name, unit), axis) in AXES.iter().zip(&self.axes) {
             let (mean, rms) = (axis.sum / count as f64, (axis.square / count as f64).sqrt());
             lines.push(format!(
                 "{name:<4} {:>13.3} {:>10.3} {:>10.3} {unit}",
-                mean * scale,
-                rms * scale,
-                axis.largest * scale
+                mean * 1e6,
+                rms * 1e6,
+                axis.largest * 1e6
             ));
         }
         lines

@@ -53,3 +53,4 @@ pub mod sink;
 pub mod survey;
 pub mod table;
 pub mod telemetry;
+mod threads;

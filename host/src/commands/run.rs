@@ -3,7 +3,7 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::Hello;
@@ -24,6 +24,7 @@ use crate::scene_file::SceneFile;
 use crate::service::{self, Service};
 use crate::sink;
 use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
+use crate::threads::lock;
 
 /// The ends of boards are looked for, and housekeeping is done, so often.
 const MOMENT: Duration = Duration::from_millis(20);
@@ -253,7 +254,7 @@ impl Admission {
     fn admit(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
         pipeline::check(&self.file, SceneMatch::Required, hello)?;
         let device = DeviceId(hello.device_id);
-        let told = self.told.lock().unwrap_or_else(PoisonError::into_inner).replace(device);
+        let told = lock(&self.told).replace(device);
         if told == Some(device) {
             return Ok(());
         }

@@ -1,6 +1,5 @@
 //! The two threads of a board.
 
-use std::panic::resume_unwind;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::thread::JoinHandle;
@@ -25,6 +24,7 @@ use crate::datagram::DatagramServer;
 use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch, Segment};
 use crate::scene_file::SceneFile;
 use crate::telemetry::BoardStatistics;
+use crate::threads::join;
 
 /// Reads on their way to the solver: at a read a millisecond a quarter of a second.
 const SEGMENTS: usize = 256;
@@ -156,8 +156,8 @@ impl BoardThreads {
     }
 
     pub(super) fn end(self) -> (String, Counts, Result<(), BoardError>) {
-        let read = self.reader.join().unwrap_or_else(|panic| resume_unwind(panic));
-        let counts = self.solver.join().unwrap_or_else(|panic| resume_unwind(panic));
+        let read = join(self.reader);
+        let counts = join(self.solver);
         (self.name, counts, read)
     }
 }

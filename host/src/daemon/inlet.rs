@@ -162,9 +162,6 @@ impl CaptureInlet {
             self.has_gap = true;
             return;
         };
-        if segment.opened {
-            parcel.segment.opened = true;
-        }
         parcel.segment.append(segment);
         if parcel.segment.bytes.len() >= PIECE_BYTES || self.begun.elapsed() >= PIECE {
             self.hand_over();

@@ -1,13 +1,14 @@
 //! What is known of the link to a board, by all threads.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
 use super::error::{BoardError, with_causes};
 use crate::clock::HostInstant;
 use crate::device::{DeviceError, DeviceId};
 use crate::telemetry::{LinkReport, LinkState};
+use crate::threads::lock;
 
 /// Says something to the user.
 pub type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
@@ -115,7 +116,7 @@ impl Link {
 
     fn lock(&self) -> MutexGuard<'_, State> {
         // What a thread that panicked left is as good as ever: every field is written in one go.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -29,7 +29,7 @@ mod solver;
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 pub use board::{Admit, BoardPlan};
@@ -42,7 +42,8 @@ use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::pipeline::Counts;
 use crate::sink::Sink;
-use crate::telemetry::{DaemonReport, LinkState, RecorderReport};
+use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
+use crate::threads::{join, lock};
 use board::BoardThreads;
 use circuit::circuit;
 use recorder::RecorderThread;
@@ -139,15 +140,14 @@ impl Daemon {
 
     /// How it goes.
     pub fn report(&self) -> DaemonReport {
-        let boards = self.slots.iter().map(|slot| slot.report()).collect();
-        DaemonReport::of_now(self.started, boards, self.recorded(RecorderThread::report))
+        let boards = self.boards_report();
+        let recorder = self.recorder.as_ref().map(RecorderThread::report);
+        let recorder = with_unrecorded(recorder.unwrap_or_default(), &boards);
+        DaemonReport::of_now(self.started, boards, recorder)
     }
 
-    /// What the recorder says, with what never came to it.
-    fn recorded(&self, report: impl FnOnce(&RecorderThread) -> RecorderReport) -> RecorderReport {
-        let mut report = self.recorder.as_ref().map(report).unwrap_or_default();
-        report.bytes_dropped += self.slots.iter().map(|slot| slot.report().losses.host.bytes_unrecorded).sum::<u64>();
-        report
+    fn boards_report(&self) -> Vec<BoardReport> {
+        self.slots.iter().map(|slot| slot.report()).collect()
     }
 
     /// Puts how it goes into the capture.
@@ -160,13 +160,13 @@ impl Daemon {
     /// Whether no thread hangs: each solver has given an account of late, also when nothing came.
     pub fn is_alive(&self) -> bool {
         let now = HostInstant::now();
-        let reports = self.slots.iter().map(|slot| slot.report());
+        let reports = self.boards_report().into_iter();
         reports.filter(|report| report.link.state != LinkState::Ended).all(|report| report.age_s(now) < HANGS_AFTER_S)
     }
 
     /// Whether nothing will ever come again. If a board had to be given up the others are told to end.
     pub fn is_over(&self) -> bool {
-        let boards = self.boards.lock().unwrap_or_else(PoisonError::into_inner);
+        let boards = lock(&self.boards);
         if boards.iter().any(BoardThreads::is_given_up) {
             self.stop.store(true, Ordering::Relaxed);
         }
@@ -175,14 +175,20 @@ impl Daemon {
 
     /// Waits for the end of all threads.
     pub fn end(&self) -> Ended {
-        let threads = std::mem::take(&mut *self.boards.lock().unwrap_or_else(PoisonError::into_inner));
+        let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
         self.record_report();
-        let printer = self.printer.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let printed =
-            printer.map_or(Ok(()), |printer| printer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        Ended { boards, printed, capture: self.recorded(RecorderThread::end) }
+        let printer = lock(&self.printer).take();
+        let printed = printer.map_or(Ok(()), join);
+        let recorder = self.recorder.as_ref().map(RecorderThread::end);
+        Ended { boards, printed, capture: with_unrecorded(recorder.unwrap_or_default(), &self.boards_report()) }
     }
+}
+
+/// What the recorder says, with what never came to it.
+fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> RecorderReport {
+    let unrecorded = boards.iter().map(|board| board.losses.host.bytes_unrecorded).sum::<u64>();
+    RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
 }
 
 /// As much as the main thread has: a solver is 100 KB, and moved about while it is made.

@@ -1,10 +1,11 @@
 //! How a reader comes by its board, the first time and again.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 use crate::device::{
     Device, DeviceError, DeviceId, Found, Search, Selector, SerialDevice, SimulatedDevice, find, locate,
 };
+use crate::threads::lock;
 
 /// Held while ports are asked for boards, and until the one that was found has answered: two that look
 /// at the same time would find each other's ports in use.
@@ -52,15 +53,14 @@ impl Opener for PortOpener {
 
     fn turn(&self) -> Option<MutexGuard<'static, ()>> {
         let looks = !matches!(self.selector, Selector::Path(_));
-        looks.then(|| LOOKING.lock().unwrap_or_else(PoisonError::into_inner))
+        looks.then(|| lock(&LOOKING))
     }
 
     fn open(&mut self) -> Result<Box<dyn Device>, DeviceError> {
         let found = match locate(&self.selector, self.known.as_ref()) {
             // What it is on USB, so that it is found again under another name.
-            Some(port) => {
+            Some(found) => {
                 let known = self.known.take().and_then(|known| known.device);
-                let found = find(&Selector::Path(port), &[])?;
                 Found { device: found.device.or(known), ..found }
             }
             None => find(&self.selector, &self.search)?,

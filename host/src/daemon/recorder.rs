@@ -1,6 +1,6 @@
 //! The thread that records: whatever the disk does, nobody waits for it.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -16,6 +16,7 @@ use crate::clock::HostInstant;
 use crate::device::DeviceId;
 use crate::scene_file::SceneFile;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
+use crate::threads::{join, lock};
 
 /// Pieces of captures on their way to the disk: 5 s of one board.
 const PARCELS_A_BOARD: usize = 256;
@@ -94,21 +95,21 @@ impl RecorderThread {
 impl RecorderThread {
     /// How it goes.
     pub(super) fn report(&self) -> RecorderReport {
-        self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.report).clone()
     }
 
     /// Puts an account into the capture, if the recorder is not far behind.
     pub(super) fn account(&self, report: DaemonReport) {
-        if let Some(accounts) = &*self.accounts.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(accounts) = &*lock(&self.accounts) {
             let _ = accounts.try_send(report);
         }
     }
 
     /// Waits for the end; all boards must have ended.
     pub(super) fn end(&self) -> RecorderReport {
-        drop(self.accounts.lock().unwrap_or_else(PoisonError::into_inner).take());
-        if let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        drop(lock(&self.accounts).take());
+        if let Some(thread) = lock(&self.thread).take() {
+            join(thread);
         }
         self.report()
     }
@@ -141,7 +142,7 @@ impl Recorder {
         self.publish();
         let Self { series, talk, report, bytes_missing, .. } = self;
         let finished = series.finish();
-        let mut report = report.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut report = lock(&report);
         match finished {
             Ok(recorded) => {
                 report.bytes_dropped = recorded.dropped_bytes + bytes_missing;
@@ -204,14 +205,14 @@ impl Recorder {
         if let Err(error) = done {
             let reason = with_causes(&error);
             (self.talk)(format_args!("{reason}"));
-            let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut report = lock(&self.report);
             (report.state, report.reason) = (RecorderState::Failed, Some(reason));
         }
     }
 
     fn publish(&self) {
         let recorded = self.series.recorded();
-        let mut report = self.report.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut report = lock(&self.report);
         report.file = Some(self.series.path().display().to_string());
         report.bytes = self.series.bytes();
         report.files = recorded.files;

@@ -1,11 +1,12 @@
 //! The account of a board, as its threads keep it and others read it.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use super::link::Link;
 use crate::clock::HostInstant;
 use crate::pipeline::Pipeline;
 use crate::telemetry::{BoardReport, BoardStatistics};
+use crate::threads::lock;
 
 /// The account of a board.
 pub(super) struct BoardSlot {
@@ -22,12 +23,12 @@ impl BoardSlot {
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.set_drift_ppm(pipeline.drift_ppm());
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
-        *self.report.lock().unwrap_or_else(PoisonError::into_inner) = report;
+        *lock(&self.report) = report;
     }
 
     /// The newest one.
     pub(super) fn report(&self) -> BoardReport {
-        let report = self.report.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let report = lock(&self.report).clone();
         BoardReport { link: self.link.report(), ..report }
     }
 }

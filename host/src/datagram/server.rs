@@ -5,7 +5,7 @@ use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -20,6 +20,7 @@ use super::socket::{Delivery, Peer, Socket, SocketFile};
 use super::{Address, AddressError, Mode, Request};
 use crate::clock::HostInstant;
 use crate::device::DeviceId;
+use crate::threads::lock;
 
 /// How long a client is followed after it asked. Clients ask each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);
@@ -182,11 +183,6 @@ impl Drop for DatagramServer {
             let _ = thread.join();
         }
     }
-}
-
-/// The lists stay whole even if a thread should panic meanwhile.
-fn lock(directory: &Mutex<Directory>) -> MutexGuard<'_, Directory> {
-    directory.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {

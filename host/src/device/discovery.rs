@@ -77,15 +77,17 @@ pub fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
     Ok(listed)
 }
 
-/// The port of the board that `selector` names, now, without asking anybody: cheap enough for several
+/// Where the board that `selector` names is now, without asking anybody: cheap enough for several
 /// times a second. `known` is where it was last, with its number if that is known by now. `None` if it is
 /// not there; or, without `known`, if only [`find`] can tell.
-pub fn locate(selector: &Selector, known: Option<&Found>) -> Option<String> {
-    match selector {
-        Selector::Sim => Some(SIM.to_owned()),
-        // The list is short: the system's own files, no device.
-        _ => located(selector, known, &ports().unwrap_or_default()),
+pub fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
+    if *selector == Selector::Sim {
+        return Some(Found { port: SIM.to_owned(), usb: None, device: None });
     }
+    // The list is short: the system's own files, no device.
+    let ports = ports().unwrap_or_default();
+    let port = Port::at(&located(selector, known, &ports)?, &ports);
+    Some(Listed::new(port).into())
 }
 
 fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option<String> {

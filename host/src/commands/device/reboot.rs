@@ -70,9 +70,9 @@ fn wait(connection: Connection, args: &Args) -> Result<(String, BoardInfo), Devi
     sleep(GONE_WITHIN);
     while Instant::now() < until {
         let Some(board) = &mut open else {
-            let port = locate(&args.board.device, Some(&found));
+            let there = locate(&args.board.device, Some(&found));
             // It may be there and not yet be allowed to this user, or not yet be ready.
-            open = port.and_then(|port| Conversation::open(Box::new(SerialDevice::open(&port).ok()?)).ok());
+            open = there.and_then(|there| Conversation::open(Box::new(SerialDevice::open(&there.port).ok()?)).ok());
             if open.is_none() {
                 sleep(LOOK_EVERY);
             }
