@@ -142,11 +142,15 @@ static inline uint64_t slitpose_now_ns(void)
     return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
 }
 
-/* How old a pose is: since its instant, or, where that is not known, since it was sent. */
+/* How old a pose is: since its instant; where that is not known (no SLITPOSE_HAS_HOST_TIME), at least
+   this old: since the daemon had read the scan; where that is not known either, since it was sent. */
 static inline uint64_t slitpose_age_ns(const struct slitpose_pose *pose)
 {
-    uint64_t since = pose->flags & SLITPOSE_HAS_HOST_TIME ? pose->host_monotonic_ns : pose->published_monotonic_ns;
-    uint64_t now = slitpose_now_ns();
+    uint64_t now = slitpose_now_ns(), since = pose->published_monotonic_ns;
+    if (pose->flags & SLITPOSE_HAS_HOST_TIME)
+        since = pose->host_monotonic_ns;
+    else if (pose->flags & SLITPOSE_HAS_ARRIVAL)
+        since = pose->arrival_monotonic_ns;
     return now > since ? now - since : 0;
 }
 

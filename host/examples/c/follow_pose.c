@@ -22,7 +22,7 @@ static void print(const struct slitpose_pose *pose)
                q[1], q[2], q[3], c[0], c[7], c[14]);
     if (pose->flags & SLITPOSE_HAS_TWIST)
         printf("  v %+.4f %+.4f %+.4f m/s", pose->linear_m_per_s[0], pose->linear_m_per_s[1], pose->linear_m_per_s[2]);
-    /* Without host time the age only counts from the moment at which it was sent. */
+    /* Without host time the age only counts from the arrival of the scan: it is at least that. */
     printf("  age %s%.0f us", pose->flags & SLITPOSE_HAS_HOST_TIME ? "" : "over ", slitpose_age_ns(pose) / 1e3);
     printf("%s\n", pose->flags & SLITPOSE_SIMULATED ? "  simulated" : "");
 }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use super::{Bench, DEVICE, OTHER, PATIENCE, record};
-use crate::clock::HostInstant;
+use crate::clock::{HostInstant, HostTime};
 use crate::datagram::{PoseDatagram, Publisher};
 use crate::pipeline::Record;
 
@@ -115,6 +115,50 @@ fn c_reads_what_is_written() {
     assert!(lines[0].starts_with("544 0 4 "), "{}", lines[0]);
     assert!(lines[1].ends_with(" 0 0 0 0 123457000001 "), "{}", lines[1]);
     assert!(lines[2..].iter().flat_map(|line| numbers(line)).all(f64::is_nan), "{text}");
+}
+
+const PRINT_AGE: &str = r#"
+#define _POSIX_C_SOURCE 200809L
+#include <stdio.h>
+#include "slitpose_pose.h"
+int main(void)
+{
+    struct slitpose_pose p;
+    while (fread(&p, sizeof p, 1, stdin) == 1)
+        printf("%llu\n", (unsigned long long)slitpose_age_ns(&p));
+    return 0;
+}
+"#;
+
+#[test]
+fn the_age_in_c_counts_from_the_earliest_instant_that_is_known() {
+    const SECOND_NS: u64 = 1_000_000_000;
+    let folder = TempDir::new().unwrap();
+    let program = compile_text("age", PRINT_AGE, &folder);
+    let record = record();
+    // The pose's instant 30 s ago, its arrival 20 s ago, sent 10 s ago: as far apart as no busy machine is.
+    let now = HostInstant::now();
+    let before = |seconds| HostInstant { monotonic_ns: now.monotonic_ns - seconds * SECOND_NS, utc_ns: 0 };
+    let host_time = record.host_time.map(|time| HostTime { monotonic_ns: before(30).monotonic_ns, ..time });
+    let all = Record { host_time, arrival: Some(before(20)), ..record };
+    let arrival = Record { host_time: None, ..all };
+    let neither = Record { host_time: None, arrival: None, ..all };
+    // By a clock that is ahead, it is not younger than now.
+    let ahead = Record { arrival: Some(HostInstant { monotonic_ns: u64::MAX / 2, utc_ns: 0 }), ..arrival };
+    let mut child = Command::new(&program).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    for record in [all, arrival, neither, ahead] {
+        stdin.write_all(PoseDatagram::new(&record, 1, before(10)).as_bytes()).unwrap();
+    }
+    drop(stdin);
+    let text = String::from_utf8(child.wait_with_output().unwrap().stdout).unwrap();
+    let passed_ns = HostInstant::now().monotonic_ns - now.monotonic_ns;
+    let ages_ns: Vec<u64> = text.lines().map(|line| line.parse().unwrap()).collect();
+    for (age_ns, seconds) in ages_ns.iter().zip([30, 20, 10]) {
+        let least_ns = seconds * SECOND_NS;
+        assert!((least_ns..=least_ns + passed_ns).contains(age_ns), "{age_ns} ns for {seconds} s");
+    }
+    assert_eq!(ages_ns[3..], [0]);
 }
 
 /// Publishes until a program ends.
