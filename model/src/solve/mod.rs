@@ -35,6 +35,7 @@ use normal::{Motion, Problem, Workspace};
 use planes::PlaneCell;
 use readings::{Limits, Sorted};
 use refine::{Ending, Refined};
+use search::{COLD_WORK, Search};
 use weights::CellNoise;
 
 /// Steps of one refinement before it is given up.
@@ -242,12 +243,12 @@ impl<S: Scalar> Solver<S> {
 
     /// The pose from `readings`, with no idea where the tool is but some of how it moves.
     pub fn solve_moving(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
+        if self.effort == Effort::Full {
+            return self.search_on(readings, motion, &mut Search::at_once(), COLD_WORK);
+        }
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
-        }
-        if self.effort == Effort::Full {
-            return self.search(&sorted, motion, &mut Workspace::new());
         }
         self.unfinished(&sorted, &self.problem(&sorted, motion), self.on_planes(&sorted))
     }

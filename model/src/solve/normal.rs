@@ -108,13 +108,24 @@ pub(super) struct Workspace<S: Scalar> {
     /// M₁ and M₂, where the twist is not known.
     twist_moments: [Matrix6<S>; 2],
     elimination: Option<Elimination<S>>,
+    /// Evaluations of all cells that may still be made: see [`Self::with_work`].
+    pub(super) work: usize,
 }
 
 impl<S: Scalar> Workspace<S> {
-    /// Nothing in it yet.
+    /// Nothing in it yet, and no limit to the work.
     #[inline(always)]
     pub(super) fn new() -> Self {
+        Self::with_work(usize::MAX)
+    }
+
+    /// For at most `work` evaluations of all cells, with or without derivatives: what a solve costs,
+    /// whatever the processor. Refinements end when it is used up; one that has begun makes three
+    /// more at most.
+    #[inline(always)]
+    pub(super) fn with_work(work: usize) -> Self {
         Self {
+            work,
             rows: ArrayVec::new(),
             guided: ArrayVec::new(),
             slack_m: S::zero(),
@@ -248,8 +259,9 @@ impl<S: Scalar> Problem<'_, S> {
         whiteners: &Whiteners<S>,
         room: &mut Workspace<S>,
     ) -> Expansion<S> {
-        let Workspace { rows: all_rows, guided, slack_m, twist_moments, .. } = room;
+        let Workspace { rows: all_rows, guided, slack_m, twist_moments, work, .. } = room;
         *slack_m = S::infinity();
+        *work = work.saturating_sub(1);
         all_rows.clear();
         guided.clear();
         let mut information = [[S::zero(); 6]; 6];
@@ -376,6 +388,7 @@ impl<S: Scalar> Problem<'_, S> {
         room: &mut Workspace<S>,
     ) -> (S, Vector6<S>) {
         let mut index = 0;
+        room.work = room.work.saturating_sub(1);
         self.plan.currents_all(
             &self.instant(pose),
             |cell| self.wants(cell),

@@ -79,7 +79,7 @@ impl<S: Scalar> Problem<'_, S> {
         let mut bare = false;
         let raise = |damping: S| (damping * S::of(10.0)).max(S::of(FIRST_DAMPING));
         let ended = |pose, chi2, factor, iterations| Refined { pose, chi2, factor, iterations, converged: true };
-        while iterations < ending.max_iterations && damping < S::of(STUCK) {
+        while iterations < ending.max_iterations && damping < S::of(STUCK) && room.work > 0 {
             let next = self.step(&at, damping, room).filter(|next| is_finite(&next.step));
             let Some(Step { factor, step, gain, by_rows }) = next else {
                 damping = raise(damping);

@@ -13,6 +13,10 @@ use super::{COLD_LEFTOVER, Fit, MAX_ITERATIONS, MotionPrior, Solver, observabili
 /// With six lit cells none but the truth keeps all of them lit.
 const UNIQUE_FROM: usize = 6;
 
+/// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, one or two µs
+/// each.
+pub(super) const COLD_WORK: usize = 1000;
+
 /// Starts after which mirror images count as searched for; with no redundancy, where every image fits
 /// as well as the truth, only all starts do.
 const IMAGE_STARTS: usize = 25;
@@ -38,36 +42,91 @@ const WITNESSES: usize = 5;
 /// 1 : 22 000.
 const CONVICTION: f64 = 20.0;
 
-impl<S: Scalar> Solver<S> {
-    /// A quick look for the tool: what the planes lead to, or nothing.
-    pub(super) fn glance(&self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
-        let sorted = Sorted::of(readings, &self.limits);
-        if let Some(solution) = self.too_few(&sorted) {
-            return solution;
-        }
-        let problem = self.problem(&sorted, motion);
-        let room = &mut Workspace::new();
-        let refined = descend(&problem, &problem.whiteners(), self.on_planes(&sorted), false, room);
-        let fit = self.fit(&sorted, &problem, &refined);
-        if fit == Fit::Full && sorted.usable.len() >= UNIQUE_FROM {
-            return self.conclude(&sorted, &problem, &refined, room, fit);
-        }
-        Solution { iterations: refined.iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) }
+/// How far a search for the pose has come: it may be spread over frames, each of which goes on where
+/// the last has stopped, on its own currents.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Search<S: Scalar> {
+    /// The next of [`starts`].
+    next: usize,
+    /// The best pose so far, which is refined on the currents of the next frame first.
+    best: Option<Transform<S>>,
+    /// Whether it goes on with another frame's currents when its work is used up; else it ends.
+    may_pause: bool,
+    is_over: bool,
+}
+
+impl<S: Scalar> Search<S> {
+    /// One that has not begun, for the currents of one frame.
+    pub(super) fn at_once() -> Self {
+        Self { next: 0, best: None, may_pause: false, is_over: false }
     }
 
-    /// Cold start: the pose on the planes first, then turned and shifted starts until the data fit.
-    pub(super) fn search(&self, sorted: &Sorted<S>, motion: &MotionPrior, room: &mut Workspace<S>) -> Solution<S> {
+    /// One that has not begun, a piece a frame.
+    pub(super) fn in_pieces() -> Self {
+        Self { may_pause: true, ..Self::at_once() }
+    }
+
+    /// Whether nothing is left to be tried: what the last piece said is the answer.
+    pub(super) fn is_over(&self) -> bool {
+        self.is_over
+    }
+}
+
+impl<S: Scalar> Solver<S> {
+    /// A piece of `search` on the currents of one frame, of at most `work` evaluations of all cells.
+    pub(super) fn search_on(
+        &self,
+        readings: &Photocurrents,
+        motion: &MotionPrior,
+        search: &mut Search<S>,
+        work: usize,
+    ) -> Solution<S> {
+        let sorted = Sorted::of(readings, &self.limits);
+        self.too_few(&sorted).unwrap_or_else(|| self.search(&sorted, motion, search, &mut Workspace::with_work(work)))
+    }
+
+    /// Goes on with `search` until it is over or the work in `room` is used up: the pose on the planes
+    /// first, then turned and shifted starts until the data fit. A search that is not over has no pose
+    /// yet.
+    fn search(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        search: &mut Search<S>,
+        room: &mut Workspace<S>,
+    ) -> Solution<S> {
         let problem = &self.problem(sorted, motion);
         let whiteners = problem.whiteners();
         let mut iterations = 0;
         let mut best: Option<(Refined<S>, Fit)> = None;
         let need_all = sorted.usable.len() < UNIQUE_FROM;
-        for (tried, start) in starts(self.on_planes(sorted)).enumerate() {
+        if search.next > 0 {
+            // The tool has moved on; and planes that led nowhere in one frame may lead to it in another.
+            let before = search.best.filter(|_| need_all).unwrap_or_else(|| self.on_planes(sorted));
+            let refined = descend(problem, &whiteners, before, false, room);
+            iterations += refined.iterations;
+            let fit = self.fit(sorted, problem, &refined);
+            if fit == Fit::Full && !need_all {
+                search.is_over = true;
+                return Solution { iterations, ..self.conclude(sorted, problem, &refined, room, fit) };
+            }
+            best = Some((refined, fit));
+        }
+        for (tried, start) in starts(self.on_planes(sorted)).enumerate().skip(search.next) {
+            if room.work == 0 && search.may_pause {
+                search.best = best.map(|(refined, _)| refined.pose);
+                return Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) };
+            }
+            if room.work == 0 {
+                break;
+            }
+            search.next = tried + 1;
             if tried == HONEST_STARTS
                 && best.is_none_or(|(_, fit)| fit == Fit::None)
                 && let Some(mut solution) = self.without_liar(sorted, motion, None, room)
             {
                 solution.iterations += iterations;
+                search.is_over = true;
                 return solution;
             }
             let refined = descend(problem, &whiteners, start, tried > 0, room);
@@ -75,6 +134,7 @@ impl<S: Scalar> Solver<S> {
             let fit = self.fit(sorted, problem, &refined);
             // By far the most frequent end, with the last expansion still at hand.
             if tried == 0 && fit == Fit::Full && !need_all {
+                search.is_over = true;
                 return self.conclude(sorted, problem, &refined, room, fit);
             }
             match &best {
@@ -84,9 +144,8 @@ impl<S: Scalar> Solver<S> {
                         .as_ref()
                         .is_none_or(|factor| observability::distinct(factor, &before.pose, &refined.pose, self.arm));
                     if distinct {
-                        let mut solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
-                        solution.iterations = iterations;
-                        return solution;
+                        search.is_over = true;
+                        return Solution { iterations, ..Solution::without_pose(Outcome::Ambiguous, sorted.used) };
                     }
                 }
                 Some((before, best_fit)) if (fit, before.chi2) > (*best_fit, refined.chi2) => {
@@ -103,6 +162,7 @@ impl<S: Scalar> Solver<S> {
                 break;
             }
         }
+        search.is_over = true;
         let shown = best.filter(|(refined, fit)| match fit {
             Fit::Full => true,
             // The cells with light agree on a pose where others should see some, too: those fail.

@@ -11,6 +11,7 @@
 use crate::pose::Twist;
 use crate::scalar::Scalar;
 
+use super::search::{COLD_WORK, Search};
 use super::smooth::{Prediction, Smoothed, Smoother, TwistEstimate};
 use super::{MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
@@ -40,9 +41,8 @@ const MANOEUVRE: f64 = 38.3;
 /// Most that bent motion may widen this bound: beyond, it is not followed but forgotten.
 const MOST_STRAIN: f64 = 10.0;
 
-/// Longest pause between two searches for a tool that is lost, frames: a search takes as long as
-/// some hundred frames.
-const LONGEST_PAUSE: u32 = 256;
+/// Evaluations of all cells that the search for a lost tool may take in one frame.
+const SEARCH_WORK: usize = 150;
 
 /// What one frame tells.
 #[derive(Clone, Copy, Debug)]
@@ -69,8 +69,8 @@ pub struct Tracker<S: Scalar> {
     sigmas: [f64; 2],
     /// Frames since the last pose.
     coasted: u32,
-    /// Frames until the next search for a lost tool, and the pause after it.
-    pause: (u32, u32),
+    /// For a lost tool.
+    search: Search<S>,
 }
 
 impl<S: Scalar> Tracker<S> {
@@ -85,7 +85,7 @@ impl<S: Scalar> Tracker<S> {
             last_twist: Twist::default(),
             sigmas: [0.0; 2],
             coasted: 0,
-            pause: (0, 1),
+            search: Search::in_pieces(),
         }
     }
 
@@ -116,7 +116,7 @@ impl<S: Scalar> Tracker<S> {
                 let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
                 self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
                 self.coasted = 0;
-                self.pause = (0, 1);
+                self.search = Search::in_pieces();
                 Tracked {
                     solution,
                     twist: self.motion.smoothed(&estimate.covariance).map(|state| state.twist),
@@ -176,16 +176,13 @@ impl<S: Scalar> Tracker<S> {
         solution
     }
 
-    /// Looks for the tool everywhere; the longer it is lost, the less often.
+    /// Looks for the tool everywhere, a piece of the search a frame.
     fn find(&mut self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
-        let (wait, pause) = self.pause;
-        if wait > 0 {
-            self.pause.0 -= 1;
-            return self.solver.glance(readings, motion);
-        }
-        let solution = self.solver.solve_moving(readings, motion);
-        if solution.outcome == Outcome::Diverged {
-            self.pause = (pause, (2 * pause).min(LONGEST_PAUSE));
+        // A tool that was seen in the frame before is worth a longer look.
+        let work = if self.coasted == 0 { COLD_WORK } else { SEARCH_WORK };
+        let solution = self.solver.search_on(readings, motion, &mut self.search, work);
+        if self.search.is_over() {
+            self.search = Search::in_pieces();
         }
         solution
     }
