@@ -73,7 +73,7 @@ fn solve(c: &mut Criterion) {
                 }
             });
         });
-        // A prior 5 µm and 0.5 mrad off, as from the frame before.
+        // A prior 3 µm and 0.3 mrad off on each axis, as from the frame before.
         let priors: Vec<Pose> =
             poses.iter().map(|pose| pose.perturbed(DVec3::splat(3e-6), DVec3::splat(3e-4))).collect();
         group.bench_function(format!("{name}, warm"), |b| {

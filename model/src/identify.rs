@@ -15,3 +15,19 @@ pub fn identified_relative_intensity(
     let full = responsivity_a_per_w * solid_angle_sr * radiant_intensity_w_per_sr;
     (full > 0.0).then(|| i_om_a / full)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_equation_5_gives_equation_6_takes_back() {
+        // I_O = Ω·I_e·I_rel·S of the bench: 3.5523 msr, 3.16 mW/sr, 0.54 A/W, I_rel = ½.
+        let i_o_a = 3.5523e-3 * 3.16e-3 * 0.5 * 0.54;
+        let relative = identified_relative_intensity(i_o_a, 3.5523e-3, 3.16e-3, 0.54);
+        assert!((relative.expect("light") - 0.5).abs() < 1e-15);
+        for dark in [[0.0, 3.16e-3, 0.54], [3.5523e-3, 0.0, 0.54], [3.5523e-3, 3.16e-3, 0.0]] {
+            assert_eq!(identified_relative_intensity(i_o_a, dark[0], dark[1], dark[2]), None);
+        }
+    }
+}

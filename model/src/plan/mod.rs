@@ -199,3 +199,6 @@ impl<S: Scalar> Plan<S> {
         evaluate::crosstalk(self, cell, emitter, &Transform::of(pose))
     }
 }
+
+#[cfg(test)]
+mod tests;

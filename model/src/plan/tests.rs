@@ -1,0 +1,251 @@
+//! Cells side by side against cells one by one, and what a plan says beyond currents.
+
+use glam::{DVec2, DVec3};
+
+use super::*;
+use crate::response::Flags;
+use crate::scene::{Cell, DEFAULT_FAINT_A, Detector, Emitter, Fault, Profile, Slit};
+
+const EXACT: Tier = Tier::Exact { tolerance: 1e-9 };
+
+/// A cell along the base frame's axes, a little out of symmetry everywhere, so that no exchange of
+/// sides, faces, electrodes or cells goes unseen.
+fn cell(index: usize) -> Cell {
+    let shift = 0.1e-3 * (index as f64 + 1.0);
+    Cell {
+        detector: Detector {
+            centre_base_m: DVec3::new(shift, -shift, 0.0),
+            x_axis_base: DVec3::X,
+            normal_base: DVec3::Z,
+            length_m: 12e-3,
+            width_m: 1e-3 + shift,
+            responsivity_a_per_w: 0.5 + 0.02 * index as f64,
+            dark_current_a: 2e-6 * (index as f64 + 1.0),
+            interelectrode_ohm: None,
+            saturation_a: None,
+            faint_a: DEFAULT_FAINT_A,
+        },
+        slit: Slit {
+            distance_m: 7e-3 + shift,
+            width_m: 0.5e-3 + shift,
+            length_m: 10e-3,
+            offset_m: DVec2::new(0.3e-3, 0.1e-3),
+            tilt_rad: DVec3::ZERO,
+            thickness_m: 0.0,
+        },
+        emitter: Emitter {
+            position_tool_m: DVec3::new(0.2e-3, shift, 15e-3 + shift),
+            axis_tool: DVec3::new(0.1, -0.05 * (index as f64 + 1.0), -1.0).normalize(),
+            radiant_intensity_w_per_sr: 3e-3 + shift,
+            profile: Profile::Cosine { exponent: 1.2 + 0.1 * index as f64 },
+        },
+    }
+}
+
+/// `count` cells, each changed by `change`.
+fn scene(count: usize, change: impl Fn(&mut Cell)) -> Scene {
+    let cells = (0..count).map(|index| {
+        let mut cell = cell(index);
+        change(&mut cell);
+        cell
+    });
+    Scene { cells: cells.collect(), ..Scene::default() }
+}
+
+/// Straight on, clipped, aside with one cell dark, and behind the mask.
+fn poses() -> [Pose; 5] {
+    [
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([1.1e-3, 0.2e-3, -1e-3], [0.05, -0.2, 0.1]),
+        ([6.4e-3, 0.0, 0.0], [0.0, 0.1, 0.0]),
+        ([7.05e-3, 0.1e-3, 0.0], [0.0, 0.0, 0.0]),
+        ([0.0, 0.0, -9e-3], [0.0, 0.0, 0.0]),
+    ]
+    .map(|(t, r)| Pose::from_vectors(DVec3::from(t), DVec3::from(r)))
+}
+
+/// `a` equals `b` but for rounding, where numbers of size `scale` were added: some tens of operations.
+fn assert_equal<S: Scalar, const N: usize>(a: [S; N], b: [S; N], scale: S, cell: usize) {
+    let allowed = S::of(200.0) * S::epsilon() * scale;
+    assert!(a.iter().zip(b).all(|(&a, b)| (a - b).abs() <= allowed), "cell {cell}: {a:?} {b:?}");
+}
+
+/// What a solver gets of all cells at once is what each cell answers alone.
+fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
+    let plan = Plan::<S>::compile(scene, tier).expect("scene");
+    // Every cell at an instant of its own, the tool in motion; or all at one.
+    let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();
+    let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)].map(<S::Vec3 as crate::Vector3<S>>::of);
+    for pose in poses() {
+        let pose = Transform::of(&pose);
+        for offsets_s in [&offsets[..0], &offsets[..]] {
+            let instant = Instant { pose: &pose, linear: twist[0], angular: twist[1], offsets_s };
+            let mut seen = 0;
+            plan.linearise_all(
+                &instant,
+                |_| true,
+                |index, terms| {
+                    let alone = evaluate::linearise(&plan, index, &instant.pose_of(index));
+                    assert_eq!((index, terms.status), (seen, alone.status));
+                    // Of a sliver of light, differences of lengths decide: rounding of a full spot's.
+                    let total = S::of(1e-5);
+                    assert_equal(terms.pair, alone.pair, total, index);
+                    for (row, alone) in terms.jacobian.into_iter().zip(alone.jacobian) {
+                        // A current changes by its own size within a spot, 1 mm; arms are 15 mm.
+                        assert_equal(row, alone, total * S::of(1e3), index);
+                    }
+                    assert_equal([terms.slack_m], [alone.slack_m], S::of(0.1), index);
+                    seen += 1;
+                },
+            );
+            assert_eq!(seen, scene.cells.len());
+            plan.currents_all(
+                &instant,
+                |_| true,
+                |index, pair| {
+                    let alone = evaluate::photocurrents(&plan, index, &instant.pose_of(index));
+                    assert_equal(pair, [alone.i_x1_a, alone.i_x2_a], S::of(1e-5), index);
+                    seen -= 1;
+                },
+            );
+            assert_eq!(seen, 0);
+        }
+    }
+}
+
+#[test]
+fn cells_side_by_side_answer_as_cells_alone() {
+    // An odd number leaves a lane without a cell.
+    for count in [1, 2, 5, 6] {
+        for tier in [Tier::Paper, EXACT] {
+            for thickness_m in [0.0, 0.3e-3] {
+                let scene = scene(count, |cell| cell.slit.thickness_m = thickness_m);
+                check_all_at_once::<f64>(&scene, tier);
+                check_all_at_once::<f32>(&scene, tier);
+            }
+        }
+    }
+}
+
+#[test]
+fn cells_of_different_kinds_answer_as_cells_alone() {
+    let knots = [(0.0, 1.0), (0.5, 0.9), (1.0, 0.5)];
+    let changes: [&dyn Fn(&mut Cell); 4] = [
+        &|cell| cell.slit.tilt_rad = DVec3::new(0.1, 0.05, 0.3),
+        &|cell| cell.slit.thickness_m = 0.2e-3,
+        &|cell| cell.emitter.profile = Profile::Table(knots.into_iter().collect()),
+        &|cell| cell.detector.dark_current_a = 0.0,
+    ];
+    for change in changes {
+        for odd_one in [0, 1, 4] {
+            let mut scene = scene(5, |_| ());
+            change(&mut scene.cells[odd_one]);
+            for tier in [Tier::Paper, EXACT] {
+                check_all_at_once::<f64>(&scene, tier);
+                check_all_at_once::<f32>(&scene, tier);
+            }
+        }
+    }
+}
+
+/// PHYSICS: the paper tier divides I_D by equation (1) like the light, the exact tier in halves; a
+/// table of currents counts all of it.
+#[test]
+fn dark_current_is_divided_as_each_tier_says() {
+    for (tier, divided) in [(Tier::Paper, true), (EXACT, false)] {
+        let dark_a = cell(0).detector.dark_current_a;
+        let plan = Plan::<f64>::compile(&scene(1, |_| ()), tier).expect("scene");
+        let clear = Plan::<f64>::compile(&scene(1, |cell| cell.detector.dark_current_a = 0.0), tier).expect("scene");
+        let (with, without) = (plan.respond(0, &poses()[1]), clear.respond(0, &poses()[1]));
+        let share = if divided { with.x_a_m.expect("light") / cell(0).detector.length_m } else { 0.0 };
+        assert!((with.i_o_a - without.i_o_a - dark_a).abs() < 1e-20);
+        for (a, b, share) in [
+            (with.currents.i_x1_a, without.currents.i_x1_a, 0.5 - share),
+            (with.currents.i_x2_a, without.currents.i_x2_a, 0.5 + share),
+        ] {
+            // Rounding of currents of 1e-5 A.
+            assert!((a - b - share * dark_a).abs() < 1e-20, "{tier:?}: {a:e} {b:e}");
+        }
+        let dark = plan.respond(0, &poses()[4]);
+        assert_eq!((dark.i_o_a, dark.currents.i_x1_a, dark.currents.i_x2_a), (dark_a, 0.5 * dark_a, 0.5 * dark_a));
+    }
+}
+
+#[test]
+fn flags_follow_the_whole_current_or_the_light_alone() {
+    for tier in [Tier::Paper, EXACT] {
+        let flags = |change: &dyn Fn(&mut Cell)| {
+            Plan::<f64>::compile(&scene(1, change), tier).expect("scene").respond(0, &Pose::HOME).flags
+        };
+        let response = Plan::<f64>::compile(&scene(1, |_| ()), tier).expect("scene").respond(0, &Pose::HOME);
+        let dark_a = cell(0).detector.dark_current_a;
+        let light_a = response.i_o_a - dark_a;
+        assert_eq!(response.flags, Flags::default());
+        // A detector saturates by all its current.
+        let saturated = |limit_a: f64| flags(&|cell| cell.detector.saturation_a = Some(limit_a)).saturated;
+        assert!(saturated(light_a + 0.9 * dark_a) && !saturated(light_a + 1.1 * dark_a));
+        // What is faint is the light.
+        let faint = |limit_a: f64| flags(&|cell| cell.detector.faint_a = limit_a).faint;
+        assert!(faint(light_a + 0.1 * dark_a) && !faint(light_a - 0.1 * dark_a));
+    }
+}
+
+#[test]
+fn an_emitter_turned_away_is_flagged_and_sends_nothing() {
+    for tier in [Tier::Paper, EXACT] {
+        let turned = scene(1, |cell| cell.emitter.axis_tool = DVec3::new(0.05, 0.0, 1.0).normalize());
+        let response = Plan::<f64>::compile(&turned, tier).expect("scene").respond(0, &Pose::HOME);
+        assert!(response.flags.facing_away && response.flags.faint && response.status == Status::Lit);
+        assert_eq!(response.i_o_a, cell(0).detector.dark_current_a);
+        // 90.4°: behind the horizon as a beam, but part of the spot is before it.
+        let grazing = scene(1, |cell| {
+            cell.emitter.axis_tool = DVec3::X;
+            cell.emitter.position_tool_m = DVec3::new(0.45e-3, 0.0, 15e-3);
+        });
+        let response = Plan::<f64>::compile(&grazing, tier).expect("scene").respond(0, &Pose::HOME);
+        assert!(response.flags.facing_away && response.gamma_rad.expect("spot") > core::f64::consts::FRAC_PI_2);
+        assert_eq!(response.x_a_m.is_some(), response.i_o_a > cell(0).detector.dark_current_a || tier == Tier::Paper);
+    }
+}
+
+#[test]
+fn half_the_mask_reaches_down_to_the_detector() {
+    let with = |thickness_m: f64| {
+        Plan::<f64>::compile(
+            &scene(1, |cell| (cell.slit.distance_m, cell.slit.thickness_m) = (1e-3, thickness_m)),
+            Tier::Paper,
+        )
+        .map(|_| ())
+        .map_err(|error| error.fault)
+    };
+    assert_eq!(with(1.9e-3), Ok(()));
+    assert!(matches!(with(2.2e-3), Err(Fault::MaskInDetector(below)) if (below - 0.1e-3).abs() < 1e-15));
+}
+
+/// The upper face of a thick mask is the first an emitter falls behind.
+#[test]
+fn an_emitter_inside_a_thick_mask_is_behind() {
+    let inside = |distance_m: f64| {
+        let scene = scene(1, |cell| {
+            (cell.slit.distance_m, cell.slit.thickness_m) = (7e-3, 1e-3);
+            cell.emitter.position_tool_m = DVec3::new(0.0, 0.0, distance_m);
+        });
+        Plan::<f64>::compile(&scene, Tier::Paper).expect("scene").respond(0, &Pose::HOME).status == Status::Behind
+    };
+    assert_eq!([6.8e-3, 7.2e-3, 7.5e-3, 7.6e-3].map(inside), [true, true, true, false]);
+}
+
+/// Light of one emitter through another cell's slit goes by that emitter's profile and intensity.
+#[test]
+fn crosstalk_is_the_other_emitter_on_this_detector() {
+    for tier in [Tier::Paper, EXACT] {
+        let all = scene(2, |cell| cell.emitter.axis_tool = DVec3::new(0.3, 0.2, -1.0).normalize());
+        let mut swapped = all.clone();
+        swapped.cells[0].emitter = all.cells[1].emitter.clone();
+        let (plan, alone) = (Plan::<f64>::compile(&all, tier), Plan::<f64>::compile(&swapped, tier));
+        let (plan, alone) = (plan.expect("scene"), alone.expect("scene"));
+        let pose = poses()[1];
+        assert_eq!(plan.crosstalk(0, 1, &pose), alone.photocurrents(0, &pose));
+        assert!(plan.crosstalk(0, 1, &pose) != plan.photocurrents(0, &pose));
+    }
+}
