@@ -326,8 +326,12 @@ mod tests {
         let cut = Batch { samples: &batch.samples[..7], ..batch.clone() };
         let error = BatchError::Length { bytes: 7, scan_bytes: 8 };
         assert_eq!(cut.scans(&one_cell()).unwrap_err(), error);
-        let last = Batch { sequence: u64::MAX, ..batch };
-        let error = BatchError::Counters { sequence: u64::MAX, tick: 0 };
-        assert_eq!(last.scans(&one_cell()).unwrap_err(), error);
+        // One scan: its number and the frame behind it must both be numbers.
+        for (sequence, tick) in [(u64::MAX, 0), (0, u64::MAX - 249)] {
+            let last = Batch { sequence, tick, ..batch.clone() };
+            assert_eq!(last.scans(&one_cell()).unwrap_err(), BatchError::Counters { sequence, tick });
+        }
+        let last = Batch { sequence: u64::MAX - 1, tick: u64::MAX - 250, ..batch };
+        assert_eq!(last.scans(&one_cell()).unwrap().len(), 1);
     }
 }

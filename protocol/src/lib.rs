@@ -74,8 +74,8 @@
 //! **3 Event**: `u64` tick · enum severity (0 info, 1 warning, 2 error) · `str` text.
 //!
 //! **4 Reply**: `u16` number of the command · enum outcome (0 accepted; 1 rejected, then
-//! an enum [`Rejection`], numbered from 0 in the order it is written there, with
-//! [`ScheduleError`] and [`HardwareFault`] numbered likewise).
+//! an enum [`Rejection`], within it perhaps a [`ScheduleError`] or a [`HardwareFault`]; their
+//! variants are listed [below](#schemas)).
 //!
 //! **5 Pong**: `u32` token · `u64` tick.
 //!
@@ -92,6 +92,47 @@
 //!
 //! Every command whose number can be read gets one Reply, after everything else it
 //! yields; a command of unknown kind gets rejection 0 (unsupported).
+//!
+//! # Schemas
+//! Every kind as `name:fields`, first the messages, then the commands, each from number 0 on: what the
+//! keys of a Hello are hashes of ([`schema`]). Lines that are indented continue the one before, with
+//! nothing between. Variants of an enum, `a|b`, are numbered from 0.
+//!
+//! ```text
+//! Hello:protocol{major u8,minor u8},message_keys bytes,command_keys bytes,device_id [u8;12],kind(Physical|
+//!     Simulated),board str,firmware str,reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic),
+//!     hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,
+//!     saturation_code u16},configuration u16,schedule{tick_hz u32,frame_ticks u32,slots [u16;..17],
+//!     slot_ticks u32,settling_ticks u32,conversion_ticks u32,oversampling u16,cells u8}
+//! Batch:configuration u16,sequence u64,tick u64,levels [u16;..16],samples bytes
+//! Status:tick u64,acquiring bool,scans_taken u64,scans_dropped u64,batches_dropped u32,scans_lost u64,
+//!     adc_overruns u32,replies_dropped u32,commands_damaged u32,commands_rejected u32,supply_v f32,
+//!     temperature_k f32,cpu_load_permille u16
+//! Event:tick u64,severity(Info|Warning|Error),text str
+//! Reply:number u16,outcome(Ok|Err(Unsupported{kind u32}|Malformed{kind u32}|Schedule(CellCount{cells u8}|
+//!     Oversampling{oversampling u16}|Zero(TickRate|Frame|Slot|Conversion)|DarkTwice{first_slot u8,
+//!     second_slot u8}|UnknownEmitter{emitter u8,slot u8,cells u8}|LitTwice{emitter u8,first_slot u8,
+//!     second_slot u8}|NeverLit{emitter u8}|SlotTooShort{needed_ticks u64,slot_ticks u32}|
+//!     FrameTooShort{needed_ticks u64,frame_ticks u32})|Levels{levels u8,cells u8}|TickRate{asked_hz u32,
+//!     board_hz u32}|Hardware(Timing|Conversion{asked_ticks u32,nearest_ticks u32}|
+//!     Settling{asked_ticks u32,least_ticks u32}|Oversampling{oversampling u16}|Channels{cells u8,
+//!     channels u8}|Emitters|SharedLevel{first u8,second u8}|Supply|Converters|Counters)|Unsuited(Timing|
+//!     Conversion{asked_ticks u32,nearest_ticks u32}|Settling{asked_ticks u32,least_ticks u32}|
+//!     Oversampling{oversampling u16}|Channels{cells u8,channels u8}|Emitters|SharedLevel{first u8,
+//!     second u8}|Supply|Converters|Counters)|Storing|Storage))
+//! Pong:token u32,tick u64
+//! Truth:sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]
+//! Hello:
+//! Start:
+//! Stop:
+//! Configure:schedule{tick_hz u32,frame_ticks u32,slots [u16;..17],slot_ticks u32,settling_ticks u32,
+//!     conversion_ticks u32,oversampling u16,cells u8},levels [u16;..16],exposure(Fixed|Automatic)
+//! Ping:token u32
+//! Identify:seconds u8
+//! Store:hashes{scene ?u64,calibration ?u64}
+//! Forget:
+//! Reboot:target(Firmware|BootLoader)
+//! ```
 //!
 //! # Example
 //! ```text

@@ -220,7 +220,9 @@ mod tests {
 
     #[test]
     fn scalings_that_mean_nothing_are_refused() {
-        assert_eq!(FALLING.validate(), Ok(()));
+        for (bits, saturation_code) in [(1, 1), (12, 0), (12, 4095)] {
+            assert_eq!(AdcScaling { bits, saturation_code, ..FALLING }.validate(), Ok(()));
+        }
         for bits in [0, 13, 255] {
             let scaling = AdcScaling { bits, ..FALLING };
             let error = ScalingError::Bits { bits, max: 12 };
@@ -229,10 +231,21 @@ mod tests {
         let scaling = AdcScaling { saturation_code: 4096, ..FALLING };
         let error = ScalingError::SaturationCode { saturation_code: 4096, top_code: 4095 };
         assert_eq!(scaling.validate(), Err(error));
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let scaling = AdcScaling { zero_code: wrong, ..FALLING };
+            assert!(matches!(scaling.validate(), Err(ScalingError::ZeroCode(_))), "{wrong}");
+            let scaling = AdcScaling { amperes_per_code: wrong, ..FALLING };
+            assert!(matches!(scaling.validate(), Err(ScalingError::AmperesPerCode(_))), "{wrong}");
+        }
         let scaling = AdcScaling { amperes_per_code: 0.0, ..FALLING };
         assert_eq!(scaling.validate(), Err(ScalingError::AmperesPerCode(0.0)));
-        let scaling = AdcScaling { zero_code: f64::INFINITY, ..FALLING };
-        let error = ScalingError::ZeroCode(f64::INFINITY);
-        assert_eq!(scaling.validate(), Err(error));
+    }
+
+    #[test]
+    fn levels_are_fractions_of_nominal() {
+        assert_eq!(
+            [0, 0x4000, 0x8000, 0xffff].map(|level| Level(level).relative()),
+            [0.0, 0.5, 1.0, 65_535.0 / 32_768.0]
+        );
     }
 }

@@ -2,12 +2,15 @@
 //! every program that speaks this protocol. They were made by an encoder written from
 //! the description in the crate's documentation alone.
 
+use core::fmt::Debug;
+
 use heapless::Vec;
+use serde::Serialize;
 use slitpose_protocol::schema::{COMMANDS, MESSAGES, SchemaKeys};
 use slitpose_protocol::{
     AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Event, Exposure,
     HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Packet, Pong,
-    Rejection, Reply, Request, ResetCause, Schedule, ScheduleError, Severity, Status, Truth, encode,
+    Quantity, Rejection, Reply, Request, ResetCause, Schedule, ScheduleError, Severity, Status, Truth, encode,
 };
 
 fn bytes(hex: &str) -> std::vec::Vec<u8> {
@@ -55,27 +58,46 @@ fn levels() -> Vec<Level, 16> {
     Vec::from_array([Level::NOMINAL, Level(0x4000)])
 }
 
+fn a_hello<'a>(message_keys: SchemaKeys<'a>, command_keys: SchemaKeys<'a>) -> Hello<'a> {
+    Hello {
+        protocol: PROTOCOL,
+        message_keys,
+        command_keys,
+        device_id: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11],
+        kind: BoardKind::Simulated,
+        board: "virtual",
+        firmware: "0.1.0",
+        reset_cause: ResetCause::BrownOut,
+        hashes: Hashes { scene: Some(0x0123_4567_89ab_cdef), calibration: Some(7) },
+        scaling: AdcScaling { zero_code: 3900.5, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 64 },
+        configuration: 3,
+        schedule: two_cells(),
+    }
+}
+
 #[test]
 fn hello() {
     assert_message(
-        &Message::Hello(Hello {
-            protocol: PROTOCOL,
-            message_keys: SchemaKeys(&[1, 2, 3, 4, 5, 6, 7, 8]),
-            command_keys: SchemaKeys(&[]),
-            device_id: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11],
-            kind: BoardKind::Simulated,
-            board: "virtual",
-            firmware: "0.1.0",
-            reset_cause: ResetCause::BrownOut,
-            hashes: Hashes { scene: Some(0x0123_4567_89ab_cdef), calibration: Some(7) },
-            scaling: AdcScaling { zero_code: 3900.5, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 64 },
-            configuration: 3,
-            schedule: two_cells(),
-        }),
+        &Message::Hello(a_hello(SchemaKeys(&[1, 2, 3, 4, 5, 6, 7, 8]), SchemaKeys(&[]))),
         "0102020a08010203040506070801280102030405060708090a0b01077669727475616c\
          05302e312e300201ef9bafcdf8acd191010107010101011979ae403a8c30e28e7925be\
          0c400380fd875184cc020301020dac1ba2119401040241bcc13c00",
     );
+}
+
+/// The last kind of either table: all before it are compared too.
+#[test]
+fn both_tables_of_a_hello_are_compared() {
+    let changed = |keys: SchemaKeys| {
+        let mut bytes = keys.0.to_vec();
+        *bytes.last_mut().expect("keys") ^= 1;
+        bytes
+    };
+    let (messages, commands) = (SchemaKeys::messages(), SchemaKeys::commands());
+    let differs = |hello: Hello| hello.check_schemas().map_err(|mismatch| mismatch.name);
+    assert_eq!(differs(a_hello(messages, commands)), Ok(()));
+    assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Truth"));
+    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Reboot"));
 }
 
 #[test]
@@ -206,6 +228,106 @@ fn schema_keys() {
             "Reboot ef15508edfd220a6",
         ]
     );
+}
+
+/// The page that describes the bytes lists what the keys are hashes of.
+#[test]
+fn the_page_lists_every_schema_whole() {
+    let page = include_str!("../src/lib.rs");
+    let (_, page) = page.split_once("//! # Schemas").expect("the section");
+    let (_, list) = page.split_once("//! ```text\n//! ").expect("the list");
+    let (list, _) = list.split_once("\n//! ```").expect("its end");
+    let listed: std::vec::Vec<String> = list.replace("\n//!     ", "").split("\n//! ").map(String::from).collect();
+    let schemas = MESSAGES.iter().chain(&COMMANDS).map(|schema| format!("{}:{}", schema.name, schema.fields));
+    assert_eq!(listed, schemas.collect::<std::vec::Vec<_>>());
+}
+
+/// Checks that `variants` are those of the enum that stands in `fields` behind `name(`: each is sent
+/// under the number of its place there, and has the fields it has there.
+fn assert_variants<T: Serialize + Debug>(fields: &str, name: &str, variants: &[T]) {
+    let (_, list) = fields.split_once(&format!("{name}(")).expect("the schema has it");
+    let (mut depth, mut listed) = (0, std::vec![String::new()]);
+    for letter in list.chars() {
+        match letter {
+            '(' | '{' => depth += 1,
+            ')' if depth == 0 => break,
+            ')' | '}' => depth -= 1,
+            '|' if depth == 0 => listed.push(String::new()),
+            _ => {}
+        }
+        if letter != '|' || depth > 0 {
+            listed.last_mut().expect("one at least").push(letter);
+        }
+    }
+    assert_eq!(listed.len(), variants.len(), "{listed:?}");
+    for (number, (listed, variant)) in listed.iter().zip(variants).enumerate() {
+        let mut bytes = [0; 32];
+        let sent = postcard::to_slice(variant, &mut bytes).expect("room")[0];
+        assert_eq!(usize::from(sent), number, "{variant:?}");
+        // `A { b: 0, c: 0 }` stands there as `A{b u8,c u32}`, and `A(B)` as `A(B|C)`.
+        let debug = format!("{variant:?}").replace(": 0", "").replace(' ', "");
+        let listed =
+            ["u8", "u16", "u32", "u64"].iter().fold(listed.clone(), |text, kind| text.replace(&format!(" {kind}"), ""));
+        let name = |text: &str| text.split('(').next().map(str::to_owned);
+        assert_eq!(name(&debug), name(&listed));
+    }
+}
+
+#[test]
+fn variants_are_numbered_as_the_schemas_list_them() {
+    use HardwareFault as Fault;
+    use Rejection as R;
+    use ScheduleError as S;
+    let [hello, event, reply, configure, reboot] =
+        [MESSAGES[0], MESSAGES[3], MESSAGES[4], COMMANDS[3], COMMANDS[8]].map(|schema| schema.fields);
+    assert_variants(hello, "kind", &[BoardKind::Physical, BoardKind::Simulated]);
+    let causes = {
+        use ResetCause::*;
+        [Unknown, PowerOn, BrownOut, Pin, Software, Watchdog, Panic]
+    };
+    assert_variants(hello, "reset_cause", &causes);
+    assert_variants(event, "severity", &[Severity::Info, Severity::Warning, Severity::Error]);
+    assert_variants(configure, "exposure", &[Exposure::Fixed, Exposure::Automatic]);
+    assert_variants(reboot, "target", &[BootTarget::Firmware, BootTarget::BootLoader]);
+    assert_variants(reply, "Zero", &[Quantity::TickRate, Quantity::Frame, Quantity::Slot, Quantity::Conversion]);
+    let schedule = [
+        S::CellCount { cells: 0 },
+        S::Oversampling { oversampling: 0 },
+        S::Zero(Quantity::Frame),
+        S::DarkTwice { first_slot: 0, second_slot: 0 },
+        S::UnknownEmitter { emitter: 0, slot: 0, cells: 0 },
+        S::LitTwice { emitter: 0, first_slot: 0, second_slot: 0 },
+        S::NeverLit { emitter: 0 },
+        S::SlotTooShort { needed_ticks: 0, slot_ticks: 0 },
+        S::FrameTooShort { needed_ticks: 0, frame_ticks: 0 },
+    ];
+    assert_variants(reply, "Schedule", &schedule);
+    let faults = [
+        Fault::Timing,
+        Fault::Conversion { asked_ticks: 0, nearest_ticks: 0 },
+        Fault::Settling { asked_ticks: 0, least_ticks: 0 },
+        Fault::Oversampling { oversampling: 0 },
+        Fault::Channels { cells: 0, channels: 0 },
+        Fault::Emitters,
+        Fault::SharedLevel { first: 0, second: 0 },
+        Fault::Supply,
+        Fault::Converters,
+        Fault::Counters,
+    ];
+    assert_variants(reply, "Hardware", &faults);
+    assert_variants(reply, "Unsuited", &faults);
+    let rejections = [
+        R::Unsupported { kind: 0 },
+        R::Malformed { kind: 0 },
+        R::Schedule(schedule[0]),
+        R::Levels { levels: 0, cells: 0 },
+        R::TickRate { asked_hz: 0, board_hz: 0 },
+        R::Hardware(Fault::Supply),
+        R::Unsuited(Fault::Supply),
+        R::Storing,
+        R::Storage,
+    ];
+    assert_variants(reply, "Err", &rejections);
 }
 
 /// Sixteen cells in seventeen slots, every number at its longest.

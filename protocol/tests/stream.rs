@@ -7,8 +7,8 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use slitpose_protocol::{
-    Decoder, DecoderCounters, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Packet, PayloadError, Pong,
-    Request,
+    Decoder, DecoderCounters, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL,
+    PayloadError, Pong, ProtocolVersion, Request, encode,
 };
 
 type HostDecoder = Decoder<MAX_MESSAGE_BYTES>;
@@ -215,46 +215,71 @@ fn no_one_or_two_flipped_bits_pass() {
     }
 }
 
-fn refuse<P: for<'p> Packet<'p>>(payload: &[u8]) -> (FrameError, DecoderCounters) {
+fn refuse(by_a_board: bool, mut stream: &[u8]) -> (Option<FrameError>, DecoderCounters) {
     let mut decoder = HostDecoder::new();
-    let error = match decoder.next::<P>(&mut packet_of_payload(payload).as_slice()) {
-        Some(Err(error)) => error,
-        _ => panic!("a payload that should be refused was not"),
+    let error = if by_a_board {
+        decoder.next::<Request>(&mut stream).and_then(Result::err)
+    } else {
+        decoder.next::<Message>(&mut stream).and_then(Result::err)
     };
     (error, decoder.counters())
 }
 
+/// Every reason for which a frame gives no value: its name, with the numbers that disagree, and the
+/// one counter it is counted by.
 #[test]
-fn unknown_kinds_say_which() {
-    let mut decoder = HostDecoder::new();
-    let bytes = packet_of_payload(&[99, 1, 2]);
-    let error = FrameError::Payload(PayloadError::UnknownMessage { kind: 99 });
-    assert_eq!(decoder.next::<Message>(&mut bytes.as_slice()), Some(Err(error)));
-
-    let (error, counters) = refuse::<Request>(&[0x81, 4, 96, 1, 2]);
-    let unknown = PayloadError::UnknownCommand { number: 513, kind: 96 };
-    assert_eq!(error, FrameError::Payload(unknown));
-    assert_eq!((counters.unknown, counters.damaged()), (1, 0));
-}
-
-#[test]
-fn bytes_left_over_are_malformed() {
-    let (error, counters) = refuse::<Request>(&[3, 2, 0]);
-    let malformed = PayloadError::MalformedCommand { number: 3, kind: 2 };
-    assert_eq!(error, FrameError::Payload(malformed));
-    assert_eq!(counters.malformed, 1);
-}
-
-#[test]
-fn another_major_version_is_named() {
-    let bytes = packet_of_payload(&[0, 9, 4, 0xff]);
-    let mut decoder = HostDecoder::new();
-    match decoder.next::<Message>(&mut bytes.as_slice()) {
-        Some(Err(FrameError::Payload(PayloadError::Version { theirs, .. }))) => {
-            assert_eq!(theirs.to_string(), "9.4");
+fn what_cannot_be_read_is_named_and_counted_by_its_kind() {
+    let (overlong, misframed, bad_checksum, unknown, malformed) = {
+        let none = DecoderCounters::default();
+        (
+            DecoderCounters { overlong: 1, ..none },
+            DecoderCounters { misframed: 1, ..none },
+            DecoderCounters { bad_checksum: 1, ..none },
+            DecoderCounters { unknown: 1, ..none },
+            DecoderCounters { malformed: 1, ..none },
+        )
+    };
+    // The checksum of these digits is the check value that CRC catalogues print for CRC-32/ISO-HDLC.
+    let wrong_sum = [b"\x0e123456789".as_slice(), &0xcbf4_3927_u32.to_le_bytes(), &[0]].concat();
+    let checksum = FrameError::Checksum { computed: 0xcbf4_3926, received: 0xcbf4_3927 };
+    let limit = MAX_MESSAGE_BYTES - 1;
+    let version = |major, minor| PayloadError::Version { theirs: ProtocolVersion { major, minor }, ours: PROTOCOL };
+    let payload = |bytes: &[u8], error: PayloadError| (packet_of_payload(bytes), FrameError::Payload(error));
+    let frames = [
+        (([[1; MAX_MESSAGE_BYTES].as_slice(), &[0]].concat(), FrameError::Overlong { bytes: 1024, limit }), overlong),
+        ((vec![9, 1, 2, 0], FrameError::Stuffing { bytes: 3 }), misframed),
+        ((packet_of_payload(&[]), FrameError::Short { bytes: 4 }), misframed),
+        ((vec![4, 1, 2, 3, 0], FrameError::Short { bytes: 3 }), misframed),
+        ((wrong_sum, checksum), bad_checksum),
+    ];
+    let messages = [
+        (payload(&[0x80], PayloadError::NoKind { bytes: 1 }), malformed),
+        (payload(&[7, 1, 2], PayloadError::UnknownMessage { kind: 7 }), unknown),
+        (payload(&[99], PayloadError::UnknownMessage { kind: 99 }), unknown),
+        // Of another major version no field is read; of this one all are.
+        (payload(&[0, 1, 9, 0xff], version(1, 9)), unknown),
+        (payload(&[0, 3, 4], version(3, 4)), unknown),
+        (payload(&[0, 2, 9, 0xff], PayloadError::MalformedMessage { kind: 0 }), malformed),
+        (payload(&[5, 7], PayloadError::MalformedMessage { kind: 5 }), malformed),
+        (payload(&[5, 7, 9, 0], PayloadError::MalformedMessage { kind: 5 }), malformed),
+    ];
+    let requests = [
+        (payload(&[3], PayloadError::NoKind { bytes: 1 }), malformed),
+        (payload(&[0x81, 4, 9, 1], PayloadError::UnknownCommand { number: 513, kind: 9 }), unknown),
+        (payload(&[3, 4], PayloadError::MalformedCommand { number: 3, kind: 4 }), malformed),
+        (payload(&[0x81, 4, 2, 0], PayloadError::MalformedCommand { number: 513, kind: 2 }), malformed),
+    ];
+    let refused = |by_a_board: bool, cases: &[((Vec<u8>, FrameError), DecoderCounters)]| {
+        for ((stream, error), counter) in cases {
+            let bytes = stream.len() as u64;
+            let counters = DecoderCounters { bytes, bytes_skipped: bytes, ..*counter };
+            assert_eq!(refuse(by_a_board, stream), (Some(*error), counters), "{stream:02x?}");
         }
-        other => panic!("{other:?}"),
-    }
+    };
+    refused(false, &frames);
+    refused(true, &frames);
+    refused(false, &messages);
+    refused(true, &requests);
 }
 
 #[test]
@@ -277,4 +302,15 @@ fn reset_forgets_half_a_frame() {
     decoder.reset();
     assert_eq!(decoder.counters().bytes_skipped, 3);
     assert!(matches!(decoder.next::<Message>(&mut pong.as_slice()), Some(Ok(_))));
+}
+
+#[test]
+fn a_packet_needs_its_own_length_and_no_less() {
+    let pong = Message::Pong(Pong { token: 7, tick: 170_000_000 });
+    let whole = packet(&pong);
+    for available in 0..3 * whole.len() {
+        let mut buffer = vec![0; available];
+        let fits = if available < whole.len() { Err(EncodeError { available }) } else { Ok(whole.as_slice()) };
+        assert_eq!(encode(&pong, &mut buffer), fits);
+    }
 }
