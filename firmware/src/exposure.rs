@@ -177,4 +177,39 @@ mod tests {
         let (levels, _) = settle(FALLING, 100.0, 400);
         assert_eq!(levels[2], LOWEST);
     }
+
+    /// The table of this module, at the words where one row ends and the next begins. Of FALLING, with
+    /// four conversions a word, zero is 4031 · 4 = 16 124 and the range (4031 − 31) · 4 = 16 000.
+    #[test]
+    fn the_rows_of_the_table_meet_at_their_words() {
+        let configuration = default_configuration();
+        let decided = |excursion: u16, now: u64| {
+            let mut exposure = AutomaticExposure::new(FALLING);
+            exposure.begin(0, &configuration.schedule);
+            let mut scan = RawScan::new(6, true);
+            scan.lit_mut().fill([16_124; 2]);
+            scan.lit_mut()[2][1] = 16_124 - excursion;
+            exposure.watch(&scan);
+            exposure.levels(now, &configuration).map(|levels| levels[2].0)
+        };
+        let scaled = |excursion: u16| Some((32_768.0 * (0.6 * 16_000.0 / f32::from(excursion))) as u16);
+        let highest = Some(highest_level(&configuration.schedule).0);
+        let due = 20 * MS;
+        for (excursion, now, level) in [
+            (16_001, 0, Some(16_384)),
+            (16_000, 0, Some(16_384)),
+            (15_999, 0, scaled(15_999)),
+            (13_600, 0, scaled(13_600)),
+            (13_599, 0, None),
+            (13_599, due, None),
+            (4_801, due, None),
+            (4_799, due, highest),
+            (4_799, due - 1, None),
+            (160, due, highest),
+            // Nominal, as it is.
+            (159, due, None),
+        ] {
+            assert_eq!(decided(excursion, now), level, "{excursion} words at {now}");
+        }
+    }
 }

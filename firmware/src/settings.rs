@@ -253,6 +253,25 @@ mod tests {
         assert_eq!(stored(&pages), None, "a newer firmware's settings are not read as ours");
     }
 
+    /// All of a record is under its checksum: its number too, by which the newest is found.
+    #[test]
+    fn a_flipped_bit_costs_its_record_and_no_other() {
+        let records = [record(8, Some(&settings(8))), record(9, Some(&settings(9)))];
+        let whole = HEADER_BYTES + usize::from(records[0][6]);
+        for damaged in 0..2 {
+            for bit in 0..8 * whole {
+                let mut pages = BLANK;
+                for (page, record) in pages.iter_mut().zip(&records) {
+                    page[..record.len()].copy_from_slice(record);
+                }
+                assert_eq!(stored(&pages), Some(settings(9)));
+                pages[damaged][bit / 8] ^= 1 << (bit % 8);
+                let other = [settings(9), settings(8)][damaged].clone();
+                assert_eq!(stored(&pages), Some(other), "bit {bit} of record {damaged}");
+            }
+        }
+    }
+
     #[test]
     fn the_largest_settings_fit_a_record() {
         let largest = Settings {

@@ -259,6 +259,20 @@ mod tests {
         assert!(!plan.is_level_constant(0) && plan.is_level_constant(1));
     }
 
+    /// In the first slots it has the last level of the frame before.
+    #[test]
+    fn a_line_keeps_its_level_until_the_next_of_its_emitters() {
+        let mut configuration = default_configuration();
+        let levels = [0x1000, 0x2000, 0x3000, 0x4000, 0x5000, 0x6000].map(Level);
+        configuration.levels = levels.into_iter().collect();
+        let slots = [&[3][..], &[0], &[4], &[1], &[5], &[2], &[]].map(EmitterSet::of);
+        configuration.schedule.slots = slots.into_iter().collect();
+        let plan = FramePlan::new(&configuration).unwrap();
+        assert_eq!(plan.level_codes[0][..], [0x300, 0x100, 0x100, 0x200, 0x200, 0x300, 0x300]);
+        assert_eq!(plan.level_codes[1][..], [0x400, 0x400, 0x500, 0x500, 0x600, 0x600, 0x600]);
+        assert!(!plan.is_level_constant(0) && !plan.is_level_constant(1));
+    }
+
     #[test]
     fn what_the_parts_cannot_do_is_refused_with_numbers() {
         let nearest = |c: u32| HardwareFault::Conversion { asked_ticks: c, nearest_ticks: 148 };

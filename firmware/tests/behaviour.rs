@@ -6,10 +6,15 @@ use common::{
     Fake, Finished, Heard, Listener, TICK_HZ, board, configuration, identity, request, sequences, turn, without_dark,
     words,
 };
-use slitpose_firmware::{Board, DEFAULT_QUEUE_BYTES, HOST_GONE_MS, Indicator, Link, STATUS_MS, default_configuration};
+use slitpose_firmware::{
+    Board, DEFAULT_QUEUE_BYTES, HOST_GONE_MS, Identity, Indicator, Link, STATUS_MS, TRANSFER_BYTES,
+    default_configuration,
+};
+use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
-    BootTarget, Command, Configuration, EmitterSet, Exposure, HardwareFault, Hashes, Level, RawScan, Rejection, Reply,
-    ScheduleError, Severity, Status,
+    AdcScaling, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault, Hashes,
+    Hello, Level, MAX_MESSAGE_BYTES, Message, PROTOCOL, RawScan, Rejection, Reply, ResetCause, ScheduleError, Severity,
+    Status,
 };
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
@@ -45,6 +50,64 @@ fn status<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &m
         Some(Heard::Status(status)) => (heard, status),
         other => panic!("no status but {other:?}"),
     }
+}
+
+#[test]
+fn a_hello_says_all_that_the_board_is_of_its_own() {
+    let identity = Identity {
+        device_id: *b"twelve bytes",
+        kind: BoardKind::Physical,
+        board: "of this test",
+        reset_cause: ResetCause::Watchdog,
+        hashes: Hashes { scene: Some(3), calibration: Some(4) },
+        scaling: AdcScaling { zero_code: 4_031.5, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 32 },
+    };
+    let mut board = Board::new(Fake::default(), identity, without_dark(), [0; 2_048]).unwrap();
+    board.poll(Link::Open);
+    let mut transfer = [0; TRANSFER_BYTES];
+    let hello = Message::Hello(Hello {
+        protocol: PROTOCOL,
+        message_keys: SchemaKeys::messages(),
+        command_keys: SchemaKeys::commands(),
+        device_id: identity.device_id,
+        kind: identity.kind,
+        board: identity.board,
+        firmware: "0.1.0",
+        reset_cause: identity.reset_cause,
+        hashes: identity.hashes,
+        scaling: identity.scaling,
+        configuration: 0,
+        schedule: without_dark().schedule,
+    });
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    assert_eq!(decoder.next(&mut board.transmit(&mut transfer)), Some(Ok(hello)));
+}
+
+#[test]
+fn a_status_says_what_the_sensors_say_now() {
+    let (mut board, mut listener) = opened();
+    for (supply_v, temperature_k, load) in [(3.1, 305.0, 250), (2.9, 310.0, 400)] {
+        board.hardware_mut().health = (supply_v, temperature_k, load);
+        let (_, status) = status(&mut board, &mut listener);
+        assert_eq!((status.supply_v, status.temperature_k, status.cpu_load_permille), (supply_v, temperature_k, load));
+        assert_eq!((status.tick, status.acquiring), (board.hardware_mut().now, false));
+    }
+    board.receive(&request(1, Command::Start));
+    assert!(status(&mut board, &mut listener).1.acquiring);
+}
+
+#[test]
+fn the_number_of_the_configuration_goes_round() {
+    let (mut board, mut listener) = opened();
+    let configure = request(1, Command::Configure(configuration()));
+    for _ in 0..=u16::MAX {
+        board.receive(&configure);
+    }
+    board.receive(&request(2, Command::Configure(without_dark())));
+    let heard = turn(&mut board, &mut listener);
+    let last = [hello(u16::MAX, configuration()), hello(0, configuration()), hello(1, without_dark())];
+    let hellos = heard.into_iter().filter(|heard| matches!(heard, Heard::Hello { .. })).collect::<Vec<_>>();
+    assert_eq!(hellos[hellos.len() - 3..], last);
 }
 
 #[test]
@@ -429,27 +492,54 @@ fn hardware_that_cannot_go_on_ends_acquisition() {
     assert!(board.hardware_mut().running.is_none());
 }
 
-#[test]
-fn exposure_changes_levels_between_batches() {
-    // Long pauses between short pulses, so that levels above nominal are allowed.
+/// Long pauses between short pulses, so that levels above nominal are allowed; both emitters are on
+/// one line.
+fn automatic() -> Configuration {
     let mut automatic = configuration();
     automatic.exposure = Exposure::Automatic;
     automatic.schedule.frame_ticks = 1_000;
     automatic.schedule.slots = [EmitterSet::of(&[0, 1]), EmitterSet::DARK].into_iter().collect();
-    let (mut board, mut listener) = opened();
-    board.receive(&request(1, Command::Configure(automatic.clone())));
-    board.receive(&request(2, Command::Start));
+    automatic
+}
+
+const HALVED: [Level; 2] = [Level(Level::NOMINAL.0 / 2); 2];
+
+#[test]
+fn exposure_changes_levels_between_batches() {
+    let mut board = Board::new(Fake::default(), identity(), automatic(), [0; 2_048]).unwrap();
+    let mut listener = Listener::default();
     turn(&mut board, &mut listener);
+    board.receive(&request(1, Command::Start));
     board.hardware_mut().sample(1);
     // The words of the scripted board's first scan, read as they are: cell 1 is saturated.
     turn(&mut board, &mut listener);
     let running = board.hardware_mut().running.clone().expect("still lit");
-    assert_eq!(running.schedule, automatic.schedule);
-    let halved = Level(Level::NOMINAL.0 / 2);
-    assert_eq!(running.levels[..], [halved; 2], "they share a line");
+    assert_eq!(running.schedule, automatic().schedule);
+    assert_eq!(running.levels[..], HALVED);
     board.hardware_mut().sample(1);
     let heard = turn(&mut board, &mut listener);
-    assert!(matches!(&heard[0], Heard::Scan { scan, .. } if scan.levels() == [halved; 2]), "{heard:?}");
+    assert!(matches!(&heard[0], Heard::Scan { scan, .. } if scan.levels() == HALVED), "{heard:?}");
+}
+
+#[test]
+fn exposure_begins_anew_with_a_configuration_and_with_a_start() {
+    for commands in [&[Command::Configure(automatic())][..], &[Command::Stop, Command::Start]] {
+        let (mut board, mut listener) = opened();
+        board.receive(&request(1, Command::Configure(automatic())));
+        board.receive(&request(2, Command::Start));
+        // Saturated, and collected by the command, so that nothing has been decided by it yet.
+        board.hardware_mut().sample(1);
+        for command in commands {
+            board.receive(&request(3, command.clone()));
+        }
+        turn(&mut board, &mut listener);
+        let levels = |board: &mut Board<Fake, _>| board.hardware_mut().running.clone().expect("lit").levels;
+        assert_eq!(levels(&mut board)[..], [Level::NOMINAL; 2], "{commands:?}");
+        // The next one counts.
+        board.hardware_mut().sample(1);
+        turn(&mut board, &mut listener);
+        assert_eq!(levels(&mut board)[..], HALVED, "{commands:?}");
+    }
 }
 
 #[test]

@@ -40,6 +40,8 @@ pub struct Fake {
     /// How often the core asked for darkness.
     pub asked_dark: u32,
     pub indicator: Option<Indicator>,
+    /// What the sensors say: volts, kelvin, thousandths.
+    pub health: (f32, f32, u16),
     pub finished: VecDeque<Finished>,
     /// What is kept, and how many polls the next Store or Forget takes.
     pub kept: Option<Settings>,
@@ -136,7 +138,8 @@ impl Hardware for Fake {
 
     fn housekeeping(&mut self, indicator: Indicator) -> Health {
         self.indicator = Some(indicator);
-        Health { supply_v: 3.3, temperature_k: 300.0, cpu_load_permille: 100 }
+        let (supply_v, temperature_k, cpu_load_permille) = self.health;
+        Health { supply_v, temperature_k, cpu_load_permille }
     }
 
     fn store(&mut self, settings: Option<&Settings>) {
