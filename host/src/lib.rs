@@ -9,6 +9,7 @@
 //! * [`datagram`] hands the newest pose to control loops;
 //! * [`device`] carries bytes to boards and back, and speaks with them;
 //! * [`doctor`] says what may be wrong;
+//! * [`foreign`] makes text of others fit for a terminal;
 //! * [`front_end`] stands between counts and currents;
 //! * [`health`] watches the cells of a head;
 //! * [`identification`] finds an emitter's profile from currents;
@@ -38,6 +39,7 @@ pub mod daemon;
 pub mod datagram;
 pub mod device;
 pub mod doctor;
+pub mod foreign;
 pub mod front_end;
 pub mod health;
 pub mod identification;

@@ -2,10 +2,9 @@
 
 #![forbid(unsafe_code)]
 
-use std::io::Write;
 use std::process::ExitCode;
 
-use slitpose::commands::run;
+use slitpose::commands::{run, talk};
 
 fn main() -> ExitCode {
     match run(std::env::args_os()) {
@@ -14,8 +13,7 @@ fn main() -> ExitCode {
         Err(error) => {
             let code = error.exit_code();
             let error = anyhow::Error::new(error);
-            // Nobody is left to tell if even standard error is closed.
-            let _ = writeln!(std::io::stderr(), "slitpose: {error:#}");
+            talk(format_args!("{error:#}"));
             code
         }
     }

@@ -17,6 +17,7 @@ use thiserror::Error;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
+use crate::foreign::printable;
 use crate::scene_file::{FilePlace, nearest};
 
 /// The verb that is configured.
@@ -27,6 +28,9 @@ const OWN: [&str; 2] = ["config", "print_config"];
 
 /// Read if nothing else is asked for and it is there: see [`default_path`].
 const FILE: &str = "slitpose/config.toml";
+
+/// Answers of the command line list the values an option takes.
+const LONGEST_ANSWER: usize = 400;
 
 /// Why a configuration cannot be used.
 #[derive(Debug, Error)]
@@ -40,7 +44,7 @@ pub enum ConfigError {
         source: io::Error,
     },
     /// Its text.
-    #[error("{place}: not valid TOML here: {message}; correct this line")]
+    #[error("{place}: not valid TOML here: {}; correct this line", printable(message))]
     Syntax {
         /// Where.
         place: FilePlace,
@@ -48,7 +52,7 @@ pub enum ConfigError {
         message: String,
     },
     /// A key that is no option.
-    #[error("{place}: `{key}` is no option of `slitpose {VERB}`{}; see `slitpose {VERB} --help`", hint(nearest.as_deref()))]
+    #[error("{place}: `{}` is no option of `slitpose {VERB}`{}; see `slitpose {VERB} --help`", printable(key), hint(nearest.as_deref()))]
     UnknownKey {
         /// Where.
         place: FilePlace,
@@ -68,7 +72,7 @@ pub enum ConfigError {
         found: &'static str,
     },
     /// A value that the option does not take.
-    #[error("{place}: {message}; see `slitpose {VERB} --help`")]
+    #[error("{place}: {}; see `slitpose {VERB} --help`", printable(message).at_most(LONGEST_ANSWER))]
     Value {
         /// Where.
         place: FilePlace,

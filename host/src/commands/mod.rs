@@ -51,7 +51,8 @@ use crate::scene_file::SceneFileError;
 use crate::simulator::{PathError, SimulatorError};
 use crate::table::{Output, OutputError, TableError};
 use crate::telemetry::{FetchError, StatusError};
-use talk::{interrupt, talk};
+use talk::interrupt;
+pub use talk::talk;
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///

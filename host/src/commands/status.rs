@@ -3,6 +3,7 @@
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
+use crate::foreign::printable_lines;
 use crate::table::Output;
 use crate::telemetry::{DEFAULT_STATUS_ADDRESS, StatusAddress, fetch};
 
@@ -36,6 +37,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Format::Prometheus => "/metrics",
     };
     let text = fetch(&args.address, path)?;
-    Output::open(None)?.write_text(&text)?;
+    let output = Output::open(None)?;
+    match args.format {
+        // Whatever listens there may have written it.
+        Format::Text => output.write_text(&printable_lines(&text))?,
+        Format::Json | Format::Prometheus => output.write_text(&text)?,
+    }
     Ok(Outcome::Done)
 }

@@ -6,11 +6,15 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::CommandError;
+use crate::foreign::printable;
 
-/// Says something on standard error.
-pub(super) fn talk(text: fmt::Arguments<'_>) {
+/// No message of ours is longer, however long the texts of others in it.
+const LONGEST_MESSAGE: usize = 4000;
+
+/// Says something on standard error, in one line.
+pub fn talk(text: fmt::Arguments<'_>) {
     // Nobody is left to tell if even standard error is closed.
-    let _ = writeln!(io::stderr(), "slitpose: {text}");
+    let _ = writeln!(io::stderr(), "slitpose: {}", printable(&text.to_string()).at_most(LONGEST_MESSAGE));
 }
 
 /// What is set when the user interrupts; a second time ends the program the ordinary way.

@@ -4,6 +4,11 @@ use std::fmt;
 
 use serde::Serialize;
 
+use crate::foreign::printable;
+
+/// A finding that a board makes longer is cut.
+const LONGEST_FINDING: usize = 800;
+
 /// How a check ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -62,7 +67,7 @@ impl Check {
 
 impl fmt::Display for Check {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:<8} {:<14} {}", self.verdict, self.name, self.finding)?;
+        writeln!(f, "{:<8} {:<14} {}", self.verdict, self.name, printable(&self.finding).at_most(LONGEST_FINDING))?;
         match self.next_step {
             Some(next_step) => writeln!(f, "{:<8} {:<14} -> {next_step}", "", ""),
             None => Ok(()),

@@ -6,12 +6,13 @@ use slitpose_protocol::{ScalingError, ScheduleError};
 use thiserror::Error;
 
 use crate::device::Versions;
+use crate::foreign::printable;
 
 /// Why the pipeline cannot go on.
 #[derive(Debug, Error)]
 pub enum PipelineError {
     /// Board and host lay messages out differently.
-    #[error("board `{board}` and this program disagree on the protocol: {versions}")]
+    #[error("board `{}` and this program disagree on the protocol: {versions}", printable(board))]
     Schema {
         /// The board.
         board: String,
@@ -21,7 +22,7 @@ pub enum PipelineError {
         source: SchemaMismatch,
     },
     /// The schedule in the hello contradicts itself.
-    #[error("board `{board}` announces a schedule that contradicts itself; update its firmware")]
+    #[error("board `{}` announces a schedule that contradicts itself; update its firmware", printable(board))]
     Schedule {
         /// The board.
         board: String,
@@ -29,7 +30,7 @@ pub enum PipelineError {
         source: ScheduleError,
     },
     /// The scaling in the hello cannot be used.
-    #[error("board `{board}` announces an ADC scaling that cannot be used; update its firmware")]
+    #[error("board `{}` announces an ADC scaling that cannot be used; update its firmware", printable(board))]
     Scaling {
         /// The board.
         board: String,
@@ -38,7 +39,8 @@ pub enum PipelineError {
     },
     /// Another number of cells.
     #[error(
-        "board `{board}` samples {board_cells} cells, scene `{scene}` has {scene_cells}; give the scene of this head"
+        "board `{}` samples {board_cells} cells, scene `{scene}` has {scene_cells}; give the scene of this head",
+        printable(board)
     )]
     Cells {
         /// The board.
@@ -52,8 +54,9 @@ pub enum PipelineError {
     },
     /// The board belongs to another scene.
     #[error(
-        "board `{board}` belongs to the scene with hash {board_hash:016x}, but `{scene}` has {scene_hash:016x}; \
-         give the scene it belongs to with --scene"
+        "board `{}` belongs to the scene with hash {board_hash:016x}, but `{scene}` has {scene_hash:016x}; \
+         give the scene it belongs to with --scene",
+        printable(board)
     )]
     SceneHash {
         /// The board.

@@ -11,6 +11,7 @@ use toml::de::{DeArray, DeInteger, DeTable, DeValue};
 
 use super::error::{ContentFault, FilePlace, KeyPath, SceneFileError};
 use super::schema;
+use crate::foreign::printable;
 
 type Entry<'a> = Spanned<DeValue<'a>>;
 
@@ -254,11 +255,7 @@ impl<'a> Document<'a> {
     /// The text of a span, on one line and not too long.
     pub(super) fn quote(&self, span: Range<usize>) -> String {
         let line = self.text.get(span).unwrap_or_default().split_whitespace();
-        let line = line.collect::<Vec<_>>().join(" ");
-        match line.char_indices().nth(LONGEST_QUOTE) {
-            Some((end, _)) => format!("{} …", &line[..end]),
-            None => line,
-        }
+        printable(&line.collect::<Vec<_>>().join(" ")).at_most(LONGEST_QUOTE).to_string()
     }
 }
 

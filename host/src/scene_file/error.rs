@@ -7,12 +7,13 @@ use slitpose_model::{Fault, Place};
 use thiserror::Error;
 
 use super::shipped::SHIPPED;
+use crate::foreign::printable;
 
 /// Why a scene cannot be had from a file.
 #[derive(Debug, Error)]
 pub enum SceneFileError {
     /// There is no such file and no such shipped scene, or the file cannot be read.
-    #[error("cannot read scene `{argument}`; give a scene file or a shipped scene ({})", shipped_names())]
+    #[error("cannot read scene `{}`; give a scene file or a shipped scene ({})", printable(argument), shipped_names())]
     Read {
         /// The SCENE argument.
         argument: String,
@@ -70,7 +71,7 @@ impl FilePlace {
 
 impl fmt::Display for FilePlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}:{}", self.file, self.line, self.column)
+        write!(f, "{}:{}:{}", printable(&self.file), self.line, self.column)
     }
 }
 
@@ -127,13 +128,13 @@ pub enum ContentFault {
         byte: u8,
     },
     /// Not TOML.
-    #[error("not valid TOML here: {message}; correct this line")]
+    #[error("not valid TOML here: {}; correct this line", printable(message))]
     Syntax {
         /// What the TOML parser said.
         message: String,
     },
     /// A key nobody knows.
-    #[error("unknown key `{key}` in {section}; {}", suggestion(*nearest, known))]
+    #[error("unknown key `{}` in {section}; {}", printable(key), suggestion(*nearest, known))]
     UnknownKey {
         /// Where it stands, e.g. `[slit]`.
         section: String,

@@ -27,12 +27,13 @@ pub use lighting::Lighting;
 pub use shipped::{BASE, BENCH, SHIPPED, Shipped, WIDE};
 pub use workspace::Workspace;
 
+use crate::foreign::printable;
 use document::Document;
 
 /// A scene file, read and checked.
 #[derive(Clone, Debug)]
 pub struct SceneFile {
-    /// The scene's name; the file's stem if the file gives none.
+    /// The scene's name, as it is shown; the file's stem if the file gives none.
     pub name: String,
     /// The path or the shipped scene's name, for messages.
     pub origin: String,
@@ -82,8 +83,10 @@ impl SceneFile {
         // Every rule about optical values stands in the model; compiling applies them all.
         Plan::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
         let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
+        let name: String = document.text(KeyPath::top("name"))?.or_else(|| stem.map(Into::into)).unwrap_or_default();
         Ok(Self {
-            name: document.text(KeyPath::top("name"))?.or_else(|| stem.map(Into::into)).unwrap_or_default(),
+            // For people only: pages, pictures and terminals show it.
+            name: printable(&name).to_string(),
             origin: origin.to_owned(),
             source: text.to_owned(),
             hash: fnv1a_64(text.as_bytes()),

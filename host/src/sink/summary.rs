@@ -8,6 +8,7 @@ use slitpose_protocol::Severity;
 
 use super::{Accounts, Note, Sink};
 use crate::device::DeviceId;
+use crate::foreign::printable;
 use crate::pipeline::Record;
 use crate::telemetry::view;
 
@@ -157,7 +158,7 @@ impl<W: Write> Sink for Summary<W> {
     fn note(&mut self, note: &Note) -> io::Result<()> {
         match note {
             Note::Event { severity, device_time_s, text, .. } if *severity != Severity::Info => {
-                writeln!(self.output, "{severity:?} at {device_time_s:.3} s: {text}")?;
+                writeln!(self.output, "{severity:?} at {device_time_s:.3} s: {}", printable(text))?;
                 self.lines = 0;
             }
             Note::Event { .. } | Note::Hello { .. } => {}

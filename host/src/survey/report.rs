@@ -3,6 +3,7 @@
 use std::fmt::{self, Write};
 
 use super::{End, Survey, Travel};
+use crate::foreign::printable;
 
 pub(super) fn write(survey: &Survey) -> String {
     let mut text = String::new();
@@ -17,7 +18,7 @@ pub(super) fn write(survey: &Survey) -> String {
 fn head(survey: &Survey, text: &mut String) -> fmt::Result {
     let [tx, ty, tz] = survey.workspace.half_extent_m.map(|extent| rounded(extent * 1e3));
     let [rx, ry, rz] = survey.workspace.half_extent_rad.map(|extent| rounded(extent.to_degrees()));
-    writeln!(text, "{}: {} (hash {})", survey.origin, survey.name, survey.hash)?;
+    writeln!(text, "{}: {} (hash {})", printable(&survey.origin), survey.name, survey.hash)?;
     writeln!(text, "workspace ±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
 }
 

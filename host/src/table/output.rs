@@ -1,11 +1,13 @@
 //! Where a command's result goes: standard output, or a file that appears only when complete.
 
 use std::fs::{self, File, Permissions};
-use std::io::{self, BufWriter, Stdout, Write};
+use std::io::{self, BufWriter, IsTerminal, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 use thiserror::Error;
+
+use crate::foreign::printable_lines;
 
 /// Why a result cannot be written.
 #[derive(Debug, Error)]
@@ -107,10 +109,16 @@ impl Output {
 
     /// Writes a whole text and finishes.
     pub fn write_text(mut self, text: &str) -> Result<(), OutputError> {
+        let text = if self.is_terminal() { printable_lines(text) } else { text.into() };
         match self.write_all(text.as_bytes()) {
             Ok(()) => self.finish(),
             Err(source) => Err(self.error(source)),
         }
+    }
+
+    /// Whether somebody looks at it as it comes.
+    pub fn is_terminal(&self) -> bool {
+        matches!(&self.sink, Sink::Stdout(stdout) if stdout.get_ref().is_terminal())
     }
 
     /// The file's name, or `standard output`.

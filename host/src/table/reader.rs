@@ -6,11 +6,13 @@ use std::io::{self, Read};
 use csv::{StringRecord, Trim};
 use thiserror::Error;
 
+use crate::foreign::printable;
+
 /// Why a table cannot be used.
 #[derive(Debug, Error)]
 pub enum TableError {
     /// The file cannot be opened.
-    #[error("cannot read {file}; give a CSV file, or - for standard input")]
+    #[error("cannot read {}; give a CSV file, or - for standard input", printable(file))]
     Open {
         /// The file.
         file: String,
@@ -40,7 +42,11 @@ pub enum TableError {
         file: String,
     },
     /// A column that is needed and not there.
-    #[error("{file}, line 1: column `{column}` is missing; the header has {present}; add the column")]
+    #[error(
+        "{file}, line 1: column `{}` is missing; the header has {}; add the column",
+        printable(column),
+        printable(present)
+    )]
     MissingColumn {
         /// The file.
         file: String,
@@ -50,7 +56,7 @@ pub enum TableError {
         present: String,
     },
     /// Two columns of one name.
-    #[error("{file}, line 1: column `{column}` stands in the header twice; remove or rename one")]
+    #[error("{file}, line 1: column `{}` stands in the header twice; remove or rename one", printable(column))]
     DuplicateColumn {
         /// The file.
         file: String,
@@ -83,7 +89,9 @@ pub enum TableError {
     },
     /// A field that should be a number.
     #[error(
-        "{file}, row {row} (line {line}), column `{column}`: `{text}` is not a finite number; give one like -1.5 or 2e-6"
+        "{file}, row {row} (line {line}), column `{}`: `{}` is not a finite number; give one like -1.5 or 2e-6",
+        printable(column),
+        printable(text)
     )]
     NotANumber {
         /// The file.
@@ -98,7 +106,7 @@ pub enum TableError {
         text: String,
     },
     /// A number outside what the column can mean.
-    #[error("{file}, row {row} (line {line}), column `{column}`: {value} is out of range; give {allowed}")]
+    #[error("{file}, row {row} (line {line}), column `{}`: {value} is out of range; give {allowed}", printable(column))]
     OutOfRange {
         /// The file.
         file: String,

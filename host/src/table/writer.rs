@@ -3,20 +3,24 @@
 use std::io;
 
 use super::output::{Output, OutputError};
+use crate::foreign::printable_lines;
 
 /// A CSV table that is written field by field.
 pub struct TableWriter {
     writer: csv::Writer<Output>,
     number: String,
+    is_terminal: bool,
 }
 
 impl TableWriter {
     /// Starts a table with its header row.
     pub fn new<'a>(output: Output, header: impl IntoIterator<Item = &'a str>) -> Result<Self, OutputError> {
+        let is_terminal = output.is_terminal();
         let mut table = Self {
             // `Output` buffers; a second large buffer would only delay broken pipes.
             writer: csv::WriterBuilder::new().from_writer(output),
             number: String::new(),
+            is_terminal,
         };
         for name in header {
             table.text(name)?;
@@ -25,9 +29,10 @@ impl TableWriter {
         Ok(table)
     }
 
-    /// Adds a text field.
+    /// Adds a text field; on a terminal without what the terminal would act on.
     pub fn text(&mut self, text: &str) -> Result<(), OutputError> {
-        let written = self.writer.write_field(text);
+        let text = if self.is_terminal { printable_lines(text) } else { text.into() };
+        let written = self.writer.write_field(&*text);
         written.map_err(|error| self.error(error))
     }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use super::StatusAddress;
+use crate::foreign::printable;
 
 /// A daemon answers within milliseconds.
 const WITHIN: Duration = Duration::from_secs(2);
@@ -41,7 +42,7 @@ pub enum FetchError {
         address: String,
     },
     /// The daemon answers with a refusal, or with bad news.
-    #[error("{address} answers {status} to {path}: {text}")]
+    #[error("{address} answers {status} to {path}: {}", printable(text))]
     Status {
         /// The address.
         address: String,

@@ -5,6 +5,7 @@ use std::time::Duration;
 use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
 use crate::clock::HostInstant;
+use crate::foreign::printable;
 use crate::health::{CellHealth, Verdict};
 use crate::pipeline::OUTCOMES;
 
@@ -13,6 +14,12 @@ pub const WIDTH: usize = 100;
 
 /// The names at the beginnings of the lines stand in a column of their own.
 const INDENT: usize = 12;
+
+/// A text that boards or files make longer is cut.
+const LONGEST_TEXT: usize = 800;
+
+/// So are names of boards and of their firmware.
+const LONGEST_NAME: usize = 60;
 
 const KELVIN_AT_0_CELSIUS: f32 = 273.15;
 
@@ -58,9 +65,11 @@ pub fn daemon_lines(report: &DaemonReport, now: HostInstant) -> Vec<String> {
 pub fn lines(report: &BoardReport) -> Vec<String> {
     let mut lines = Vec::new();
     let BoardReport { link, losses, rates, .. } = report;
-    let board = if report.board.is_empty() { "not known yet" } else { &report.board };
+    let name = |text| printable(text).at_most(LONGEST_NAME);
+    let board = name(if report.board.is_empty() { "not known yet" } else { &report.board });
     let id = report.device.map_or(String::new(), |device| format!(", id {device}"));
-    let firmware = if report.firmware.is_empty() { String::new() } else { format!(", firmware {}", report.firmware) };
+    let firmware =
+        if report.firmware.is_empty() { String::new() } else { format!(", firmware {}", name(&report.firmware)) };
     let simulated = if report.simulated { ", SIMULATED" } else { "" };
     put(&mut lines, "board", &format!("{board} on {}{id}{firmware}{simulated}", report.name));
     let since_s = report.made_utc_ns.saturating_sub(link.since_utc_ns) as f64 * 1e-9;
@@ -158,8 +167,9 @@ fn duration(seconds: f64) -> String {
     whole.map_or_else(|_| "-".to_owned(), |duration| humantime::format_duration(duration).to_string())
 }
 
-/// Appends `text` under `name`, in as many lines as it takes.
+/// Appends `text` under `name`, in as many lines as it takes. What boards and files say in it is escaped.
 fn put(lines: &mut Vec<String>, name: &str, text: &str) {
+    let text = printable(text).at_most(LONGEST_TEXT).to_string();
     let mut line = format!("{name:<INDENT$}");
     let mut columns = INDENT.max(name.chars().count());
     for word in text.split(' ') {

@@ -7,6 +7,7 @@ use slitpose_protocol::{PROTOCOL, Schedule, Status};
 use super::{BoardOptions, Connection};
 use crate::commands::{CommandError, Outcome};
 use crate::device::{BoardInfo, UsbId, Versions};
+use crate::foreign::printable;
 use crate::scene_file::{Shipped, WIDE};
 use crate::table::Output;
 
@@ -78,8 +79,12 @@ fn text(connection: &Connection, status: Option<&Status>) -> String {
     if let Some(status) = status {
         lines.extend(counters(info, status));
     }
-    lines.iter().map(|(name, value)| format!("{name:<12} {value}\n")).collect()
+    let shown = |value| printable(value).at_most(LONGEST_VALUE);
+    lines.iter().map(|(name, value)| format!("{name:<12} {}\n", shown(value))).collect()
 }
+
+/// A text of the board that is longer is cut.
+const LONGEST_VALUE: usize = 800;
 
 /// A stored hash, with the shipped scene it belongs to.
 fn stored(hash: Option<u64>) -> String {

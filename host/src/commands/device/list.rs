@@ -6,6 +6,7 @@ use serde::Serialize;
 use crate::commands::talk;
 use crate::commands::{CommandError, Outcome};
 use crate::device::{DeviceId, Listed, PortState, Search, UsbId, list};
+use crate::foreign::printable;
 use crate::table::Output;
 
 /// Lists the boards there are, and the ports that might have one.
@@ -69,6 +70,9 @@ fn hints(listed: &[Listed]) -> Vec<&'static str> {
     hints
 }
 
+/// A board's name that is longer is cut: columns are as wide as the longest.
+const LONGEST_NAME: usize = 40;
+
 const HEADINGS: [&str; 7] = ["SERIAL", "USB", "PORT", "BOARD", "FIRMWARE", "KIND", "STATE"];
 
 /// Columns as wide as they need to be.
@@ -85,14 +89,15 @@ fn table(listed: &[Listed]) -> String {
 }
 
 fn row(listed: &Listed) -> [String; HEADINGS.len()] {
+    let name = |text: &str| printable(text).at_most(LONGEST_NAME).to_string();
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     let board = listed.board.as_ref();
     [
         or_dash(listed.device().map(|device| device.to_string())),
         or_dash(listed.port.usb.as_ref().map(|usb| format!("{:04x}:{:04x}", usb.vid, usb.pid))),
-        listed.port.name.clone(),
-        or_dash(board.map(|board| board.board.clone())),
-        or_dash(board.map(|board| board.firmware.clone())),
+        printable(&listed.port.name).to_string(),
+        or_dash(board.map(|board| name(&board.board))),
+        or_dash(board.map(|board| name(&board.firmware))),
         or_dash(board.map(|board| board.kind_name().to_owned())),
         match listed.state {
             PortState::OtherVersion(version) => format!("other version ({version})"),
