@@ -10,6 +10,7 @@ mod algebra;
 mod normal;
 mod observability;
 mod outcome;
+mod outlier;
 mod planes;
 mod readings;
 mod refine;
@@ -273,36 +274,52 @@ impl<S: Scalar> Solver<S> {
     /// The pose from `readings` near `prior`. Falls back to the search from home if the data do
     /// not fit there.
     pub fn solve_near(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
-        let mut solution = self.solve_next(readings, prior, motion);
-        if solution.outcome == Outcome::Diverged {
-            let before = solution.iterations;
-            solution = self.solve_moving(readings, motion);
-            solution.iterations += before;
-        }
-        solution
-    }
-
-    /// The pose from `readings` near `prior`, or none.
-    fn solve_next(&self, readings: &Photocurrents, prior: &Pose, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
         if let Some(solution) = self.too_few(&sorted) {
             return solution;
         }
-        let problem = self.problem(&sorted, motion);
-        let start = Transform::of(prior);
-        if self.effort != Effort::Full {
-            return self.unfinished(&sorted, &problem, start);
-        }
         let room = &mut Workspace::new();
-        let ending = Ending { max_iterations: MAX_ITERATIONS, leftover: S::of(WARM_LEFTOVER) };
-        let refined = problem.refine(start, &problem.whiteners(), ending, room);
-        let fit = self.fit(&sorted, &problem, &refined);
-        if fit != Fit::None {
-            return self.conclude(&sorted, &problem, &refined, room, fit);
+        let mut solution = self.follow(&sorted, motion, Transform::of(prior), None, room);
+        if matches!(solution.outcome, Outcome::Diverged | Outcome::Degraded(Weakness::Misfit)) {
+            let before = solution.iterations;
+            solution = self.solve_moving(readings, motion);
+            solution.iterations += before;
         }
-        let mut solution = self
-            .without_liar(&sorted, motion, Some(start), room)
-            .unwrap_or_else(|| Solution::without_pose(Outcome::Diverged, sorted.used));
+        solution.evaluations += room.evaluations;
+        solution
+    }
+
+    /// The pose near `start`, where the tool is expected: of all cells; without the one that was
+    /// `left_out` in the frame before; without another; or a misfit.
+    fn follow(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        start: Transform<S>,
+        left_out: Option<usize>,
+        room: &mut Workspace<S>,
+    ) -> Solution<S> {
+        let problem = self.problem(sorted, motion);
+        if self.effort != Effort::Full {
+            return self.unfinished(sorted, &problem, start);
+        }
+        if let Some(solution) = left_out.and_then(|cell| self.still_without(sorted, motion, cell, start, room)) {
+            return solution;
+        }
+        let whiteners = problem.whiteners();
+        let refined = outlier::near(&problem, &whiteners, start, room);
+        let fit = self.fit(sorted, &problem, &refined);
+        if fit != Fit::None {
+            return self.conclude(sorted, &problem, &refined, room, fit);
+        }
+        let mut solution = self.without_outlier_near(sorted, motion, start, room).unwrap_or_else(|| {
+            if redundancy(sorted.usable.len()) == 0 || search::is_elsewhere(&problem, &refined) {
+                return Solution::without_pose(Outcome::Diverged, sorted.used);
+            }
+            // The last expansion is of other cells.
+            problem.expand(&refined.pose, &whiteners, room);
+            Solution { iterations: 0, ..self.conclude(sorted, &problem, &refined, room, fit) }
+        });
         solution.iterations += refined.iterations;
         solution
     }

@@ -110,6 +110,8 @@ pub(super) struct Workspace<S: Scalar> {
     elimination: Option<Elimination<S>>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
     pub(super) work: usize,
+    /// Evaluations made.
+    pub(super) evaluations: usize,
 }
 
 impl<S: Scalar> Workspace<S> {
@@ -126,12 +128,20 @@ impl<S: Scalar> Workspace<S> {
     pub(super) fn with_work(work: usize) -> Self {
         Self {
             work,
+            evaluations: 0,
             rows: ArrayVec::new(),
             guided: ArrayVec::new(),
             slack_m: S::zero(),
             twist_moments: [[[S::zero(); 6]; 6]; 2],
             elimination: None,
         }
+    }
+
+    /// One more evaluation.
+    #[inline(always)]
+    fn count(&mut self) {
+        self.work = self.work.saturating_sub(1);
+        self.evaluations += 1;
     }
 }
 
@@ -169,6 +179,24 @@ struct Gradient<S> {
     chi2: S,
     by_pose: Vector6<S>,
     by_twist: Vector6<S>,
+}
+
+impl<S: Scalar> Gradient<S> {
+    /// Adds what `rows` of one reading say.
+    #[inline(always)]
+    fn add(&mut self, rows: &[Row<S>], share: S) {
+        let mut own = [S::zero(); 6];
+        for row in rows {
+            self.chi2 += row.residual * row.residual;
+            for i in 0..6 {
+                own[i] += row.by_pose[i] * row.residual;
+            }
+        }
+        for i in 0..6 {
+            self.by_pose[i] += own[i];
+            self.by_twist[i] += share * own[i];
+        }
+    }
 }
 
 impl<S: Scalar> Expansion<S> {
@@ -259,9 +287,9 @@ impl<S: Scalar> Problem<'_, S> {
         whiteners: &Whiteners<S>,
         room: &mut Workspace<S>,
     ) -> Expansion<S> {
-        let Workspace { rows: all_rows, guided, slack_m, twist_moments, work, .. } = room;
+        room.count();
+        let Workspace { rows: all_rows, guided, slack_m, twist_moments, .. } = room;
         *slack_m = S::infinity();
-        *work = work.saturating_sub(1);
         all_rows.clear();
         guided.clear();
         let mut information = [[S::zero(); 6]; 6];
@@ -321,6 +349,33 @@ impl<S: Scalar> Problem<'_, S> {
         expansion
     }
 
+    /// The χ² that the last expansion promises at the minimum without reading `index`; `None` if that
+    /// leaves a direction free.
+    #[inline(never)]
+    pub(super) fn least_chi2_without(&self, index: usize, room: &Workspace<S>) -> Option<S> {
+        let zero = [[S::zero(); 6]; 6];
+        let (mut information, mut moments) = (zero, [zero; 2]);
+        let mut sum = Gradient { chi2: S::zero(), by_pose: [S::zero(); 6], by_twist: [S::zero(); 6] };
+        let of_readings = room.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
+        let of_guides = room.guided.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
+        for (reading, rows) in of_readings.chain(of_guides).filter(|(reading, _)| *reading != index) {
+            let reading = &self.readings[reading];
+            for row in rows {
+                add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
+                self.add_twist(&mut moments, reading, &[*row]);
+            }
+            sum.add(rows, self.share(reading));
+        }
+        mirror(&mut information);
+        let mut expansion = Expansion { chi2: sum.chi2, information, descent: sum.by_pose };
+        if let Some(elimination) = self.elimination(&mut moments) {
+            elimination.reduce(&mut expansion, &sum);
+        }
+        let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
+        let factor = Factor::of_matrix(&expansion.information, S::zero(), safe)?;
+        Some(expansion.chi2 - square(&factor.forward(&expansion.descent)))
+    }
+
     /// What `rows` of one reading add to M₁ and M₂.
     #[inline(never)]
     fn add_twist<const N: usize>(&self, moments: &mut [Matrix6<S>; 2], reading: &Usable<S>, rows: &[Row<S>; N]) {
@@ -358,24 +413,11 @@ impl<S: Scalar> Problem<'_, S> {
     #[inline]
     fn gradient(&self, room: &Workspace<S>) -> Gradient<S> {
         let mut sum = Gradient { chi2: S::zero(), by_pose: [S::zero(); 6], by_twist: [S::zero(); 6] };
-        let mut add = |rows: &[Row<S>], share: S| {
-            let mut own = [S::zero(); 6];
-            for row in rows {
-                sum.chi2 += row.residual * row.residual;
-                for i in 0..6 {
-                    own[i] += row.by_pose[i] * row.residual;
-                }
-            }
-            for i in 0..6 {
-                sum.by_pose[i] += own[i];
-                sum.by_twist[i] += share * own[i];
-            }
-        };
         for (reading, rows) in self.readings.iter().zip(&room.rows) {
-            add(rows, self.share(reading));
+            sum.add(rows, self.share(reading));
         }
         for (index, row) in &room.guided {
-            add(core::slice::from_ref(row), self.share(&self.readings[*index]));
+            sum.add(core::slice::from_ref(row), self.share(&self.readings[*index]));
         }
         sum
     }
@@ -388,7 +430,7 @@ impl<S: Scalar> Problem<'_, S> {
         room: &mut Workspace<S>,
     ) -> (S, Vector6<S>) {
         let mut index = 0;
-        room.work = room.work.saturating_sub(1);
+        room.count();
         self.plan.currents_all(
             &self.instant(pose),
             |cell| self.wants(cell),

@@ -189,6 +189,9 @@ pub struct Solution<S: Scalar = f64> {
     pub redundancy: usize,
     /// Refinement steps taken, over all starts.
     pub iterations: usize,
+    /// Evaluations of all cells, with or without derivatives: what the solve cost, whatever the
+    /// processor.
+    pub evaluations: usize,
     /// The cells whose currents entered.
     pub cells_used: Cells,
     /// Cells with light that contradict all others, and were left out for that.
@@ -230,6 +233,7 @@ impl<S: Scalar> Solution<S> {
             chi2: S::nan(),
             redundancy: 0,
             iterations: 0,
+            evaluations: 0,
             cells_used,
             excluded: Cells::default(),
             unnoticed_sigmas: S::infinity(),
@@ -245,6 +249,7 @@ impl<S: Scalar> Solution<S> {
             chi2: self.chi2.as_f64(),
             redundancy: self.redundancy,
             iterations: self.iterations,
+            evaluations: self.evaluations,
             cells_used: self.cells_used,
             excluded: self.excluded,
             unnoticed_sigmas: self.unnoticed_sigmas.as_f64(),

@@ -1,10 +1,11 @@
-//! Cold starts: from the planes, from home, without a cell that lies, and from around.
+//! Cold starts: from the planes, from home, without an outlier, and from around.
 
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Scalar, Vector3};
 
 use super::normal::{Problem, Whiteners, Workspace};
-use super::outcome::{Outcome, Solution, Weakness};
+use super::outcome::{Outcome, Solution};
+use super::outlier::{OutlierSearch, near};
 use super::readings::{Photocurrents, Sorted};
 use super::refine::{Ending, Refined};
 use super::{COLD_LEFTOVER, Fit, MAX_ITERATIONS, MotionPrior, Solver, observability, redundancy};
@@ -35,13 +36,6 @@ const SEARCH_TRANSLATION_M: f64 = 3e-3;
 /// calibration has not settled stay well below.
 const ELSEWHERE: f64 = 0.1;
 
-/// Cells that must be left to tell which cell lies: with four, two redundancies fit too much.
-const WITNESSES: usize = 5;
-
-/// χ² by which leaving out the liar must beat leaving out any other cell: a likelihood ratio of
-/// 1 : 22 000.
-const CONVICTION: f64 = 20.0;
-
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
 #[derive(Clone, Copy, Debug)]
@@ -50,6 +44,11 @@ pub(super) struct Search<S: Scalar> {
     next: usize,
     /// The best pose so far, which is refined on the currents of the next frame first.
     best: Option<Transform<S>>,
+    /// How far the next start was followed when the work was used up, in so many steps.
+    under_way: Option<(Transform<S>, usize)>,
+    outlier: OutlierSearch<S>,
+    /// Two distinct poses that explained the currents alike.
+    images: Option<[Transform<S>; 2]>,
     /// Whether it goes on with another frame's currents when its work is used up; else it ends.
     may_pause: bool,
     is_over: bool,
@@ -58,12 +57,25 @@ pub(super) struct Search<S: Scalar> {
 impl<S: Scalar> Search<S> {
     /// One that has not begun, for the currents of one frame.
     pub(super) fn at_once() -> Self {
-        Self { next: 0, best: None, may_pause: false, is_over: false }
+        Self {
+            next: 0,
+            best: None,
+            under_way: None,
+            outlier: OutlierSearch::new(false),
+            images: None,
+            may_pause: false,
+            is_over: false,
+        }
     }
 
     /// One that has not begun, a piece a frame.
     pub(super) fn in_pieces() -> Self {
-        Self { may_pause: true, ..Self::at_once() }
+        Self { may_pause: true, outlier: OutlierSearch::new(true), ..Self::at_once() }
+    }
+
+    /// The two poses that make the answer ambiguous.
+    pub(super) fn images(&self) -> Option<[Transform<S>; 2]> {
+        self.images
     }
 
     /// Whether nothing is left to be tried: what the last piece said is the answer.
@@ -73,7 +85,7 @@ impl<S: Scalar> Search<S> {
 }
 
 impl<S: Scalar> Solver<S> {
-    /// A piece of `search` on the currents of one frame, of at most `work` evaluations of all cells.
+    /// `search` on the currents of one frame, of at most `work` evaluations of all cells.
     pub(super) fn search_on(
         &self,
         readings: &Photocurrents,
@@ -82,13 +94,36 @@ impl<S: Scalar> Solver<S> {
         work: usize,
     ) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.limits);
-        self.too_few(&sorted).unwrap_or_else(|| self.search(&sorted, motion, search, &mut Workspace::with_work(work)))
+        let room = &mut Workspace::with_work(work);
+        let solution = self.too_few(&sorted).unwrap_or_else(|| self.search(&sorted, motion, search, room));
+        Solution { evaluations: room.evaluations, ..solution }
+    }
+
+    /// Two poses between which the currents of the frame before did not decide, on those of this one;
+    /// `None` if these do.
+    pub(super) fn still_images(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        images: [Transform<S>; 2],
+        room: &mut Workspace<S>,
+    ) -> Option<[Transform<S>; 2]> {
+        let problem = self.problem(sorted, motion);
+        let whiteners = problem.whiteners();
+        let [a, b] = images.map(|image| {
+            let refined = near(&problem, &whiteners, image, room);
+            (refined, self.fit(sorted, &problem, &refined))
+        });
+        let is_between = a.1 != Fit::None
+            && a.1 == b.1
+            && a.0.factor.is_none_or(|factor| observability::distinct(&factor, &a.0.pose, &b.0.pose, self.arm));
+        is_between.then_some([a.0.pose, b.0.pose])
     }
 
     /// Goes on with `search` until it is over or the work in `room` is used up: the pose on the planes
     /// first, then turned and shifted starts until the data fit. A search that is not over has no pose
     /// yet.
-    fn search(
+    pub(super) fn search(
         &self,
         sorted: &Sorted<S>,
         motion: &MotionPrior,
@@ -112,25 +147,36 @@ impl<S: Scalar> Solver<S> {
             }
             best = Some((refined, fit));
         }
+        let paused = |search: &mut Search<S>, best: Option<(Refined<S>, Fit)>, iterations| {
+            search.best = best.map(|(refined, _)| refined.pose);
+            Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) }
+        };
         for (tried, start) in starts(self.on_planes(sorted)).enumerate().skip(search.next) {
             if room.work == 0 && search.may_pause {
-                search.best = best.map(|(refined, _)| refined.pose);
-                return Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) };
+                return paused(search, best, iterations);
             }
             if room.work == 0 {
                 break;
             }
-            search.next = tried + 1;
-            if tried == HONEST_STARTS
-                && best.is_none_or(|(_, fit)| fit == Fit::None)
-                && let Some(mut solution) = self.without_liar(sorted, motion, None, room)
-            {
-                solution.iterations += iterations;
-                search.is_over = true;
-                return solution;
+            if tried == HONEST_STARTS && search.under_way.is_none() && best.is_none_or(|(_, fit)| fit == Fit::None) {
+                if let Some(mut solution) = self.without_outlier(sorted, motion, &mut search.outlier, room) {
+                    solution.iterations += iterations;
+                    search.is_over = true;
+                    return solution;
+                }
+                if search.outlier.is_paused() {
+                    return paused(search, best, iterations);
+                }
             }
+            let (start, before) = search.under_way.take().unwrap_or((start, 0));
             let refined = descend(problem, &whiteners, start, tried > 0, room);
             iterations += refined.iterations;
+            let steps = before + refined.iterations;
+            if room.work == 0 && search.may_pause && !refined.converged && steps < MAX_ITERATIONS {
+                search.under_way = Some((refined.pose, steps));
+                return paused(search, best, iterations);
+            }
+            search.next = tried + 1;
             let fit = self.fit(sorted, problem, &refined);
             // By far the most frequent end, with the last expansion still at hand.
             if tried == 0 && fit == Fit::Full && !need_all {
@@ -145,6 +191,7 @@ impl<S: Scalar> Solver<S> {
                         .is_none_or(|factor| observability::distinct(factor, &before.pose, &refined.pose, self.arm));
                     if distinct {
                         search.is_over = true;
+                        search.images = Some([before.pose, refined.pose]);
                         return Solution { iterations, ..Solution::without_pose(Outcome::Ambiguous, sorted.used) };
                     }
                 }
@@ -181,71 +228,10 @@ impl<S: Scalar> Solver<S> {
         solution.iterations = iterations;
         solution
     }
-
-    /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit:
-    /// near `start`, or on the planes of the others.
-    pub(super) fn without_liar(
-        &self,
-        sorted: &Sorted<S>,
-        motion: &MotionPrior,
-        start: Option<Transform<S>>,
-        room: &mut Workspace<S>,
-    ) -> Option<Solution<S>> {
-        if sorted.usable.len() <= WITNESSES {
-            return None;
-        }
-        let mut iterations = 0;
-        let mut best: Option<(usize, Refined<S>)> = None;
-        let mut runner_up = S::infinity();
-        for index in 0..sorted.usable.len() {
-            let others = sorted.without(index);
-            let problem = self.problem(&others, motion);
-            let start = start.unwrap_or_else(|| self.on_planes(&others));
-            let refined = descend(&problem, &problem.whiteners(), start, false, room);
-            iterations += refined.iterations;
-            if !refined.converged {
-                continue;
-            }
-            match &best {
-                Some((_, before)) if before.chi2 <= refined.chi2 => runner_up = runner_up.min(refined.chi2),
-                _ => {
-                    runner_up = best.map_or(runner_up, |(_, before)| before.chi2);
-                    best = Some((index, refined));
-                }
-            }
-        }
-        let (index, found) = best?;
-        // Honest cells may have been led astray by their planes: with a good start they agree.
-        let all = self.problem(sorted, motion);
-        let whiteners = all.whiteners();
-        let together = descend(&all, &whiteners, found.pose, false, room);
-        iterations += together.iterations;
-        let fit = self.fit(sorted, &all, &together);
-        let mut solution = if fit == Fit::None {
-            let others = sorted.without(index);
-            let problem = self.problem(&others, motion);
-            let fit = self.fit(&others, &problem, &found);
-            let convicted = runner_up - found.chi2 >= S::of(CONVICTION);
-            if fit == Fit::None || !convicted {
-                return None;
-            }
-            problem.expand(&found.pose, &problem.whiteners(), room);
-            let mut solution = self.conclude(&others, &problem, &found, room, fit);
-            solution.excluded.insert(sorted.usable[index].cell);
-            if solution.outcome.has_pose() {
-                solution.outcome = Outcome::Degraded(Weakness::CellExcluded);
-            }
-            solution
-        } else {
-            self.conclude(sorted, &all, &together, room, fit)
-        };
-        solution.iterations = iterations;
-        Some(solution)
-    }
 }
 
 /// A minimum of χ² reached from `start`; `far`: the start is no estimate but a guess.
-fn descend<S: Scalar>(
+pub(super) fn descend<S: Scalar>(
     problem: &Problem<'_, S>,
     whiteners: &Whiteners<S>,
     start: Transform<S>,
@@ -266,7 +252,7 @@ fn descend<S: Scalar>(
 }
 
 /// Whether the best pose found is too far from the data to call it one.
-fn is_elsewhere<S: Scalar>(problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
+pub(super) fn is_elsewhere<S: Scalar>(problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
     let predicted = problem.predicted(&refined.pose);
     !refined.converged
         || problem.readings.iter().any(|reading| {

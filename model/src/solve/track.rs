@@ -6,14 +6,21 @@
 //! each rests on its own frame. A pose from many frames stands beside them, for those who ask for it.
 //!
 //! No pose is refused for being elsewhere than expected: a tool may hit a wall. What the currents of
-//! its own frame confirm is believed, and the motion before is forgotten.
+//! its own frame confirm is believed, and the motion before is forgotten. Where nothing is left to
+//! confirm it with, three cells, only what the tool can have done since is.
+//!
+//! A frame has a budget of work. Following a tool takes a few evaluations, whatever cells are left
+//! out; a tool that is lost, or followed where no pose explains the currents, is searched for in
+//! pieces, each on the currents of its own frame.
 
-use crate::pose::Twist;
+use crate::pose::{Pose, Transform, Twist};
 use crate::scalar::Scalar;
 
+use super::normal::Workspace;
+use super::readings::Sorted;
 use super::search::{COLD_WORK, Search};
 use super::smooth::{Prediction, Smoothed, Smoother, TwistEstimate};
-use super::{MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
+use super::{Effort, MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
 
 /// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to a pose's, short enough for the bends of a fast hand.
@@ -41,8 +48,23 @@ const MANOEUVRE: f64 = 38.3;
 /// Most that bent motion may widen this bound: beyond, it is not followed but forgotten.
 const MOST_STRAIN: f64 = 10.0;
 
-/// Evaluations of all cells that the search for a lost tool may take in one frame.
-const SEARCH_WORK: usize = 150;
+/// What noise adds to the way that a tool can have made which hits something: back as fast as it came.
+const REACH_SIGMAS: f64 = 6.0;
+
+/// Evaluations of all cells that a frame may take: at some 2 µs each, exact tier and twist unknown, half
+/// of the 100 µs that a frame may cost at 4 kHz, for refinements that have begun are ended. Following
+/// takes one to three.
+const FRAME_WORK: usize = 24;
+
+/// What the frames before have saved may be spent on a search: a cold start then has its pose at once.
+/// At so much a frame it can be as long again after 500 frames.
+const SAVED_A_FRAME: usize = 2;
+
+/// Frames without a search after one in vain, while a misfit is followed.
+const PAUSE: u32 = 256;
+
+/// A misfit elsewhere must have less than this share of the χ² of the one that is followed.
+const BETTER: f64 = 0.5;
 
 /// What one frame tells.
 #[derive(Clone, Copy, Debug)]
@@ -69,8 +91,29 @@ pub struct Tracker<S: Scalar> {
     sigmas: [f64; 2],
     /// Frames since the last pose.
     coasted: u32,
-    /// For a lost tool.
+    /// The cell that was left out of the last pose.
+    left_out: Option<usize>,
+    /// Whether the last pose was a misfit.
+    is_misfit: bool,
+    lost: Lost<S>,
+}
+
+/// A tool that is not where it was expected.
+#[derive(Clone, Debug)]
+struct Lost<S: Scalar> {
     search: Search<S>,
+    /// Where it may as well be, if it may be in two places.
+    images: Option<[Transform<S>; 2]>,
+    /// Frames until the next search.
+    wait: u32,
+    /// Evaluations that a search may take besides those of its frame.
+    saved_work: usize,
+}
+
+impl<S: Scalar> Lost<S> {
+    fn new(saved_work: usize) -> Self {
+        Self { search: Search::in_pieces(), images: None, wait: 0, saved_work }
+    }
 }
 
 impl<S: Scalar> Tracker<S> {
@@ -85,7 +128,9 @@ impl<S: Scalar> Tracker<S> {
             last_twist: Twist::default(),
             sigmas: [0.0; 2],
             coasted: 0,
-            search: Search::in_pieces(),
+            left_out: None,
+            is_misfit: false,
+            lost: Lost::new(COLD_WORK),
         }
     }
 
@@ -105,28 +150,30 @@ impl<S: Scalar> Tracker<S> {
         }
         self.next_frame = frame.wrapping_add(1);
         let solution = self.solve(readings);
-        match solution.estimate.map(|estimate| estimate.widened()) {
-            Some(estimate) if solution.outcome != Outcome::Degraded(Weakness::Misfit) => {
-                let solver = &self.solver;
-                let squared_sigmas = |dt, dr| solver.squared_sigmas(&solution, dt, dr);
-                self.motion.update(&estimate.pose, squared_sigmas);
-                if let Some(filter) = &mut self.filter {
-                    filter.update(&estimate.pose, squared_sigmas);
-                }
-                let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
-                self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
-                self.coasted = 0;
-                self.search = Search::in_pieces();
-                Tracked {
-                    solution,
-                    twist: self.motion.smoothed(&estimate.covariance).map(|state| state.twist),
-                    smoothed: self.filter.as_ref().and_then(|filter| filter.smoothed(&estimate.covariance)),
-                }
-            }
-            _ => {
-                self.coast();
-                Tracked { solution, twist: None, smoothed: None }
-            }
+        let Some(estimate) = solution.estimate.map(|estimate| estimate.widened()) else {
+            self.coast();
+            self.is_misfit = false;
+            self.lost.wait = 0;
+            return Tracked { solution, twist: None, smoothed: None };
+        };
+        let solver = &self.solver;
+        let squared_sigmas = |dt, dr| solver.squared_sigmas(&solution, dt, dr);
+        self.motion.update(&estimate.pose, squared_sigmas);
+        if let Some(filter) = &mut self.filter {
+            filter.update(&estimate.pose, squared_sigmas);
+        }
+        let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
+        self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
+        self.coasted = 0;
+        self.left_out = solution.excluded.iter().next();
+        self.is_misfit = is_misfit(&solution);
+        if !self.is_misfit {
+            self.lost = Lost::new(self.lost.saved_work);
+        }
+        Tracked {
+            solution,
+            twist: self.motion.smoothed(&estimate.covariance).map(|state| state.twist),
+            smoothed: self.filter.as_ref().and_then(|filter| filter.smoothed(&estimate.covariance)),
         }
     }
 
@@ -150,39 +197,93 @@ impl<S: Scalar> Tracker<S> {
     }
 
     fn solve(&mut self, readings: &Photocurrents) -> Solution<S> {
-        let Some(expected) = self.motion.predict() else {
-            return self.find(readings, &unknown_motion(&self.last_twist));
+        let sorted = Sorted::of(readings, &self.solver.limits);
+        if let Some(solution) = self.solver.too_few(&sorted) {
+            return solution;
+        }
+        let room = &mut Workspace::with_work(FRAME_WORK);
+        let solution = match self.motion.predict() {
+            Some(expected) => self.follow(&sorted, &expected, room),
+            None => self.find(&sorted, &unknown_motion(&self.last_twist), room),
         };
-        let motion = self.motion_prior(&expected);
-        let solution = self.solver.solve_next(readings, &expected.pose, &motion);
-        if let Some(estimate) = solution.estimate
-            && solution.outcome != Outcome::Degraded(Weakness::Misfit)
-        {
-            let (dt, dr) = estimate.pose.displacement_from(&expected.pose);
-            let squared = self.solver.squared_sigmas(&solution, dt, dr) / (1.0 + expected.pose_variance);
-            // While the motion is not known yet, any is as expected.
-            if expected.frames < BEND_FROM || squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN) {
+        self.lost.saved_work = (self.lost.saved_work + SAVED_A_FRAME).min(COLD_WORK);
+        Solution { evaluations: room.evaluations, ..solution }
+    }
+
+    /// The pose near the expected one; else wherever it is.
+    fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction, room: &mut Workspace<S>) -> Solution<S> {
+        let start = Transform::of(&expected.pose);
+        let mut solution = self.solver.follow(sorted, &self.motion_prior(expected), start, self.left_out, room);
+        let is_expected = self.is_expected(&solution, expected);
+        if is_expected && !is_misfit(&solution) {
+            return solution;
+        }
+        let unknown = unknown_motion(&expected.twist);
+        if !(is_expected && self.is_misfit) {
+            // The tool did not go on as before: what it did within this frame is unknown.
+            let time_s = self.period_s * f64::from(self.coasted + 1);
+            let reach =
+                [unknown.linear_sigma_m_per_s, unknown.angular_sigma_rad_per_s].map(|speed| 2.0 * speed * time_s);
+            let reach = [0, 1].map(|i| reach[i] + REACH_SIGMAS * self.sigmas[i]);
+            self.forget();
+            self.last_twist = expected.twist;
+            let before = solution.iterations;
+            solution = self.solver.follow(sorted, &unknown, start, self.left_out, room);
+            solution.iterations += before;
+            let is_believed = |pose: &Pose| {
+                let (dt, dr) = pose.displacement_from(&expected.pose);
+                solution.redundancy > 0 || dt.length() <= reach[0] && dr.length() <= reach[1]
+            };
+            if !is_misfit(&solution) && solution.estimate.is_some_and(|estimate| is_believed(&estimate.pose)) {
                 return solution;
             }
         }
-        // The tool did not go on as before: what it did within this frame is unknown.
-        self.forget();
-        self.last_twist = expected.twist;
-        let unknown = unknown_motion(&expected.twist);
-        let solution = self.solver.solve_next(readings, &expected.pose, &unknown);
-        if matches!(solution.outcome, Outcome::Degraded(Weakness::Misfit) | Outcome::Diverged) {
-            return self.find(readings, &unknown);
+        // A misfit is followed where it is while better is looked for.
+        let mut found = self.find(sorted, &unknown, room);
+        let is_better = found.estimate.is_some()
+            && !(is_misfit(&found) && is_misfit(&solution) && found.chi2 >= S::of(BETTER) * solution.chi2);
+        if is_misfit(&solution) && !is_better {
+            solution.iterations += found.iterations;
+            return solution;
         }
-        solution
+        self.forget();
+        found.iterations += solution.iterations;
+        found
+    }
+
+    /// Whether the tool is where it would be if it went on as before.
+    fn is_expected(&self, solution: &Solution<S>, expected: &Prediction) -> bool {
+        solution.estimate.is_some_and(|estimate| {
+            let (dt, dr) = estimate.pose.displacement_from(&expected.pose);
+            let squared = self.solver.squared_sigmas(solution, dt, dr) / (1.0 + expected.pose_variance);
+            // While the motion is not known yet, any is as expected.
+            expected.frames < BEND_FROM || squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN)
+        })
     }
 
     /// Looks for the tool everywhere, a piece of the search a frame.
-    fn find(&mut self, readings: &Photocurrents, motion: &MotionPrior) -> Solution<S> {
-        // A tool that was seen in the frame before is worth a longer look.
-        let work = if self.coasted == 0 { COLD_WORK } else { SEARCH_WORK };
-        let solution = self.solver.search_on(readings, motion, &mut self.search, work);
-        if self.search.is_over() {
-            self.search = Search::in_pieces();
+    fn find(&mut self, sorted: &Sorted<S>, motion: &MotionPrior, room: &mut Workspace<S>) -> Solution<S> {
+        if self.solver.effort != Effort::Full {
+            return self.solver.unfinished(sorted, &self.solver.problem(sorted, motion), self.solver.on_planes(sorted));
+        }
+        let lost = &mut self.lost;
+        if let Some(images) = lost.images.take() {
+            lost.images = self.solver.still_images(sorted, motion, images, room);
+            if lost.images.is_some() {
+                return Solution::without_pose(Outcome::Ambiguous, sorted.used);
+            }
+        }
+        if lost.wait > 0 {
+            lost.wait -= 1;
+            return Solution::without_pose(Outcome::Diverged, sorted.used);
+        }
+        room.work += lost.saved_work;
+        let solution = self.solver.search(sorted, motion, &mut lost.search, room);
+        lost.saved_work = lost.saved_work.min(room.work);
+        if lost.search.is_over() {
+            lost.images = lost.search.images();
+            lost.search = Search::in_pieces();
+            lost.wait = if self.is_misfit { PAUSE } else { 0 };
         }
         solution
     }
@@ -216,4 +317,8 @@ fn unknown_motion(twist: &Twist) -> MotionPrior {
         linear_sigma_m_per_s: UNKNOWN_LINEAR_M_PER_S.max(twist.linear_m_per_s.length()),
         angular_sigma_rad_per_s: UNKNOWN_ANGULAR_RAD_PER_S.max(twist.angular_rad_per_s.length()),
     }
+}
+
+fn is_misfit<S: Scalar>(solution: &Solution<S>) -> bool {
+    solution.outcome == Outcome::Degraded(Weakness::Misfit)
 }

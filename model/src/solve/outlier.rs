@@ -1,0 +1,230 @@
+//! One cell that contradicts all others: found, left out, and taken back when it agrees again.
+
+use crate::pose::Transform;
+use crate::scalar::Scalar;
+
+use super::normal::{Problem, Whiteners, Workspace};
+use super::outcome::{Outcome, Solution, Weakness};
+use super::readings::Sorted;
+use super::refine::{Ending, Refined};
+use super::search::descend;
+use super::{Fit, MAX_ITERATIONS, MotionPrior, Solver, WARM_LEFTOVER};
+
+/// Cells that must be left to tell which one is the outlier: with four, two redundancies fit too much.
+const MIN_CELLS: usize = 5;
+
+/// χ² by which leaving out the outlier must beat leaving out any other cell: a likelihood ratio of
+/// 1 : 22 000.
+const CONVICTION: f64 = 20.0;
+
+/// Evaluations without which leaving out one more cell is not begun.
+const LEAST_WORK: usize = 8;
+
+/// How far the search for an outlier has come: see [`Solver::without_outlier`].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OutlierSearch<S: Scalar> {
+    /// The next reading to be left out.
+    next: usize,
+    /// The cell without which χ² is least so far, and where; and whether in an earlier frame.
+    best: Option<(usize, Refined<S>)>,
+    is_stale: bool,
+    runner_up: S,
+    may_pause: bool,
+    is_paused: bool,
+}
+
+impl<S: Scalar> OutlierSearch<S> {
+    /// One that has not begun; `may_pause`: it goes on with another frame's currents when the work of
+    /// one is used up.
+    pub(super) fn new(may_pause: bool) -> Self {
+        Self { next: 0, best: None, is_stale: false, runner_up: S::infinity(), may_pause, is_paused: false }
+    }
+
+    /// Whether cells are left to be tried.
+    pub(super) fn is_paused(&self) -> bool {
+        self.is_paused
+    }
+}
+
+impl<S: Scalar> Solver<S> {
+    /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit: from
+    /// the planes of the others. Goes on with `search`, and stops where that is paused.
+    pub(super) fn without_outlier(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        search: &mut OutlierSearch<S>,
+        room: &mut Workspace<S>,
+    ) -> Option<Solution<S>> {
+        search.is_paused = false;
+        if sorted.usable.len() <= MIN_CELLS {
+            return None;
+        }
+        let mut iterations = 0;
+        for index in search.next..sorted.usable.len() {
+            if search.may_pause && room.work < LEAST_WORK {
+                (search.next, search.is_paused, search.is_stale) = (index, true, true);
+                return None;
+            }
+            let others = sorted.without(index);
+            let problem = self.problem(&others, motion);
+            let refined = descend(&problem, &problem.whiteners(), self.on_planes(&others), false, room);
+            iterations += refined.iterations;
+            if !refined.converged {
+                continue;
+            }
+            let cell = sorted.usable[index].cell;
+            match &search.best {
+                Some((_, before)) if before.chi2 <= refined.chi2 => {
+                    search.runner_up = search.runner_up.min(refined.chi2);
+                }
+                _ => {
+                    search.runner_up = search.best.map_or(search.runner_up, |(_, before)| before.chi2);
+                    search.best = Some((cell, refined));
+                }
+            }
+        }
+        let (cell, mut found) = search.best?;
+        let index = sorted.usable.iter().position(|reading| reading.cell == cell)?;
+        if search.is_stale {
+            let others = sorted.without(index);
+            let problem = self.problem(&others, motion);
+            found = descend(&problem, &problem.whiteners(), found.pose, false, room);
+        }
+        let mut solution = self.unless_alone(sorted, motion, index, &found, search.runner_up, room)?;
+        solution.iterations += iterations;
+        Some(solution)
+    }
+
+    /// The pose near `start` of all cells but one, if leaving out that one, and no other, makes the data
+    /// fit there. The last expansion of all cells, at `start`, ranks them; only the first two are tried.
+    pub(super) fn without_outlier_near(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        start: Transform<S>,
+        room: &mut Workspace<S>,
+    ) -> Option<Solution<S>> {
+        if sorted.usable.len() <= MIN_CELLS {
+            return None;
+        }
+        let all = self.problem(sorted, motion);
+        all.expand(&start, &all.whiteners(), room);
+        let mut ranked: [Option<(usize, S)>; 2] = [None; 2];
+        for index in 0..sorted.usable.len() {
+            let Some(chi2) = all.least_chi2_without(index, room) else { continue };
+            if ranked[0].is_none_or(|(_, least)| chi2 < least) {
+                ranked = [Some((index, chi2)), ranked[0]];
+            } else if ranked[1].is_none_or(|(_, second)| chi2 < second) {
+                ranked[1] = Some((index, chi2));
+            }
+        }
+        let mut tried = ranked.map(|ranked| {
+            let (index, _) = ranked?;
+            let others = sorted.without(index);
+            let problem = self.problem(&others, motion);
+            let refined = near(&problem, &problem.whiteners(), start, room);
+            refined.converged.then_some((index, refined))
+        });
+        if let [Some((_, first)), Some((_, second))] = &tried
+            && second.chi2 < first.chi2
+        {
+            tried.swap(0, 1);
+        }
+        let [found, other] = tried;
+        let (index, found) = found.or(other)?;
+        let runner_up = other.filter(|(second, _)| *second != index).map_or(S::infinity(), |(_, refined)| refined.chi2);
+        self.unless_alone(sorted, motion, index, &found, runner_up, room)
+    }
+
+    /// The pose near `start` without `cell`, which was left out in the frame before; with it, if it
+    /// agrees with the others again.
+    pub(super) fn still_without(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        cell: usize,
+        start: Transform<S>,
+        room: &mut Workspace<S>,
+    ) -> Option<Solution<S>> {
+        let index = sorted.usable.iter().position(|reading| reading.cell == cell)?;
+        if sorted.usable.len() <= MIN_CELLS {
+            return None;
+        }
+        let others = sorted.without(index);
+        let problem = self.problem(&others, motion);
+        let refined = near(&problem, &problem.whiteners(), start, room);
+        let fit = self.fit(&others, &problem, &refined);
+        if fit == Fit::None {
+            return None;
+        }
+        let mut solution = self.conclude(&others, &problem, &refined, room, fit);
+        let all = self.problem(sorted, motion);
+        let whiteners = all.whiteners();
+        let at = all.expand(&refined.pose, &whiteners, room);
+        let least = all.step(&at, S::zero(), room).map(|next| at.chi2 - next.gain);
+        if least.is_none_or(|chi2| chi2 <= self.gates[sorted.usable.len()]) {
+            let together = near(&all, &whiteners, refined.pose, room);
+            let fit = self.fit(sorted, &all, &together);
+            if fit != Fit::None {
+                solution = self.conclude(sorted, &all, &together, room, fit);
+                solution.iterations += refined.iterations;
+                return Some(solution);
+            }
+        }
+        exclude(&mut solution, cell);
+        Some(solution)
+    }
+
+    /// Without reading `index` the pose is `found`: that, if the reading is convicted; or the pose of
+    /// all, if a start as good as this makes them agree.
+    fn unless_alone(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        index: usize,
+        found: &Refined<S>,
+        runner_up: S,
+        room: &mut Workspace<S>,
+    ) -> Option<Solution<S>> {
+        // Honest cells may have been led astray by their planes: with a good start they agree.
+        let all = self.problem(sorted, motion);
+        let together = descend(&all, &all.whiteners(), found.pose, false, room);
+        let fit = self.fit(sorted, &all, &together);
+        let mut solution = if fit == Fit::None {
+            let others = sorted.without(index);
+            let problem = self.problem(&others, motion);
+            let fit = self.fit(&others, &problem, found);
+            let is_convicted = runner_up - found.chi2 >= S::of(CONVICTION);
+            if fit == Fit::None || !is_convicted {
+                return None;
+            }
+            problem.expand(&found.pose, &problem.whiteners(), room);
+            let mut solution = self.conclude(&others, &problem, found, room, fit);
+            exclude(&mut solution, sorted.usable[index].cell);
+            solution
+        } else {
+            self.conclude(sorted, &all, &together, room, fit)
+        };
+        solution.iterations = together.iterations;
+        Some(solution)
+    }
+}
+
+fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
+    solution.excluded.insert(cell);
+    if solution.outcome.has_pose() {
+        solution.outcome = Outcome::Degraded(Weakness::CellExcluded);
+    }
+}
+
+/// A minimum of χ² near `start`.
+pub(super) fn near<S: Scalar>(
+    problem: &Problem<'_, S>,
+    whiteners: &Whiteners<S>,
+    start: Transform<S>,
+    room: &mut Workspace<S>,
+) -> Refined<S> {
+    let ending = Ending { max_iterations: MAX_ITERATIONS, leftover: S::of(WARM_LEFTOVER) };
+    problem.refine(start, whiteners, ending, room)
+}
