@@ -4,6 +4,7 @@ mod common;
 
 use common::{generator, wide};
 use glam::DVec3;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Tier, Tracked, Tracker, Weakness};
@@ -186,6 +187,186 @@ fn frames_that_got_lost_on_the_way_do_no_harm() {
     }
 }
 
+/// Evaluations that a frame may take, whatever it sees: 24 of its own and 64 saved by frames before, and
+/// a dozen to end refinements that have begun and to conclude.
+const MOST_EVALUATIONS: usize = 24 + 64 + 12;
+
+/// The same in the long run: a frame saves two of its own.
+const MEAN_EVALUATIONS: f64 = 24.0 + 2.0 + 3.0;
+
+/// The next frame with `fault` done to its readings, frames counted from `start`.
+fn faulty(rig: &mut Rig, motion: impl Fn(f64) -> Pose, fault: &mut dyn FnMut(&mut Photocurrents)) -> (Tracked, Pose) {
+    let mut readings = rig.readings(&motion);
+    fault(&mut readings);
+    let tracked = rig.tracker.track(rig.frame, &readings);
+    let truth = motion(rig.frame as f64 * PERIOD_S);
+    rig.frame += 1;
+    (tracked, truth)
+}
+
+fn blocked(pair: &mut Reading) {
+    // As a converter near zero: a nanoampere or two of noise.
+    *pair = Reading::Light(Pair { i_x1_a: 1e-9, i_x2_a: -2e-9 });
+}
+
+#[test]
+fn whatever_a_head_sees_a_frame_keeps_to_its_budget() {
+    type Fault = Box<dyn FnMut(&mut Photocurrents)>;
+    let swap = |a: usize, b: usize| -> Fault { Box::new(move |readings| readings.cells.swap(a, b)) };
+    let mut rng = generator();
+    let faults: [(&str, Fault); 9] = [
+        ("five lit", Box::new(|readings| blocked(&mut readings.cells[2]))),
+        ("four lit", Box::new(|readings| readings.cells[1..3].iter_mut().for_each(blocked))),
+        ("three lit", Box::new(|readings| readings.cells[1..4].iter_mut().for_each(blocked))),
+        ("three missing", Box::new(|readings| readings.cells[1..4].fill(Reading::Missing))),
+        ("two lit", Box::new(|readings| readings.cells[1..5].iter_mut().for_each(blocked))),
+        ("two cells exchanged", swap(0, 4)),
+        ("opposite cells exchanged", swap(0, 3)),
+        ("cells exchanged at random", {
+            let mut draw = move || rng.random_range(0..6_usize);
+            Box::new(move |readings| readings.cells.swap(draw(), draw()))
+        }),
+        ("all gains off", {
+            Box::new(|readings| {
+                for (cell, reading) in readings.cells.iter_mut().enumerate() {
+                    if let Reading::Light(pair) = reading {
+                        pair.i_x1_a *= 1.0 + 0.004 * cell as f64;
+                    }
+                }
+            })
+        }),
+    ];
+    for (what, mut fault) in faults {
+        for motion in [swing as fn(f64) -> Pose, |_| Pose::HOME] {
+            for healthy in [0, 30] {
+                let mut rig = Rig::new();
+                (0..healthy).for_each(|_| _ = rig.step(motion));
+                let mut evaluations = Vec::new();
+                for _ in 0..600 {
+                    let (tracked, truth) = faulty(&mut rig, motion, &mut fault);
+                    evaluations.push(tracked.solution.evaluations);
+                    // Two cells that lie may agree on another pose; blocked ones say nothing false.
+                    let is_true = what.ends_with("lit") || what.ends_with("missing");
+                    if is_true && tracked.solution.outcome.has_pose() {
+                        assert!(nees(&tracked, &truth) < 60.0, "{what}: {:?}", tracked.solution);
+                    }
+                }
+                // The first search of all is that of a cold solve.
+                let first = usize::from(healthy == 0);
+                let most = evaluations[first..].iter().max().expect("frames");
+                let mean = evaluations[first..].iter().sum::<usize>() as f64 / (600 - first) as f64;
+                println!("{what}, after {healthy}: {mean:.1} evaluations, {most} at most");
+                assert!(*most <= MOST_EVALUATIONS && mean <= MEAN_EVALUATIONS, "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_cell_left_out_before_is_left_out_first_and_taken_back_when_it_is_well() {
+    let mut rig = Rig::new();
+    (0..30).for_each(|_| _ = rig.step(swing));
+    let mut evaluations = 0;
+    for frame in 0..200 {
+        let (tracked, truth) = faulty(&mut rig, swing, &mut |readings| {
+            // A stuck electrode.
+            if let Reading::Light(pair) = &mut readings.cells[4] {
+                pair.i_x2_a = 5e-6;
+            }
+        });
+        // For some frames what the electrode says is the truth, or near it.
+        if tracked.solution.outcome != Outcome::Converged {
+            assert!(tracked.solution.excluded.contains(4), "frame {frame}: {:?}", tracked.solution);
+            assert!(nees(&tracked, &truth) < 45.0, "frame {frame}: {:?}", tracked.solution);
+        }
+        evaluations += tracked.solution.evaluations;
+    }
+    // One to follow the five, one to ask whether the sixth agrees; for some frames the truth.
+    assert!(evaluations < 3 * 200, "{evaluations}");
+    let (tracked, _) = rig.step(swing);
+    assert_eq!(tracked.solution.outcome, Outcome::Converged);
+    // Another one fails: it is found, the first kept.
+    let (tracked, _) = faulty(&mut rig, swing, &mut |readings| {
+        if let Reading::Light(pair) = &mut readings.cells[1] {
+            core::mem::swap(&mut pair.i_x1_a, &mut pair.i_x2_a);
+        }
+    });
+    assert!(tracked.solution.excluded.contains(1) && tracked.solution.excluded.count() == 1);
+}
+
+#[test]
+fn a_misfit_is_followed_where_it_is() {
+    // Of a head whose gains are three percent off no pose explains the currents, whichever cell is left out.
+    let mut off = |readings: &mut Photocurrents| {
+        for (reading, share) in readings.cells.iter_mut().zip([1.0, -0.7, 0.9, -1.1, 0.8, -0.9]) {
+            if let Reading::Light(pair) = reading {
+                pair.i_x1_a *= 1.0 + 0.03 * share;
+            }
+        }
+    };
+    let mut rig = Rig::new();
+    (0..30).for_each(|_| _ = rig.step(swing));
+    let (mut misfits, mut late) = (0, Vec::new());
+    for frame in 0..1500 {
+        let (tracked, truth) = faulty(&mut rig, swing, &mut off);
+        let Some(estimate) = tracked.solution.estimate else {
+            assert_eq!(tracked.solution.outcome, Outcome::Diverged, "frame {frame}");
+            continue;
+        };
+        // A percent of current is some 60 µm of a spot on 12 mm.
+        let off_m = (estimate.pose.translation_m - truth.translation_m).length();
+        assert!(off_m < 0.3e-3, "frame {frame}: {off_m} {:?}", tracked.solution);
+        misfits += usize::from(tracked.solution.outcome == Outcome::Degraded(Weakness::Misfit));
+        if frame > 600 {
+            late.push(tracked.solution.evaluations);
+        }
+    }
+    println!("{misfits} misfits");
+    // In a few a cell is left out with reason, or nothing is near.
+    assert!(misfits > 1400);
+    // Outliers are looked for among two cells each time, other places once in 256 frames.
+    let mean = late.iter().sum::<usize>() as f64 / late.len() as f64;
+    println!("{mean:.1} evaluations");
+    assert!(mean < 16.0, "{mean}");
+}
+
+#[test]
+fn three_cells_are_followed_no_further_than_a_fold() {
+    let solver = Solver::<f64>::new(&scene(), Tier::Paper).expect("scene").with_exposures(&OFFSETS_S);
+    let (mut right, mut none) = (0, 0);
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let [phases, rates] = [0.0..6.3, 20.0..120.0].map(|range| [0; 6].map(|_| rng.random_range(range.clone())));
+        let motion = |time_s: f64| {
+            let swing = |i: usize| f64::sin(rates[i] * time_s + phases[i]);
+            let [x, y, z, a, b, c] = core::array::from_fn(swing);
+            Pose::from_vectors(DVec3::new(x, y, z) * 2.5e-3, DVec3::new(a, b, c) * 0.04)
+        };
+        let mut cells: Vec<usize> = (0..6).collect();
+        let missing: Vec<usize> = (0..3).map(|_| cells.swap_remove(rng.random_range(0..cells.len()))).collect();
+        let tracker = Tracker::new(solver.clone(), PERIOD_S);
+        let mut rig = Rig { tracker, solver: solver.clone(), rng, frame: 0 };
+        (0..20).for_each(|_| _ = rig.step(motion));
+        for frame in 20..300 {
+            let (tracked, truth) = faulty(&mut rig, motion, &mut |readings| {
+                missing.iter().for_each(|&cell| blocked(&mut readings.cells[cell]));
+            });
+            let Some(estimate) = tracked.solution.estimate else {
+                none += 1;
+                continue;
+            };
+            let (dt, dr) = estimate.pose.displacement_from(&truth);
+            let sigma = estimate.sigma();
+            let worst = (0..3).map(|i| (dt[i] / sigma[i]).abs().max((dr[i] / sigma[i + 3]).abs())).fold(0.0, f64::max);
+            // Without a look for twins 1043 of 15 000 were beyond.
+            assert!(worst < 8.0, "seed {seed}, frame {frame}: {worst} σ");
+            right += 1;
+        }
+    }
+    println!("{right} poses, {none} frames without");
+    assert!(right > 600);
+}
+
 #[test]
 fn nonsense_for_a_while_costs_neither_time_nor_the_tool() {
     let mut rig = Rig::new();
@@ -199,12 +380,11 @@ fn nonsense_for_a_while_costs_neither_time_nor_the_tool() {
         }
         let tracked = rig.tracker.track(rig.frame, &readings);
         assert_ne!(tracked.solution.outcome, Outcome::Converged);
-        steps += tracked.solution.iterations;
+        steps += tracked.solution.evaluations;
         rig.frame += 1;
     }
-    println!("{} refinement steps a frame", steps / 2000);
-    // A search takes some thousand steps; it is made ever more rarely.
-    assert!(steps / 2000 < 200);
+    println!("{} evaluations a frame", steps / 2000);
+    assert!(steps as f64 / 2000.0 <= MEAN_EVALUATIONS);
     let back = (0..300).position(|_| rig.step(swing).0.solution.outcome == Outcome::Converged);
     assert_eq!(back, Some(0));
 }

@@ -7,6 +7,7 @@
 //! leave open ([`observability`]).
 
 mod algebra;
+mod fold;
 mod normal;
 mod observability;
 mod outcome;
@@ -307,21 +308,29 @@ impl<S: Scalar> Solver<S> {
             return solution;
         }
         let whiteners = problem.whiteners();
-        let refined = outlier::near(&problem, &whiteners, start, room);
+        let mut refined = outlier::quickly(&problem, &whiteners, start, room);
         let fit = self.fit(sorted, &problem, &refined);
         if fit != Fit::None {
             return self.conclude(sorted, &problem, &refined, room, fit);
         }
-        let mut solution = self.without_outlier_near(sorted, motion, start, room).unwrap_or_else(|| {
-            if redundancy(sorted.usable.len()) == 0 || search::is_elsewhere(&problem, &refined) {
-                return Solution::without_pose(Outcome::Diverged, sorted.used);
-            }
-            // The last expansion is of other cells.
-            problem.expand(&refined.pose, &whiteners, room);
-            Solution { iterations: 0, ..self.conclude(sorted, &problem, &refined, room, fit) }
-        });
-        solution.iterations += refined.iterations;
-        solution
+        let mut iterations = refined.iterations;
+        if let Some(mut solution) = self.without_outlier_near(sorted, motion, start, room) {
+            solution.iterations += iterations;
+            return solution;
+        }
+        if !refined.converged {
+            refined = outlier::near(&problem, &whiteners, refined.pose, room);
+            iterations += refined.iterations;
+        }
+        let fit = self.fit(sorted, &problem, &refined);
+        let has_pose =
+            fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !search::is_elsewhere(&problem, &refined);
+        if !has_pose {
+            return Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) };
+        }
+        // The last expansion may be of other cells.
+        problem.expand(&refined.pose, &whiteners, room);
+        Solution { iterations, ..self.conclude(sorted, &problem, &refined, room, fit) }
     }
 
     /// A displacement in σ of a solution's pose, squared; infinite without a pose.

@@ -422,6 +422,22 @@ impl<S: Scalar> Problem<'_, S> {
         sum
     }
 
+    /// The whitened residuals at `pose`, in the order of the readings.
+    pub(super) fn whitened(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        room: &mut Workspace<S>,
+    ) -> ArrayVec<[S; 2], MAX_CELLS> {
+        room.count();
+        let currents = self.predicted(pose);
+        let of = |(reading, whitener): (&Usable<S>, &Whitener<S>)| {
+            let [first, second] = currents[reading.cell];
+            whitener.apply([reading.pair[0] - first, reading.pair[1] - second])
+        };
+        self.readings.iter().zip(whiteners).map(of).collect()
+    }
+
     /// χ² and descent at `pose` with the derivatives of the last expansion, which was not far away.
     pub(super) fn revisit(
         &self,

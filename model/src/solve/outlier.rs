@@ -17,6 +17,13 @@ const MIN_CELLS: usize = 5;
 /// 1 : 22 000.
 const CONVICTION: f64 = 20.0;
 
+/// χ² that an expansion may promise beyond the gate, and the cells yet agree: what it leaves out is
+/// small where the others fit.
+const PROMISED_GATES: f64 = 4.0;
+
+/// Evaluations within which a minimum near the expected pose is reached, but after a jump.
+const QUICK: usize = 6;
+
 /// Evaluations without which leaving out one more cell is not begun.
 const LEAST_WORK: usize = 8;
 
@@ -119,21 +126,27 @@ impl<S: Scalar> Solver<S> {
                 ranked[1] = Some((index, chi2));
             }
         }
+        // Where the expansion promises far more than noise, no step from there makes the others fit.
+        let promised = |chi2: S| chi2 <= S::of(PROMISED_GATES) * self.gates[sorted.usable.len() - 1];
         let mut tried = ranked.map(|ranked| {
-            let (index, _) = ranked?;
+            let (index, _) = ranked.filter(|(_, chi2)| promised(*chi2))?;
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let refined = near(&problem, &problem.whiteners(), start, room);
+            let refined = quickly(&problem, &problem.whiteners(), start, room);
             refined.converged.then_some((index, refined))
         });
         if let [Some((_, first)), Some((_, second))] = &tried
             && second.chi2 < first.chi2
         {
             tried.swap(0, 1);
+            ranked.swap(0, 1);
         }
-        let [found, other] = tried;
-        let (index, found) = found.or(other)?;
-        let runner_up = other.filter(|(second, _)| *second != index).map_or(S::infinity(), |(_, refined)| refined.chi2);
+        let (index, found) = tried[0]?;
+        let runner_up = match (&tried[1], &ranked[1]) {
+            (Some((_, refined)), _) => refined.chi2,
+            (None, Some((_, chi2))) if !promised(*chi2) => *chi2,
+            _ => S::infinity(),
+        };
         self.unless_alone(sorted, motion, index, &found, runner_up, room)
     }
 
@@ -153,7 +166,7 @@ impl<S: Scalar> Solver<S> {
         }
         let others = sorted.without(index);
         let problem = self.problem(&others, motion);
-        let refined = near(&problem, &problem.whiteners(), start, room);
+        let refined = quickly(&problem, &problem.whiteners(), start, room);
         let fit = self.fit(&others, &problem, &refined);
         if fit == Fit::None {
             return None;
@@ -161,10 +174,8 @@ impl<S: Scalar> Solver<S> {
         let mut solution = self.conclude(&others, &problem, &refined, room, fit);
         let all = self.problem(sorted, motion);
         let whiteners = all.whiteners();
-        let at = all.expand(&refined.pose, &whiteners, room);
-        let least = all.step(&at, S::zero(), room).map(|next| at.chi2 - next.gain);
-        if least.is_none_or(|chi2| chi2 <= self.gates[sorted.usable.len()]) {
-            let together = near(&all, &whiteners, refined.pose, room);
+        if self.may_agree(sorted, &all, &whiteners, refined.pose, room) {
+            let together = quickly(&all, &whiteners, refined.pose, room);
             let fit = self.fit(sorted, &all, &together);
             if fit != Fit::None {
                 solution = self.conclude(sorted, &all, &together, room, fit);
@@ -187,10 +198,17 @@ impl<S: Scalar> Solver<S> {
         runner_up: S,
         room: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
-        // Honest cells may have been led astray by their planes: with a good start they agree.
+        let mut iterations = 0;
+        let mut fit = Fit::None;
         let all = self.problem(sorted, motion);
-        let together = descend(&all, &all.whiteners(), found.pose, false, room);
-        let fit = self.fit(sorted, &all, &together);
+        let whiteners = all.whiteners();
+        let mut together = *found;
+        if self.may_agree(sorted, &all, &whiteners, found.pose, room) {
+            // Honest cells may have been led astray by their planes: with a good start they agree.
+            together = descend(&all, &whiteners, found.pose, false, room);
+            iterations = together.iterations;
+            fit = self.fit(sorted, &all, &together);
+        }
         let mut solution = if fit == Fit::None {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
@@ -206,8 +224,22 @@ impl<S: Scalar> Solver<S> {
         } else {
             self.conclude(sorted, &all, &together, room, fit)
         };
-        solution.iterations = together.iterations;
+        solution.iterations = iterations;
         Some(solution)
+    }
+
+    /// Whether all cells may agree near `pose`, by what the expansion there promises.
+    fn may_agree(
+        &self,
+        sorted: &Sorted<S>,
+        all: &Problem<'_, S>,
+        whiteners: &Whiteners<S>,
+        pose: Transform<S>,
+        room: &mut Workspace<S>,
+    ) -> bool {
+        let at = all.expand(&pose, whiteners, room);
+        let promised = all.step(&at, S::zero(), room).map(|next| at.chi2 - next.gain);
+        promised.is_none_or(|chi2| chi2 <= S::of(PROMISED_GATES) * self.gates[sorted.usable.len()])
     }
 }
 
@@ -227,4 +259,18 @@ pub(super) fn near<S: Scalar>(
 ) -> Refined<S> {
     let ending = Ending { max_iterations: MAX_ITERATIONS, leftover: S::of(WARM_LEFTOVER) };
     problem.refine(start, whiteners, ending, room)
+}
+
+/// The same, given up when it takes long.
+pub(super) fn quickly<S: Scalar>(
+    problem: &Problem<'_, S>,
+    whiteners: &Whiteners<S>,
+    start: Transform<S>,
+    room: &mut Workspace<S>,
+) -> Refined<S> {
+    let held_back = room.work.saturating_sub(QUICK);
+    room.work -= held_back;
+    let refined = near(problem, whiteners, start, room);
+    room.work += held_back;
+    refined
 }

@@ -57,7 +57,8 @@ pub(super) fn bend<S: Scalar>(cells: &[PlaneCell<S>], arm: S) -> S {
 }
 
 impl<S: Scalar> Problem<'_, S> {
-    fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
+    /// `pose` after a scaled step.
+    pub(super) fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
             <S as Scalar>::Vec3::new(step[0], step[1], step[2]) * self.arm,
             <S as Scalar>::Vec3::new(step[3], step[4], step[5]),

@@ -56,9 +56,11 @@ const REACH_SIGMAS: f64 = 6.0;
 /// takes one to three.
 const FRAME_WORK: usize = 24;
 
-/// What the frames before have saved may be spent on a search: a cold start then has its pose at once.
-/// At so much a frame it can be as long again after 500 frames.
+/// What a frame saves for a later search, and the most that is saved: with it a frame still takes no
+/// longer than the 250 µs to the next. The first search of all may take as much as a cold solve, so that
+/// a cold start has its pose at once; nothing waits for it yet.
 const SAVED_A_FRAME: usize = 2;
+const MOST_SAVED: usize = 64;
 
 /// Frames without a search after one in vain, while a misfit is followed.
 const PAUSE: u32 = 256;
@@ -168,7 +170,7 @@ impl<S: Scalar> Tracker<S> {
         self.left_out = solution.excluded.iter().next();
         self.is_misfit = is_misfit(&solution);
         if !self.is_misfit {
-            self.lost = Lost::new(self.lost.saved_work);
+            self.lost = Lost::new(self.lost.saved_work.min(MOST_SAVED));
         }
         Tracked {
             solution,
@@ -206,7 +208,9 @@ impl<S: Scalar> Tracker<S> {
             Some(expected) => self.follow(&sorted, &expected, room),
             None => self.find(&sorted, &unknown_motion(&self.last_twist), room),
         };
-        self.lost.saved_work = (self.lost.saved_work + SAVED_A_FRAME).min(COLD_WORK);
+        if self.lost.saved_work < MOST_SAVED {
+            self.lost.saved_work += SAVED_A_FRAME;
+        }
         Solution { evaluations: room.evaluations, ..solution }
     }
 
@@ -214,8 +218,16 @@ impl<S: Scalar> Tracker<S> {
     fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction, room: &mut Workspace<S>) -> Solution<S> {
         let start = Transform::of(&expected.pose);
         let mut solution = self.solver.follow(sorted, &self.motion_prior(expected), start, self.left_out, room);
-        let is_expected = self.is_expected(&solution, expected);
+        // While the motion is not known yet, any is as expected.
+        let is_expected = solution
+            .estimate
+            .is_some_and(|estimate| expected.frames < BEND_FROM || self.is_near(&estimate.pose, &solution, expected));
         if is_expected && !is_misfit(&solution) {
+            let motion = self.motion_prior(expected);
+            let is_expected = |twin: &Pose| self.is_near(twin, &solution, expected);
+            if self.solver.has_twin(sorted, &motion, &solution, is_expected, room) {
+                solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
+            }
             return solution;
         }
         let unknown = unknown_motion(&expected.twist);
@@ -230,11 +242,16 @@ impl<S: Scalar> Tracker<S> {
             let before = solution.iterations;
             solution = self.solver.follow(sorted, &unknown, start, self.left_out, room);
             solution.iterations += before;
-            let is_believed = |pose: &Pose| {
+            let is_within_reach = |pose: &Pose| {
                 let (dt, dr) = pose.displacement_from(&expected.pose);
-                solution.redundancy > 0 || dt.length() <= reach[0] && dr.length() <= reach[1]
+                dt.length() <= reach[0] && dr.length() <= reach[1]
             };
-            if !is_misfit(&solution) && solution.estimate.is_some_and(|estimate| is_believed(&estimate.pose)) {
+            let is_believed = solution.estimate.is_some_and(|estimate| {
+                solution.redundancy > 0
+                    || is_within_reach(&estimate.pose)
+                        && !self.solver.has_twin(sorted, &unknown, &solution, is_within_reach, room)
+            });
+            if !is_misfit(&solution) && is_believed {
                 return solution;
             }
         }
@@ -251,14 +268,11 @@ impl<S: Scalar> Tracker<S> {
         found
     }
 
-    /// Whether the tool is where it would be if it went on as before.
-    fn is_expected(&self, solution: &Solution<S>, expected: &Prediction) -> bool {
-        solution.estimate.is_some_and(|estimate| {
-            let (dt, dr) = estimate.pose.displacement_from(&expected.pose);
-            let squared = self.solver.squared_sigmas(solution, dt, dr) / (1.0 + expected.pose_variance);
-            // While the motion is not known yet, any is as expected.
-            expected.frames < BEND_FROM || squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN)
-        })
+    /// Whether `pose` is where the tool would be if it went on as before, in σ of `solution`.
+    fn is_near(&self, pose: &Pose, solution: &Solution<S>, expected: &Prediction) -> bool {
+        let (dt, dr) = pose.displacement_from(&expected.pose);
+        let squared = self.solver.squared_sigmas(solution, dt, dr) / (1.0 + expected.pose_variance);
+        squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN)
     }
 
     /// Looks for the tool everywhere, a piece of the search a frame.
@@ -279,7 +293,7 @@ impl<S: Scalar> Tracker<S> {
         }
         room.work += lost.saved_work;
         let solution = self.solver.search(sorted, motion, &mut lost.search, room);
-        lost.saved_work = lost.saved_work.min(room.work);
+        lost.saved_work = lost.saved_work.min(room.work).min(MOST_SAVED);
         if lost.search.is_over() {
             lost.images = lost.search.images();
             lost.search = Search::in_pieces();
