@@ -115,9 +115,11 @@ fn scans_come_in_batches_of_four_and_a_stop_sends_the_rest() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     assert_eq!(turn(&mut board, &mut listener), [accepted(1)]);
+    assert_eq!(board.scans_to_batch(), 4);
 
     board.hardware_mut().sample(3);
     assert_eq!(turn(&mut board, &mut listener), []);
+    assert_eq!(board.scans_to_batch(), 1);
     board.hardware_mut().sample(3);
     let heard = turn(&mut board, &mut listener);
     assert_eq!(sequences(&heard), [0, 1, 2, 3]);
@@ -481,6 +483,31 @@ fn a_reboot_waits_for_its_reply_but_not_for_ever() {
 }
 
 #[test]
+fn a_reboot_waits_until_settings_are_safe_and_until_its_reply_is_read() {
+    // The reply has been read, the settings are not safe yet; and the other way round.
+    for storing in [true, false] {
+        let (mut board, mut listener) = opened();
+        board.hardware_mut().storing_polls = if storing { 1_000 } else { 0 };
+        if storing {
+            board.receive(&request(1, Command::Store(Hashes::default())));
+        }
+        board.receive(&request(2, Command::Reboot(BootTarget::Firmware)));
+        let mut rest = |board: &mut Board<Fake, _>, reads: bool| {
+            board.poll(Link::Open);
+            if reads {
+                listener.listen(board);
+            }
+            board.hardware_mut().now += 20 * MS;
+            board.poll(Link::Open);
+            board.hardware_mut().rebooted.is_some()
+        };
+        assert!((0..3).all(|_| !rest(&mut board, storing)), "storing: {storing}");
+        board.hardware_mut().storing_polls = 0;
+        assert!((0..2).any(|_| rest(&mut board, true)), "storing: {storing}");
+    }
+}
+
+#[test]
 fn hardware_that_cannot_go_on_ends_acquisition() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
@@ -519,6 +546,22 @@ fn exposure_changes_levels_between_batches() {
     board.hardware_mut().sample(1);
     let heard = turn(&mut board, &mut listener);
     assert!(matches!(&heard[0], Heard::Scan { scan, .. } if scan.levels() == HALVED), "{heard:?}");
+}
+
+#[test]
+fn fixed_levels_stay() {
+    let mut dim = automatic();
+    dim.exposure = Exposure::Fixed;
+    dim.levels.fill(Level(0x3000));
+    let (mut board, mut listener) = opened();
+    board.receive(&request(1, Command::Configure(dim.clone())));
+    board.receive(&request(2, Command::Start));
+    // Saturated or not, for a tenth of a second.
+    for _ in 0..100 {
+        board.hardware_mut().sample(1);
+        turn(&mut board, &mut listener);
+    }
+    assert_eq!(board.hardware_mut().running, Some(dim));
 }
 
 #[test]

@@ -48,7 +48,7 @@ impl<'a> Batch<'a> {
     /// If the batch cannot have been made by this schedule.
     pub fn scans(&self, schedule: &Schedule) -> Result<Scans<'a>, BatchError> {
         let cells = usize::from(schedule.cells);
-        if cells == 0 || cells > MAX_CELLS || self.levels.len() != cells {
+        if cells == 0 || self.levels.len() != cells {
             return Err(BatchError::Levels { levels: self.levels.len(), cells });
         }
         let scan_bytes = schedule.words_per_scan() * size_of::<u16>();
@@ -286,21 +286,32 @@ mod tests {
         let mut brighter = scan(6);
         brighter.levels_mut()[0] = Level::NOMINAL;
         assert!(!builder.push(&brighter), "other level");
-        assert!(!builder.push(&RawScan::new(2, true)), "other cells");
-        assert!(!builder.push(&RawScan::new(1, false)), "no dark words");
 
+        assert_eq!(builder.remaining(), 2);
         assert!(builder.push(&scan(6)));
         assert!(builder.push(&scan(7)));
+        assert_eq!(builder.remaining(), 0);
         assert!(builder.is_full());
         assert!(!builder.push(&scan(8)), "full");
 
         let batch = builder.batch().unwrap();
         assert_eq!((batch.configuration, batch.sequence, batch.tick), (7, 5, 1_250));
         let scans = batch.scans(&one_cell()).unwrap();
+        assert_eq!(scans.len(), 3);
         assert!(scans.eq([scan(5), scan(6), scan(7)]));
 
         builder.clear();
+        for (cells, has_dark, fits) in [(1, true, true), (2, true, false), (1, false, false), (2, false, false)] {
+            assert_eq!(builder.fits(&RawScan::new(cells, has_dark)), fits);
+            assert_eq!(builder.clone().push(&RawScan::new(cells, has_dark)), fits);
+        }
         assert!(builder.push(&scan(8)));
+    }
+
+    /// Two words of two bytes for each of sixteen cells, lit and dark.
+    #[test]
+    fn the_largest_scan_has_128_bytes() {
+        assert_eq!(MAX_SCAN_BYTES, 128);
     }
 
     #[test]
@@ -323,6 +334,9 @@ mod tests {
         schedule.cells = 2;
         let error = BatchError::Levels { levels: 1, cells: 2 };
         assert_eq!(batch.scans(&schedule).unwrap_err(), error);
+        schedule.cells = 0;
+        let error = BatchError::Levels { levels: 0, cells: 0 };
+        assert_eq!(Batch { levels: Levels::new(), ..batch.clone() }.scans(&schedule).unwrap_err(), error);
         let cut = Batch { samples: &batch.samples[..7], ..batch.clone() };
         let error = BatchError::Length { bytes: 7, scan_bytes: 8 };
         assert_eq!(cut.scans(&one_cell()).unwrap_err(), error);
