@@ -47,6 +47,8 @@
 #define SLITPOSE_HAS_HOST_TIME 4u /* the pose's instant is known by the host's clocks */
 #define SLITPOSE_HAS_ARRIVAL 8u   /* arrival_monotonic_ns is known */
 #define SLITPOSE_SIMULATED 16u    /* computed, not measured */
+#define SLITPOSE_BEHIND 32u       /* scans before this one were passed over: they come faster than the daemon
+                                     can solve or print them, and this was the newest */
 
 /* Values of `status`. The first two have a pose. */
 enum slitpose_status {

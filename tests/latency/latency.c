@@ -5,8 +5,8 @@
  *     ./latency unix:/run/slitpose/pose 40000 4000 [FILE]
  *
  * bytes-in to pose-out: from when the daemon's read returned to when this program's recv() did. FILE
- * gets a line for each of the COUNT: scan, number of the datagram, flags, and when its bytes had been
- * read, its datagram was made, and recv() returned, by CLOCK_MONOTONIC in ns.
+ * gets a line for each of the COUNT: scan, number of the datagram, flags, and when it was taken (0: not
+ * known), its bytes had been read, its datagram was made, and recv() returned, by CLOCK_MONOTONIC in ns.
  * Exit code 1 if nothing comes for two seconds, 2 for usage.
  */
 #define _POSIX_C_SOURCE 200809L
@@ -17,7 +17,7 @@
 
 /* What FILE gets of a pose. */
 struct row {
-    uint64_t sequence, datagram, at_ns[3];
+    uint64_t sequence, datagram, at_ns[4];
     uint32_t flags;
 };
 
@@ -86,9 +86,10 @@ int main(int argc, char **argv)
             last = pose.datagram;
             if (received++ < skip || !(pose.flags & SLITPOSE_HAS_ARRIVAL))
                 continue;
-            rows[kept].at_ns[0] = pose.arrival_monotonic_ns;
-            rows[kept].at_ns[1] = pose.published_monotonic_ns;
-            rows[kept].at_ns[2] = now;
+            rows[kept].at_ns[0] = pose.host_monotonic_ns;
+            rows[kept].at_ns[1] = pose.arrival_monotonic_ns;
+            rows[kept].at_ns[2] = pose.published_monotonic_ns;
+            rows[kept].at_ns[3] = now;
             rows[kept].sequence = pose.sequence;
             rows[kept].datagram = pose.datagram;
             rows[kept].flags = pose.flags;
@@ -101,9 +102,10 @@ int main(int argc, char **argv)
     print("bytes-in to pose-out:", total, count);
     print("of this, sending:    ", sending, count);
     for (kept = 0; file && kept < count; kept++)
-        fprintf(file, "%llu %llu %u %llu %llu %llu\n", (unsigned long long)rows[kept].sequence,
+        fprintf(file, "%llu %llu %u %llu %llu %llu %llu\n", (unsigned long long)rows[kept].sequence,
                 (unsigned long long)rows[kept].datagram, rows[kept].flags, (unsigned long long)rows[kept].at_ns[0],
-                (unsigned long long)rows[kept].at_ns[1], (unsigned long long)rows[kept].at_ns[2]);
+                (unsigned long long)rows[kept].at_ns[1], (unsigned long long)rows[kept].at_ns[2],
+                (unsigned long long)rows[kept].at_ns[3]);
     if (file && fclose(file) != 0) {
         perror(argv[4]);
         return 1;

@@ -3,21 +3,25 @@
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::Child;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use slitpose::scene_file::WIDE;
 use slitpose_protocol::{
-    BoardKind, Command, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
+    BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
 };
 use slitpose_tests::capture::decode;
 use slitpose_tests::consistency::worst_axis;
 use slitpose_tests::ndjson::{self, Line};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
-use slitpose_tests::terminal::{Board, Device, Log, Terminal, edited, packet, reply};
+use slitpose_tests::terminal::{Board, Device, FRAME_RATE_HZ, Log, Terminal, edited, packet, reply};
+
+/// However busy the machine is. Nothing is judged by it but what would never come.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Runs the command against `device` and gives what both say.
 fn run(device: impl Device, arguments: &[&str]) -> (Finished, Log, String) {
@@ -74,57 +78,33 @@ fn two_seconds_through_a_terminal() {
 }
 
 #[test]
-fn the_way_from_light_to_line_is_short() {
-    let terminal = Terminal::serve(Board::wide(60));
-    let mut child = spawn(&terminal, &["--duration", "2s"]);
-    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
-    let mut text = String::new();
-    let mut arrivals = Vec::new();
-    while stdout.read_line(&mut text).expect("UTF-8") > 0 {
-        arrivals.push(Instant::now());
-    }
-    assert_eq!(Finished::from(child.wait_with_output().expect("ends")).code, 0);
-    let opened = terminal.opened().expect("opened");
-    let mut delays_s: Vec<f64> = ndjson::parse(&text)
-        .iter()
-        .zip(arrivals)
-        .map(|(line, arrival)| (arrival - opened).as_secs_f64() - line.device_time_s)
-        .collect();
-    delays_s.sort_by(f64::total_cmp);
-    let (median_s, p99_s) = (delays_s[delays_s.len() / 2], delays_s[delays_s.len() * 99 / 100]);
-    let usage = getrusage(UsageWho::RUSAGE_CHILDREN).expect("usage");
-    println!(
-        "light to line: median {:.2} ms, 99 % within {:.2} ms; {:?} user and {:?} system time for 2 s at 4 kHz",
-        median_s * 1e3,
-        p99_s * 1e3,
-        usage.user_time(),
-        usage.system_time()
-    );
-    // How short depends on what else the machine does: a busy one falls behind real time.
-    assert!((0.0..0.5).contains(&delays_s[0]), "{} s at best", delays_s[0]);
-    assert!(terminal.closed().commands().contains(&Command::Stop));
-}
-
-#[test]
-fn a_pose_is_printed_before_the_next_scan_comes() {
-    let mut board = Board::wide(59);
-    let mut last = 0.0_f64;
-    // 40 frames, and then nothing but silence.
-    let device = move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
-        last = last.max(now_s.min(0.01));
-        now_s > 0.3 || board.act(received, last, sent)
+fn poses_are_printed_before_the_next_scans_come() {
+    let (mut board, printed) = (Board::wide(59), Arc::new(AtomicU64::new(0)));
+    let (seen, began, mut decoder) = (Arc::clone(&printed), Instant::now(), Decoder::<MAX_REQUEST_BYTES>::new());
+    let (mut frames, mut started) = (0, None);
+    // Frames pass only when the lines of those before have been read, but for two packets under way; until
+    // then idle delimiters show that the link is alive.
+    let device = move |received: &[u8], _: f64, sent: &mut Vec<u8>| {
+        let mut bytes = received;
+        while let Some(request) = decoder.next::<Request>(&mut bytes) {
+            if request.is_ok_and(|request| request.command == Command::Start) {
+                started = Some(frames);
+            }
+        }
+        let is_ahead = started.is_some_and(|started| frames > started + seen.load(Ordering::Relaxed) + 8);
+        frames += u64::from(!is_ahead || !received.is_empty());
+        sent.push(DELIMITER);
+        board.act(received, frames as f64 / FRAME_RATE_HZ, sent) && began.elapsed() < PATIENCE
     };
     let terminal = Terminal::serve(device);
-    let mut child = spawn(&terminal, &["--patience", "0s"]);
+    let mut child = spawn(&terminal, &["--duration", "50ms"]);
     let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
-    stdout.read_line(&mut String::new()).expect("line");
-    let first = Instant::now();
+    while stdout.read_line(&mut String::new()).expect("UTF-8") > 0 {
+        printed.fetch_add(1, Ordering::Relaxed);
+    }
     let finished = Finished::from(child.wait_with_output().expect("ends"));
-    assert!(finished.stderr.contains("no data"), "{}", finished.stderr);
-    // Half a second of silence lies between them, of which a busy machine may have taken its part;
-    // lines that wait for the end would come within milliseconds of it.
-    let before_end = first.elapsed();
-    assert!(before_end > Duration::from_millis(100), "the first line came {before_end:?} before the end");
+    assert_eq!((finished.code, printed.load(Ordering::Relaxed)), (0, 200), "{}", finished.stderr);
+    assert!(terminal.closed().commands().contains(&Command::Stop));
 }
 
 #[test]
@@ -189,17 +169,27 @@ fn a_reader_that_goes_stops_the_board() {
 
 #[test]
 fn a_reader_that_sleeps_costs_nothing_and_the_board_stays_lit() {
-    let terminal = Terminal::serve(Board::wide(65));
-    let child = spawn(&terminal, &["--duration", "500ms"]);
-    // Some 130 lines fit the pipe and the buffer ahead of it: 30 ms.
-    std::thread::sleep(Duration::from_millis(2200));
+    let (mut board, pings) = (Board::wide(65), Arc::new(AtomicU64::new(0)));
+    let (heard, mut decoder) = (Arc::clone(&pings), Decoder::<MAX_REQUEST_BYTES>::new());
+    let terminal = Terminal::serve(move |received: &[u8], now_s: f64, sent: &mut Vec<u8>| {
+        let mut bytes = received;
+        while let Some(request) = decoder.next::<Request>(&mut bytes) {
+            heard.fetch_add(u64::from(request.is_ok_and(|request| is_ping(&request.command))), Ordering::Relaxed);
+        }
+        board.act(received, now_s, sent)
+    });
+    let child = spawn(&terminal, &["--duration", "2s"]);
+    let since = Instant::now();
+    // Some 130 lines fit the pipe and the buffer ahead of it: 30 ms. Pings come twice a second.
+    while pings.load(Ordering::Relaxed) < 3 && since.elapsed() < PATIENCE {
+        std::thread::sleep(Duration::from_millis(10));
+    }
     let finished = Finished::from(child.wait_with_output().expect("ends"));
-    let log = terminal.closed();
+    terminal.closed();
+    assert!(pings.load(Ordering::Relaxed) >= 3, "no pings while nobody read");
     let lines = ndjson::parse(&finished.done());
-    assert_eq!(lines.len(), 2000);
+    assert_eq!(lines.len(), 8000);
     assert_followed(&lines);
-    let pings = log.commands().iter().filter(|command| is_ping(command)).count();
-    assert!(pings >= 3, "{pings} pings while nobody read");
 }
 
 #[test]

@@ -269,7 +269,7 @@ impl<'a> Playback<'a> {
                     }
                 }
                 // What a board was asked is history.
-                Item::Status(_) | Item::Reply(_) => {}
+                Item::Scan(_) | Item::Status(_) | Item::Reply(_) => {}
             }
             Ok::<_, CommandError>(())
         });

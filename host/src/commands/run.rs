@@ -166,6 +166,18 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
         if losses::tell(&name, &counts, wanted) == Outcome::DataLost {
             outcome = Outcome::DataLost;
         }
+        if counts.scans_skipped > 0 && printed.is_ok() {
+            talk(format_args!(
+                "{name}: {} of {} scans were not solved: {}",
+                counts.scans_skipped,
+                counts.scans,
+                if interrupted {
+                    "they still waited at the interrupt, or the solver was behind"
+                } else {
+                    "the solver was behind"
+                },
+            ));
+        }
         failed = failed.and(followed);
     }
     if capture.state == RecorderState::Failed || capture.bytes_dropped > 0 {

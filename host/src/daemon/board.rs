@@ -9,7 +9,9 @@ use crossbeam_channel::bounded;
 use slitpose_model::Tier;
 use slitpose_protocol::{Configuration, Hello};
 
+use super::backlog::Backlog;
 use super::circuit::{Filler, circuit};
+use super::consumers::{Consumers, Outbox};
 use super::error::BoardError;
 use super::inlet::{CaptureInlet, Overflow, Parcel};
 use super::link::Link;
@@ -17,7 +19,7 @@ use super::opener::Opener;
 use super::reader::Reader;
 use super::real_time;
 use super::slot::BoardSlot;
-use super::solver::{Consumers, Outbox, SolverThread};
+use super::solver::SolverThread;
 use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
@@ -71,6 +73,8 @@ impl BoardPlan {
 /// Where the poses of a board go.
 pub(super) struct Outlets {
     pub(super) outboxes: Option<Filler<Outbox>>,
+    /// Whether each pose has to be printed.
+    pub(super) prints_each: bool,
     pub(super) parcels: Option<(Filler<Parcel>, f64)>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) real_time: Option<u8>,
@@ -96,27 +100,27 @@ impl BoardThreads {
         let (filler, drainer) = circuit(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
         let (tell, verdicts) = bounded(VERDICTS);
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
+        let keeps_all = outlets.prints_each || plan.until_s.is_some();
         let inlet = |(parcels, every_s)| CaptureInlet::new(number, parcels, overflow, every_s);
         let pipeline = Pipeline::new(plan.file, plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
             .watched();
         let solver = SolverThread {
+            name: name.clone(),
             pipeline,
             segments: drainer,
             verdicts: tell,
-            consumers: Consumers {
-                datagrams: outlets.datagrams,
-                publisher: None,
-                statistics: BoardStatistics::new(name.clone(), HostInstant::now()),
-                printer: outlets.outboxes,
-                outbox: None,
-                capture: outlets.parcels.map(inlet),
-                device: None,
-                complaint: None,
-                refused: None,
-            },
+            consumers: Consumers::new(
+                BoardStatistics::new(name.clone(), HostInstant::now()),
+                outlets.datagrams,
+                outlets.outboxes,
+                keeps_all,
+                outlets.parcels.map(inlet),
+            ),
+            backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),
+            stop: Arc::clone(stop),
         };
         let reader = Reader {
             opener: plan.opener,

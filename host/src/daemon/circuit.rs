@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, TrySendError, bounded};
 
 /// A circuit of `count` containers, each made by `make`: at most that many are full at a time. They go round
 /// in turn, so that all of them are soon as large as they get.
@@ -57,6 +57,11 @@ impl<T> Filler<T> {
         self.empty.try_recv().ok()
     }
 
+    /// An empty container, after a wait of `timeout` at most.
+    pub(super) fn spare_within(&self, timeout: Duration) -> Option<T> {
+        self.empty.recv_timeout(timeout).ok()
+    }
+
     /// Hands a full container over. It is dropped if the other end has gone.
     pub(super) fn hand_over(&self, container: T) {
         match self.full.try_send(container) {
@@ -72,6 +77,14 @@ impl<T> Drainer<T> {
         self.full.recv_timeout(timeout).map_err(|error| match error {
             RecvTimeoutError::Timeout => Dry::Yet,
             RecvTimeoutError::Disconnected => Dry::Forever,
+        })
+    }
+
+    /// The next full container if there is one at once.
+    pub(super) fn next_now(&self) -> Result<T, Dry> {
+        self.full.try_recv().map_err(|error| match error {
+            TryRecvError::Empty => Dry::Yet,
+            TryRecvError::Disconnected => Dry::Forever,
         })
     }
 

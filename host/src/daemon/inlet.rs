@@ -65,6 +65,8 @@ pub(super) struct CaptureInlet {
     pose_every_s: f64,
     next_pose_s: f64,
     under_way: Option<Parcel>,
+    /// What is under way is long enough; the poses of its last scans may still come.
+    is_full: bool,
     begun: Instant,
     device: Option<DeviceId>,
     device_ns: u64,
@@ -85,6 +87,7 @@ impl CaptureInlet {
             pose_every_s,
             next_pose_s: f64::NEG_INFINITY,
             under_way: None,
+            is_full: false,
             begun: Instant::now(),
             device: None,
             device_ns: 0,
@@ -96,7 +99,7 @@ impl CaptureInlet {
 
     /// Prepares for the next segment, which opens the link anew or not.
     pub(super) fn begin(&mut self, opened: bool) {
-        if opened {
+        if opened || self.is_full {
             self.hand_over();
         }
         if self.under_way.is_some() {
@@ -164,12 +167,13 @@ impl CaptureInlet {
         };
         parcel.segment.append(segment);
         if parcel.segment.bytes.len() >= PIECE_BYTES || self.begun.elapsed() >= PIECE {
-            self.hand_over();
+            self.is_full = true;
         }
     }
 
     /// Hands over what is under way.
     pub(super) fn hand_over(&mut self) {
+        self.is_full = false;
         if let Some(parcel) = self.under_way.take() {
             self.parcels.hand_over(parcel);
         }

@@ -10,12 +10,16 @@
 //!
 //! Each board has a reader and a solver, all share one recorder and one printer; each is a thread. What
 //! goes between them goes in containers of which there is a fixed number (see `circuit`), so that
-//! nothing is allocated per scan and no queue grows. If a solver cannot hand on to the printer it
-//! waits, then its reader does, then bytes wait in the operating system, and at last on the board,
-//! which gives up its oldest scans; their numbers show it.
+//! nothing is allocated per scan and no queue grows. A solver takes in what comes at once. If it cannot
+//! solve as fast, or hand on to the printer, scans wait with it, or are skipped where nobody wants them;
+//! control loops get the newest in any case (see `backlog`). Only if a minute of scans waits its reader
+//! does, then bytes wait in the operating system, and at last on the board, which gives up its oldest
+//! scans; their numbers show it.
 
+mod backlog;
 mod board;
 mod circuit;
+mod consumers;
 mod error;
 mod inlet;
 mod link;
@@ -31,6 +35,7 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 pub use board::{Admit, BoardPlan};
 pub use error::BoardError;
@@ -46,9 +51,9 @@ use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use crate::threads::{join, lock};
 use board::BoardThreads;
 use circuit::circuit;
+use consumers::{OUTBOX_POSES, Outbox};
 use recorder::RecorderThread;
 use slot::BoardSlot;
-use solver::{OUTBOX_POSES, Outbox};
 
 /// Pieces of poses on their way to the printer: a tenth of a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -101,6 +106,7 @@ impl Daemon {
         let Plan { boards, sink, capture, datagrams, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
+        let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
         let (printer, outboxes) = match sink {
             Some(sink) => {
                 let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
@@ -122,6 +128,7 @@ impl Daemon {
         for (number, board) in boards.into_iter().enumerate() {
             let outlets = board::Outlets {
                 outboxes: outboxes.clone(),
+                prints_each,
                 parcels: parcels.clone(),
                 datagrams: datagrams.clone(),
                 real_time,
@@ -179,9 +186,33 @@ impl Daemon {
         let boards = threads.into_iter().map(BoardThreads::end).collect();
         self.record_report();
         let printer = lock(&self.printer).take();
-        let printed = printer.map_or(Ok(()), join);
+        let printed = printer.map_or(Ok(()), |printer| self.end_printer(printer));
         let recorder = self.recorder.as_ref().map(RecorderThread::end);
         Ended { boards, printed, capture: with_unrecorded(recorder.unwrap_or_default(), &self.boards_report()) }
+    }
+}
+
+/// Interrupted, a daemon does not wait longer than this for whoever reads its standard output.
+const PRINTS_FOR: Duration = Duration::from_millis(500);
+
+/// The end of a thread is looked for so often.
+const MOMENT: Duration = Duration::from_millis(5);
+
+impl Daemon {
+    /// Waits until all is printed or, after an interrupt, nobody reads it.
+    fn end_printer(&self, printer: JoinHandle<io::Result<()>>) -> io::Result<()> {
+        let mut interrupted_at = None;
+        while !printer.is_finished() {
+            let is_interrupted = self.stop.load(Ordering::Relaxed);
+            let since = interrupted_at.get_or_insert_with(Instant::now);
+            if !is_interrupted {
+                interrupted_at = None;
+            } else if since.elapsed() >= PRINTS_FOR {
+                return Err(io::Error::new(io::ErrorKind::TimedOut, "nobody reads what is printed"));
+            }
+            std::thread::sleep(MOMENT);
+        }
+        join(printer)
     }
 }
 

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::circuit::{Drainer, Dry};
-use super::solver::{OUTBOX_POSES, Outbox, Outgoing};
+use super::consumers::{OUTBOX_POSES, Outbox, Outgoing};
 use crate::sink::Sink;
 use crate::telemetry::BoardReport;
 

@@ -9,7 +9,7 @@
 //! | 0 | u32 | magic, "SLPP" |
 //! | 4 | u16 | version, 1: with another one everything behind may be different |
 //! | 6 | u16 | bytes in all; fields may be added at the end without a new version |
-//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated |
+//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated, 32 behind: scans before this one were passed over, as the daemon could not solve or print each in time |
 //! | 12 | u16 | status, a number of [`OUTCOMES`](crate::pipeline::OUTCOMES) |
 //! | 14 | u16 | cells that were used |
 //! | 16 | [u8; 12] | id of the board |
@@ -50,7 +50,9 @@ const HAS_TWIST: u32 = 2;
 const HAS_HOST_TIME: u32 = 4;
 const HAS_ARRIVAL: u32 = 8;
 const IS_SIMULATED: u32 = 16;
+const IS_BEHIND: u32 = 32;
 
+const AT_FLAGS: usize = 8;
 const AT_MISSED: usize = 40;
 
 /// A pose as it is sent.
@@ -111,6 +113,11 @@ impl PoseDatagram {
         writer.numbers(twist.map(|estimate| estimate.twist.angular_rad_per_s.to_array()));
         writer.numbers::<6>(twist.map(|estimate| std::array::from_fn(|i| estimate.covariance[i][i].sqrt())));
         Self(writer.bytes)
+    }
+
+    /// Tells the receiver that scans before this one were passed over, and the next may be, too.
+    pub fn mark_behind(&mut self) {
+        self.0[AT_FLAGS] |= IS_BEHIND as u8;
     }
 
     /// Tells the receiver how many it has missed.

@@ -46,11 +46,20 @@ pub struct Publisher {
     followers: Vec<Follower>,
     number: u64,
     missed: u64,
+    is_behind: bool,
 }
 
 impl Publisher {
     pub(super) fn new(shared: Arc<Shared>, slot: Arc<Slot>, subscriptions: Receiver<Subscription>) -> Self {
-        Self { shared, slot, subscriptions, followers: Vec::with_capacity(MAX_FOLLOWERS), number: 0, missed: 0 }
+        Self {
+            shared,
+            slot,
+            subscriptions,
+            followers: Vec::with_capacity(MAX_FOLLOWERS),
+            number: 0,
+            missed: 0,
+            is_behind: false,
+        }
     }
 
     /// Datagrams that followers have missed because they did not take them in time.
@@ -58,10 +67,18 @@ impl Publisher {
         self.missed
     }
 
+    /// Whether what is sent from now on is marked as that of a solver that is behind.
+    pub fn set_behind(&mut self, is_behind: bool) {
+        self.is_behind = is_behind;
+    }
+
     /// Sends a pose to all who follow, and leaves it for those who ask.
     pub fn publish(&mut self, record: &Record, now: HostInstant) {
         self.number += 1;
         let mut datagram = PoseDatagram::new(record, self.number, now);
+        if self.is_behind {
+            datagram.mark_behind();
+        }
         self.slot.store(&datagram);
         self.followers.retain(|follower| now.monotonic_ns <= follower.subscription.until_ns);
         for subscription in self.subscriptions.try_iter().take(MAX_FOLLOWERS) {

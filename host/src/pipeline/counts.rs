@@ -10,6 +10,8 @@ pub struct Counts {
     pub scans: u64,
     /// Scans missing in the board's numbering, wherever they were lost.
     pub scans_lost: u64,
+    /// Scans that arrived and were not solved: the solver was behind, or was interrupted.
+    pub scans_skipped: u64,
     /// Times the numbering began anew: the board restarted.
     pub restarts: u64,
     /// Scans by outcome: converged, degraded, ambiguous, unobservable, too dark, diverged.

@@ -3,6 +3,10 @@
 //! One pipeline serves boards, simulated boards and captures; they differ only in who supplies the
 //! bytes. It does no input and no output: bytes are pushed in, [`Item`]s come out in order. After
 //! the first hello nothing is allocated per scan.
+//!
+//! [`push`](Pipeline::push) and [`feed`](Pipeline::feed) solve what they are given. Who has to keep up
+//! with a board takes it in with [`receive`](Pipeline::receive), which is quick, and chooses which of the
+//! scans that wait is solved next.
 
 mod counts;
 mod error;
@@ -10,6 +14,7 @@ mod segment;
 mod session;
 mod span;
 mod timing;
+mod waiting;
 
 use std::collections::VecDeque;
 
@@ -23,6 +28,7 @@ pub use counts::{Counts, OUTCOMES, outcome_number};
 pub use error::PipelineError;
 pub use segment::{Asked, Read, Segment};
 pub use session::check;
+pub use waiting::{Queue, Scan};
 
 use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
@@ -31,6 +37,7 @@ use crate::scene_file::SceneFile;
 use session::Session;
 use span::Span;
 use timing::Timing;
+use waiting::Waiting;
 
 /// True poses that may wait for their scans: more than a board queues.
 const MAX_TRUTHS: usize = 1024;
@@ -65,6 +72,8 @@ pub struct Record {
 pub enum Item<'a> {
     /// A board introduced itself.
     Hello(&'a Hello<'a>),
+    /// A scan arrived. It will be solved, or skipped.
+    Scan(&'a Scan),
     /// A pose, or why there is none.
     Pose(&'a Record),
     /// The board's own counters.
@@ -115,11 +124,22 @@ struct Flow {
     scene_match: SceneMatch,
     following: Following,
     watched: bool,
-    session: Option<Session>,
+    session: Option<Box<Session>>,
+    /// Sessions that have ended, and have scans that wait, the oldest first.
+    earlier: VecDeque<Box<Session>>,
+    sessions: u64,
+    waiting: Waiting,
     timing: Timing,
     span: Span,
     truths: VecDeque<Truth>,
     counts: Counts,
+}
+
+/// Whether scans are solved as they come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Solve {
+    AtOnce,
+    Later,
 }
 
 impl Pipeline {
@@ -134,6 +154,9 @@ impl Pipeline {
                 following: Following::default(),
                 watched: false,
                 session: None,
+                earlier: VecDeque::new(),
+                sessions: 0,
+                waiting: Waiting::default(),
                 timing: Timing::default(),
                 span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
@@ -176,7 +199,7 @@ impl Pipeline {
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
         self.flow.timing.read(None);
-        self.decode(bytes, &mut sink)
+        self.decode(bytes, Solve::AtOnce, &mut sink)
     }
 
     /// Takes what a link delivered, as [`push`](Self::push) does, and tells the host's time of each
@@ -189,6 +212,51 @@ impl Pipeline {
         segment: &Segment,
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
+        self.take(segment, Solve::AtOnce, &mut sink)
+    }
+
+    /// Takes what a link delivered as [`feed`](Self::feed) does, but lets the scans wait:
+    /// [`solve_next`](Self::solve_next), [`solve_newest`](Self::solve_newest) and [`skip`](Self::skip)
+    /// are for them.
+    ///
+    /// # Errors
+    /// As for [`push`](Self::push).
+    pub fn receive<E: From<PipelineError>>(
+        &mut self,
+        segment: &Segment,
+        mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<usize, E> {
+        self.take(segment, Solve::Later, &mut sink)
+    }
+
+    /// What waits.
+    pub fn queue(&self) -> Queue {
+        self.flow.waiting.queue()
+    }
+
+    /// Solves the oldest scan that waits. Poses in this order are the same however late they are.
+    pub fn solve_next(&mut self) -> Option<Record> {
+        self.flow.solve_next()
+    }
+
+    /// Solves the newest scan that waits, ahead of its turn: it waits on, and its turn will come. `None` if it
+    /// has been solved ahead already.
+    pub fn solve_newest(&mut self) -> Option<Record> {
+        self.flow.solve_newest()
+    }
+
+    /// Gives up to solve the `count` oldest scans that wait, and counts them.
+    pub fn skip(&mut self, count: usize) {
+        let skipped = (0..count).map_while(|_| self.flow.waiting.pop()).count();
+        self.flow.counts.scans_skipped += skipped as u64;
+    }
+
+    fn take<E: From<PipelineError>>(
+        &mut self,
+        segment: &Segment,
+        solve: Solve,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<usize, E> {
         if segment.opened {
             self.decoder.reset();
             self.flow.timing.reopen();
@@ -199,7 +267,7 @@ impl Pipeline {
         let mut taken = 0;
         for (bytes, at) in segment.chunks() {
             self.flow.timing.read(at);
-            let count = self.decode(bytes, &mut sink)?;
+            let count = self.decode(bytes, solve, sink)?;
             taken += count;
             if count < bytes.len() {
                 break;
@@ -211,6 +279,7 @@ impl Pipeline {
     fn decode<E: From<PipelineError>>(
         &mut self,
         mut bytes: &[u8],
+        solve: Solve,
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
         let length = bytes.len();
@@ -228,6 +297,11 @@ impl Pipeline {
                 return Ok(length - ahead);
             }
             self.flow.take(&message, sink)?;
+            while solve == Solve::AtOnce
+                && let Some(record) = self.flow.solve_next()
+            {
+                sink(Item::Pose(&record))?;
+            }
         }
         Ok(length - bytes.len())
     }
@@ -252,6 +326,11 @@ impl Pipeline {
         self.flow.span.is_complete()
     }
 
+    /// The board's latest own account.
+    pub fn board_status(&self) -> Option<&Status> {
+        self.flow.counts.board_status.as_ref()
+    }
+
     /// What has come through so far.
     pub fn counts(&self) -> Counts {
         let mut counts = self.flow.counts;
@@ -272,13 +351,13 @@ impl Flow {
                 self.greet(hello)?;
                 sink(Item::Hello(hello))
             }
-            Message::Batch(batch) => self.solve(batch, sink),
+            Message::Batch(batch) => self.arrive(batch, sink),
             Message::Status(status) => {
                 self.counts.board_status = Some(*status);
                 sink(Item::Status(status))
             }
             Message::Event(event) => {
-                let tick_hz = self.session.as_ref().map_or(f64::NAN, Session::tick_hz);
+                let tick_hz = self.session.as_ref().map_or(f64::NAN, |session| session.tick_hz());
                 sink(Item::Event {
                     severity: event.severity,
                     device_time_s: event.tick as f64 / tick_hz,
@@ -307,13 +386,19 @@ impl Flow {
         if self.session.as_ref().is_some_and(|session| session.device() != DeviceId(hello.device_id)) {
             self.counts.begin_numbering();
         }
-        let session = Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello)?;
+        let number = self.sessions;
+        let session =
+            Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
+        self.sessions += 1;
         self.timing.meet(session.device(), hello.schedule.tick_hz);
-        self.session = Some(session);
+        let before = self.session.replace(Box::new(session));
+        if !self.waiting.is_empty() {
+            self.earlier.extend(before);
+        }
         Ok(())
     }
 
-    fn solve<E: From<PipelineError>>(
+    fn arrive<E: From<PipelineError>>(
         &mut self,
         batch: &Batch<'_>,
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
@@ -334,23 +419,61 @@ impl Flow {
                 break;
             }
             self.counts.count_scan(scan.sequence);
-            let Tracked { solution, twist, smoothed } = session.solve(&scan);
-            self.counts.count_outcome(&solution.outcome);
-            let record = Record {
-                device: session.device(),
-                sequence: scan.sequence,
+            let scan = Scan {
+                session: session.number(),
                 device_time_s,
                 host_time: self.timing.time_of(scan.tick, session.reference_ticks()),
                 arrival: self.timing.at(),
-                solution,
-                twist,
-                smoothed,
-                simulated: session.kind() == BoardKind::Simulated,
                 truth: truth_of(&mut self.truths, scan.sequence),
+                raw: scan,
             };
-            sink(Item::Pose(&record))?;
+            self.waiting.push(scan);
+            sink(Item::Scan(&scan))?;
         }
         Ok(())
+    }
+
+    fn solve_next(&mut self) -> Option<Record> {
+        let (scan, is_passed) = self.waiting.pop()?;
+        while self.earlier.front().is_some_and(|session| session.number() < scan.session) {
+            self.earlier.pop_front();
+        }
+        // A newer one has told how the head is.
+        let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
+        let tracked = session.solve(&scan.raw, !is_passed);
+        self.counts.count_outcome(&tracked.solution.outcome);
+        Some(record(session, &scan, tracked))
+    }
+
+    fn solve_newest(&mut self) -> Option<Record> {
+        let is_first = self.waiting.queue().passed == 0;
+        let scan = self.waiting.pass()?;
+        let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
+        let tracked = session.solve_ahead(&scan.raw, is_first);
+        Some(record(session, &scan, tracked))
+    }
+}
+
+fn session_of<'a>(
+    earlier: &'a mut VecDeque<Box<Session>>,
+    current: &'a mut Option<Box<Session>>,
+    number: u64,
+) -> Option<&'a mut Session> {
+    earlier.iter_mut().chain(current).map(|session| &mut **session).find(|session| session.number() == number)
+}
+
+fn record(session: &Session, scan: &Scan, Tracked { solution, twist, smoothed }: Tracked) -> Record {
+    Record {
+        device: session.device(),
+        sequence: scan.sequence(),
+        device_time_s: scan.device_time_s,
+        host_time: scan.host_time,
+        arrival: scan.arrival,
+        solution,
+        twist,
+        smoothed,
+        simulated: session.kind() == BoardKind::Simulated,
+        truth: scan.truth,
     }
 }
 

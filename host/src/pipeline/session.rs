@@ -12,6 +12,7 @@ use crate::scene_file::SceneFile;
 /// What a hello opens.
 #[derive(Debug)]
 pub(super) struct Session {
+    number: u64,
     device: DeviceId,
     kind: BoardKind,
     configuration: u16,
@@ -21,6 +22,8 @@ pub(super) struct Session {
     last_sample_ticks: u64,
     stage: Stage,
     tracker: Tracker<f64>,
+    /// Follows the newest scans while older ones wait.
+    ahead: Option<Box<Tracker<f64>>>,
     health: Option<Health>,
 }
 
@@ -51,6 +54,7 @@ impl Session {
         following: Following,
         watched: bool,
         hello: &Hello<'_>,
+        number: u64,
     ) -> Result<Self, PipelineError> {
         check(file, scene_match, hello)?;
         let board = || hello.board.to_owned();
@@ -72,12 +76,14 @@ impl Session {
             None => tracker,
         };
         Ok(Self {
+            number,
             device: DeviceId(hello.device_id),
             kind: hello.kind,
             configuration: hello.configuration,
             reference_ticks: hello.schedule.reference_ticks(),
             last_sample_ticks: hello.schedule.last_sample_ticks(),
             tracker,
+            ahead: None,
             health,
             stage,
             schedule: hello.schedule.clone(),
@@ -91,6 +97,11 @@ impl Session {
             && self.configuration == hello.configuration
             && self.schedule == hello.schedule
             && self.scaling == hello.scaling
+    }
+
+    /// Which of the pipeline's sessions it is.
+    pub(super) fn number(&self) -> u64 {
+        self.number
     }
 
     pub(super) fn device(&self) -> DeviceId {
@@ -135,9 +146,28 @@ impl Session {
             .wrapping_add(self.last_sample_ticks)
     }
 
-    pub(super) fn solve(&mut self, scan: &RawScan) -> Tracked {
+    /// Solves the next scan in turn; `watched` if it tells how the head is.
+    pub(super) fn solve(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         let photocurrents = self.stage.photocurrents(scan);
         let tracked = self.tracker.track(scan.sequence, &photocurrents);
+        if let Some(health) = self.health.as_mut().filter(|_| watched) {
+            health.take(scan, &photocurrents, &tracked.solution);
+        }
+        tracked
+    }
+
+    /// Solves a scan ahead of those that wait; `first`, if none that waits has been solved so.
+    pub(super) fn solve_ahead(&mut self, scan: &RawScan, first: bool) -> Tracked {
+        let photocurrents = self.stage.photocurrents(scan);
+        let ahead = match &mut self.ahead {
+            // The tool is about where it was last.
+            Some(ahead) if first => {
+                (**ahead).clone_from(&self.tracker);
+                ahead
+            }
+            ahead => ahead.get_or_insert_with(|| Box::new(self.tracker.clone())),
+        };
+        let tracked = ahead.track(scan.sequence, &photocurrents);
         if let Some(health) = &mut self.health {
             health.take(scan, &photocurrents, &tracked.solution);
         }

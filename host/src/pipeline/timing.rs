@@ -87,7 +87,7 @@ impl Timing {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use slitpose_model::Tier;
     use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
 
@@ -106,7 +106,7 @@ mod tests {
     /// What the bytes of a frame took to the host.
     const DELAY_NS: u64 = 70_000;
 
-    struct Bench {
+    pub(in crate::pipeline) struct Bench {
         file: SceneFile,
         board: SimulatedBoard,
         frame_ns: u64,
@@ -114,7 +114,7 @@ mod tests {
     }
 
     impl Bench {
-        fn new() -> Self {
+        pub(in crate::pipeline) fn new() -> Self {
             let file = WIDE.read().unwrap();
             let configuration = front_end::configuration(&file).unwrap();
             let frame_ns = (1e9 / configuration.schedule.frame_rate_hz()) as u64;
@@ -126,13 +126,13 @@ mod tests {
             bench
         }
 
-        fn tell(&mut self, number: u16, command: Command) {
+        pub(in crate::pipeline) fn tell(&mut self, number: u16, command: Command) {
             let mut buffer = [0; MAX_REQUEST_BYTES];
             self.board.write(encode(&Request { number, command }, &mut buffer).unwrap());
         }
 
         /// What the link delivers in some frames, with a ping in the middle of the first.
-        fn segment(&mut self, frames: u64, token: u32) -> Segment {
+        pub(in crate::pipeline) fn segment(&mut self, frames: u64, token: u32) -> Segment {
             let mut segment = Segment::default();
             let now_ns = |frames| START_NS + frames * self.frame_ns;
             let asked_ns = now_ns(self.frames) - DELAY_NS;
@@ -149,7 +149,7 @@ mod tests {
             segment
         }
 
-        fn pipeline(&self) -> Pipeline {
+        pub(in crate::pipeline) fn pipeline(&self) -> Pipeline {
             Pipeline::new(self.file.clone(), TIER, SceneMatch::Required)
         }
     }
@@ -158,7 +158,7 @@ mod tests {
         HostInstant { monotonic_ns, utc_ns: monotonic_ns + 1_700_000_000_000_000_000 }
     }
 
-    fn feed(pipeline: &mut Pipeline, segment: &Segment) -> (usize, Vec<Record>) {
+    pub(in crate::pipeline) fn feed(pipeline: &mut Pipeline, segment: &Segment) -> (usize, Vec<Record>) {
         let mut records = Vec::new();
         let taken = pipeline.feed(segment, |item| {
             if let Item::Pose(record) = item {

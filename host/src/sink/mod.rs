@@ -39,6 +39,11 @@ pub trait Sink {
     /// Those of the output.
     fn pose(&mut self, record: &Record) -> io::Result<()>;
 
+    /// Whether each pose counts, however late it comes.
+    fn needs_each(&self) -> bool {
+        true
+    }
+
     /// Takes what is not a pose.
     ///
     /// # Errors

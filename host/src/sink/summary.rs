@@ -155,6 +155,10 @@ impl<W: Write> Sink for Summary<W> {
         Ok(())
     }
 
+    fn needs_each(&self) -> bool {
+        false
+    }
+
     fn note(&mut self, note: &Note) -> io::Result<()> {
         match note {
             Note::Event { severity, device_time_s, text, .. } if *severity != Severity::Info => {

@@ -1,6 +1,6 @@
 //! Whether all is well, and if not, what is not.
 
-use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
+use super::report::{BoardReport, DaemonReport, LagReport, LinkState, RecorderState};
 use crate::clock::HostInstant;
 
 /// Reports are made several times a second: one so old comes from a daemon that is stuck.
@@ -8,6 +8,32 @@ const STALE_S: f64 = 3.0;
 
 /// A board that runs and sends no scan for so long is stuck, whatever else it sends.
 const NO_SCAN_S: f64 = 3.0;
+
+/// What a system that runs something else for a while can do to a solver that keeps up is over sooner.
+const BEHIND_S: f64 = 1.0;
+
+/// Poses that are older when they are sent are of no use to a control loop.
+const OLD_S: f64 = 0.25;
+
+impl LagReport {
+    /// Why poses are late or left out, if they are.
+    pub fn complaint(&self) -> Option<String> {
+        let Self { behind_s, is_output_blocked, waiting_scans, waiting_s, skipped_scans, .. } = self;
+        if *is_output_blocked && *waiting_s > BEHIND_S {
+            return Some(format!(
+                "standard output is read too slowly: {waiting_scans} scans wait to be printed, the oldest for \
+                 {waiting_s:.1} s; read it faster, or use --format none"
+            ));
+        }
+        (*behind_s >= BEHIND_S).then(|| {
+            format!(
+                "behind: scans come faster than they are solved, and control loops get the newest only; \
+                 {waiting_scans} wait, {skipped_scans} were skipped so far: look at the cells with `slitpose doctor`, \
+                 or use --tier paper, or lower the frame rate"
+            )
+        })
+    }
+}
 
 impl DaemonReport {
     /// Everything that keeps good poses from coming, a sentence each. None: all is well.
@@ -46,6 +72,13 @@ impl BoardReport {
             && scan_age_s > NO_SCAN_S
         {
             complaints.push(format!("no scan for {scan_age_s:.0} s: reset the board"));
+        }
+        complaints.extend(self.lag.complaint());
+        let age_s = self.latencies.total.recent.p50_s;
+        if age_s > OLD_S {
+            complaints.push(format!(
+                "poses are {age_s:.1} s old when they are sent: the link to the board, or this machine, is too slow"
+            ));
         }
         let (poses, scans) = (self.recent_outcomes.poses(), self.recent_outcomes.all());
         if 2 * poses < scans {
@@ -89,6 +122,15 @@ mod tests {
         told(BoardReport { made_monotonic_ns: NOW.monotonic_ns - 4_000_000_000, ..running() }, "stuck");
         told(BoardReport { last_scan_age_s: Some(2.9), ..running() }, "no scan");
         told(BoardReport { link: LinkReport::default(), ..running() }, "searching");
+        // The solver does not keep up, or nobody reads what is printed; scans come.
+        let lag = LagReport { is_behind: true, behind_s: 1.2, waiting_scans: 77, ..LagReport::default() };
+        told(BoardReport { lag, ..running() }, "behind: scans come faster than they are solved");
+        assert_eq!(complaints(BoardReport { lag: LagReport { behind_s: 0.8, ..lag }, ..running() }).len(), 0);
+        let lag = LagReport { is_output_blocked: true, waiting_s: 1.5, ..lag };
+        told(BoardReport { lag, ..running() }, "standard output is read too slowly: 77 scans wait");
+        let mut late = running();
+        late.latencies.total.recent.p50_s = 0.3;
+        told(late, "poses are 0.3 s old");
         // Scans, and no poses.
         let recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
         told(BoardReport { recent_outcomes, ..running() }, "only 1 of the last 3");

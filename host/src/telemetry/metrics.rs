@@ -230,6 +230,18 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
         let counts = board.outcomes.counts();
         std::array::from_fn::<_, 6, _>(|i| (OUTCOMES[i], counts[i] as f64))
     });
+    boards.each("slitpose_behind", gauge, "1 if control loops get the newest scans only.", |board| {
+        Some(f64::from(u8::from(board.lag.is_behind)))
+    });
+    boards.each("slitpose_waiting_scans", gauge, "Scans that arrived and are not solved yet.", |board| {
+        Some(board.lag.waiting_scans as f64)
+    });
+    boards.each("slitpose_waiting_seconds", gauge, "For how long the oldest of them has waited.", |board| {
+        Some(board.lag.waiting_s)
+    });
+    boards.each("slitpose_scans_skipped_total", counter, "Scans that were given up unsolved.", |board| {
+        Some(board.lag.skipped_scans as f64)
+    });
     boards.latency();
     boards.each("slitpose_clock_uncertainty_seconds", gauge, "The instants of scans are right to this.", |board| {
         board.clock.uncertainty_s

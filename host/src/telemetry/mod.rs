@@ -24,8 +24,8 @@ pub use address::{AddressError, DEFAULT_STATUS_ADDRESS, StatusAddress};
 pub use client::{FetchError, fetch};
 pub use latency::{Latency, LatencyHistogram, Percentiles};
 pub use report::{
-    BoardLosses, BoardReport, ClockReport, Complaint, DaemonReport, HostLosses, Latencies, LinkLosses, LinkReport,
-    LinkState, Losses, Outcomes, ProcessReport, Rates, RecorderReport, RecorderState, Vitals,
+    BoardLosses, BoardReport, ClockReport, Complaint, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses,
+    LinkReport, LinkState, Losses, Outcomes, ProcessReport, Rates, RecorderReport, RecorderState, Vitals,
 };
 pub use server::{Reach, StatusError, StatusServer};
 pub use statistics::BoardStatistics;

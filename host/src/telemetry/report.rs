@@ -71,6 +71,8 @@ pub struct BoardReport {
     pub recent_outcomes: Outcomes,
     /// How old poses are.
     pub latencies: Latencies,
+    /// Whether the solver keeps up.
+    pub lag: LagReport,
     /// The board's clock by the host's.
     pub clock: ClockReport,
     /// What the board says of itself; `None` before its first status.
@@ -255,6 +257,25 @@ pub struct Latencies {
     pub host: Latency,
     /// Both.
     pub total: Latency,
+}
+
+/// How far solving is behind what comes, in the last moments.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LagReport {
+    /// Control loops get the newest scan only: the solver takes longer than the board.
+    #[serde(rename = "behind")]
+    pub is_behind: bool,
+    /// For how long that has been so, seconds.
+    pub behind_s: f64,
+    /// Standard output was not read as fast as poses came.
+    #[serde(rename = "output_blocked")]
+    pub is_output_blocked: bool,
+    /// Scans that have arrived and are not solved yet.
+    pub waiting_scans: u64,
+    /// For how long the oldest of them has waited, seconds.
+    pub waiting_s: f64,
+    /// Scans that were given up unsolved, in all. A capture has them.
+    pub skipped_scans: u64,
 }
 
 /// The board's clock by the host's.

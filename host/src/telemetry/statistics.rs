@@ -5,7 +5,8 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 use super::latency::LatencyHistogram;
 use super::losses::LossBook;
 use super::report::{
-    BoardReport, ClockReport, Complaint, HostLosses, Latencies, LinkLosses, LinkReport, Losses, Outcomes, Rates, Vitals,
+    BoardReport, ClockReport, Complaint, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses, Outcomes,
+    Rates, Vitals,
 };
 use crate::clock::HostInstant;
 use crate::device::DeviceId;
@@ -26,6 +27,7 @@ pub struct BoardStatistics {
     simulated: bool,
     book: LossBook,
     host_losses: HostLosses,
+    lag: LagReport,
     status: Option<Status>,
     complaint: Option<Complaint>,
     clock: ClockReport,
@@ -61,6 +63,7 @@ impl BoardStatistics {
             simulated: false,
             book: LossBook::default(),
             host_losses: HostLosses::default(),
+            lag: LagReport::default(),
             status: None,
             complaint: None,
             clock: ClockReport::default(),
@@ -85,11 +88,21 @@ impl BoardStatistics {
         self.host_losses = host_losses;
     }
 
+    /// How far solving is behind.
+    pub fn set_lag(&mut self, lag: LagReport) {
+        self.lag = lag;
+    }
+
     /// Takes what came out of the pipeline: when the bytes that completed it were read and, of a pose,
     /// when it had been published; `None` where the stream does not go at the pace of time.
     pub fn take(&mut self, item: &Item<'_>, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
         match item {
             Item::Hello(hello) => self.take_hello(hello),
+            Item::Scan(scan) => {
+                self.book.scan(scan.sequence());
+                self.last_device_s = Some(scan.device_time_s);
+                self.last_read = read_at;
+            }
             Item::Pose(record) => self.take_record(record, read_at, published_at),
             Item::Status(status) => {
                 self.book.status(status);
@@ -147,6 +160,7 @@ impl BoardStatistics {
                 host: self.host_latency.latency(),
                 total: self.total_latency.latency(),
             },
+            lag: self.lag,
             clock: self.clock,
             vitals: self.status.as_ref().map(|status| self.vitals(status)),
             complaint: self.complaint.clone(),
@@ -166,9 +180,6 @@ impl BoardStatistics {
     }
 
     fn take_record(&mut self, record: &Record, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
-        self.book.scan(record.sequence);
-        self.last_device_s = Some(record.device_time_s);
-        self.last_read = read_at;
         self.clock.uncertainty_s = record.host_time.map(|time| time.uncertainty_ns as f64 * 1e-9);
         let sampled_ns = record.host_time.map(|time| time.monotonic_ns);
         let [read_ns, published_ns] = [read_at, published_at].map(|at| at.map(|at| at.monotonic_ns));

@@ -111,6 +111,9 @@ pub fn lines(report: &BoardReport) -> Vec<String> {
             put(&mut lines, "latency", &format!("{name:<6}{}", percentiles(latency)));
         }
     }
+    if let Some(complaint) = report.lag.complaint() {
+        put(&mut lines, "late", &complaint);
+    }
     if let Some(uncertainty_s) = report.clock.uncertainty_s {
         let drift = report.clock.drift_ppm.map_or(String::new(), |drift_ppm| format!(", fast by {drift_ppm:+.2} ppm"));
         put(&mut lines, "clock", &format!("known to {:.1} us{drift}", uncertainty_s * 1e6));

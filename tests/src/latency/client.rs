@@ -5,8 +5,9 @@ use std::process::Command;
 
 use super::{Plan, repository};
 
-/// Bit of a datagram's flags: the host's time of the scan is known.
-const HAS_HOST_TIME: u32 = 4;
+/// Bits of a datagram's flags: the host's time of the scan is known, and scans before it were passed over.
+const HAS_HOST_TIME: u64 = 4;
+const BEHIND: u64 = 32;
 
 /// What the client knows of a pose. Times are CLOCK_MONOTONIC, ns.
 #[derive(Clone, Copy, Debug)]
@@ -15,8 +16,10 @@ pub struct Received {
     pub sequence: u64,
     /// Number of the datagram: a gap is what the client missed.
     pub datagram: u64,
-    /// Whether the host's time of the scan was known.
-    pub has_host_time: bool,
+    /// Whether scans before it were passed over.
+    pub is_behind: bool,
+    /// When the scan was taken, as far as the daemon knew.
+    pub taken_ns: Option<u64>,
     /// The daemon had read its bytes.
     pub arrival_ns: u64,
     /// The daemon had solved it.
@@ -57,9 +60,9 @@ pub(super) fn follow(program: &Path, address: &str, plan: &Plan, folder: &Path) 
 
 fn received(line: &str) -> Received {
     let numbers: Vec<u64> = line.split(' ').map(|number| number.parse().expect("a number")).collect();
-    let [sequence, datagram, flags, arrival_ns, published_ns, received_ns] = numbers[..] else {
-        panic!("`{line}` is no line of six numbers");
+    let [sequence, datagram, flags, taken_ns, arrival_ns, published_ns, received_ns] = numbers[..] else {
+        panic!("`{line}` is no line of seven numbers");
     };
-    let has_host_time = flags & u64::from(HAS_HOST_TIME) != 0;
-    Received { sequence, datagram, has_host_time, arrival_ns, published_ns, received_ns }
+    let taken_ns = (flags & HAS_HOST_TIME != 0).then_some(taken_ns);
+    Received { sequence, datagram, is_behind: flags & BEHIND != 0, taken_ns, arrival_ns, published_ns, received_ns }
 }

@@ -90,6 +90,9 @@ fn c_reads_what_is_written() {
     let solution = &record.solution;
     let (used, redundancy) = (solution.cells_used.count(), solution.redundancy);
     assert_eq!(lines[0], format!("544 31 0 {used} simulated 0 {redundancy}"));
+    let mut behind = datagram.clone();
+    behind.mark_behind();
+    assert!(read(&behind).starts_with("544 63 0 "), "the sixth bit, and no other");
     let device_time_ns = (record.device_time_s * 1e9).round();
     assert_eq!(
         lines[1],

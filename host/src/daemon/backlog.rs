@@ -1,0 +1,302 @@
+//! Which of the scans that wait is solved next, and for whom.
+//!
+//! Scans are solved in the order in which they came, each at once for everybody, as long as that takes less
+//! time than the board. When it does not, control loops are given the newest scan ahead of its turn. What
+//! becomes of the older ones depends on who wants them: where each pose is promised (standard output, or a
+//! run of a given duration) they wait and are solved in the time between; where nobody wants them they are
+//! skipped, and counted. A capture has their bytes in either case.
+//!
+//! So no control loop gets a pose later than [`LATE_NS`] + [`GRACE_NS`] and two solutions after its scan had
+//! arrived, however long a solution takes.
+
+use crate::pipeline::Queue;
+
+/// A scan that has waited for less is not late: 20 scans at 4 kHz.
+const LATE_NS: u64 = 5_000_000;
+
+/// A solver that does not catch up within this is behind. The system may have stopped it for longer: that
+/// costs it no more than this to catch up.
+const GRACE_NS: u64 = 5_000_000;
+
+/// Where older scans are skipped nothing shows that the solver could keep up again: it is tried after this.
+const TRIAL_AFTER_NS: u64 = 1_000_000_000;
+
+/// What to do next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// Nothing can be done before something comes, or is printed.
+    Wait,
+    /// Solve the oldest scan, for everybody who has not been given a newer one.
+    Oldest,
+    /// Solve the newest scan ahead of its turn, for control loops.
+    Newest,
+    /// Skip so many of the oldest.
+    Skip(usize),
+}
+
+/// Follows how far the solver is behind.
+#[derive(Debug)]
+pub(super) struct Backlog {
+    keeps_all: bool,
+    late_since_ns: Option<u64>,
+    behind_since_ns: Option<u64>,
+    /// The last one was solved ahead of its turn.
+    was_newest: bool,
+}
+
+impl Backlog {
+    /// `keeps_all`: each scan is wanted by somebody, however late.
+    pub(super) fn new(keeps_all: bool) -> Self {
+        Self { keeps_all, late_since_ns: None, behind_since_ns: None, was_newest: false }
+    }
+
+    /// Whether scans are solved ahead of their turn.
+    pub(super) fn is_behind(&self) -> bool {
+        self.behind_since_ns.is_some()
+    }
+
+    /// What to do with `queue` at `now_ns`, CLOCK_MONOTONIC; `can_print` tells whether the oldest could be
+    /// handed on once it is solved.
+    pub(super) fn next(&mut self, queue: &Queue, can_print: bool, now_ns: u64) -> Next {
+        if queue.waiting == 0 {
+            self.late_since_ns = None;
+            if self.keeps_all {
+                self.behind_since_ns = None;
+            }
+            return Next::Wait;
+        }
+        let Some(oldest_ns) = queue.oldest_ns else {
+            // Device time waits, too.
+            return if can_print { Next::Oldest } else { Next::Wait };
+        };
+        self.judge(oldest_ns, now_ns);
+        let has_newer = queue.passed < queue.waiting;
+        if self.is_behind() && !self.keeps_all {
+            return if queue.waiting > 1 { Next::Skip(queue.waiting - 1) } else { Next::Oldest };
+        }
+        // Turn by turn: neither is kept waiting by the other.
+        let is_urgent = has_newer && (!can_print || (self.is_behind() && !self.was_newest));
+        self.was_newest = is_urgent;
+        match (is_urgent, can_print) {
+            (true, _) => Next::Newest,
+            (false, true) => Next::Oldest,
+            (false, false) => Next::Wait,
+        }
+    }
+
+    fn judge(&mut self, oldest_ns: u64, now_ns: u64) {
+        if now_ns.saturating_sub(oldest_ns) <= LATE_NS {
+            self.late_since_ns = None;
+            if self.keeps_all {
+                self.behind_since_ns = None;
+            }
+        } else {
+            let late_since_ns = *self.late_since_ns.get_or_insert(now_ns);
+            if now_ns - late_since_ns > GRACE_NS {
+                self.behind_since_ns.get_or_insert(now_ns);
+            }
+        }
+        if !self.keeps_all
+            && let Some(behind_since_ns) = self.behind_since_ns
+            && now_ns - behind_since_ns > TRIAL_AFTER_NS
+        {
+            (self.late_since_ns, self.behind_since_ns) = (None, None);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use super::*;
+
+    /// From a scan to the next, and how many come in one read.
+    const FRAME_NS: u64 = 250_000;
+    const AT_ONCE: u64 = 4;
+
+    /// A solver that takes as long as it is told, by a clock of its own.
+    struct Trial {
+        backlog: Backlog,
+        /// Number and arrival of those that wait, and how many of them were passed.
+        waiting: VecDeque<(u64, u64)>,
+        passed: usize,
+        now_ns: u64,
+        arrived: u64,
+        printed: Vec<u64>,
+        /// Number and age of each that a control loop was given.
+        given: Vec<(u64, u64)>,
+        skipped: u64,
+        was_behind: bool,
+    }
+
+    impl Trial {
+        fn new(keeps_all: bool) -> Self {
+            Self {
+                backlog: Backlog::new(keeps_all),
+                waiting: VecDeque::new(),
+                passed: 0,
+                now_ns: 1,
+                arrived: 0,
+                printed: Vec::new(),
+                given: Vec::new(),
+                skipped: 0,
+                was_behind: false,
+            }
+        }
+
+        /// Takes in all scans that came until now, as long as it is before `end_ns`.
+        fn arrive(&mut self, end_ns: u64) {
+            let read_ns = AT_ONCE * FRAME_NS;
+            while (self.arrived / AT_ONCE + 1) * read_ns <= self.now_ns.min(end_ns) {
+                let at_ns = (self.arrived / AT_ONCE + 1) * read_ns;
+                self.waiting.push_back((self.arrived, at_ns));
+                self.arrived += 1;
+            }
+        }
+
+        fn give(&mut self, (number, at_ns): (u64, u64)) {
+            self.given.push((number, self.now_ns - at_ns));
+        }
+
+        /// Goes on until `end_ns`, and then without further scans until nothing waits, if `drain` says so.
+        fn run(&mut self, end_ns: u64, can_print: bool, drain: bool, cost_ns: impl Fn(u64) -> u64) {
+            while self.now_ns < end_ns || (drain && !self.waiting.is_empty()) {
+                self.arrive(end_ns);
+                let oldest_ns = self.waiting.front().map(|(_, at_ns)| *at_ns);
+                let queue = Queue { waiting: self.waiting.len(), passed: self.passed, oldest_ns };
+                let next = self.backlog.next(&queue, can_print, self.now_ns);
+                self.was_behind |= self.backlog.is_behind();
+                match next {
+                    Next::Wait => self.now_ns += FRAME_NS,
+                    Next::Oldest => {
+                        assert!(can_print || !self.backlog.keeps_all);
+                        let scan = self.waiting.pop_front().unwrap();
+                        self.now_ns += cost_ns(scan.0);
+                        if self.passed == 0 {
+                            self.give(scan);
+                        }
+                        self.passed = self.passed.saturating_sub(1);
+                        self.printed.push(scan.0);
+                    }
+                    Next::Newest => {
+                        assert!(self.passed < self.waiting.len(), "the newest has been solved already");
+                        self.passed = self.waiting.len();
+                        let scan = *self.waiting.back().unwrap();
+                        self.now_ns += cost_ns(scan.0);
+                        self.give(scan);
+                    }
+                    Next::Skip(count) => {
+                        assert!(count < self.waiting.len(), "the newest is never skipped");
+                        self.waiting.drain(..count);
+                        self.skipped += count as u64;
+                    }
+                }
+            }
+        }
+
+        fn oldest_given_ns(&self) -> u64 {
+            self.given.iter().map(|(_, age_ns)| *age_ns).max().unwrap()
+        }
+
+        /// Whether all that arrived was printed, in order.
+        fn is_printed(&self) -> bool {
+            self.printed.iter().copied().eq(0..self.arrived)
+        }
+
+        fn is_in_order(&self) -> bool {
+            self.given.windows(2).all(|pair| pair[0].0 < pair[1].0)
+        }
+    }
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    #[test]
+    fn a_solver_that_keeps_up_gives_every_scan_to_everybody() {
+        for keeps_all in [true, false] {
+            let mut trial = Trial::new(keeps_all);
+            trial.run(2 * SECOND_NS, true, true, |_| 240_000);
+            assert!(trial.arrived >= 7_990 && trial.skipped == 0 && !trial.was_behind);
+            assert!(trial.is_in_order() && trial.given.len() == trial.printed.len());
+            assert!(trial.is_printed());
+            // The last of four waits for the three ahead of it; nobody looks while it waits for them.
+            assert!(trial.oldest_given_ns() <= 4 * 240_000 + FRAME_NS, "{} ns", trial.oldest_given_ns());
+        }
+    }
+
+    #[test]
+    fn a_pause_of_the_solver_loses_no_scan() {
+        for keeps_all in [true, false] {
+            let mut trial = Trial::new(keeps_all);
+            // The system runs something else for 60 ms, once a half second.
+            trial.run(3 * SECOND_NS, true, true, |number| if number % 2000 == 500 { 60_000_000 } else { 10_000 });
+            assert_eq!((trial.skipped, trial.was_behind, trial.given.len()), (0, false, trial.arrived as usize));
+        }
+    }
+
+    #[test]
+    fn poses_for_control_loops_stay_new_however_slow_the_solver_is() {
+        for keeps_all in [true, false] {
+            for cost_ns in [260_000, 370_000, 924_000, 1_536_000, 10_000_000, 400_000_000] {
+                let mut trial = Trial::new(keeps_all);
+                trial.run(5 * SECOND_NS, true, true, |_| cost_ns);
+                let name = format!("keeps all {keeps_all}, {cost_ns} ns");
+                assert!(trial.was_behind && trial.is_in_order(), "{name}");
+                // The one that is under way when it falls behind, and then its own and one in turn.
+                let most_ns = LATE_NS + GRACE_NS + 3 * cost_ns;
+                assert!(trial.oldest_given_ns() <= most_ns, "{name}: {} ns", trial.oldest_given_ns());
+                // Behind, it does not wait for others: half its time, or all, goes to the newest.
+                let given = 5 * SECOND_NS / cost_ns / 2;
+                assert!(trial.given.len() as u64 >= given.min(4_500), "{name}: {} given", trial.given.len());
+                if keeps_all {
+                    assert!(trial.is_printed() && trial.skipped == 0, "{name}");
+                } else {
+                    assert_eq!(trial.given.len() as u64 + trial.skipped, trial.arrived, "{name}");
+                    assert!(trial.skipped > 0, "{name}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_solver_that_can_keep_up_again_recovers() {
+        for keeps_all in [true, false] {
+            let mut trial = Trial::new(keeps_all);
+            // Slow for the scans of one second.
+            let cost_ns = |number| if (4_000..8_000).contains(&number) { 500_000 } else { 10_000 };
+            trial.run(3 * SECOND_NS, true, false, cost_ns);
+            assert!(trial.was_behind);
+            // They keep it busy for two more, and those solved ahead of them for another.
+            trial.run(5 * SECOND_NS, true, false, cost_ns);
+            (trial.was_behind, trial.given) = (false, Vec::new());
+            let skipped = trial.skipped;
+            trial.run(11 * SECOND_NS / 2, true, true, cost_ns);
+            assert!(!trial.was_behind && trial.skipped == skipped, "keeps all {keeps_all}");
+            // Every scan of the last half second, in time.
+            assert!(trial.given.len() >= 1_990 && trial.oldest_given_ns() < 1_000_000, "keeps all {keeps_all}");
+        }
+    }
+
+    #[test]
+    fn who_does_not_read_standard_output_keeps_no_control_loop_waiting() {
+        let mut trial = Trial::new(true);
+        trial.run(SECOND_NS, false, false, |_| 10_000);
+        assert_eq!(trial.printed, Vec::<u64>::new());
+        // The newest of each read, at once.
+        assert!(trial.given.len() >= 990 && trial.oldest_given_ns() < 1_000_000 && trial.is_in_order());
+        trial.run(2 * SECOND_NS, true, true, |_| 10_000);
+        assert!(trial.is_printed());
+        assert!(!trial.backlog.is_behind() && trial.is_in_order());
+    }
+
+    #[test]
+    fn without_times_everything_waits_for_its_turn() {
+        let mut backlog = Backlog::new(false);
+        let queue = Queue { waiting: 1000, passed: 0, oldest_ns: None };
+        for now_ns in [0, SECOND_NS, 100 * SECOND_NS] {
+            assert_eq!(backlog.next(&queue, true, now_ns), Next::Oldest);
+            assert_eq!(backlog.next(&queue, false, now_ns), Next::Wait);
+        }
+        assert!(!backlog.is_behind());
+    }
+}

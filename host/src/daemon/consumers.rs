@@ -1,0 +1,202 @@
+//! Who gets what comes of a board: control loops, the account, the capture, the printer.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use slitpose_protocol::{Rejection, Reply, Severity};
+
+use super::circuit::Filler;
+use super::inlet::CaptureInlet;
+use crate::clock::HostInstant;
+use crate::datagram::{DatagramServer, Publisher};
+use crate::device::DeviceId;
+use crate::pipeline::{Item, Record, Segment};
+use crate::sink::Note;
+use crate::telemetry::BoardStatistics;
+
+/// Something for whoever prints.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]
+pub(super) enum Outgoing {
+    Pose(Record),
+    Note(Note),
+}
+
+/// Poses in a full outbox: some milliseconds of a board at 4 kHz.
+pub(super) const OUTBOX_POSES: usize = 16;
+
+/// What goes to the printer in one piece.
+pub(super) type Outbox = Vec<Outgoing>;
+
+/// Who gets what the pipeline gives.
+pub(super) struct Consumers {
+    pub(super) datagrams: Option<Arc<DatagramServer>>,
+    pub(super) publisher: Option<Publisher>,
+    pub(super) statistics: BoardStatistics,
+    pub(super) printer: Option<Filler<Outbox>>,
+    /// Whether each pose has to be printed, however long that takes.
+    pub(super) prints_all: bool,
+    pub(super) capture: Option<CaptureInlet>,
+    outbox: Option<Outbox>,
+    /// Notes that wait for the scans ahead of them: how many these are, from the start.
+    notes: VecDeque<(u64, Note)>,
+    arrived: u64,
+    taken: u64,
+    device: Option<DeviceId>,
+    /// The last warning or error of the board.
+    pub(super) complaint: Option<String>,
+    /// What the board did not want to do.
+    pub(super) refused: Option<Rejection>,
+}
+
+impl Consumers {
+    pub(super) fn new(
+        statistics: BoardStatistics,
+        datagrams: Option<Arc<DatagramServer>>,
+        printer: Option<Filler<Outbox>>,
+        prints_all: bool,
+        capture: Option<CaptureInlet>,
+    ) -> Self {
+        Self {
+            datagrams,
+            publisher: None,
+            statistics,
+            printer,
+            prints_all,
+            capture,
+            outbox: None,
+            notes: VecDeque::new(),
+            arrived: 0,
+            taken: 0,
+            device: None,
+            complaint: None,
+            refused: None,
+        }
+    }
+
+    /// Prepares for the next segment, which opens the link anew or not.
+    pub(super) fn begin(&mut self, opened: bool) {
+        if let Some(capture) = &mut self.capture {
+            capture.begin(opened);
+        }
+    }
+
+    /// Takes what a segment says.
+    pub(super) fn take(&mut self, item: &Item<'_>) {
+        let mut read_at = None;
+        match item {
+            Item::Scan(scan) => {
+                self.arrived += 1;
+                read_at = scan.arrival;
+            }
+            Item::Hello(hello) => {
+                let device = DeviceId(hello.device_id);
+                if self.device.replace(device) != Some(device) {
+                    self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
+                }
+                if let Some(capture) = &mut self.capture {
+                    capture.hello(hello);
+                }
+                self.note(|| Note::hello(hello));
+            }
+            Item::Event { severity, device_time_s, text } => {
+                if *severity != Severity::Info {
+                    self.complaint = Some((*text).to_owned());
+                }
+                let (device, severity, device_time_s) = (self.device, *severity, *device_time_s);
+                self.note(|| Note::Event { device, severity, device_time_s, text: (*text).to_owned() });
+            }
+            // Told when all of the segment is taken: what came is not to be lost.
+            Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
+            Item::Reply(_) | Item::Status(_) | Item::Pose(_) => {}
+        }
+        self.statistics.take(item, read_at, None);
+    }
+
+    /// Keeps what came.
+    pub(super) fn keep(&mut self, segment: &Segment) {
+        if let Some(capture) = &mut self.capture {
+            capture.keep(segment);
+        }
+    }
+
+    /// Gives a pose that is newer than all before to those who want new ones.
+    pub(super) fn publish(&mut self, record: &Record, now: HostInstant, is_behind: bool) {
+        if let Some(publisher) = &mut self.publisher {
+            publisher.set_behind(is_behind);
+            publisher.publish(record, now);
+        }
+        self.statistics.take(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
+        if let Some(capture) = &mut self.capture {
+            capture.pose(record);
+        }
+    }
+
+    /// Whether a pose can be handed to the printer now.
+    pub(super) fn can_print(&mut self) -> bool {
+        if self.outbox.is_none()
+            && let Some(printer) = &self.printer
+        {
+            self.outbox = printer.spare_now();
+            return self.outbox.is_some() || !self.prints_all;
+        }
+        true
+    }
+
+    /// Waits until a pose can be handed to the printer, or for `timeout`.
+    pub(super) fn await_room(&mut self, timeout: Duration) {
+        if let Some(printer) = &self.printer {
+            self.outbox = self.outbox.take().or_else(|| printer.spare_within(timeout));
+        }
+    }
+
+    /// Prints the next pose in turn, behind the notes that came before it.
+    pub(super) fn print(&mut self, record: &Record) {
+        self.print_notes();
+        self.taken += 1;
+        if let Some(outbox) = &mut self.outbox {
+            outbox.push(Outgoing::Pose(*record));
+            if outbox.len() >= OUTBOX_POSES {
+                self.hand_over_outbox();
+            }
+        }
+    }
+
+    /// Passes over `count` scans that are not solved.
+    pub(super) fn skip(&mut self, count: usize) {
+        self.taken += count as u64;
+    }
+
+    fn note(&mut self, note: impl FnOnce() -> Note) {
+        if self.printer.is_some() {
+            self.notes.push_back((self.arrived, note()));
+        }
+    }
+
+    fn print_notes(&mut self) {
+        while let Some(outbox) = &mut self.outbox
+            && self.notes.front().is_some_and(|(arrived, _)| *arrived <= self.taken)
+            && let Some((_, note)) = self.notes.pop_front()
+        {
+            outbox.push(Outgoing::Note(note));
+        }
+    }
+
+    /// Hands what is to be printed to the printer.
+    pub(super) fn hand_over_outbox(&mut self) {
+        if !self.notes.is_empty() && self.can_print() {
+            self.print_notes();
+        }
+        if let (Some(printer), Some(outbox)) = (&self.printer, self.outbox.take_if(|outbox| !outbox.is_empty())) {
+            printer.hand_over(outbox);
+        }
+    }
+
+    /// Hands what is to be recorded to the recorder.
+    pub(super) fn hand_over_capture(&mut self) {
+        if let Some(capture) = &mut self.capture {
+            capture.hand_over();
+        }
+    }
+}

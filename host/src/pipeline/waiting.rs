@@ -1,0 +1,213 @@
+//! Scans that have arrived and are not solved yet.
+
+use std::collections::VecDeque;
+
+use slitpose_model::Pose;
+use slitpose_protocol::RawScan;
+
+use crate::clock::{HostInstant, HostTime};
+
+/// Scans that there is room for from the start: 30 ms of a board at 4 kHz.
+const USUAL: usize = 128;
+
+/// A scan with all that is known of it but its pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Scan {
+    pub(super) raw: RawScan,
+    /// The session that it belongs to.
+    pub(super) session: u64,
+    /// The instant its pose refers to, by the board's clock, seconds.
+    pub device_time_s: f64,
+    /// The same instant by the host's clocks; `None` while it is not known.
+    pub host_time: Option<HostTime>,
+    /// When the last byte of its batch had been read.
+    pub arrival: Option<HostInstant>,
+    /// Where the tool was at that instant; only simulators know.
+    pub truth: Option<Pose>,
+}
+
+impl Scan {
+    /// Its number, counted by the board.
+    pub fn sequence(&self) -> u64 {
+        self.raw.sequence
+    }
+}
+
+/// What waits, in numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Queue {
+    /// Scans that wait.
+    pub waiting: usize,
+    /// How many of them, from the oldest on, are older than one that was solved ahead of its turn.
+    pub passed: usize,
+    /// When the oldest arrived, CLOCK_MONOTONIC, ns; `None` if nothing waits, or if the stream does not go
+    /// at the pace of time.
+    pub oldest_ns: Option<u64>,
+}
+
+/// Scans in the order they were taken in.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    scans: VecDeque<Scan>,
+    passed: usize,
+}
+
+impl Default for Waiting {
+    fn default() -> Self {
+        Self { scans: VecDeque::with_capacity(USUAL), passed: 0 }
+    }
+}
+
+impl Waiting {
+    pub(super) fn push(&mut self, scan: Scan) {
+        self.scans.push_back(scan);
+    }
+
+    /// Takes the oldest, and tells whether a newer one was solved ahead of it.
+    pub(super) fn pop(&mut self) -> Option<(Scan, bool)> {
+        let scan = self.scans.pop_front()?;
+        let is_passed = self.passed > 0;
+        self.passed = self.passed.saturating_sub(1);
+        Some((scan, is_passed))
+    }
+
+    /// The newest, to be solved ahead of its turn; `None` if it has been already.
+    pub(super) fn pass(&mut self) -> Option<Scan> {
+        if self.passed == self.scans.len() {
+            return None;
+        }
+        self.passed = self.scans.len();
+        self.scans.back().copied()
+    }
+
+    pub(super) fn queue(&self) -> Queue {
+        let oldest = self.scans.front().and_then(|scan| scan.arrival);
+        Queue { waiting: self.scans.len(), passed: self.passed, oldest_ns: oldest.map(|arrival| arrival.monotonic_ns) }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.scans.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use slitpose_protocol::Command;
+
+    use crate::pipeline::timing::tests::{Bench, feed};
+    use crate::pipeline::{Item, Pipeline, PipelineError, Record, Segment};
+
+    fn receive(pipeline: &mut Pipeline, segment: &Segment) -> Vec<u64> {
+        let mut arrived = Vec::new();
+        let taken = pipeline.receive(segment, |item| {
+            assert!(!matches!(item, Item::Pose(_)), "nobody has asked for a pose");
+            if let Item::Scan(scan) = item {
+                arrived.push(scan.sequence());
+            }
+            Ok::<_, PipelineError>(())
+        });
+        assert_eq!(taken.unwrap(), segment.bytes.len());
+        arrived
+    }
+
+    fn assert_same(late: &Record, in_time: &Record) {
+        assert_eq!((late.sequence, late.device_time_s), (in_time.sequence, in_time.device_time_s));
+        assert_eq!((late.host_time, late.arrival, late.truth), (in_time.host_time, in_time.arrival, in_time.truth));
+        assert_eq!(late.solution.estimate, in_time.solution.estimate);
+        assert_eq!(late.solution.outcome, in_time.solution.outcome);
+    }
+
+    /// On a stack as large as that of the daemon's threads.
+    fn on_a_large_stack(test: fn()) {
+        std::thread::Builder::new().stack_size(8 << 20).spawn(test).unwrap().join().unwrap();
+    }
+
+    #[test]
+    fn poses_in_turn_are_the_same_whatever_was_solved_ahead() {
+        on_a_large_stack(solve_some_ahead);
+    }
+
+    fn solve_some_ahead() {
+        let mut bench = Bench::new();
+        let segments: Vec<Segment> = (0..10).map(|token| bench.segment(20, token)).collect();
+        let mut in_time = bench.pipeline().watched();
+        let expected: Vec<Record> = segments.iter().flat_map(|segment| feed(&mut in_time, segment).1).collect();
+        assert_eq!(expected.len(), 200);
+
+        let mut pipeline = bench.pipeline().watched();
+        let (mut printed, mut ahead) = (Vec::new(), Vec::new());
+        for (number, segment) in (1..).zip(&segments) {
+            assert_eq!(receive(&mut pipeline, segment).len(), 20);
+            ahead.extend(pipeline.solve_newest());
+            assert!(pipeline.solve_newest().is_none(), "it has been solved");
+            printed.extend((0..3).filter_map(|_| pipeline.solve_next()));
+            let queue = pipeline.queue();
+            assert_eq!((queue.waiting, queue.passed), (17 * number, 17 * number));
+            assert_eq!(queue.oldest_ns, expected[printed.len()].arrival.map(|at| at.monotonic_ns));
+        }
+        printed.extend(std::iter::from_fn(|| pipeline.solve_next()));
+        assert_eq!((printed.len(), ahead.len(), pipeline.queue().waiting), (200, 10, 0));
+        printed.iter().zip(&expected).for_each(|(late, in_time)| assert_same(late, in_time));
+        // The newest of each segment, as honest a pose if by another prediction.
+        for (ahead, expected) in ahead.iter().zip(expected.iter().skip(19).step_by(20)) {
+            assert_eq!((ahead.sequence, ahead.arrival), (expected.sequence, expected.arrival));
+            let found = ahead.solution.estimate.unwrap();
+            let (dt, dr) = found.pose.displacement_from(&ahead.truth.unwrap());
+            let off = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+            // Of 60 normal numbers 3e-5 lie beyond 5 σ; its σ knows that nothing was known of the motion.
+            assert!(off.iter().zip(found.sigma()).all(|(off, sigma)| off.abs() < 5.0 * sigma), "{off:?}");
+        }
+        let counts = pipeline.counts();
+        assert_eq!((counts.scans, counts.scans_skipped), (200, 0));
+        assert_eq!(counts.outcomes, in_time.counts().outcomes, "each scan has one outcome");
+        // What is in turn after a newer one tells nothing new of the head: ten newest.
+        assert_eq!(pipeline.health().unwrap().cells[0].totals.scans, 10);
+    }
+
+    #[test]
+    fn what_is_skipped_is_counted_and_the_rest_is_followed() {
+        let mut bench = Bench::new();
+        let mut pipeline = bench.pipeline();
+        for token in 0..5 {
+            let arrived = receive(&mut pipeline, &bench.segment(20, token));
+            pipeline.skip(19);
+            let record = pipeline.solve_next().unwrap();
+            assert_eq!((Some(&record.sequence), pipeline.queue().waiting), (arrived.last(), 0));
+            assert!(record.solution.estimate.is_some());
+        }
+        pipeline.skip(1);
+        let counts = pipeline.counts();
+        assert_eq!((counts.scans, counts.scans_skipped, counts.scans_lost), (100, 95, 0));
+        assert_eq!(counts.outcomes.iter().sum::<u64>(), 5);
+    }
+
+    #[test]
+    fn scans_of_an_earlier_configuration_are_solved_by_it() {
+        on_a_large_stack(solve_across_configurations);
+    }
+
+    fn solve_across_configurations() {
+        let (mut first, mut second) = (Bench::new(), Bench::new());
+        let mut in_time = first.pipeline();
+        let mut early = first.segment(20, 0);
+        // The second board counts configurations from there.
+        second.tell(3, Command::Stop);
+        second.tell(
+            4,
+            Command::Configure(crate::front_end::configuration(&crate::scene_file::WIDE.read().unwrap()).unwrap()),
+        );
+        second.tell(5, Command::Start);
+        let late = second.segment(20, 1);
+        early.append(&late);
+        let (_, expected) = feed(&mut in_time, &early);
+        let mut pipeline = first.pipeline();
+        assert_eq!(receive(&mut pipeline, &early).len(), 40);
+        let newest = pipeline.solve_newest().unwrap();
+        assert_eq!(newest.arrival, expected[39].arrival);
+        assert!(newest.solution.estimate.is_some(), "solved by its own session");
+        for expected in &expected {
+            assert_same(&pipeline.solve_next().unwrap(), expected);
+        }
+        assert!(pipeline.solve_next().is_none());
+    }
+}
