@@ -29,6 +29,17 @@ const PARABOLA_FROM: u32 = 4;
 /// Share of the newest frame in the running mean of squared errors.
 const NEWEST: f64 = 0.02;
 
+/// The same for the means that bends of translations and of rotations are told from.
+const NEWEST_BEND: f64 = 0.01;
+
+/// Mean squared error of translations or rotations alone that chance explains, above 1: 2.7 of its
+/// standard deviations.
+const CHANCE_BEND: f64 = 0.16;
+
+/// What a swinging tool errs by in the velocity, squared, per what one does whose acceleration changes
+/// steadily, both by the same error of the predicted pose: of hands, 1.0 to 1.35.
+const SWING: f64 = 1.2;
+
 /// The same for the mean that an alarm is raised by, and where: three standard deviations of the mean
 /// of χ²₆/6 above 1.
 const NEWEST_ALARM: f64 = 0.2;
@@ -139,6 +150,8 @@ struct State {
     memory: f64,
     /// Running mean of the squared prediction error, 1 if noise explains it.
     strain: f64,
+    /// The same of translations and of rotations alone: bends of the one are not those of the other.
+    strains: [f64; 2],
     /// The same over few frames.
     alarm: f64,
 }
@@ -180,15 +193,20 @@ impl Smoother {
             pose: next.pose,
             twist: next.step.twist(self.period_s),
             pose_variance: next.spread[0][0],
-            step_variance: next.spread[1][1] + next.bent().1,
+            step_variance: next.spread[1][1] + next.bent(),
             frames: next.frames,
             strain: next.strain.max(1.0),
         })
     }
 
-    /// Takes the pose of the next frame. `squared_sigmas` gives the squared length of a displacement
-    /// (metres, radians) in σ of that pose.
-    pub(super) fn update(&mut self, measured: &Pose, squared_sigmas: impl Fn(DVec3, DVec3) -> f64) {
+    /// Takes the pose of the next frame and its covariance. `squared_sigmas` gives the squared length of a
+    /// displacement (metres, radians) in σ of that pose.
+    pub(super) fn update(
+        &mut self,
+        measured: &Pose,
+        covariance: &Matrix6<f64>,
+        squared_sigmas: impl Fn(DVec3, DVec3) -> f64,
+    ) {
         let Some(state) = &mut self.state else {
             self.state = Some(State {
                 pose: *measured,
@@ -198,6 +216,7 @@ impl Smoother {
                 frames: 1,
                 memory: self.longest,
                 strain: 1.0,
+                strains: [1.0; 2],
                 alarm: 1.0,
             });
             return;
@@ -209,6 +228,11 @@ impl Smoother {
             let squared = squared_sigmas(translation, rotation) / (6.0 * (1.0 + next.spread[0][0]));
             next.strain += NEWEST * (squared - next.strain);
             next.alarm += NEWEST_ALARM * (squared - next.alarm);
+            for (group, error) in [translation, rotation].into_iter().enumerate() {
+                let of_axis = |i: usize| error[i] * error[i] / covariance[3 * group + i][3 * group + i];
+                let squared = (0..3).map(of_axis).sum::<f64>() / (3.0 * (1.0 + next.spread[0][0]));
+                next.strains[group] += NEWEST_BEND * (squared - next.strains[group]);
+            }
             let factor = if next.alarm > ALARM { SHRINK } else { GROW };
             next.memory = (next.memory * factor).clamp(SHORTEST, self.longest);
         }
@@ -226,15 +250,25 @@ impl Smoother {
     /// The state, where the covariance of a single pose is `covariance`.
     pub(super) fn smoothed(&self, covariance: &Matrix6<f64>) -> Option<Smoothed> {
         let state = self.state?;
-        let scaled = |factor: f64| covariance.map(|row| row.map(|value| value * factor));
-        let (pose_bent, step_bent) = state.bent();
+        // What bends add is no noise: it is not correlated as that is.
+        let scaled = |noise: f64, bends: [f64; 2]| {
+            let mut scaled = covariance.map(|row| row.map(|value| value * noise));
+            for (i, row) in scaled.iter_mut().enumerate() {
+                row[i] += covariance[i][i] * bends[i / 3];
+            }
+            scaled
+        };
+        let bends = state.bends();
         let per_second2 = (self.period_s * self.period_s).recip();
         // Of one frame's velocity nothing is known.
         (state.frames >= 2).then(|| Smoothed {
-            estimate: Estimate { pose: state.pose, covariance: scaled(state.spread[0][0] + pose_bent) },
+            estimate: Estimate {
+                pose: state.pose,
+                covariance: scaled(state.spread[0][0], bends.map(|[pose, _]| pose)),
+            },
             twist: TwistEstimate {
                 twist: state.step.twist(self.period_s),
-                covariance: scaled((state.spread[1][1] + step_bent) * per_second2),
+                covariance: scaled(state.spread[1][1] * per_second2, bends.map(|[_, step]| step * per_second2)),
             },
             lag_s: LAG_PER_MEMORY * state.memory * self.period_s,
             frames: state.frames,
@@ -247,14 +281,26 @@ impl State {
         self.memory / (1.0 + self.memory)
     }
 
-    /// Mean square of what noise does not explain, in the pose after its correction and in the step:
-    /// motion that bends more than a parabola.
-    fn bent(&self) -> (f64, f64) {
+    /// Mean square of what noise does not explain in the predicted step: motion that bends more than a
+    /// parabola.
+    fn bent(&self) -> f64 {
         let excess = if self.strain > CHANCE { self.strain - 1.0 } else { 0.0 };
-        let square = excess * (1.0 + self.spread[0][0]);
+        let astray = astray(self.theta());
+        astray * astray * excess * (1.0 + self.spread[0][0])
+    }
+
+    /// The same of translations and of rotations, in the pose and in the step, both corrected by the
+    /// newest frame, which has seen its bend.
+    fn bends(&self) -> [[f64; 2]; 2] {
         let theta = self.theta();
-        let (left, astray) = (theta * theta * theta, astray(theta));
-        (left * left * square, astray * astray * square)
+        let Gains([of_pose, of_step, _]) = Gains::fading(theta);
+        let (left, astray) = (1.0 - of_pose, astray(theta) - of_step);
+        // With a short memory chance adds a tenth to what noise does; with a long one it would be most.
+        let chance = CHANCE_BEND * (1.0 - SHORTEST / self.memory);
+        self.strains.map(|strain| {
+            let square = (strain - 1.0 - chance).max(0.0) * (1.0 + self.spread[0][0]);
+            [left * left * square, SWING * astray * astray * square]
+        })
     }
 
     /// One frame later.
@@ -296,12 +342,23 @@ mod tests {
 
     const PERIOD: f64 = 250e-6;
 
+    /// A covariance.
+    const UNIT: Matrix6<f64> = {
+        let mut unit = [[0.0; 6]; 6];
+        let mut i = 0;
+        while i < 6 {
+            unit[i][i] = 1.0;
+            i += 1;
+        }
+        unit
+    };
+
     /// Frames of a polynomial motion, through a filter.
     /// None of them is off by more than noise explains.
     fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> Smoother {
         let mut smoother = Smoother::new(PERIOD, memory_s);
         for frame in 0..frames {
-            smoother.update(&pose(f64::from(frame) * PERIOD), |_, _| 6.0);
+            smoother.update(&pose(f64::from(frame) * PERIOD), &UNIT, |_, _| 6.0);
         }
         smoother
     }
@@ -338,7 +395,7 @@ mod tests {
         let mut smoother = Smoother::new(PERIOD, 1.0);
         for frame in 0..=PARABOLA_FROM {
             let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
-            smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), |_, _| 6.0);
+            smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), &UNIT, |_, _| 6.0);
         }
         let x = smoother.state.expect("started").pose.translation_m.x;
         assert!((x - 31.0).abs() < 1e-12, "{x}");
@@ -352,13 +409,32 @@ mod tests {
     }
 
     #[test]
+    fn a_sudden_bend_shortens_the_memory_within_a_few_frames_and_the_lag_told_with_it() {
+        let mut smoother = run(0.1, 5_000, |_| Pose::HOME);
+        let lag_s = |smoother: &Smoother| smoother.smoothed(&UNIT).expect("many frames").lag_s;
+        assert!((lag_s(&smoother) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
+        // Predictions err by twice what noise explains. The mean over 50 frames would need 12 to notice.
+        (0..12).for_each(|_| smoother.update(&Pose::HOME, &UNIT, |_, _| 4.0 * 12.0));
+        let memory = smoother.state.expect("started").memory * PERIOD;
+        assert!(memory < 0.1 * 0.05, "{memory}");
+        // The step of which half has come through, as long as the memory is what it is now.
+        let (told, there) = (lag_s(&smoother), Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO));
+        let mut frames = 0.0;
+        while smoother.state.expect("started").pose.translation_m.x < 0.5e-6 {
+            smoother.update(&there, &UNIT, |_, _| 6.0);
+            frames += 1.0;
+        }
+        assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.2 * told, "{frames} frames, {told}");
+    }
+
+    #[test]
     fn lag_is_what_a_small_step_shows() {
         for memory_s in [5e-3, 50e-3, 500e-3] {
             let mut smoother = run(memory_s, 30_000, |_| Pose::HOME);
             let mut frames = 0.0;
             let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
             while smoother.state.expect("started").pose.translation_m.x < 0.5e-6 {
-                smoother.update(&there, |_, _| 6.0);
+                smoother.update(&there, &UNIT, |_, _| 6.0);
                 frames += 1.0;
             }
             let told = smoother.smoothed(&[[0.0; 6]; 6]).expect("many frames").lag_s;

@@ -160,9 +160,9 @@ impl<S: Scalar> Tracker<S> {
         };
         let solver = &self.solver;
         let squared_sigmas = |dt, dr| solver.squared_sigmas(&solution, dt, dr);
-        self.motion.update(&estimate.pose, squared_sigmas);
+        self.motion.update(&estimate.pose, &estimate.covariance, squared_sigmas);
         if let Some(filter) = &mut self.filter {
-            filter.update(&estimate.pose, squared_sigmas);
+            filter.update(&estimate.pose, &estimate.covariance, squared_sigmas);
         }
         let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
         self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
