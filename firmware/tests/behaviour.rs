@@ -90,7 +90,7 @@ fn a_status_says_what_the_sensors_say_now() {
         board.hardware_mut().health = (supply_v, temperature_k, load);
         let (_, status) = status(&mut board, &mut listener);
         assert_eq!((status.supply_v, status.temperature_k, status.cpu_load_permille), (supply_v, temperature_k, load));
-        assert_eq!((status.tick, status.acquiring), (board.hardware_mut().now, false));
+        assert_eq!((status.tick, status.acquiring, status.adc_overruns), (board.hardware_mut().now, false, 0));
     }
     board.receive(&request(1, Command::Start));
     assert!(status(&mut board, &mut listener).1.acquiring);
@@ -224,9 +224,8 @@ fn unknown_commands_are_answered_and_damaged_ones_counted() {
     let malformed = [0x08, 0x06, 0x02, 0x09, 0x86, 0x7f, 0x26, 0xb0, 0x00];
     let mut damaged = request(9, Command::Start);
     damaged[1] ^= 0x10;
-    board.receive(&unknown);
-    board.receive(&malformed);
-    board.receive(&damaged);
+    assert_eq!(board.receive(&[&unknown[..], &malformed[..]].concat()), 2);
+    assert_eq!(board.receive(&damaged), 0);
     board.receive(&request(10, Command::Ping { token: 4 }));
     let heard = turn(&mut board, &mut listener);
     assert_eq!(heard[0], rejected(5, Rejection::Unsupported { kind: 77 }));

@@ -142,13 +142,15 @@ impl Profile {
 
 /// White noise of the measured currents.
 ///
-/// Shot noise and Johnson noise have bandwidths of their own because subtracting a dark sample
-/// doubles the variance of the latter and of the converter, but not of the former.
+/// Shot noise of light and Johnson noise have bandwidths of their own because subtracting a dark sample
+/// doubles the variance of the latter, of the dark current's shot noise and of the converter, but not
+/// of the former.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
-    /// One-sided noise bandwidth of the shot noise, hertz.
+    /// One-sided noise bandwidth of the shot noise of light, hertz.
     pub shot_bandwidth_hz: f64,
-    /// One-sided noise bandwidth of the Johnson noise of the inter-electrode resistance, hertz.
+    /// One-sided noise bandwidth of what is there without light: Johnson noise of the inter-electrode
+    /// resistance, and shot noise of the dark current. Hertz.
     pub johnson_bandwidth_hz: f64,
     /// Temperature of the detectors, kelvin.
     pub temperature_k: f64,
@@ -160,6 +162,11 @@ impl Noise {
     /// 2q·B: variance of a current per ampere that flows (Schottky 1918), A.
     pub fn shot_a(&self) -> f64 {
         2.0 * ELEMENTARY_CHARGE_C * self.shot_bandwidth_hz
+    }
+
+    /// 2q·I_D·B: variance of the dark current of both electrodes of `detector` together, A².
+    pub fn dark_shot_a2(&self, detector: &Detector) -> f64 {
+        2.0 * ELEMENTARY_CHARGE_C * self.johnson_bandwidth_hz * detector.dark_current_a
     }
 
     /// 4kT·B/R_ie: variance of what the inter-electrode resistance of `detector` drives out of one

@@ -28,9 +28,12 @@ fn main() -> ExitCode {
         let target = example.ancestors().nth(3).expect("a target folder");
         paths = ["release", "debug"].map(|profile| target.join(profile).join("slitpose")).into();
     }
+    let programs: Vec<Vec<u8>> = paths.iter().map(|path| std::fs::read(path).expect("a program")).collect();
+    let differ = programs.len() > 1 && programs[1..].iter().all(|program| *program != programs[0]);
     let builds: Vec<Build> = paths.into_iter().map(|path| Build::of(Slitpose::given_or_beside(Some(path)))).collect();
     builds.iter().for_each(|build| println!("{build}"));
     let mut verdicts = Verdicts::default();
+    verdicts.check(differ, "there are several builds, and not the same one twice");
     verdicts.check(builds.iter().all(|build| build.equals(&builds[0])), "all give the same");
     verdicts.end()
 }

@@ -7,6 +7,8 @@
 mod noise;
 mod settling;
 mod stage;
+#[cfg(test)]
+mod tests;
 mod timing;
 
 pub use noise::{ROOM_TEMPERATURE_K, dark_word_noise_a};

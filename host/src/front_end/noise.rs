@@ -14,8 +14,8 @@ const DITHER_LSB: f64 = 0.5;
 
 /// The noise of one current, lit minus dark, after division by the settling `gain`.
 ///
-/// Shot noise is there only while there is light; Johnson noise, converter noise and rounding are
-/// in the lit and in the dark word.
+/// Shot noise of light is there only while there is light; that of the dark current, Johnson noise,
+/// converter noise and rounding are in the lit and in the dark word.
 pub(super) fn of_lit_minus_dark(
     scene: &Scene,
     front_end: &FrontEnd,
@@ -47,8 +47,7 @@ pub fn dark_word_noise_a(file: &SceneFile, cell: usize, scaling: &AdcScaling) ->
         temperature_k: temperature_k(&file.scene),
         adc_a: converter_variance_lsb2(front_end).sqrt() * scaling.amperes_per_code.abs(),
     };
-    let shot_a2 = 0.25 * noise.shot_a() * detector.dark_current_a;
-    Some((noise.adc_a * noise.adc_a + noise.johnson_a2(detector) + shot_a2).sqrt())
+    Some((noise.adc_a * noise.adc_a + noise.johnson_a2(detector) + 0.25 * noise.dark_shot_a2(detector)).sqrt())
 }
 
 fn temperature_k(scene: &Scene) -> f64 {
@@ -100,5 +99,22 @@ mod tests {
         assert!((word_bandwidth_hz(&front_end) - 0.25).abs() < 1e-5);
         front_end.time_constant_s = 1e-9;
         assert!((word_bandwidth_hz(&front_end) - 0.25e9 / 4.0).abs() < 1.0);
+        // Without a low-pass, half the rate of four conversions of 0.87 µs.
+        front_end.time_constant_s = 0.0;
+        assert!((word_bandwidth_hz(&front_end) - 143_678.16).abs() < 0.01);
+        front_end.conversion_s = 0.0;
+        assert_eq!(word_bandwidth_hz(&front_end), 0.0);
+    }
+
+    #[test]
+    fn rounding_is_averaged_where_noise_makes_it_independent() {
+        let mut front_end = Shipped::named("wide").unwrap().read().unwrap().front_end.unwrap();
+        for (raw_noise_lsb, variance_lsb2) in
+            [(0.0, 1.0 / 12.0), (0.4, 0.04 + 1.0 / 12.0), (0.5, 1.0 / 12.0), (2.0, 49.0 / 48.0)]
+        {
+            front_end.raw_noise_lsb = raw_noise_lsb;
+            let found = converter_variance_lsb2(&front_end);
+            assert!((found - variance_lsb2).abs() < 1e-12, "{raw_noise_lsb}: {found}, not {variance_lsb2}");
+        }
     }
 }

@@ -128,6 +128,24 @@ mod tests {
         assert_eq!(ideal, Settling { gain: 1.0, delay_s: 0.0 });
     }
 
+    /// The age of light at a sample, weighted by what is left of it, summed in steps of a thousandth of
+    /// the exposure.
+    #[test]
+    fn delay_equals_step_by_step_integration() {
+        let mut schedule = default_configuration().schedule;
+        schedule.oversampling = 1;
+        for time_constant_s in [2e-6, 2e-5, 2e-4] {
+            let exposure_s = f64::from(schedule.settling_ticks) / f64::from(schedule.tick_hz);
+            let ages = (0..1000).map(|step| (f64::from(step) + 0.5) * 1e-3 * exposure_s);
+            let (sum, weight) = ages.fold((0.0, 0.0), |(sum, weight), age_s| {
+                let left = (-age_s / time_constant_s).exp();
+                (sum + age_s * left, weight + left)
+            });
+            let delay_s = Settling::of_cell(&schedule, 0, time_constant_s).unwrap().delay_s;
+            assert!((delay_s / (sum / weight) - 1.0).abs() < 1e-5, "{time_constant_s}: {delay_s} {}", sum / weight);
+        }
+    }
+
     #[test]
     fn a_fast_front_end_delays_by_its_time_constant() {
         let schedule = default_configuration().schedule;

@@ -43,7 +43,7 @@ impl NoiseSource {
             i_x2_a: clean.i_x2_a * (1.0 + common + own()) + shift_a,
         };
         if let Some(noise) = &scene.noise {
-            let of_shot = noise.shot_a() * (total_a.abs() + detector.dark_current_a);
+            let of_shot = noise.shot_a() * total_a.abs() + noise.dark_shot_a2(detector);
             let shot = if total_a == 0.0 { 0.0 } else { of_shot.sqrt() / total_a * self.normal() };
             let johnson_a = noise.johnson_a2(detector).sqrt() * self.normal();
             pair.i_x1_a += clean.i_x1_a * shot + johnson_a + noise.adc_a * self.normal();

@@ -45,8 +45,10 @@ impl<S: Scalar> Whitener<S> {
 /// The noise of one cell, compiled.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CellNoise<S> {
-    /// 2qB: variance of the total current per ampere.
+    /// 2qB: variance of the total current per ampere of light.
     shot: S,
+    /// 2q·I_D·B: variance of the total current without light.
+    dark_shot: S,
     /// 4kT·B/R_ie.
     johnson: S,
     /// Of converter and amplifier, per electrode.
@@ -57,26 +59,25 @@ pub(crate) struct CellNoise<S> {
     position: S,
     /// Square of the relative error of the arithmetic: of the exact tier's integrals, or rounding.
     arithmetic: S,
-    dark: S,
 }
 
 impl<S: Scalar> CellNoise<S> {
     pub(crate) fn compile(scene: &Scene, cell: usize, relative_error: f64) -> Self {
         let detector = &scene.cells[cell].detector;
-        let (shot, johnson, converter) = scene
-            .noise
-            .map_or((0.0, 0.0, 0.0), |noise| (noise.shot_a(), noise.johnson_a2(detector), noise.adc_a * noise.adc_a));
+        let [shot, dark_shot, johnson, converter] = scene.noise.map_or([0.0; 4], |noise| {
+            [noise.shot_a(), noise.dark_shot_a2(detector), noise.johnson_a2(detector), noise.adc_a * noise.adc_a]
+        });
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
         let position = position_m / detector.length_m;
         Self {
             shot: S::of(shot),
+            dark_shot: S::of(dark_shot),
             johnson: S::of(johnson),
             converter: S::of(converter),
             emitter_gain: S::of(emitter_gain_relative * emitter_gain_relative),
             electrode_gain: S::of(electrode_gain_relative * electrode_gain_relative),
             position: S::of(position * position),
             arithmetic: S::of(relative_error * relative_error),
-            dark: S::of(detector.dark_current_a),
         }
     }
 
@@ -105,7 +106,7 @@ impl<S: Scalar> CellNoise<S> {
         if across > S::zero() {
             whitener = whitener.loosened([-S::one(), S::one()], across);
         }
-        let along = self.shot * (total + self.dark) / square + self.emitter_gain;
+        let along = (self.shot * total + self.dark_shot) / square + self.emitter_gain;
         if along > S::zero() {
             whitener = whitener.loosened(currents, along);
         }
@@ -120,13 +121,13 @@ mod tests {
     fn noise<S: Scalar>(emitter_gain: f64) -> CellNoise<S> {
         CellNoise {
             shot: S::of(3.2e-15),
+            dark_shot: S::of(1.6e-20),
             johnson: S::of(3.4e-21),
             converter: S::of(3.6e-19),
             emitter_gain: S::of(emitter_gain * emitter_gain),
             electrode_gain: S::of(1e-6),
             position: S::of(1e-8),
             arithmetic: S::of(1e-20),
-            dark: S::of(1e-9),
         }
     }
 
@@ -148,7 +149,7 @@ mod tests {
             add(electrode, 3.6e-19 + 1e-20 * total * total + 1e-6 * current * current);
         }
         add([-1.0, 1.0], 3.4e-21 + 1e-8 * total * total);
-        add(pair, 3.2e-15 * (total + 1e-9) / (total * total) + 1e-4);
+        add(pair, (3.2e-15 * total + 1.6e-20) / (total * total) + 1e-4);
         for i in 0..2 {
             for j in 0..2 {
                 let product: f64 = (0..2)
