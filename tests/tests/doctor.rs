@@ -2,12 +2,14 @@
 //! what it says.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::process::Command;
 
 use slitpose::device::SerialDevice;
 use slitpose::scene_file::WIDE;
 use slitpose_protocol::Message;
 use slitpose_tests::process::Finished;
+use slitpose_tests::scenes::changed;
 use slitpose_tests::slitpose;
 use slitpose_tests::terminal::{Board, Device, Terminal, edited};
 
@@ -62,6 +64,20 @@ fn a_simulated_board_is_well_and_its_bundle_is_whole() {
     for name in ["report.txt", "report.json", "system.txt"] {
         assert!(!String::from_utf8_lossy(&file(name)).contains(folder), "where things are is private");
     }
+}
+
+#[test]
+fn dark_current_is_nothing_to_complain_of() {
+    let mut scene = tempfile::NamedTempFile::new().expect("temporary file");
+    let text = changed(WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
+    scene.write_all(text.as_bytes()).expect("written");
+    let scene = scene.path().to_str().expect("UTF-8");
+    // A second of health, and one to begin with.
+    let (finished, checks) = doctor("sim", &["--duration", "2s", "--scene", scene]);
+    for name in ["scene", "full scale", "board", "link", "poses", "health"] {
+        assert_eq!(checks.get(name).map(String::as_str), Some("ok"), "{name}: {checks:?}");
+    }
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
 }
 
 #[test]

@@ -22,23 +22,23 @@ fn wide() -> SceneFile {
     WIDE.read().expect("shipped")
 }
 
-/// Watches the head of `board` over `seconds`, taken for that of [`wide`]; `edit` is what befalls the
+/// Watches the head of `board` over `seconds`, taken for that of `file`; `edit` is what befalls the
 /// words of each scan, `take` sees what is said every quarter of a second.
 fn watch(
+    file: &SceneFile,
     board: &SceneFile,
     trajectory: Trajectory,
     seconds: usize,
     edit: impl Fn(usize, &mut RawScan),
     mut take: impl FnMut(&HeadHealth),
 ) {
-    let file = wide();
     let decoded = decode(&capture(board, trajectory, Tier::Paper, 61, seconds * FRAME_RATE));
     let (schedule, scaling) = (&decoded.schedule, &decoded.scaling);
-    let stage = Stage::new(&file, schedule, scaling);
-    let scene = Stage::weighted_scene(&file, schedule, scaling);
+    let stage = Stage::new(file, schedule, scaling);
+    let scene = Stage::weighted_scene(file, schedule, scaling);
     let solver = Solver::new(&scene, Tier::Paper).expect("valid").with_exposures(&stage.exposures_s());
     let mut tracker: Tracker<f64> = Tracker::new(solver, schedule.frame_rate_hz().recip());
-    let mut health = Health::new(&file, Tier::Paper, schedule, scaling).expect("valid");
+    let mut health = Health::new(file, Tier::Paper, schedule, scaling).expect("valid");
     for (number, mut scan) in decoded.scans.into_iter().enumerate() {
         edit(number, &mut scan);
         let photocurrents = stage.photocurrents(&scan);
@@ -53,7 +53,8 @@ fn watch(
 /// What is said after so many `seconds`: the first is not judged.
 fn said_of(board: &SceneFile, kind: TrajectoryKind, seconds: usize, edit: impl Fn(usize, &mut RawScan)) -> HeadHealth {
     let mut last = HeadHealth::default();
-    watch(board, Trajectory::of_kind(kind, 62, seconds as f64), seconds, edit, |health| last = health.clone());
+    let motion = Trajectory::of_kind(kind, 62, seconds as f64);
+    watch(&wide(), board, motion, seconds, edit, |health| last = health.clone());
     last.findings.iter().for_each(|finding| println!("{finding:?}"));
     last
 }
@@ -90,20 +91,49 @@ fn around_the_workspace() -> Trajectory {
     Trajectory::from_table(table.path().to_str().expect("plain path")).expect("ascending")
 }
 
+/// From 20 nA, the most that the data sheet of the default detector allows when it is new, to 200 nA,
+/// when it is warm.
+fn with_dark_current() -> SceneFile {
+    let mut file = wide();
+    for (n, cell) in (0..).zip(&mut file.scene.cells) {
+        cell.detector.dark_current_a = 20e-9 + 36e-9 * f64::from(n);
+    }
+    file
+}
+
+#[test]
+fn a_detector_is_saturated_by_light_and_dark_current_together() {
+    let said = |file: &SceneFile| {
+        let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 2.0);
+        let mut last = HeadHealth::default();
+        watch(file, file, still, 2, |_, _| {}, |health| last = health.clone());
+        last
+    };
+    let mut file = with_dark_current();
+    let light_a = said(&file).cells[5].light_a.expect("lit");
+    for (margin, verdict) in [(1.5, Verdict::Ok), (0.5, Verdict::Saturated)] {
+        let detector = &mut file.scene.cells[5].detector;
+        detector.saturation_a = Some(light_a + margin * detector.dark_current_a);
+        assert_eq!(said(&file).cells[5].verdict, verdict, "{margin} dark currents above the light");
+    }
+}
+
 #[test]
 fn a_healthy_head_raises_nothing() {
-    let motions = [
-        ("smooth", Trajectory::of_kind(TrajectoryKind::Smooth, 63, 20.0)),
-        ("fast", Trajectory::of_kind(TrajectoryKind::Fast, 63, 20.0)),
-        ("contact", Trajectory::of_kind(TrajectoryKind::Contact, 63, 20.0)),
-        ("around the workspace", around_the_workspace()),
-    ];
-    for (name, motion) in motions {
+    let motion = |kind| Trajectory::of_kind(kind, 63, 20.0);
+    for (name, file, motion) in [
+        ("smooth", wide(), motion(TrajectoryKind::Smooth)),
+        ("fast", wide(), motion(TrajectoryKind::Fast)),
+        ("contact", wide(), motion(TrajectoryKind::Contact)),
+        ("around the workspace", wide(), around_the_workspace()),
+        ("dark current", with_dark_current(), motion(TrajectoryKind::Smooth)),
+    ] {
         let mut findings: Vec<Finding> = Vec::new();
         let mut judged = 0;
         let mut last = HeadHealth::default();
         watch(
-            &wide(),
+            &file,
+            &file,
             motion,
             20,
             |_, _| {},
@@ -123,6 +153,9 @@ fn a_healthy_head_raises_nothing() {
             assert!((brightness - 1.0).abs() < 0.01, "{name}: {brightness}");
             let noise = cell.noise_a.expect("dark words") / cell.promised_noise_a.expect("front end");
             assert!((0.9..1.1).contains(&noise), "{name}: noise {noise} of what is promised");
+            // 4 000 means of two words with 0.5 LSB: 0.04 nA.
+            let stray_a = cell.stray_a.expect("dark words");
+            assert!(stray_a.abs() < 0.3e-9, "{name}: {stray_a} A of stray light");
         }
     }
 }
@@ -132,7 +165,8 @@ fn nothing_is_said_of_the_first_second() {
     let mut verdicts = Vec::new();
     let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 1.0);
     // Codes fall as the current rises: cell 2 is saturated from the first scan on.
-    watch(&wide(), still, 2, |_, scan| scan.lit_mut()[2] = [0, 0], |health| verdicts.push(health.cells[2].verdict));
+    let saturate = |_: usize, scan: &mut RawScan| scan.lit_mut()[2] = [0, 0];
+    watch(&wide(), &wide(), still, 2, saturate, |health| verdicts.push(health.cells[2].verdict));
     assert_eq!(verdicts[0], Verdict::Unknown);
     assert_eq!(verdicts[7], Verdict::Saturated);
 }
