@@ -35,6 +35,7 @@ mod scene;
 mod solid_angle;
 mod solve;
 
+pub use exact::Integration;
 pub use identify::identified_relative_intensity;
 pub use plan::{CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};

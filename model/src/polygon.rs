@@ -214,6 +214,31 @@ impl<S: Scalar> Polygon<S> {
         self.lines.iter().enumerate().map(move |(i, line)| (line, self.corners[i], self.corners[(i + 1) % count]))
     }
 
+    /// The greatest cos γ of a ray to the spot, for an emitter of this axis.
+    pub(crate) fn greatest_cosine(&self, axis: S::Vec3) -> S {
+        // Where the axis itself lands in the spot, if it goes down.
+        let down = -axis.z();
+        let lands = [axis.x() * self.height / down, axis.y() * self.height / down];
+        let is_left_of = |([ax, ay], [bx, by]): ([S; 2], [S; 2])| {
+            (bx - ax) * (lands[1] - ay) - (by - ay) * (lands[0] - ax) >= S::zero()
+        };
+        if down > S::zero() && self.edges().all(|(_, a, b)| is_left_of((a, b))) {
+            return S::one();
+        }
+        // Along an edge a + τ(b − a), cos γ = (f + gτ)/√(r² + 2mτ + l²τ²) is greatest at
+        // τ = (g·r² − f·m)/(f·l² − g·m), or at an end.
+        let ray = |[x, y]: [S; 2]| S::Vec3::new(x, y, -self.height);
+        let cosine = |ray: S::Vec3| axis.dot(ray) / ray.length();
+        self.edges().fold(S::zero(), |greatest, (_, a, b)| {
+            let (start, along) = (ray(a), ray(b) - ray(a));
+            let (f, g) = (axis.dot(start), axis.dot(along));
+            let (r2, m, l2) = (start.dot(start), start.dot(along), along.dot(along));
+            let tau = ((g * r2 - f * m) / (f * l2 - g * m)).max(S::zero()).min(S::one());
+            let between = if tau.is_nan() { greatest } else { cosine(start + along * tau) };
+            greatest.max(cosine(start)).max(between)
+        })
+    }
+
     fn edge_length(&self, i: usize) -> S {
         let (a, b) = (self.corners[i], self.corners[(i + 1) % self.corners.len()]);
         S::norm(b[0] - a[0], b[1] - a[1])

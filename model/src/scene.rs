@@ -126,8 +126,9 @@ pub enum Profile {
         /// The exponent n.
         exponent: f64,
     },
-    /// Knots (γ in radians, I_rel), ascending from γ = 0, interpolated by a monotone cubic;
-    /// a table that ends before 90° falls linearly to zero there.
+    /// Points (γ in radians, I_rel), ascending from γ = 0, met exactly; between them I_rel is smooth and
+    /// stays between its neighbours: blended parabolas in 1 − cos γ. A table that ends before 90° falls
+    /// to zero there.
     Table(Vec<(f64, f64), MAX_PROFILE_KNOTS>),
 }
 

@@ -66,19 +66,15 @@ fn check(kind: Kind, tier: Tier, count: usize, turn_rad: f64, tolerance: f64) {
 #[test]
 fn paper_tier() {
     for kind in KINDS {
-        // Step error (2e-3)⁴ of a spot width; a table's second derivative jumps at its knots.
-        check(kind, Tier::Paper, 1000, 0.4, if kind == Kind::Table { 2e-4 } else { 2e-7 });
+        // Step error (2e-3)⁴ of a spot width.
+        check(kind, Tier::Paper, 1000, 0.4, 2e-7);
     }
 }
 
 #[test]
 fn exact_tier() {
     for kind in KINDS {
-        let tier = Tier::Exact { tolerance: 1e-12 };
-        match kind {
-            Kind::Table => check(kind, Tier::Exact { tolerance: 1e-8 }, 100, 0.4, 2e-5),
-            _ => check(kind, tier, 1000, 0.4, 2e-7),
-        }
+        check(kind, Tier::Exact { tolerance: 1e-12 }, if kind == Kind::Table { 100 } else { 1000 }, 0.4, 2e-7);
     }
 }
 

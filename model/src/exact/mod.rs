@@ -2,18 +2,33 @@
 //! centroid of the light.
 //!
 //! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]); whatever else
-//! is divided into panels ([`panels`]).
+//! is divided ([`integrand`], [`panels`], [`sides`]). The work is bounded: see [`MAX_EVALUATIONS`].
 
+mod integrand;
 mod order;
 mod panels;
 mod rectangle;
+mod sides;
 
-pub(crate) use order::{Orders, Rules};
-pub(crate) use panels::light as polygon_light;
+pub(crate) use integrand::{PolygonLight, light as polygon_light};
+pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
+pub(crate) use panels::MAX_EVALUATIONS;
+
+use order::MAX_NODES;
 
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::scalar::{Linear3, Scalar};
+
+/// What an integral has taken, and how good it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Integration<S> {
+    /// Values of the profile that were needed for one cell's currents.
+    pub evaluations: usize,
+    /// Greatest error of each electrode's photocurrent, as a share of both together: the plan's
+    /// tolerance, unless the limit of work or rounding came first.
+    pub relative_error: S,
+}
 
 /// Whether the whole spot lies behind the emitter's horizon: u·d, linear over the spot, is nowhere
 /// positive.
@@ -23,7 +38,8 @@ pub(crate) fn faces_away<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool 
     axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height + slopes <= S::zero()
 }
 
-/// Power and centroid of a rectangular spot by one tensor rule; `None` if it needs dividing.
+/// Power and centroid of a rectangular spot by one tensor rule, and its number of nodes; `None` if
+/// the spot needs dividing.
 #[inline(always)]
 pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
@@ -31,31 +47,59 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     emission: &E,
     orders: &Orders<S>,
     rules: &Rules<S>,
-) -> Option<RectangleLight<S>> {
-    let needs = rectangle::needs(spot, axis, emission, orders)?;
-    Some(match emission.near(needs.cosine, needs.spread) {
-        Some(series) => rectangle::light::<S, _, GRADIENT>(spot, axis, &series, rules, needs.nodes),
+) -> Option<(RectangleLight<S>, usize)> {
+    let needs = rectangle::needs(spot, axis, orders)?;
+    let (mut along_x, mut along_y) = needs.nodes;
+    let light = match emission.near(needs.cosine, needs.spread) {
+        Some(series) => {
+            (along_x, along_y) = (series.nodes_with(along_x), series.nodes_with(along_y));
+            if along_x.max(along_y) > MAX_NODES {
+                return None;
+            }
+            rectangle::light::<S, _, GRADIENT>(spot, axis, &series, rules, (along_x, along_y))
+        }
+        None if E::NEEDS_SERIES => return None,
         None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, rules, needs.nodes),
-    })
+    };
+    // Where the number range ends, ratios have no digits left; NaN is no light either.
+    let least = S::min_positive_value() / (S::epsilon() * S::epsilon());
+    (light.power.value >= least).then_some((light, along_x * along_y))
 }
 
-/// The largest kink of a profile inside a convex patch of the spot, given by the rays to its
-/// corners. cos γ is least at a corner; its greatest value is bounded by the angle between the
-/// middle ray and the corners.
-#[inline(always)]
-fn kink<S: Scalar, E: Emission<S>>(corners: [S::Vec3; 4], axis: S::Vec3, emission: &E) -> Option<S> {
-    if !E::HAS_KINKS {
-        return None;
+/// cos γ over a convex patch of the spot.
+#[derive(Clone, Copy, Debug)]
+struct Cosines<S> {
+    /// Nowhere less.
+    lower: S,
+    middle: S,
+    /// Nowhere more.
+    upper: S,
+}
+
+impl<S: Scalar> Cosines<S> {
+    /// From the rays to the patch's corners: those of the cone around the middle ray.
+    fn of<const N: usize>(corners: [S::Vec3; N], axis: S::Vec3) -> Self {
+        let units = corners.map(|corner| corner * corner.length().recip());
+        let sum = units.into_iter().fold(S::Vec3::default(), |sum, unit| sum + unit);
+        let middle = sum * sum.length().recip();
+        let angle = |a: S::Vec3, b: S::Vec3| a.cross(b).length().angle_from(a.dot(b));
+        let radius = units.into_iter().fold(S::zero(), |radius, unit| radius.max(angle(unit, middle)));
+        let gamma = angle(axis, middle);
+        Self {
+            lower: (gamma + radius).min(S::PI()).cosine(),
+            middle: axis.dot(middle),
+            upper: (gamma - radius).max(S::zero()).cosine(),
+        }
     }
-    let middle = corners[0] + corners[1] + corners[2] + corners[3];
-    let middle = middle * middle.length().recip();
-    let (mut lower, mut radius) = (S::infinity(), S::zero());
-    for corner in corners {
-        let unit = corner * corner.length().recip();
-        lower = lower.min(axis.dot(unit));
-        radius = radius.max(unit.cross(middle).length().angle_from(unit.dot(middle)));
+
+    /// Greatest relative difference from the middle, which must be positive.
+    fn spread(&self) -> S {
+        (self.upper - self.middle).max(self.middle - self.lower) / self.middle
     }
-    let gamma = axis.dot(middle).max(-S::one()).min(S::one()).arc_cosine();
-    let upper = (gamma - radius).max(S::zero()).cosine();
-    emission.kink(lower, upper)
+
+    /// tan²γ in the middle.
+    fn tangent2(&self) -> S {
+        let square = self.middle * self.middle;
+        (S::one() - square).max(S::zero()) / square
+    }
 }

@@ -1,229 +1,149 @@
-//! The exact tier for any convex spot: divided into panels until each meets the tolerance.
-//!
-//! The spot is cut along the emitter's horizon, sliced into slabs at its corners' coordinates t,
-//! and each slab, a trapezoid, is bisected until a tensor rule of at most
-//! [`MAX_NODES`](super::order::MAX_NODES) suffices on each panel. Where the horizon is near, t runs
-//! perpendicular to it: the integrand vanishes there like tⁿ, and panels shrink geometrically
-//! towards it. Derivatives are those of the integral (Leibniz): ∂g/∂e inside, and for each moving
-//! side the light that its motion sweeps over.
+//! Panels of a spot: divided where no rule can be chosen beforehand, the worst first, until the sum
+//! of their estimated errors is allowed or the limit of work is met.
 
 use heapless::Vec;
 
-use crate::polygon::{EmitterGradient, Line, MAX_CORNERS, Polygon};
-use crate::profile::Emission;
+use crate::polygon::MAX_CORNERS;
+use crate::profile::{Emission, Falloff, Series};
 use crate::scalar::{Linear3, Scalar};
 
-use super::order::{MAX_NODES, Orders, Rules};
+use super::Integration;
+use super::integrand::{Integrand, Slab, Sums, of_slab};
+use super::order::{ESTIMATED, MAX_NODES};
 
-/// Panels after which no more are divided: reached only by spots much wider than the emitter is
-/// far away, or by coarse profile tables at tolerances below 1e-12.
-const MAX_PANELS: usize = 1 << 16;
+/// Most panels of a spot. Ordinary spots have one a slab, a lobe much narrower than its spot takes some
+/// tens, a table of nine points over a spot of 150° at a tolerance of 1e-10 some hundred.
+const MAX_PANELS: usize = 256;
 
-/// Panels waiting: bisection keeps at most one per level, and 2⁻⁹⁶ is beyond any scale here.
-const MAX_WAITING: usize = 96;
+/// Most values of the profile for the currents of one cell: every division measures two panels anew.
+pub(crate) const MAX_EVALUATIONS: usize = 2 * MAX_PANELS * ESTIMATED * ESTIMATED;
 
-/// What a panel or a side of the spot contributes.
-struct Sums<S: Scalar> {
-    power: EmitterGradient<S>,
-    moment: EmitterGradient<S>,
-}
-
-/// The integrand, its frame and its accuracy.
-struct Integrand<'a, S: Scalar, E> {
-    axis: S::Vec3,
-    height: S,
-    emission: &'a E,
-    orders: &'a Orders<S>,
-    rules: &'a Rules<S>,
-    /// Direction of t in the detector plane; s is at right angles.
-    along_t: [S; 2],
-    /// Whether t runs perpendicular to the horizon, so that u·d does not depend on s.
-    across_horizon: bool,
-    /// u·d on the brightest corner, and the share of it below which light is negligible.
-    brightest: S,
-    negligible: S,
-    /// Angular width of the whole spot.
-    width: S,
-}
-
-/// A slab between two values of t, with its sides s = start + slope·(t − t₀).
-#[derive(Clone, Copy)]
-struct Slab<S> {
-    t: [S; 2],
-    left: [S; 2],
-    right: [S; 2],
-}
-
-impl<S: Scalar> Slab<S> {
-    fn s(&self, share: S, t: S) -> S {
-        let dt = t - self.t[0];
-        let left = self.left[0] + self.left[1] * dt;
-        left + share * (self.right[0] + self.right[1] * dt - left)
-    }
-}
+/// Share of the tolerance for the estimated errors together.
+const SHARE: f64 = 0.5;
 
 /// Part of a slab: a range of shares from its left to its right side, and a range of t.
 #[derive(Clone, Copy)]
 struct Panel<S> {
+    slab: usize,
     share: [S; 2],
     t: [S; 2],
 }
 
-/// Power and centroid (relative to the emitter's foot) of the light on `polygon`, with
-/// derivatives by the emitter; `None` if the emitter faces away from all of it.
-pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    mut polygon: Polygon<S>,
-    axis: S::Vec3,
-    emission: &E,
-    orders: &Orders<S>,
-    rules: &Rules<S>,
-) -> Option<(EmitterGradient<S>, EmitterGradient<S>)> {
-    if !polygon.clip_horizon(axis) {
-        return None;
-    }
-    let integrand = Integrand::new(&polygon, axis, emission, orders, rules);
-    let mut sums = Sums { power: EmitterGradient::default(), moment: EmitterGradient::default() };
-    for slab in integrand.slabs(&polygon) {
-        integrand.add_slab::<GRADIENT>(&slab, &mut sums);
-    }
-    if GRADIENT {
-        for (line, a, b) in polygon.edges() {
-            integrand.add_side(line, a, b, &mut sums);
-        }
-    }
-    let Sums { power, moment } = sums;
-    if power.value <= S::zero() {
-        return None;
-    }
-    let inverse = power.value.recip();
-    let x = moment.value * inverse;
-    let of_ratio = |first: S::Vec3, zeroth: S::Vec3| (first - zeroth * x) * inverse;
-    let centroid = EmitterGradient {
-        value: x,
-        by_position: of_ratio(moment.by_position, power.by_position),
-        by_axis: of_ratio(moment.by_axis, power.by_axis),
-    };
-    Some((power, centroid))
+/// Numbers of nodes along s and t, and what stands for the profile.
+type Rule<S> = ((usize, usize), Option<Series<S>>);
+
+/// A panel with what is known of it.
+struct Measured<S> {
+    panel: Panel<S>,
+    /// Numbers of nodes along s and t; `None`: too wide for its profile to be sampled, or dark.
+    nodes: Option<(usize, usize)>,
+    power: S,
+    moment: S,
+    /// Estimated error of the power; of one that is not sampled, a bound on all its power.
+    error: S,
+    /// Whether that error has the sign of chance.
+    is_rough: bool,
+    /// Whether to divide it along t.
+    across_t: bool,
+    evaluations: usize,
 }
 
-impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
-    fn new(polygon: &Polygon<S>, axis: S::Vec3, emission: &'a E, orders: &'a Orders<S>, rules: &'a Rules<S>) -> Self {
-        let height = polygon.height();
-        let (mut least, mut brightest) = (S::infinity(), S::zero());
-        for &[x, y] in polygon.corners() {
-            let front = axis.dot(S::Vec3::new(x, y, -height));
-            least = least.min(front);
-            brightest = brightest.max(front);
+/// Sums over all slabs.
+pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    integrand: &Integrand<'_, S, E>,
+    slabs: &Vec<Slab<S>, MAX_CORNERS>,
+) -> (Sums<S>, Integration<S>) {
+    let tolerance = integrand.orders.tolerance();
+    let mut sums = Sums::default();
+    let mut evaluations = 0;
+    let whole = |slab: usize| Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t };
+    let rules: Vec<_, MAX_CORNERS> =
+        slabs.iter().enumerate().map_while(|(i, slab)| integrand.rule(slab, &whole(i))).collect();
+    if rules.len() == slabs.len() {
+        for (i, (nodes, series)) in rules.iter().enumerate() {
+            evaluations += nodes.0 * nodes.1;
+            integrand.add_panel::<GRADIENT>(&slabs[i], &whole(i), *nodes, series.as_ref(), &mut sums);
         }
-        let inclination = S::norm(axis.x(), axis.y());
-        let horizon_near = least < S::of(0.25) * brightest;
-        let across_horizon = horizon_near && inclination > S::zero();
-        let along_t =
-            if across_horizon { [axis.x() / inclination, axis.y() / inclination] } else { [S::zero(), S::one()] };
-        let first = polygon.corners()[0];
-        let (mut size, mut nearest) = (S::zero(), S::infinity());
-        for &[x, y] in polygon.corners() {
-            size = size.max(S::norm(x - first[0], y - first[1]));
-            nearest = nearest.min(S::Vec3::new(x, y, height).length());
-        }
-        let power_of_distance = (S::one() + emission.steepness()).recip();
-        Self {
-            axis,
-            height,
-            emission,
-            orders,
-            rules,
-            along_t,
-            across_horizon,
-            brightest,
-            negligible: orders.tolerance().power(power_of_distance),
-            width: size / nearest,
-        }
+        return (sums, Integration { evaluations, relative_error: tolerance });
     }
 
-    fn xy(&self, s: S, t: S) -> [S; 2] {
-        let [tx, ty] = self.along_t;
-        [s * ty + t * tx, t * ty - s * tx]
+    let mut panels: Vec<Measured<S>, MAX_PANELS> = Vec::new();
+    for (i, slab) in slabs.iter().enumerate() {
+        // A slab per corner at most.
+        let _ = panels.push(integrand.measure(slab, whole(i)));
     }
-
-    fn ray(&self, s: S, t: S) -> S::Vec3 {
-        let [x, y] = self.xy(s, t);
-        S::Vec3::new(x, y, -self.height)
-    }
-
-    fn slabs(&self, polygon: &Polygon<S>) -> Vec<Slab<S>, MAX_CORNERS> {
-        let [tx, ty] = self.along_t;
-        let turned = |[x, y]: [S; 2]| [x * ty - y * tx, x * tx + y * ty];
-        let mut levels: Vec<S, MAX_CORNERS> = polygon.corners().iter().map(|&corner| turned(corner)[1]).collect();
-        levels.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(core::cmp::Ordering::Equal));
-        let mut slabs = Vec::new();
-        for pair in levels.windows(2) {
-            let (t0, t1) = (pair[0], pair[1]);
-            if t1 <= t0 {
-                continue;
+    evaluations = panels.iter().map(|panel| panel.evaluations).sum();
+    let allowed = (S::of(SHARE) * tolerance).max(integrand.orders.rounding());
+    let (mut total, mut error);
+    loop {
+        (total, error) = (S::zero(), S::zero());
+        let mut rough = S::zero();
+        let (mut worst, mut largest) = (0, S::zero());
+        for (i, panel) in panels.iter().enumerate() {
+            total += panel.power;
+            if panel.is_rough {
+                rough += panel.error * panel.error;
+            } else {
+                error += panel.error;
             }
-            let middle = S::half() * (t0 + t1);
-            let (mut left, mut right) = ([S::infinity(); 3], [S::neg_infinity(); 3]);
-            for (_, a, b) in polygon.edges() {
-                let (a, b) = (turned(a), turned(b));
-                if middle < a[1].min(b[1]) || middle > a[1].max(b[1]) || a[1] == b[1] {
-                    continue;
-                }
-                let slope = (b[0] - a[0]) / (b[1] - a[1]);
-                let at = |t: S| a[0] + slope * (t - a[1]);
-                let side = [at(middle), at(t0), slope];
-                if side[0] < left[0] {
-                    left = side;
-                }
-                if side[0] > right[0] {
-                    right = side;
-                }
-            }
-            if right[0] > left[0] {
-                let _ = slabs.push(Slab { t: [t0, t1], left: [left[1], left[2]], right: [right[1], right[2]] });
+            if panel.error > largest {
+                (worst, largest) = (i, panel.error);
             }
         }
-        slabs
+        // Two standard deviations of what adds up by chance.
+        error += S::two() * rough.sqrt();
+        if error <= allowed * total || largest == S::zero() || panels.len() == MAX_PANELS {
+            break;
+        }
+        let halves = panels[worst].halves();
+        let [first, second] = halves.map(|half| integrand.measure(&slabs[half.slab], half));
+        evaluations += first.evaluations + second.evaluations;
+        panels[worst] = first;
+        let _ = panels.push(second);
     }
-
-    fn add_slab<const GRADIENT: bool>(&self, slab: &Slab<S>, sums: &mut Sums<S>) {
-        let mut waiting: Vec<Panel<S>, MAX_WAITING> = Vec::new();
-        let whole = Panel { share: [S::zero(), S::one()], t: slab.t };
-        let _ = waiting.push(whole);
-        let mut panels = 1;
-        while let Some(panel) = waiting.pop() {
-            let room = panels < MAX_PANELS && waiting.len() + 2 <= MAX_WAITING;
-            match self.division(slab, &panel) {
-                Division::Along(halves) if room => {
-                    panels += 1;
-                    let _ = waiting.push(halves[0]);
-                    let _ = waiting.push(halves[1]);
-                }
-                Division::Along(_) => self.add_panel::<GRADIENT>(slab, &panel, (MAX_NODES, MAX_NODES), sums),
-                Division::None(nodes) => self.add_panel::<GRADIENT>(slab, &panel, nodes, sums),
+    if GRADIENT {
+        for measured in &panels {
+            let slab = &slabs[measured.panel.slab];
+            if let Some(nodes) = measured.nodes {
+                let series = integrand.rule(slab, &measured.panel).and_then(|(_, series)| series);
+                integrand.add_panel::<true>(slab, &measured.panel, nodes, series.as_ref(), &mut sums);
             }
         }
     }
+    // The same with and without derivatives.
+    sums.power.value = total;
+    sums.moment.value = panels.iter().fold(S::zero(), |sum, panel| sum + panel.moment);
+    let relative_error = if error <= allowed * total { tolerance } else { error / total };
+    (sums, Integration { evaluations, relative_error })
+}
 
-    /// Whether and how to divide a panel.
-    fn division(&self, slab: &Slab<S>, panel: &Panel<S>) -> Division<S> {
-        let [t0, t1] = panel.t;
-        let [c0, c1] = panel.share;
-        let middle = |range: [S; 2]| S::half() * (range[0] + range[1]);
-        let halves_of_share = || {
-            let m = middle(panel.share);
-            [[c0, m], [m, c1]].map(|share| Panel { share, ..*panel })
+impl<S: Scalar> Measured<S> {
+    fn halves(&self) -> [Panel<S>; 2] {
+        let panel = self.panel;
+        let split = |[a, b]: [S; 2]| {
+            let middle = S::half() * (a + b);
+            [[a, middle], [middle, b]]
         };
-        let halves_of_t = || {
-            let m = middle(panel.t);
-            [[t0, m], [m, t1]].map(|t| Panel { t, ..*panel })
-        };
-        let front = |share: S, t: S| self.axis.dot(self.ray(slab.s(share, t), t)).max(S::zero());
-        let corners = [[c0, t0], [c1, t0], [c0, t1], [c1, t1]].map(|[share, t]| front(share, t));
-        let brightest = corners.into_iter().fold(S::zero(), S::max);
-        if brightest <= self.negligible * self.brightest {
-            return Division::None((MAX_NODES, MAX_NODES));
+        if self.across_t {
+            split(panel.t).map(|t| Panel { t, ..panel })
+        } else {
+            split(panel.share).map(|share| Panel { share, ..panel })
         }
+    }
+}
+
+impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
+    /// Rays to the corners of a panel, in order around it.
+    fn corners(&self, slab: &Slab<S>, panel: &Panel<S>) -> [S::Vec3; 4] {
+        let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
+        [[c0, t0], [c1, t0], [c1, t1], [c0, t1]].map(|[share, t]| self.ray(slab.s(share, t), t))
+    }
+
+    /// The rule that suffices for a panel, if that can be told beforehand.
+    fn rule(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<S>> {
+        let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
+        let corners = self.corners(slab, panel);
+        let [f00, f10, f11, f01] = corners.map(|ray| self.axis.dot(ray).max(S::zero()));
         let horizon = |a: S, b: S| if a == b { S::infinity() } else { (a + b) / (a - b).abs() };
         let reach = |[s0, t0]: [S; 2], [s1, t1]: [S; 2]| {
             let length = S::norm(s1 - s0, t1 - t0);
@@ -239,49 +159,107 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
             .into_iter()
             .fold(S::infinity(), S::min);
         let share_near = {
-            let t = middle(panel.t);
-            let (left, right) = (slab.s(S::zero(), t), slab.s(S::one(), t));
+            let [left, right] = slab.sides(S::half() * (t0 + t1));
             clamp(-left / (right - left), panel.share)
         };
         let reach_t = [c0, c1, share_near]
             .map(|share| reach([slab.s(share, t0), t0], [slab.s(share, t1), t1]))
             .into_iter()
             .fold(S::infinity(), S::min);
-        let horizon_s = if self.across_horizon {
-            S::infinity()
-        } else {
-            horizon(corners[0], corners[1]).min(horizon(corners[2], corners[3]))
-        };
-        let horizon_t = horizon(corners[0], corners[2]).min(horizon(corners[1], corners[3]));
-
-        let Some(along_s) = self.orders.nodes(reach_s, horizon_s) else {
-            return Division::Along(halves_of_share());
-        };
-        let Some(along_t) = self.orders.nodes(reach_t, horizon_t) else {
-            return Division::Along(halves_of_t());
-        };
-        if self.has_kink(slab, panel, reach_s.min(reach_t)) {
-            return Division::Along(if reach_s < reach_t { halves_of_share() } else { halves_of_t() });
-        }
-        // A slab's width is linear in t: one degree more along t.
-        Division::None((along_s, (along_t + 1).min(MAX_NODES)))
+        let horizon_s = if self.across_horizon { S::infinity() } else { horizon(f00, f10).min(horizon(f01, f11)) };
+        let horizon_t = horizon(f00, f01).min(horizon(f10, f11));
+        let along = [(reach_s, horizon_s), (reach_t, horizon_t)];
+        let (nodes, series) = self.foreseen(corners, along.into_iter())?;
+        Some((of_slab(&nodes), series))
     }
 
-    /// Whether a kink of a tabulated profile inside the panel matters. A jump J of d²I/dγ² in a
-    /// panel of angular width δ changes its power by J·δ²/4 at most; of the spot's panels along
-    /// the kink this is a share δ/width.
-    fn has_kink(&self, slab: &Slab<S>, panel: &Panel<S>, reach: S) -> bool {
-        let [c0, c1] = panel.share;
-        let [t0, t1] = panel.t;
-        let corners = [[c0, t0], [c1, t0], [c1, t1], [c0, t1]].map(|[share, t]| self.ray(slab.s(share, t), t));
-        super::kink(corners, self.axis, self.emission).is_some_and(|jump| {
-            let delta = S::two() / reach;
-            jump * delta * delta * delta > S::of(4.0) * self.orders.tolerance() * self.width
-        })
+    /// Integrates over a panel and estimates the error, or bounds its power if it is too wide for that.
+    fn measure(&self, slab: &Slab<S>, panel: Panel<S>) -> Measured<S> {
+        let half = S::half();
+        let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
+        let corners = self.corners(slab, &panel);
+        let cosines = self.cosines(corners);
+        let (t, share) = (half * (t0 + t1), half * (c0 + c1));
+        let [left, right] = slab.sides(t);
+        let (length_s, length_t) = ((right - left) * (c1 - c0), t1 - t0);
+        let mut measured = Measured {
+            panel,
+            nodes: None,
+            power: S::zero(),
+            moment: S::zero(),
+            error: S::zero(),
+            is_rough: false,
+            across_t: length_t > length_s,
+            evaluations: 0,
+        };
+        if cosines.upper <= S::zero() {
+            return measured;
+        }
+        let greatest = self.emission.greatest(cosines.lower, cosines.upper);
+        if greatest == S::zero() {
+            return measured;
+        }
+        if let Some((nodes, series)) = self.rule(slab, &panel) {
+            let mut sums = Sums::default();
+            self.add_panel::<false>(slab, &panel, nodes, series.as_ref(), &mut sums);
+            measured.nodes = Some(nodes);
+            measured.evaluations = nodes.0 * nodes.1;
+            (measured.power, measured.moment) = (sums.power.value, sums.moment.value);
+        } else if self.emission.is_resolved(cosines.lower, cosines.upper) {
+            self.sample(slab, &mut measured, self.emission.is_smooth(cosines.lower, cosines.upper));
+        } else {
+            let centre = self.ray(slab.s(share, t), t);
+            let radius = corners.into_iter().fold(S::zero(), |radius, ray| radius.max((ray - centre).length()));
+            let nearest = self.height.max(centre.length() - radius);
+            measured.error = greatest * length_s * length_t * self.height / (nearest * nearest * nearest);
+        }
+        measured
+    }
+
+    /// Integrates by the rule whose error can be estimated: from the sums along either direction.
+    fn sample(&self, slab: &Slab<S>, measured: &mut Measured<S>, is_smooth: bool) {
+        let half = S::half();
+        let Panel { share: [c0, c1], t: [t0, t1], .. } = measured.panel;
+        let (half_t, half_share) = (half * (t1 - t0), half * (c1 - c0));
+        let (mut along_s, mut along_t) = ([S::zero(); ESTIMATED], [S::zero(); ESTIMATED]);
+        for (j, (eta, weight_t)) in self.rules.get(ESTIMATED).enumerate() {
+            let t = half * (t0 + t1) + half_t * eta;
+            let [left, right] = slab.sides(t);
+            let scale = half_t * half_share * (right - left);
+            for (i, (xi, weight_s)) in self.rules.get(ESTIMATED).enumerate() {
+                let ray = self.ray(left + (right - left) * (half * (c0 + c1) + half_share * xi), t);
+                let g = scale * self.density(ray);
+                along_s[i] += weight_t * g;
+                along_t[j] += weight_s * g;
+                measured.power += weight_t * weight_s * g;
+                measured.moment += weight_t * weight_s * g * (ray.x() - self.reference);
+            }
+        }
+        let [by_s, by_t] = [along_s, along_t].map(|sums| self.rules.estimate(&sums, self.orders.rounding(), is_smooth));
+        measured.nodes = Some((ESTIMATED, ESTIMATED));
+        measured.evaluations = ESTIMATED * ESTIMATED;
+        measured.error = by_s + by_t;
+        measured.is_rough = !is_smooth;
+        measured.across_t = by_t > by_s;
     }
 
     fn add_panel<const GRADIENT: bool>(
         &self,
+        slab: &Slab<S>,
+        panel: &Panel<S>,
+        nodes: (usize, usize),
+        series: Option<&Series<S>>,
+        sums: &mut Sums<S>,
+    ) {
+        match series {
+            Some(series) => self.add_nodes::<_, GRADIENT>(series, slab, panel, nodes, sums),
+            None => self.add_nodes::<_, GRADIENT>(self.emission, slab, panel, nodes, sums),
+        }
+    }
+
+    fn add_nodes<F: Falloff<S>, const GRADIENT: bool>(
+        &self,
+        falloff: &F,
         slab: &Slab<S>,
         panel: &Panel<S>,
         nodes: (usize, usize),
@@ -294,89 +272,14 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         let middle_share = half * (panel.share[0] + panel.share[1]);
         for (eta, weight_t) in self.rules.get(nodes.1) {
             let t = half * (t0 + t1) + half_t * eta;
-            let (left, right) = (slab.s(S::zero(), t), slab.s(S::one(), t));
+            let [left, right] = slab.sides(t);
             let scale = weight_t * half_t * half_share * (right - left);
             for (xi, weight_s) in self.rules.get(nodes.0) {
                 let s = left + (right - left) * (middle_share + half_share * xi);
-                self.add_point::<GRADIENT>(self.ray(s, t), weight_s * scale, sums);
-            }
-        }
-    }
-
-    /// Adds g at a point, and ∇g there: see [`super::rectangle`] for k₁ (`kappa`) and k₂ (`lambda`).
-    fn add_point<const GRADIENT: bool>(&self, ray: S::Vec3, weight: S, sums: &mut Sums<S>) {
-        let inverse = ray.length().recip();
-        let c = self.axis.dot(ray) * inverse;
-        if c <= S::zero() {
-            return;
-        }
-        let density = weight * self.height * inverse * inverse * inverse;
-        let x = ray.x();
-        if GRADIENT {
-            let (relative, slope) = self.emission.with_slope(c);
-            let g = density * relative;
-            let kappa = density * slope * inverse;
-            let lambda = (density * slope * c + S::of(3.0) * g) * inverse * inverse;
-            // At a fixed point of the detector, d falls as e moves; height also scales g.
-            let by_position = ray * lambda - self.axis * kappa + S::Vec3::new(S::zero(), S::zero(), g / self.height);
-            let by_axis = ray * kappa;
-            add(&mut sums.power, S::one(), g, by_position, by_axis);
-            add(&mut sums.moment, x, g, by_position, by_axis);
-        } else {
-            let g = density * self.emission.relative(c);
-            sums.power.value += g;
-            sums.moment.value += x * g;
-        }
-    }
-
-    /// Adds the light that the side from `a` to `b` sweeps over as it moves.
-    fn add_side(&self, line: &Line<S>, a: [S; 2], b: [S; 2], sums: &mut Sums<S>) {
-        let length = S::norm(b[0] - a[0], b[1] - a[1]);
-        let at = |share: S| S::Vec3::new(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), -self.height);
-        let front = |ray: S::Vec3| self.axis.dot(ray).max(S::zero());
-        let mut waiting: Vec<[S; 2], MAX_WAITING> = Vec::new();
-        let _ = waiting.push([S::zero(), S::one()]);
-        while let Some([low, high]) = waiting.pop() {
-            let (p, q) = (at(low), at(high));
-            let (fp, fq) = (front(p), front(q));
-            let reach = (p.length() + q.length()) / (length * (high - low));
-            let horizon = if fp == fq { S::infinity() } else { (fp + fq) / (fp - fq).abs() };
-            let needed = self.orders.nodes(reach, horizon);
-            let faint = fp.max(fq) <= self.negligible * self.brightest;
-            if needed.is_none() && !faint && waiting.len() + 2 <= MAX_WAITING {
-                let middle = S::half() * (low + high);
-                let _ = waiting.push([low, middle]);
-                let _ = waiting.push([middle, high]);
-                continue;
-            }
-            let half_length = S::half() * length * (high - low);
-            for (xi, weight) in self.rules.get(needed.unwrap_or(MAX_NODES)) {
-                let ray = at(S::half() * (low + high) + S::half() * (high - low) * xi);
-                let inverse = ray.length().recip();
-                let c = self.axis.dot(ray) * inverse;
-                let relative = match line.motion {
-                    crate::polygon::Motion::Horizon { .. } => self.emission.at_horizon(),
-                    _ if c > S::zero() => self.emission.relative(c),
-                    _ => S::zero(),
-                };
-                let g = weight * half_length * relative * self.height * inverse * inverse * inverse;
-                let by_position = line.speed_by_position(ray) * g;
-                let by_axis = line.speed_by_axis(ray) * g;
-                add(&mut sums.power, S::one(), S::zero(), by_position, by_axis);
-                add(&mut sums.moment, ray.x(), S::zero(), by_position, by_axis);
+                self.add_point::<F, GRADIENT>(falloff, self.ray(s, t), weight_s * scale, sums);
             }
         }
     }
 }
 
-/// A panel's fate.
-enum Division<S> {
-    Along([Panel<S>; 2]),
-    None((usize, usize)),
-}
-
-fn add<S: Scalar>(sum: &mut EmitterGradient<S>, factor: S, value: S, by_position: S::Vec3, by_axis: S::Vec3) {
-    sum.value += factor * value;
-    sum.by_position += by_position * factor;
-    sum.by_axis += by_axis * factor;
-}
+const _: () = assert!(ESTIMATED <= MAX_NODES && MAX_PANELS >= 2 * MAX_CORNERS);

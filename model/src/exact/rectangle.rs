@@ -6,7 +6,7 @@
 //! Writing ∇g = k₁·u − k₂·d with k₁ = h·r⁻⁴·I'(c) and k₂ = h·r⁻⁵·(c·I' + 3·I), all derivatives
 //! reduce to moments of g, k₁ and k₂ over the nodes.
 
-use crate::profile::Emission;
+use crate::profile::Falloff;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
 use crate::scalar::{Linear3, Scalar};
 
@@ -22,15 +22,9 @@ pub(super) struct Needs<S> {
     pub(super) spread: S,
 }
 
-/// What a spot needs, or `None` if the spot needs dividing (it touches the horizon,
-/// is very wide, or contains a kink of a tabulated profile).
+/// What a spot needs, or `None` if the spot needs dividing (it touches the horizon or is very wide).
 #[inline(always)]
-pub(super) fn needs<S: Scalar, E: Emission<S>>(
-    spot: &Rectangle<S>,
-    axis: S::Vec3,
-    emission: &E,
-    orders: &Orders<S>,
-) -> Option<Needs<S>> {
+pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
     let (x, y, h) = (&spot.x, &spot.y, spot.height);
     // u·d is linear over the spot: its least value decides how near the horizon is.
     let (slope_x, slope_y) = ((axis.x() * x.half).abs(), (axis.y() * y.half).abs());
@@ -50,14 +44,6 @@ pub(super) fn needs<S: Scalar, E: Emission<S>>(
     let (reach_x, reach_y) = (reach(x, y), reach(y, x));
     let horizon = |slope: S| S::one() + least / slope;
     let nodes = (orders.nodes(reach_x, horizon(slope_x))?, orders.nodes(reach_y, horizon(slope_y))?);
-    let corners = spot.corners().map(|[x, y]| S::Vec3::new(x, y, -h));
-    if let Some(jump) = super::kink(corners, axis, emission) {
-        // A jump J of d²I/dγ² inside a spot of half width δ changes its power by J·δ²/4 at most.
-        let width = (S::two() / reach_x).max(S::two() / reach_y);
-        if jump * width * width > S::of(4.0) * orders.tolerance() {
-            return None;
-        }
-    }
     // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, δ
     // the half angle under which its diagonal appears.
     let distance = S::Vec3::new(x.middle, y.middle, -h).length();
@@ -65,12 +51,14 @@ pub(super) fn needs<S: Scalar, E: Emission<S>>(
     let angle2 = (reach_x * reach_x).recip() + (reach_y * reach_y).recip();
     let tangent2 = (S::one() - cosine * cosine) / (cosine * cosine);
     let spread = (tangent2 * angle2).sqrt() + S::half() * angle2;
+    let lobe = |reach: S| orders.lobe_nodes(tangent2, reach);
+    let nodes = (nodes.0.max(lobe(reach_x)?), nodes.1.max(lobe(reach_y)?));
     Some(Needs { nodes, cosine, spread })
 }
 
 /// Power and centroid (relative to the emitter's foot) with `nodes` along x and y.
 #[inline(always)]
-pub(super) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     emission: &E,

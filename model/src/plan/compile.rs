@@ -5,7 +5,7 @@ use glam::DVec3;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::exact::Orders;
+use crate::exact::{Orders, SERIES_EXPONENT};
 use crate::profile::CompiledProfile;
 use crate::scalar::{Scalar, Vector3};
 use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
@@ -105,7 +105,11 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
         Tier::Exact { tolerance } => tolerance.max(4.0 * S::epsilon().as_f64()),
     };
     let profile = CompiledProfile::<S>::compile(&cell.emitter.profile, tolerance);
-    let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(profile.steepness().as_f64(), tolerance));
+    let exponent = match &cell.emitter.profile {
+        Profile::Cosine { exponent } => *exponent,
+        Profile::Table(_) => SERIES_EXPONENT,
+    };
+    let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(exponent, tolerance));
     let y_axis = normal.cross(x_axis);
     let vector = |v: DVec3| <S as Scalar>::Vec3::of(v);
     Ok(CompiledCell {

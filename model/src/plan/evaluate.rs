@@ -3,7 +3,7 @@
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::exact;
+use crate::exact::{self, Integration, PolygonLight};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::pose::Transform;
@@ -61,12 +61,16 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let (power, centroid) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
             match exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission, orders, rules) {
-                Some(light) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, true)),
-                None => divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen)?,
+                Some((light, _)) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, true)),
+                None => {
+                    let light = divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen)?;
+                    (light.power, light.centroid)
+                }
             }
         }
         (Some(orders), Some(rules), Spot::Polygon(polygon)) => {
-            exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, emission, orders, rules)?
+            let light = exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, emission, orders, rules)?;
+            (light.power, light.centroid)
         }
         (_, _, Spot::Rectangle(rectangle)) => {
             let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
@@ -86,10 +90,51 @@ fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     emitter: &CompiledEmitter<S>,
     emission: &E,
     seen: &Seen<S>,
-) -> Option<(EmitterGradient<S>, EmitterGradient<S>)> {
+) -> Option<PolygonLight<S>> {
     let (polygon, _) = Polygon::of_beam(&cell.aperture, seen.position, cell.receiver.half).ok()?;
     let (orders, rules) = (emitter.orders.as_ref()?, plan.rules.as_ref()?);
     exact::polygon_light::<S, E, GRADIENT>(polygon, seen.axis, emission, orders, rules)
+}
+
+/// What the integrals over a spot take.
+fn integration<S: Scalar, E: Emission<S>>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    emission: &E,
+    seen: &Seen<S>,
+    spot: &Spot<S>,
+) -> Option<Integration<S>> {
+    let (orders, rules) = (cell.emitter.orders.as_ref()?, plan.rules.as_ref()?);
+    match spot {
+        Spot::Rectangle(rectangle) => {
+            match exact::rectangle_light::<S, E, false>(rectangle, seen.axis, emission, orders, rules) {
+                Some((_, evaluations)) => Some(Integration { evaluations, relative_error: orders.tolerance() }),
+                None => {
+                    divided::<S, E, false>(plan, cell, &cell.emitter, emission, seen).map(|light| light.integration)
+                }
+            }
+        }
+        Spot::Polygon(polygon) => {
+            exact::polygon_light::<S, E, false>(polygon.clone(), seen.axis, emission, orders, rules)
+                .map(|light| light.integration)
+        }
+    }
+}
+
+pub(super) fn integration_of<S: Scalar>(
+    plan: &Plan<S>,
+    cell: usize,
+    base_from_tool: &Transform<S>,
+) -> Option<Integration<S>> {
+    let cell = &plan.cells[cell];
+    let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
+    let (spot, ..) = cell.spot(&seen).ok()?;
+    let Integration { evaluations, relative_error } = match &cell.emitter.profile {
+        CompiledProfile::Cosine(cosine) => integration(plan, cell, cosine, &seen, &spot),
+        CompiledProfile::Table(table) => integration(plan, cell, table, &seen, &spot),
+    }?;
+    let rounding = cell.emitter.orders.as_ref()?.rounding();
+    Some(Integration { evaluations, relative_error: relative_error.max(rounding) })
 }
 
 impl<S: Scalar> CompiledEmitter<S> {

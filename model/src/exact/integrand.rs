@@ -1,0 +1,283 @@
+//! The integrand over any convex spot, and the frame in which it is integrated.
+//!
+//! The spot is cut along the emitter's horizon and sliced into slabs at its corners' coordinates t,
+//! trapezoids. Where the horizon is near, t runs perpendicular to it: the integrand vanishes there
+//! like tⁿ, and panels shrink geometrically towards it. Derivatives are those of the integral
+//! (Leibniz): ∂g/∂e inside, and for each moving side the light that its motion sweeps over
+//! ([`super::sides`]).
+
+use heapless::Vec;
+
+use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
+use crate::profile::{Emission, Falloff, Series};
+use crate::scalar::{Linear3, Scalar};
+
+use super::order::{MAX_NODES, Orders, Rules};
+use super::{Cosines, Integration, panels, sides};
+
+/// What a panel or a side of the spot contributes. Moments are about the spot's reference point.
+#[derive(Default)]
+pub(super) struct Sums<S: Scalar> {
+    pub(super) power: EmitterGradient<S>,
+    pub(super) moment: EmitterGradient<S>,
+}
+
+impl<S: Scalar> Sums<S> {
+    #[inline(always)]
+    pub(super) fn add(&mut self, x: S, value: S, by_position: S::Vec3, by_axis: S::Vec3) {
+        for (sum, factor) in [(&mut self.power, S::one()), (&mut self.moment, x)] {
+            sum.value += factor * value;
+            sum.by_position += by_position * factor;
+            sum.by_axis += by_axis * factor;
+        }
+    }
+}
+
+/// The integrand, its frame and its accuracy.
+pub(super) struct Integrand<'a, S: Scalar, E> {
+    pub(super) axis: S::Vec3,
+    pub(super) height: S,
+    pub(super) emission: &'a E,
+    pub(super) orders: &'a Orders<S>,
+    pub(super) rules: &'a Rules<S>,
+    /// Direction of t in the detector plane; s is at right angles.
+    along_t: [S; 2],
+    /// Whether t runs perpendicular to the horizon, so that u·d does not depend on s.
+    pub(super) across_horizon: bool,
+    /// What cos γ is multiplied with before the profile is asked; see [`Emission::rescaling`].
+    pub(super) unit: S,
+    /// x of the reference point.
+    pub(super) reference: S,
+    /// Greatest distance of a corner from the first one.
+    pub(super) size: S,
+}
+
+/// A slab between two values of t, with its sides s = start + slope·(t − t₀).
+#[derive(Clone, Copy)]
+pub(super) struct Slab<S> {
+    pub(super) t: [S; 2],
+    left: [S; 2],
+    right: [S; 2],
+}
+
+impl<S: Scalar> Slab<S> {
+    /// s of its left and of its right side.
+    pub(super) fn sides(&self, t: S) -> [S; 2] {
+        let dt = t - self.t[0];
+        [self.left[0] + self.left[1] * dt, self.right[0] + self.right[1] * dt]
+    }
+
+    pub(super) fn s(&self, share: S, t: S) -> S {
+        let [left, right] = self.sides(t);
+        left + share * (right - left)
+    }
+}
+
+/// Power and centroid (relative to the emitter's foot) of the light on a polygon.
+pub(crate) struct PolygonLight<S: Scalar> {
+    pub(crate) power: EmitterGradient<S>,
+    pub(crate) centroid: EmitterGradient<S>,
+    pub(crate) integration: Integration<S>,
+}
+
+/// The light on `polygon`, with derivatives by the emitter; `None` if there is none.
+pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    mut polygon: Polygon<S>,
+    axis: S::Vec3,
+    emission: &E,
+    orders: &Orders<S>,
+    rules: &Rules<S>,
+) -> Option<PolygonLight<S>> {
+    if !polygon.clip_horizon(axis) {
+        return None;
+    }
+    let (divisor, factor) = emission.rescaling(|| polygon.greatest_cosine(axis), corner_cosine(&polygon, axis));
+    let integrand = Integrand::new(&polygon, axis, emission, orders, rules, divisor.recip());
+    let (mut sums, integration) = panels::add_all::<S, E, GRADIENT>(&integrand, &integrand.slabs(&polygon));
+    let total = sums.power.value;
+    if total.is_nan() || total <= S::zero() || factor == S::zero() {
+        return None;
+    }
+    if GRADIENT {
+        for (line, a, b) in polygon.edges() {
+            sides::add(&integrand, line, a, b, total, &mut sums);
+        }
+    }
+    let Sums { power, moment } = sums;
+    let inverse = total.recip();
+    let x = moment.value * inverse;
+    let of_ratio = |first: S::Vec3, zeroth: S::Vec3| (first - zeroth * x) * inverse;
+    let centroid = EmitterGradient {
+        value: integrand.reference + x,
+        by_position: of_ratio(moment.by_position, power.by_position),
+        by_axis: of_ratio(moment.by_axis, power.by_axis),
+    };
+    let power = EmitterGradient {
+        value: power.value * factor,
+        by_position: power.by_position * factor,
+        by_axis: power.by_axis * factor,
+    };
+    Some(PolygonLight { power, centroid, integration })
+}
+
+/// cos γ at the brightest corner.
+fn corner_cosine<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
+    let cosines = polygon.corners().iter().map(|&[x, y]| {
+        let ray = S::Vec3::new(x, y, -polygon.height());
+        axis.dot(ray) / ray.length()
+    });
+    cosines.fold(S::zero(), S::max)
+}
+
+impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
+    fn new(
+        polygon: &Polygon<S>,
+        axis: S::Vec3,
+        emission: &'a E,
+        orders: &'a Orders<S>,
+        rules: &'a Rules<S>,
+        unit: S,
+    ) -> Self {
+        let height = polygon.height();
+        let (mut least, mut brightest) = (S::infinity(), S::zero());
+        for &[x, y] in polygon.corners() {
+            let front = axis.dot(S::Vec3::new(x, y, -height));
+            least = least.min(front);
+            brightest = brightest.max(front);
+        }
+        let inclination = S::norm(axis.x(), axis.y());
+        let horizon_near = least < S::of(0.25) * brightest;
+        let across_horizon = horizon_near && inclination > S::zero();
+        let along_t =
+            if across_horizon { [axis.x() / inclination, axis.y() / inclination] } else { [S::zero(), S::one()] };
+        let [x0, y0] = polygon.corners()[0];
+        let size = polygon.corners().iter().fold(S::zero(), |size, &[x, y]| size.max(S::norm(x - x0, y - y0)));
+        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, reference: x0, size }
+    }
+
+    fn xy(&self, s: S, t: S) -> [S; 2] {
+        let [tx, ty] = self.along_t;
+        [s * ty + t * tx, t * ty - s * tx]
+    }
+
+    pub(super) fn ray(&self, s: S, t: S) -> S::Vec3 {
+        let [x, y] = self.xy(s, t);
+        S::Vec3::new(x, y, -self.height)
+    }
+
+    fn slabs(&self, polygon: &Polygon<S>) -> Vec<Slab<S>, MAX_CORNERS> {
+        let [tx, ty] = self.along_t;
+        let turned = |[x, y]: [S; 2]| [x * ty - y * tx, x * tx + y * ty];
+        let mut levels: Vec<S, MAX_CORNERS> = polygon.corners().iter().map(|&corner| turned(corner)[1]).collect();
+        levels.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(core::cmp::Ordering::Equal));
+        let mut slabs = Vec::new();
+        for pair in levels.windows(2) {
+            let (t0, t1) = (pair[0], pair[1]);
+            if t1 <= t0 {
+                continue;
+            }
+            let middle = S::half() * (t0 + t1);
+            let (mut left, mut right) = ([S::infinity(); 3], [S::neg_infinity(); 3]);
+            for (_, a, b) in polygon.edges() {
+                let (a, b) = (turned(a), turned(b));
+                if middle < a[1].min(b[1]) || middle > a[1].max(b[1]) || a[1] == b[1] {
+                    continue;
+                }
+                let slope = (b[0] - a[0]) / (b[1] - a[1]);
+                let at = |t: S| a[0] + slope * (t - a[1]);
+                let side = [at(middle), at(t0), slope];
+                if side[0] < left[0] {
+                    left = side;
+                }
+                if side[0] > right[0] {
+                    right = side;
+                }
+            }
+            if right[0] > left[0] {
+                let _ = slabs.push(Slab { t: [t0, t1], left: [left[1], left[2]], right: [right[1], right[2]] });
+            }
+        }
+        slabs
+    }
+
+    /// cos γ over a patch, as the profile is asked for it.
+    pub(super) fn cosines<const N: usize>(&self, corners: [S::Vec3; N]) -> Cosines<S> {
+        let Cosines { lower, middle, upper } = Cosines::<S>::of(corners, self.axis);
+        Cosines { lower: lower * self.unit, middle: middle * self.unit, upper: upper * self.unit }
+    }
+
+    /// The nodes that suffice along lines with these reaches (see [`Orders`]), and what stands for the
+    /// profile; `None` if that cannot be told beforehand.
+    pub(super) fn foreseen<const N: usize>(
+        &self,
+        corners: [S::Vec3; N],
+        along: impl Iterator<Item = (S, S)>,
+    ) -> Option<(Vec<usize, 2>, Option<Series<S>>)> {
+        let mut nodes: Vec<usize, 2> = Vec::new();
+        let mut reaches: Vec<S, 2> = Vec::new();
+        for (reach, horizon) in along {
+            let _ = (nodes.push(self.orders.nodes(reach, horizon)?), reaches.push(reach));
+        }
+        if !E::NEEDS_SERIES && !self.orders.is_narrow() {
+            return Some((nodes, None));
+        }
+        let cosines = Cosines::<S>::of(corners, self.axis);
+        if cosines.middle <= S::zero() {
+            return None;
+        }
+        let series = if E::NEEDS_SERIES { Some(self.emission.near(cosines.middle, cosines.spread())?) } else { None };
+        for (count, &reach) in nodes.iter_mut().zip(&reaches) {
+            let lobe = self.orders.lobe_nodes(cosines.tangent2(), reach)?;
+            *count = (*count).max(lobe);
+            *count = series.map_or(*count, |series| series.nodes_with(*count));
+            if *count > MAX_NODES {
+                return None;
+            }
+        }
+        Some((nodes, series))
+    }
+
+    /// I_rel·h/r³ at a point of the detector, by the area; zero behind the horizon.
+    pub(super) fn density(&self, ray: S::Vec3) -> S {
+        let inverse = ray.length().recip();
+        let c = self.axis.dot(ray) * inverse * self.unit;
+        let relative = if c > S::zero() { self.emission.relative(c) } else { S::zero() };
+        relative * self.height * inverse * inverse * inverse
+    }
+
+    /// Adds g at a point, and ∇g there: see [`super::rectangle`] for k₁ (`kappa`) and k₂ (`lambda`).
+    #[inline(always)]
+    pub(super) fn add_point<F: Falloff<S>, const GRADIENT: bool>(
+        &self,
+        falloff: &F,
+        ray: S::Vec3,
+        weight: S,
+        sums: &mut Sums<S>,
+    ) {
+        let inverse = ray.length().recip();
+        let c = self.axis.dot(ray) * inverse;
+        if c <= S::zero() {
+            return;
+        }
+        let density = weight * self.height * inverse * inverse * inverse;
+        let x = ray.x() - self.reference;
+        if GRADIENT {
+            let (relative, slope) = falloff.with_slope(c * self.unit);
+            let (g, turn) = (density * relative, density * slope * self.unit);
+            let kappa = turn * inverse;
+            let lambda = (turn * c + S::of(3.0) * g) * inverse * inverse;
+            // At a fixed point of the detector, d falls as e moves; height also scales g.
+            let by_position = ray * lambda - self.axis * kappa + S::Vec3::new(S::zero(), S::zero(), g / self.height);
+            sums.add(x, g, by_position, ray * kappa);
+        } else {
+            let g = density * falloff.relative(c * self.unit);
+            sums.power.value += g;
+            sums.moment.value += x * g;
+        }
+    }
+}
+
+/// Nodes along s and t: a slab's width is linear in t, which takes one degree more.
+pub(super) fn of_slab(nodes: &[usize]) -> (usize, usize) {
+    (nodes[0], (nodes[1] + 1).min(MAX_NODES))
+}

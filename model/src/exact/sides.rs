@@ -1,0 +1,138 @@
+//! The light that the sides of a spot sweep over as the emitter moves: integrals along lines.
+
+use heapless::Vec;
+
+use crate::polygon::{Line, Motion};
+use crate::profile::{Emission, Falloff};
+use crate::scalar::{Linear3, Scalar};
+
+use super::integrand::{Integrand, Sums};
+use super::order::{ESTIMATED, MAX_NODES};
+
+/// Pieces waiting: bisection keeps at most one per level.
+const MAX_WAITING: usize = 64;
+
+/// Most pieces of a side.
+const MAX_PIECES: usize = 64;
+
+/// Share of what is allowed that a piece is left out for.
+const NEGLIGIBLE: f64 = 0.01;
+
+/// Adds what the side from `a` to `b` sweeps over. `power`: that of the spot.
+pub(super) fn add<S: Scalar, E: Emission<S>>(
+    integrand: &Integrand<'_, S, E>,
+    line: &Line<S>,
+    a: [S; 2],
+    b: [S; 2],
+    power: S,
+    sums: &mut Sums<S>,
+) {
+    let at_horizon = integrand.emission.at_horizon();
+    if matches!(line.motion, Motion::Horizon { .. }) && at_horizon == S::zero() {
+        return;
+    }
+    let side = Side { integrand, line, a, b, at_horizon };
+    let allowed = integrand.orders.tolerance() * power / integrand.size;
+    let mut waiting: Vec<[S; 2], MAX_WAITING> = Vec::new();
+    let _ = waiting.push([S::zero(), S::one()]);
+    let mut pieces = 1;
+    while let Some([low, high]) = waiting.pop() {
+        let room = pieces < MAX_PIECES && waiting.len() + 2 <= MAX_WAITING;
+        if !side.add_piece([low, high], allowed, !room, sums) {
+            let middle = S::half() * (low + high);
+            let _ = (waiting.push([low, middle]), waiting.push([middle, high]));
+            pieces += 1;
+        }
+    }
+}
+
+/// I_rel at c, nothing behind the horizon.
+fn in_front<S: Scalar, F: Falloff<S>>(falloff: &F, c: S) -> S {
+    if c > S::zero() { falloff.relative(c) } else { S::zero() }
+}
+
+struct Side<'a, 'b, S: Scalar, E> {
+    integrand: &'a Integrand<'b, S, E>,
+    line: &'a Line<S>,
+    a: [S; 2],
+    b: [S; 2],
+    at_horizon: S,
+}
+
+impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
+    fn at(&self, share: S) -> S::Vec3 {
+        let ([ax, ay], [bx, by]) = (self.a, self.b);
+        S::Vec3::new(ax + share * (bx - ax), ay + share * (by - ay), -self.integrand.height)
+    }
+
+    /// Adds a range of shares of the side, unless it needs dividing and `must` is not set.
+    fn add_piece(&self, [low, high]: [S; 2], allowed: S, must: bool, sums: &mut Sums<S>) -> bool {
+        let integrand = self.integrand;
+        let (p, q) = (self.at(low), self.at(high));
+        let [fp, fq] = [p, q].map(|ray| integrand.axis.dot(ray).max(S::zero()));
+        let length = (q - p).length();
+        let reach = (p.length() + q.length()) / length;
+        let horizon = if fp == fq { S::infinity() } else { (fp + fq) / (fp - fq).abs() };
+        if matches!(self.line.motion, Motion::Horizon { .. }) {
+            let nodes = integrand.orders.nodes(reach, S::infinity());
+            return self.add_nodes([low, high], nodes.or(must.then_some(MAX_NODES)), sums, |_| self.at_horizon);
+        }
+        if let Some((nodes, series)) = integrand.foreseen([p, q], core::iter::once((reach, horizon))) {
+            let nodes = nodes.first().copied();
+            return match series {
+                Some(series) => self.add_nodes([low, high], nodes, sums, |c| in_front(&series, c)),
+                None => self.add_nodes([low, high], nodes, sums, |c| in_front(integrand.emission, c)),
+            };
+        }
+        let cosines = integrand.cosines([p, q]);
+        let height = integrand.height;
+        let greatest = integrand.emission.greatest(cosines.lower, cosines.upper.max(S::zero()));
+        if cosines.upper <= S::zero() || greatest * length <= S::of(NEGLIGIBLE) * allowed * height * height {
+            return true;
+        }
+        if !must {
+            if !integrand.emission.is_resolved(cosines.lower, cosines.upper) {
+                return false;
+            }
+            let mut values = [S::zero(); ESTIMATED];
+            for (value, (xi, _)) in values.iter_mut().zip(integrand.rules.get(ESTIMATED)) {
+                *value = integrand.density(self.at(S::half() * (low + high + (high - low) * xi)));
+            }
+            let estimate = integrand.rules.estimate(
+                &values,
+                integrand.orders.rounding(),
+                integrand.emission.is_smooth(cosines.lower, cosines.upper),
+            );
+            if S::half() * length * estimate > allowed {
+                return false;
+            }
+        }
+        self.add_nodes([low, high], Some(ESTIMATED), sums, |c| in_front(integrand.emission, c))
+    }
+
+    /// Adds a piece with so many nodes; nothing, and `false`, without a number.
+    fn add_nodes(
+        &self,
+        [low, high]: [S; 2],
+        nodes: Option<usize>,
+        sums: &mut Sums<S>,
+        relative: impl Fn(S) -> S,
+    ) -> bool {
+        let Some(nodes) = nodes else {
+            return false;
+        };
+        let integrand = self.integrand;
+        let half_length = S::half() * (self.at(high) - self.at(low)).length();
+        for (xi, weight) in integrand.rules.get(nodes) {
+            let ray = self.at(S::half() * (low + high) + S::half() * (high - low) * xi);
+            let inverse = ray.length().recip();
+            let c = integrand.axis.dot(ray) * inverse;
+            let g =
+                weight * half_length * relative(c * integrand.unit) * integrand.height * inverse * inverse * inverse;
+            let by_position = self.line.speed_by_position(ray) * g;
+            let by_axis = self.line.speed_by_axis(ray) * g;
+            sums.add(ray.x() - integrand.reference, S::zero(), by_position, by_axis);
+        }
+        true
+    }
+}

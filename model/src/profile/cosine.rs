@@ -1,0 +1,148 @@
+//! The profile cosⁿγ.
+
+use crate::power::{Power, PowerLanes};
+use crate::real::Real;
+use crate::scalar::Scalar;
+
+use super::{Emission, Falloff, MAX_TERMS, Series};
+
+/// Ten nodes see a fall by this factor.
+const RESOLVED_FALL: f64 = 1e-15;
+
+/// Steepest fall towards the horizon that is looked at in one piece, as a ratio of cosines: there cⁿ
+/// has no scale of its own.
+const LEAST_RATIO: f64 = 1e-3;
+
+/// I_rel = cⁿ.
+#[derive(Clone, Debug)]
+pub(crate) struct Cosine<S> {
+    power: Power<S>,
+    /// Binomial coefficients of n.
+    binomials: [S; MAX_TERMS + 1],
+    /// The greatest |δ| for which the series may end after so many terms.
+    spreads: [S; MAX_TERMS + 1],
+}
+
+impl<S: Scalar> Cosine<S> {
+    /// For the exponent n; `tolerance`: relative error allowed to [`Emission::near`].
+    pub(super) fn compile(exponent: f64, tolerance: f64) -> Self {
+        let mut binomial = 1.0;
+        let mut binomials = [S::one(); MAX_TERMS + 1];
+        let mut spreads = [S::zero(); MAX_TERMS + 1];
+        for k in 0..=MAX_TERMS {
+            binomials[k] = S::of(binomial);
+            binomial *= (exponent - k as f64) / (k as f64 + 1.0);
+            // The first neglected term, an eighth of the tolerance; the rest of the tail is a
+            // geometric series of ratio δ ≤ ½.
+            let first_neglected = 0.125 * tolerance / binomial.abs().max(f64::MIN_POSITIVE);
+            spreads[k] = S::of(libm::pow(first_neglected, 1.0 / (k as f64 + 1.0)).min(0.5));
+        }
+        Self { power: Power::compile(exponent), binomials, spreads }
+    }
+
+    pub(super) fn power(&self) -> &Power<S> {
+        &self.power
+    }
+}
+
+impl<S: Scalar> Falloff<S> for Cosine<S> {
+    #[inline(always)]
+    fn relative(&self, c: S) -> S {
+        self.power.of(c)
+    }
+
+    #[inline(always)]
+    fn with_slope(&self, c: S) -> (S, S) {
+        let value = self.power.of(c);
+        (value, self.power.exponent() * value / c)
+    }
+}
+
+impl<R: Real> Falloff<R> for PowerLanes<R> {
+    #[inline(always)]
+    fn relative(&self, c: R) -> R {
+        self.of_lanes(c)
+    }
+
+    #[inline(always)]
+    fn with_slope(&self, c: R) -> (R, R) {
+        let value = self.of_lanes(c);
+        (value, self.exponent * value / c)
+    }
+}
+
+impl<S: Scalar> Emission<S> for Cosine<S> {
+    const NEEDS_SERIES: bool = false;
+
+    fn at_horizon(&self) -> S {
+        if self.power.exponent() == S::zero() { S::one() } else { S::zero() }
+    }
+
+    /// cⁿ = c₀ⁿ·Σ binomial(n, k)·δᵏ.
+    #[inline(always)]
+    fn near(&self, centre: S, spread: S) -> Option<Series<S>> {
+        let terms = self.spreads.iter().position(|&most| spread <= most)?;
+        let inverse = centre.recip();
+        let value = self.power.of(centre);
+        let mut coefficients = [S::zero(); MAX_TERMS + 1];
+        for (coefficient, binomial) in coefficients.iter_mut().zip(&self.binomials[..=terms]) {
+            *coefficient = value * *binomial;
+        }
+        Some(Series { inverse, coefficients, terms, nodes: 1, more: 0 })
+    }
+
+    fn greatest(&self, _: S, upper: S) -> S {
+        if upper > S::zero() { self.power.of(upper) } else { S::zero() }
+    }
+
+    fn is_resolved(&self, lower: S, upper: S) -> bool {
+        (lower / upper).max(S::of(LEAST_RATIO)).power(self.power.exponent()) >= S::of(RESOLVED_FALL)
+    }
+
+    fn is_smooth(&self, _: S, _: S) -> bool {
+        true
+    }
+
+    fn rescaling(&self, brightest: impl FnOnce() -> S, corner: S) -> (S, S) {
+        if corner > S::zero() && self.power.of(corner) > S::min_positive_value().sqrt() {
+            return (S::one(), S::one());
+        }
+        let brightest = brightest();
+        (brightest, self.power.of(brightest))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slopes_equal_central_differences() {
+        let cosine = Cosine::<f64>::compile(1.247, 1e-10);
+        for i in 1..400 {
+            let (c, h) = (f64::from(i) / 400.0, 1e-6);
+            let (slope, numeric) =
+                (cosine.with_slope(c).1, (cosine.relative(c + h) - cosine.relative(c - h)) / (2.0 * h));
+            // h²·|I'''| next to the horizon, and rounding 1e-16/h.
+            assert!((slope - numeric).abs() < 2e-5 * (1.0 + slope.abs()), "{c}: {slope} {numeric}");
+        }
+    }
+
+    #[test]
+    fn a_series_stands_for_the_power_to_the_tolerance() {
+        for exponent in [0.0, 1.0, 1.247, 3.0, 45.0, 4550.0] {
+            for tolerance in [1e-3, 1e-6, 1e-10] {
+                let cosine = Cosine::<f64>::compile(exponent, tolerance);
+                for (centre, spread) in [(0.9, 1e-4), (0.7, 3e-3), (0.97, 0.02), (0.5, 0.3)] {
+                    let Some(series) = cosine.near(centre, spread) else { continue };
+                    for i in -5..=5 {
+                        let c = centre * (1.0 + spread * f64::from(i) / 5.0);
+                        let (exact, near) = (cosine.relative(c), series.relative(c));
+                        let greatest = cosine.relative(centre * (1.0 + spread));
+                        assert!((exact - near).abs() <= tolerance * greatest, "{exponent} {tolerance} {centre} {c}");
+                    }
+                }
+            }
+        }
+    }
+}

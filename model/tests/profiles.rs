@@ -1,0 +1,116 @@
+//! Narrow, steep and tabulated profiles over ordinary and very wide spots against an independent
+//! program (`tests/data/profiles/profiles.py`): both currents keep the tolerance.
+
+use glam::{DVec2, DVec3};
+use slitpose_model::{Cell, Detector, Emitter, Plan, Pose, Profile, Scene, Slit, Tier, Uncertainty};
+
+/// Next to the end of the number range currents have fewer digits, or none: they are numbers all the same.
+const LEAST_A: f64 = 1e-290;
+
+struct Row {
+    id: String,
+    scene: Scene,
+    profile: String,
+    i_o_a: f64,
+    electrodes_a: [f64; 2],
+}
+
+fn rows() -> Vec<Row> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/profiles/profiles.csv");
+    let text = std::fs::read_to_string(path).expect("reference table");
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().expect("header").split(',').collect();
+    lines.map(|line| row(&names, &line.split(',').collect::<Vec<_>>())).collect()
+}
+
+fn row(names: &[&str], fields: &[&str]) -> Row {
+    let text = |name: &str| fields[names.iter().position(|column| *column == name).expect("column")];
+    let number = |name: &str| text(name).parse::<f64>().expect("number");
+    let mm = |name: &str| number(name) * 1e-3;
+    let profile = text("profile");
+    let cell = Cell {
+        detector: Detector {
+            centre_base_m: DVec3::ZERO,
+            x_axis_base: DVec3::X,
+            normal_base: DVec3::Z,
+            length_m: mm("length"),
+            width_m: mm("width"),
+            responsivity_a_per_w: 0.54,
+            dark_current_a: 0.0,
+            interelectrode_ohm: None,
+            saturation_a: None,
+            faint_a: 0.0,
+        },
+        slit: Slit {
+            distance_m: mm("slit_distance"),
+            width_m: mm("slit_width"),
+            length_m: mm("slit_length"),
+            offset_m: DVec2::new(mm("slit_x"), mm("slit_y")),
+            tilt_rad: DVec3::from(["tilt_x", "tilt_y", "tilt_z"].map(|name| number(name).to_radians())),
+            thickness_m: mm("slit_thickness"),
+        },
+        emitter: Emitter {
+            position_tool_m: DVec3::from(["ex", "ey", "ez"].map(mm)),
+            axis_tool: DVec3::from(["ux", "uy", "uz"].map(number)),
+            radiant_intensity_w_per_sr: 3.16e-3,
+            profile: match profile.parse() {
+                Ok(exponent) => Profile::Cosine { exponent },
+                Err(_) => Profile::Table(profile.split(' ').map(point).collect()),
+            },
+        },
+    };
+    Row {
+        id: text("id").to_owned(),
+        scene: Scene { cells: [cell].into_iter().collect(), noise: None, uncertainty: Uncertainty::default() },
+        profile: profile.to_owned(),
+        i_o_a: number("i_o_a"),
+        electrodes_a: ["i_x1_a", "i_x2_a"].map(number),
+    }
+}
+
+fn point(text: &str) -> (f64, f64) {
+    let (degrees, value) = text.split_once(':').expect("degrees:value");
+    (degrees.parse::<f64>().expect("degrees").to_radians(), value.parse().expect("value"))
+}
+
+#[test]
+fn both_currents_keep_the_tolerance() {
+    let mut failures = Vec::new();
+    for tolerance in [1e-3, 1e-6, 1e-10, 1e-12] {
+        let (mut worst, mut most) = (0.0_f64, 0);
+        for row in rows() {
+            let plan = Plan::<f64>::compile(&row.scene, Tier::Exact { tolerance }).expect("scene");
+            let pair = plan.photocurrents(0, &Pose::HOME);
+            if row.i_o_a < LEAST_A {
+                let jacobian = plan.linearise(0, &Pose::HOME).2;
+                assert!((0.0..=LEAST_A).contains(&pair.total_a()), "{}: {pair:?}", row.id);
+                assert!(jacobian.as_flattened().iter().all(|slope| slope.is_finite()), "{}: {jacobian:?}", row.id);
+                continue;
+            }
+            let integration = plan.integration(0, &Pose::HOME).expect("light");
+            let errors = [pair.i_x1_a, pair.i_x2_a, pair.total_a()].into_iter().zip([
+                row.electrodes_a[0],
+                row.electrodes_a[1],
+                row.i_o_a,
+            ]);
+            let error = errors.map(|(a, b)| (a - b).abs() / row.i_o_a).fold(0.0, f64::max);
+            // Where the limit of work is met, the plan says what it has reached.
+            let achieved = integration.relative_error;
+            // The reference is good to 1e-13; an exponent of 20000 multiplies the rounding of axes.
+            let allowed = achieved + 1e-12;
+            worst = worst.max(error / achieved);
+            most = most.max(integration.evaluations);
+            // A table over a spot wider than itself may end at the limit of work, a power only at its rounding.
+            let may_end_early = tolerance < 1e-6 && row.profile.contains(':');
+            if error > allowed || (achieved > tolerance.max(1e-11) && !may_end_early) {
+                failures.push(format!(
+                    "{} {} at {tolerance:e}: {error:.1e}, said {achieved:.1e}, {} evaluations",
+                    row.id, row.profile, integration.evaluations
+                ));
+            }
+            assert!(integration.evaluations <= Plan::<f64>::MAX_EVALUATIONS, "{integration:?}");
+        }
+        println!("at {tolerance:e}: worst {worst:.2} of the achieved error, most evaluations {most}");
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
