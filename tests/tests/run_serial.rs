@@ -2,7 +2,7 @@
 //! case, and whatever else may be there is named.
 
 use std::io::{BufRead, BufReader, Read};
-use std::process::Child;
+use std::process::{self, Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -135,15 +135,22 @@ fn what_an_earlier_host_left_is_not_solved() {
 
 #[test]
 fn an_interrupt_stops_the_board_and_prints_all_it_took() {
-    for signal in [Signal::SIGINT, Signal::SIGTERM] {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    // Whoever closes a terminal hangs up twice: the kernel does, and the shell does.
+    for signals in [&[Signal::SIGINT][..], &[Signal::SIGTERM], &[Signal::SIGHUP, Signal::SIGHUP]] {
+        let signal = signals[0];
         let terminal = Terminal::serve(Board::wide(63));
-        let mut child = spawn(&terminal, &[]);
+        let record = folder.path().join(signal.as_str());
+        let record = record.to_str().expect("UTF-8");
+        let mut child = spawn(&terminal, &["--record", record]);
         let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
         let mut text = String::new();
         for _ in 0..1000 {
             stdout.read_line(&mut text).expect("line");
         }
-        kill(Pid::from_raw(child.id() as i32), signal).expect("running");
+        for signal in signals {
+            kill(Pid::from_raw(child.id() as i32), *signal).expect("running");
+        }
         stdout.read_to_string(&mut text).expect("UTF-8");
         let finished = Finished::from(child.wait_with_output().expect("ends"));
         assert_eq!((finished.code, finished.stderr.as_str()), (0, ""), "{signal}");
@@ -152,7 +159,23 @@ fn an_interrupt_stops_the_board_and_prints_all_it_took() {
         let log = terminal.closed();
         assert_eq!(log.commands().last(), Some(&Command::Stop), "{signal}");
         assert_eq!(lines.len(), decode(&log.sent).scans.len(), "{signal}");
+        assert!(slitpose!().run(["replay", record]).done() == text, "{signal}: the capture has other poses");
     }
+}
+
+#[test]
+fn a_hang_up_that_is_ignored_ends_nothing() {
+    let terminal = Terminal::serve(Board::wide(58));
+    let mut command = process::Command::new("nohup");
+    command.args([slitpose!().path(), "run", "--device", &terminal.path, "--duration", "1s"]);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("nohup starts");
+    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+    let mut text = String::new();
+    stdout.read_line(&mut text).expect("line");
+    kill(Pid::from_raw(child.id() as i32), Signal::SIGHUP).expect("running");
+    stdout.read_to_string(&mut text).expect("UTF-8");
+    assert_eq!(child.wait().expect("ends").code(), Some(0));
+    assert_eq!(ndjson::parse(&text).len(), 4000);
 }
 
 #[test]
