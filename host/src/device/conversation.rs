@@ -476,4 +476,85 @@ mod tests {
             }
         }
     }
+
+    /// A device that says what was written for it, a piece each time it is listened to.
+    struct Scripted(std::collections::VecDeque<Vec<u8>>);
+
+    impl Scripted {
+        fn saying(pieces: &[&[Vec<u8>]]) -> Conversation {
+            Conversation::open(Box::new(Self(pieces.iter().map(|packets| packets.concat()).collect()))).unwrap()
+        }
+    }
+
+    impl Device for Scripted {
+        fn name(&self) -> &str {
+            "script"
+        }
+
+        fn send(&mut self, _: &[u8]) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
+            bytes.extend(self.0.pop_front().unwrap_or_default());
+            Ok(!self.0.is_empty())
+        }
+    }
+
+    fn packet(message: &Message<'_>) -> Vec<u8> {
+        encode(message, &mut [0; MAX_MESSAGE_BYTES]).unwrap().to_vec()
+    }
+
+    fn reply(number: u16, outcome: Result<(), Rejection>) -> Vec<u8> {
+        packet(&Message::Reply(slitpose_protocol::Reply { number, outcome }))
+    }
+
+    #[test]
+    fn only_the_reply_to_the_command_itself_answers_it() {
+        // The first command has the number 1. Replies of an earlier host, from both sides of it.
+        for other in [0, 2, u16::MAX] {
+            let mut board = Scripted::saying(&[&[reply(other, Ok(()))], &[reply(1, Err(Rejection::Storing))], &[]]);
+            let refused = board.ask(Command::Stop, Keep::All, REPLY_WITHIN);
+            assert!(matches!(refused, Err(DeviceError::Refused { .. })), "{other}: {refused:?}");
+            let mut board = Scripted::saying(&[&[reply(other, Err(Rejection::Storing))], &[reply(1, Ok(()))], &[]]);
+            assert!(board.ask(Command::Stop, Keep::All, REPLY_WITHIN).is_ok(), "{other}");
+            // Nothing else will come: no answer.
+            let mut board = Scripted::saying(&[&[reply(other, Ok(()))], &[]]);
+            let silent = board.ask(Command::Stop, Keep::All, REPLY_WITHIN);
+            assert!(matches!(silent, Err(DeviceError::NoReply { .. })), "{other}: {silent:?}");
+        }
+    }
+
+    #[test]
+    fn a_greeting_is_over_with_the_reply_to_it_and_not_before() {
+        const DEVICES: [[u8; 12]; 2] = [*b"an older one", *b"the one here"];
+        let mut line = Vec::new();
+        let mut board = Slow::new(1).board;
+        let mut buffer = [0; MAX_REQUEST_BYTES];
+        board.write(encode(&Request { number: 1, command: Command::Hello }, &mut buffer).unwrap());
+        board.step(&mut line);
+        let (mut decoder, mut bytes, mut hellos) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &line[..], Vec::new());
+        while let Some(message) = decoder.next::<Message<'_>>(&mut bytes) {
+            if let Message::Hello(hello) = message.unwrap() {
+                hellos =
+                    DEVICES.map(|device_id| packet(&Message::Hello(Hello { device_id, ..hello.clone() }))).to_vec();
+            }
+        }
+        for other in [0, 2, u16::MAX] {
+            // What an earlier host was told, then the answer.
+            let before: &[_] = &[hellos[0].clone(), reply(other, Ok(()))];
+            let after: &[_] = &[hellos[1].clone(), reply(1, Ok(()))];
+            let mut seen = Vec::new();
+            let mut board = Scripted::saying(&[before, after, &[]]);
+            let greeted = board.greet(|hello| {
+                seen.push(hello.device_id);
+                Ok::<_, DeviceError>(())
+            });
+            assert!(greeted.is_ok(), "{other}: {greeted:?}");
+            assert_eq!(seen, DEVICES, "{other}");
+            // Without the answer there is no board.
+            let mut board = Scripted::saying(&[before, &[]]);
+            assert!(board.greet(|_| Ok::<_, DeviceError>(())).is_err(), "{other}");
+        }
+    }
 }

@@ -184,7 +184,7 @@ impl Health {
     }
 
     /// By how much light in the dark has risen since the start, and σ of that, amperes.
-    fn rise(&self, cell: usize, sums: &CellSums) -> Option<(f64, f64)> {
+    pub(super) fn rise(&self, cell: usize, sums: &CellSums) -> Option<(f64, f64)> {
         let known = &self.cells[cell];
         let start = &self.start.as_ref()?.cells[cell];
         // Of the sum of two electrodes.

@@ -11,6 +11,8 @@
 mod exchange;
 mod finding;
 mod judge;
+#[cfg(test)]
+mod tests;
 mod window;
 
 use slitpose_model::{Outcome, Photocurrents, Reading, SceneError, Solution, Solver, Status, Tier, Weakness};
