@@ -39,6 +39,7 @@
 
 #define SLITPOSE_POSE_MAGIC 0x50504c53u    /* "SLPP" */
 #define SLITPOSE_REQUEST_MAGIC 0x51504c53u /* "SLPQ" */
+#define SLITPOSE_ANSWER_MAGIC 0x41504c53u  /* "SLPA" */
 #define SLITPOSE_VERSION 1u
 
 /* Bits of `flags`. */
@@ -97,6 +98,24 @@ struct slitpose_request {
     uint16_t mode;
     uint16_t zero;
     uint8_t device[12]; /* all zero: every board */
+    uint64_t cookie;    /* of the last answer, or 0 */
+};
+
+/* What the daemon says besides poses. */
+struct slitpose_answer {
+    uint32_t magic;
+    uint16_t version;
+    uint16_t size;
+    uint16_t kind;
+    uint16_t zero;
+    uint32_t zero_too;
+    uint64_t cookie;
+};
+
+enum slitpose_answer_kind {
+    SLITPOSE_PROVE = 1,   /* not served: ask again with this cookie, which proves your UDP address */
+    SLITPOSE_REFUSED = 2, /* not served: all places for followers are taken; ask again each second */
+    SLITPOSE_RENEW = 3    /* served; use this cookie from now on */
 };
 
 enum slitpose_mode {
@@ -127,12 +146,15 @@ SLITPOSE_CHECK_AT(linear_m_per_s, 448);
 SLITPOSE_CHECK_AT(angular_rad_per_s, 472);
 SLITPOSE_CHECK_AT(twist_sigma, 496);
 SLITPOSE_CHECK(pose_bytes, sizeof(struct slitpose_pose) == 544);
-SLITPOSE_CHECK(request_bytes, sizeof(struct slitpose_request) == 24);
+SLITPOSE_CHECK(request_bytes, sizeof(struct slitpose_request) == 32);
+SLITPOSE_CHECK(answer_bytes, sizeof(struct slitpose_answer) == 24);
 
 /* A socket to the daemon. */
 struct slitpose_link {
     int fd;               /* readable when a datagram waits: for poll() and its like */
     uint64_t followed_ns; /* when datagrams were last asked for; 0: not yet */
+    uint64_t cookie;      /* proves to the daemon that this socket receives */
+    uint16_t mode;        /* what was asked for last */
     uint8_t device[12];
 };
 
@@ -236,13 +258,17 @@ static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mo
     request.version = SLITPOSE_VERSION;
     request.size = (uint16_t)sizeof request;
     request.mode = (uint16_t)mode;
+    request.cookie = link->cookie;
+    link->mode = request.mode;
     memcpy(request.device, link->device, sizeof request.device);
     return send(link->fd, &request, sizeof request, MSG_DONTWAIT) == (ssize_t)sizeof request ? 0 : -1;
 }
 
-/* Takes the next datagram that waits. 1; 0 if none does; or -1 with errno. */
+/* Takes the next pose that waits, and does what the daemon asks for besides. 1; 0 if none does; or -1 with errno:
+   EUSERS if all places for followers are taken; those who ask again each second get the next that is free. */
 static inline int slitpose_receive(struct slitpose_link *link, struct slitpose_pose *pose)
 {
+    struct slitpose_answer answer;
     for (;;) {
         ssize_t bytes = recv(link->fd, pose, sizeof *pose, MSG_DONTWAIT);
         if (bytes < 0 && errno == EINTR)
@@ -252,6 +278,17 @@ static inline int slitpose_receive(struct slitpose_link *link, struct slitpose_p
         if (bytes == (ssize_t)sizeof *pose && pose->magic == SLITPOSE_POSE_MAGIC &&
             pose->version == SLITPOSE_VERSION && pose->size >= sizeof *pose)
             return 1;
+        memcpy(&answer, pose, sizeof answer);
+        if (bytes != (ssize_t)sizeof answer || answer.magic != SLITPOSE_ANSWER_MAGIC ||
+            answer.version != SLITPOSE_VERSION)
+            continue;
+        if (answer.kind == SLITPOSE_REFUSED) {
+            errno = EUSERS;
+            return -1;
+        }
+        link->cookie = answer.cookie;
+        if (answer.kind == SLITPOSE_PROVE && slitpose_ask(link, (enum slitpose_mode)link->mode) < 0)
+            return -1;
     }
 }
 
@@ -282,39 +319,47 @@ static inline int slitpose_drain(struct slitpose_link *link, struct slitpose_pos
    daemon has no board yet; or -1 with errno. With several boards, the one that sent last. */
 static inline int slitpose_newest(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
 {
-    int ready;
+    int ready, turn;
     if (slitpose_drain(link, pose) < 0 || slitpose_ask(link, SLITPOSE_NEWEST) < 0)
         return -1;
-    ready = slitpose_wait(link, timeout_ms);
-    if (ready <= 0)
-        return ready;
-    ready = slitpose_drain(link, pose);
+    /* The first answer may be a cookie, which has been sent back then. */
+    for (turn = 0; turn < 2; turn++) {
+        ready = slitpose_wait(link, timeout_ms);
+        if (ready <= 0)
+            return ready;
+        ready = slitpose_drain(link, pose);
+        if (ready != 0)
+            break;
+    }
     return ready > 1 ? 1 : ready;
 }
 
 /* Waits for a pose, passes over older ones, and asks for the next ones in time, also while it waits:
-   for ever if the timeout is negative. 1; 0 if none came in time; or -1 with errno. A queue holds
+   for ever if the timeout is negative. 1; 0 if none came in time; or -1 with errno: EUSERS if all places
+   for followers are taken, after which it may be called again. A queue holds
    about ten: whoever is so late that the newest were refused is given them at once. */
 static inline int slitpose_follow(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
 {
     const uint64_t late_ns = 1000000, renewal_ns = 1000000000;
     const int renewal_ms = 1000;
     struct slitpose_pose newer;
-    int count, piece_ms;
+    uint64_t now = slitpose_now_ns();
+    const uint64_t until = now + (uint64_t)(timeout_ms < 0 ? 0 : timeout_ms) * 1000000u;
+    int count, left_ms;
     do {
-        uint64_t now = slitpose_now_ns();
         if (link->followed_ns == 0 || now - link->followed_ns > renewal_ns) {
             if (slitpose_ask(link, SLITPOSE_FOLLOW) < 0)
                 return -1;
             link->followed_ns = now;
         }
-        piece_ms = timeout_ms < 0 || timeout_ms > renewal_ms ? renewal_ms : timeout_ms;
-        count = slitpose_wait(link, piece_ms);
-        timeout_ms -= timeout_ms < 0 ? 0 : piece_ms;
-    } while (count == 0 && timeout_ms != 0);
-    if (count <= 0)
-        return count;
-    count = slitpose_drain(link, pose);
+        left_ms = timeout_ms < 0 || until > now + renewal_ns ? renewal_ms
+                  : until > now                              ? (int)((until - now + 999999u) / 1000000u)
+                                                             : 0;
+        count = slitpose_wait(link, left_ms);
+        /* What waits may be no pose. */
+        count = count > 0 ? slitpose_drain(link, pose) : count;
+        now = slitpose_now_ns();
+    } while (count == 0 && (timeout_ms < 0 || now < until));
     if (count > 1 && slitpose_now_ns() - pose->published_monotonic_ns > late_ns &&
         slitpose_newest(link, &newer, 2) > 0 && newer.published_monotonic_ns > pose->published_monotonic_ns) {
         newer.missed = pose->missed;

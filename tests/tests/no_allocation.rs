@@ -146,7 +146,7 @@ fn follow_a_board_live() {
     let server = DatagramServer::bind(&[Address::Unix(path.clone())]).expect("can be had");
     let client = UnixDatagram::bind(folder.path().join("client")).expect("socket");
     client.set_nonblocking(true).expect("does not block");
-    client.send_to(&datagram::Request { mode: Mode::Follow, device: None }.to_bytes(), &path).expect("asks");
+    client.send_to(&datagram::Request::new(Mode::Follow, None).to_bytes(), &path).expect("asks");
     while server.counts().requests == 0 {
         std::thread::yield_now();
     }

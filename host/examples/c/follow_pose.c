@@ -42,6 +42,10 @@ int main(int argc, char **argv)
     }
     while (left != 0) {
         int received = slitpose_follow(&link, &pose, 1000);
+        if (received < 0 && errno == EUSERS) {
+            fprintf(stderr, "all places for followers are taken; waiting for one\n");
+            continue;
+        }
         if (received < 0) {
             perror(argv[1]);
             return 1;

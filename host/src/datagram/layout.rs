@@ -34,8 +34,18 @@
 //! What is not there is NaN, and its flag is clear. On UDP nobody learns that a queue was full: there
 //! only gaps in the number of the datagram show what was missed.
 //!
-//! A request, 24 bytes: u32 magic "SLPQ" · u16 version, 1 · u16 bytes in all · u16 mode (1 newest,
-//! 2 follow) · u16 zero · \[u8; 12\] id of a board, all zero for every board.
+//! A request, 32 bytes: u32 magic "SLPQ" · u16 version, 1 · u16 bytes in all · u16 mode (1 newest,
+//! 2 follow) · u16 zero · \[u8; 12\] id of a board, all zero for every board · u64 cookie, zero without one.
+//! One of 24 bytes, without the last field, is understood as one with the cookie zero.
+//!
+//! An answer that is no pose, 24 bytes and so never more than was asked with: u32 magic "SLPA" · u16 version, 1 ·
+//! u16 bytes in all · u16 kind · u16 zero · u32 zero · u64 cookie, or zero. By kind:
+//!
+//! 1. The request was not served: send it again with this cookie. UDP only, where a sender's address proves
+//!    nothing: who echoes the cookie has shown that it receives there.
+//! 2. The request was not served, or a client that followed is followed no longer: all places are taken. Ask again
+//!    each second.
+//! 3. The request was served; use this cookie from now on, as the last one will soon be too old.
 
 use crate::clock::HostInstant;
 use crate::device::DeviceId;
@@ -43,6 +53,7 @@ use crate::pipeline::{Record, outcome_number};
 
 const POSE_MAGIC: [u8; 4] = *b"SLPP";
 const REQUEST_MAGIC: [u8; 4] = *b"SLPQ";
+const ANSWER_MAGIC: [u8; 4] = *b"SLPA";
 const VERSION: u16 = 1;
 
 const HAS_POSE: u32 = 1;
@@ -161,6 +172,8 @@ pub struct Request {
     pub mode: Mode,
     /// Of which board; `None`: of every board.
     pub device: Option<DeviceId>,
+    /// The cookie last received, 0 before that. Unix sockets need none.
+    pub cookie: u64,
 }
 
 /// How many datagrams a client asks for.
@@ -174,30 +187,88 @@ pub enum Mode {
 
 impl Request {
     /// Its length.
-    pub const BYTES: usize = 24;
+    pub const BYTES: usize = 32;
+
+    /// Its length without a cookie.
+    const SHORT_BYTES: usize = 24;
+
+    /// Without a cookie.
+    pub fn new(mode: Mode, device: Option<DeviceId>) -> Self {
+        Self { mode, device, cookie: 0 }
+    }
 
     /// As it is sent.
     pub fn to_bytes(self) -> [u8; Self::BYTES] {
-        let mut bytes = [0; Self::BYTES];
-        bytes[..4].copy_from_slice(&REQUEST_MAGIC);
-        bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());
-        bytes[6..8].copy_from_slice(&(Self::BYTES as u16).to_le_bytes());
         let mode: u16 = match self.mode {
             Mode::Newest => 1,
             Mode::Follow => 2,
         };
-        bytes[8..10].copy_from_slice(&mode.to_le_bytes());
-        bytes[12..].copy_from_slice(&self.device.unwrap_or_default().0);
+        let mut bytes = [0; Self::BYTES];
+        begin(&mut bytes, REQUEST_MAGIC, mode);
+        bytes[12..Self::SHORT_BYTES].copy_from_slice(&self.device.unwrap_or_default().0);
+        bytes[Self::SHORT_BYTES..].copy_from_slice(&self.cookie.to_le_bytes());
         bytes
     }
 
     /// What `bytes` ask for; `None` if they are no request of this version.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
-        let device = DeviceId(bytes.get(12..Self::BYTES)?.try_into().ok()?);
+        let mut whole = [0; Self::BYTES];
+        whole.get_mut(..bytes.len())?.copy_from_slice(bytes);
+        if bytes.len() == Self::SHORT_BYTES && whole[6..8] == (Self::SHORT_BYTES as u16).to_le_bytes() {
+            whole[6..8].copy_from_slice(&(Self::BYTES as u16).to_le_bytes());
+        } else if bytes.len() != Self::BYTES {
+            return None;
+        }
+        let (head, cookie) = whole.split_last_chunk()?;
+        let cookie = u64::from_le_bytes(*cookie);
+        let device = DeviceId(head.get(12..)?.try_into().ok()?);
         let device = Some(device).filter(|device| *device != DeviceId::default());
         [Mode::Newest, Mode::Follow]
-            .map(|mode| Self { mode, device })
+            .map(|mode| Self { mode, device, cookie })
             .into_iter()
-            .find(|request| request.to_bytes() == bytes)
+            .find(|request| request.to_bytes() == whole)
     }
+}
+
+/// What a client is told besides poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// Ask again with this cookie.
+    Prove(u64),
+    /// All places are taken.
+    Refused,
+    /// Served; here is a newer cookie.
+    Renew(u64),
+}
+
+impl Answer {
+    /// Its length: no more than that of any request.
+    pub const BYTES: usize = Request::SHORT_BYTES;
+
+    /// As it is sent.
+    pub fn to_bytes(self) -> [u8; Self::BYTES] {
+        let (kind, cookie) = match self {
+            Self::Prove(cookie) => (1, cookie),
+            Self::Refused => (2, 0),
+            Self::Renew(cookie) => (3, cookie),
+        };
+        let mut bytes = [0; Self::BYTES];
+        begin(&mut bytes, ANSWER_MAGIC, kind);
+        bytes[16..].copy_from_slice(&cookie.to_le_bytes());
+        bytes
+    }
+
+    /// What `bytes` say; `None` if they are no answer of this version.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let cookie = u64::from_le_bytes(*bytes.last_chunk()?);
+        [Self::Prove(cookie), Self::Refused, Self::Renew(cookie)].into_iter().find(|answer| answer.to_bytes() == bytes)
+    }
+}
+
+/// What requests and answers begin with.
+fn begin<const N: usize>(bytes: &mut [u8; N], magic: [u8; 4], kind: u16) {
+    bytes[..4].copy_from_slice(&magic);
+    bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());
+    bytes[6..8].copy_from_slice(&(N as u16).to_le_bytes());
+    bytes[8..10].copy_from_slice(&kind.to_le_bytes());
 }

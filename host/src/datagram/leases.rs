@@ -1,32 +1,88 @@
-//! Clients that follow boards, for boards that are not there yet.
+//! Who follows which board: places are few, and shared evenly between users.
 
 use super::publisher::{MAX_FOLLOWERS, Subscription};
+use super::socket::Party;
 use crate::device::DeviceId;
 
 /// As many for each of four boards.
 const MAX_LEASES: usize = 4 * MAX_FOLLOWERS;
 
-/// Who follows what, and until when.
+/// Who follows what, and until when; also boards that are not there yet.
 #[derive(Debug, Default)]
 pub(super) struct Leases(Vec<Lease>);
 
-#[derive(Debug)]
-struct Lease {
+/// A place.
+#[derive(Clone, Debug)]
+pub(super) struct Lease {
     /// `None`: every board.
-    device: Option<DeviceId>,
-    subscription: Subscription,
+    pub(super) device: Option<DeviceId>,
+    pub(super) subscription: Subscription,
+}
+
+/// What became of a wish for a place.
+#[derive(Debug)]
+pub(super) enum Admission {
+    /// It has one, as this subscription.
+    Kept(Subscription),
+    /// It has one, as this subscription, and others have lost theirs for it.
+    Instead(Subscription, Vec<Lease>),
+    /// It has none.
+    Refused,
+}
+
+impl Lease {
+    fn is_of(&self, device: Option<DeviceId>) -> bool {
+        self.device.is_none() || device.is_none() || self.device == device
+    }
+
+    fn party(&self) -> Party {
+        self.subscription.peer.party()
+    }
 }
 
 impl Leases {
-    /// Keeps a new one, or renews one that is known. One too many is not kept: its client asks again.
-    pub(super) fn renew(&mut self, device: Option<DeviceId>, new: &Subscription, now_ns: u64) {
+    /// Keeps a new one, or renews one that is known.
+    ///
+    /// Where all places are taken, the party with most of them gives its latest away, as long as it has two more
+    /// than the one that asks: nobody keeps another user out, however many clients it starts.
+    pub(super) fn renew(&mut self, device: Option<DeviceId>, new: &Subscription, now_ns: u64) -> Admission {
         self.0.retain(|lease| lease.subscription.until_ns >= now_ns);
         let known = self.0.iter_mut().find(|lease| lease.device == device && lease.subscription.is_of(new));
         if let Some(lease) = known {
             lease.subscription.until_ns = new.until_ns;
-        } else if self.0.len() < MAX_LEASES {
-            self.0.push(Lease { device, subscription: new.clone() });
+            return Admission::Kept(lease.subscription.clone());
         }
+        let mut lost = Vec::new();
+        while let Some(contested) = self.contested(device) {
+            let Some(loser) = self.loser(&contested, new.peer.party()) else {
+                // Who has lost a place for nothing has it back.
+                self.0.append(&mut lost);
+                return Admission::Refused;
+            };
+            lost.push(self.0.remove(loser));
+        }
+        self.0.push(Lease { device, subscription: new.clone() });
+        if lost.is_empty() { Admission::Kept(new.clone()) } else { Admission::Instead(new.clone(), lost) }
+    }
+
+    /// The leases of which one has to end before there is a place for `device`, by their places in the list.
+    fn contested(&self, device: Option<DeviceId>) -> Option<Vec<usize>> {
+        let of = |device: Option<DeviceId>| -> Vec<usize> {
+            let is_meant = |lease: &Lease| lease.device.is_none() || lease.device == device;
+            (0..self.0.len()).filter(|&number| is_meant(&self.0[number])).collect()
+        };
+        let boards = self.0.iter().filter(|lease| lease.is_of(device)).map(|lease| lease.device);
+        let fullest = boards.chain([device]).map(of).max_by_key(Vec::len);
+        let is_full = |places: &Vec<usize>| places.len() >= MAX_FOLLOWERS;
+        let all = (self.0.len() >= MAX_LEASES).then(|| (0..self.0.len()).collect());
+        fullest.filter(is_full).or(all)
+    }
+
+    /// Who of `contested` has to go for one more of `party`.
+    fn loser(&self, contested: &[usize], party: Party) -> Option<usize> {
+        let count = |party: Party| contested.iter().filter(|&&number| self.0[number].party() == party).count();
+        let most = contested.iter().copied().max_by_key(|&number| (count(self.0[number].party()), number))?;
+        (count(self.0[most].party()) >= count(party) + 2).then_some(most)
     }
 
     /// Those of a board.
@@ -34,5 +90,10 @@ impl Leases {
         let is_meant = move |lease: &&Lease| lease.device.is_none_or(|wanted| wanted == device);
         let wanted = self.0.iter().filter(is_meant).map(|lease| &lease.subscription);
         wanted.filter(move |subscription| subscription.until_ns >= now_ns)
+    }
+
+    /// Places that are taken.
+    pub(super) fn count(&self, now_ns: u64) -> usize {
+        self.0.iter().filter(|lease| lease.subscription.until_ns >= now_ns).count()
     }
 }

@@ -6,11 +6,16 @@
 //! functions to receive them.
 //!
 //! A datagram goes out from the thread that solved it, with nothing between solver and socket.
+//! Who may write to a Unix socket its permissions say. On UDP everybody on the host may, and under any address:
+//! there a client is served once it has echoed a cookie that was sent to it. Places of followers are few; users
+//! share them evenly, and who gets none is told.
+//!
 //! Nothing there waits: sockets do not block, requests come through a bounded queue, and the newest
 //! datagram is left for answers in a slot whose writer waits for no reader. A client that does not
 //! read fills its own queue and no other; what it misses is counted, and it is told how many.
 
 mod address;
+mod cookie;
 mod layout;
 mod leases;
 mod publisher;
@@ -21,6 +26,6 @@ mod socket;
 mod tests;
 
 pub use address::{Address, AddressError};
-pub use layout::{Mode, PoseDatagram, Request};
+pub use layout::{Answer, Mode, PoseDatagram, Request};
 pub use publisher::Publisher;
 pub use server::{DatagramCounts, DatagramError, DatagramServer};

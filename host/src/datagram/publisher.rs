@@ -14,13 +14,16 @@ use crate::pipeline::Record;
 /// Clients that may follow a board at once: each costs its solver some microseconds a scan.
 pub(super) const MAX_FOLLOWERS: usize = 16;
 
+/// News of followers that may wait for their publisher.
+pub(super) const MAX_NEWS: usize = 4 * MAX_FOLLOWERS;
+
 /// A client that wants all datagrams.
 #[derive(Clone, Debug)]
 pub(super) struct Subscription {
     /// Which of the daemon's sockets it wrote to.
     pub(super) socket: usize,
     pub(super) peer: Peer,
-    /// CLOCK_MONOTONIC.
+    /// CLOCK_MONOTONIC; 0 for one that has lost its place.
     pub(super) until_ns: u64,
 }
 
@@ -80,10 +83,10 @@ impl Publisher {
             datagram.mark_behind();
         }
         self.slot.store(&datagram);
-        self.followers.retain(|follower| now.monotonic_ns <= follower.subscription.until_ns);
-        for subscription in self.subscriptions.try_iter().take(MAX_FOLLOWERS) {
+        for subscription in self.subscriptions.try_iter().take(MAX_NEWS) {
             admit(&mut self.followers, subscription, &self.shared.counters);
         }
+        self.followers.retain(|follower| now.monotonic_ns <= follower.subscription.until_ns);
         let Shared { sockets, counters } = &*self.shared;
         let missed_by_all = &mut self.missed;
         self.followers.retain_mut(|Follower { subscription, missed }| {
@@ -104,7 +107,9 @@ impl Publisher {
 
 /// Takes a client in, or renews the lease of one that is known.
 fn admit(followers: &mut Vec<Follower>, new: Subscription, counters: &Counters) {
-    if let Some(known) = followers.iter_mut().find(|known| known.subscription.is_of(&new)) {
+    if new.until_ns == 0 {
+        followers.retain(|known| !known.subscription.is_of(&new));
+    } else if let Some(known) = followers.iter_mut().find(|known| known.subscription.is_of(&new)) {
         known.subscription.until_ns = new.until_ns;
     } else if followers.len() < MAX_FOLLOWERS {
         followers.push(Follower { subscription: new, missed: 0 });

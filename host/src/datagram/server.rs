@@ -11,13 +11,15 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use serde::Serialize;
 use thiserror::Error;
 
-use super::leases::Leases;
-use super::publisher::{MAX_FOLLOWERS, Publisher, Subscription};
+use super::cookie::{Cookies, Worth};
+use super::leases::{Admission, Lease, Leases};
+use super::publisher::{MAX_FOLLOWERS, MAX_NEWS, Publisher, Subscription};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, SocketFile};
-use super::{Address, AddressError, Mode, Request};
+use super::{Address, AddressError, Answer, Mode, Request};
 use crate::clock::HostInstant;
 use crate::device::DeviceId;
 use crate::threads::lock;
@@ -57,13 +59,21 @@ pub enum DatagramError {
 }
 
 /// What was sent and refused since the server started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct DatagramCounts {
+    /// Places that clients have taken, now.
+    pub places_taken: u64,
+    /// Places of each board; users share them evenly, and all clients on UDP count as one user.
+    pub places: u64,
+    /// Clients that were told that they get no place, or lose theirs to another user's.
+    pub places_refused: u64,
     /// Requests understood, and answered as far as there was an answer.
     pub requests: u64,
-    /// Requests that were not: of unreadable bytes, from clients without a name, or one client too
-    /// many.
+    /// Requests that were not: of unreadable bytes, from clients without a name that is theirs, or too many at a
+    /// time.
     pub refused: u64,
+    /// Requests on UDP that were answered with a cookie, as they came without one that proves their address.
+    pub unproven: u64,
     /// Datagrams sent.
     pub sent: u64,
     /// Datagrams for which a client's queue had no room, as far as the system tells: of UDP it does
@@ -74,6 +84,8 @@ pub struct DatagramCounts {
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     requests: AtomicU64,
+    places_refused: AtomicU64,
+    unproven: AtomicU64,
     pub(super) refused: AtomicU64,
     pub(super) sent: AtomicU64,
     pub(super) missed: AtomicU64,
@@ -105,6 +117,7 @@ struct Board {
 struct Directory {
     boards: Vec<Board>,
     leases: Leases,
+    cookies: Cookies,
 }
 
 /// Answers requests, from a thread of its own, until dropped.
@@ -153,7 +166,7 @@ impl DatagramServer {
     /// What sends the poses of a board, until it is dropped, also to clients that asked before it was
     /// there. Those of one made earlier are no longer given to new clients.
     pub fn publisher(&self, device: DeviceId) -> Publisher {
-        let (sender, receiver) = crossbeam_channel::bounded(MAX_FOLLOWERS);
+        let (sender, receiver) = crossbeam_channel::bounded(MAX_NEWS);
         let slot = Arc::new(Slot::new());
         let mut directory = lock(&self.directory);
         for subscription in directory.leases.of(device, HostInstant::now().monotonic_ns) {
@@ -168,10 +181,12 @@ impl DatagramServer {
 
     /// What was sent and refused so far.
     pub fn counts(&self) -> DatagramCounts {
-        let Counters { requests, refused, sent, missed } = &self.shared.counters;
-        let [requests, refused, sent, missed] =
-            [requests, refused, sent, missed].map(|counter| counter.load(Ordering::Relaxed));
-        DatagramCounts { requests, refused, sent, missed }
+        let Counters { requests, places_refused, unproven, refused, sent, missed } = &self.shared.counters;
+        let [requests, places_refused, unproven, refused, sent, missed] =
+            [requests, places_refused, unproven, refused, sent, missed].map(|counter| counter.load(Ordering::Relaxed));
+        let places_taken = lock(&self.directory).leases.count(HostInstant::now().monotonic_ns) as u64;
+        let places = MAX_FOLLOWERS as u64;
+        DatagramCounts { places_taken, places, places_refused, requests, refused, unproven, sent, missed }
     }
 }
 
@@ -217,12 +232,21 @@ fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {
 }
 
 fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: usize, peer: &Peer) {
-    let Directory { boards, leases } = directory;
-    boards.retain(|board| board.slot.strong_count() > 0);
-    let wanted = boards.iter().filter(|board| request.device.is_none_or(|device| device == board.device));
+    let now_ns = HostInstant::now().monotonic_ns;
+    if let Peer::Udp(address) = peer {
+        match directory.cookies.judge(*address, request.cookie, now_ns) {
+            Worth::Good => {}
+            Worth::Old(next) => tell(shared, Answer::Renew(next), socket, peer),
+            Worth::Nothing(cookie) => {
+                Counters::count(&shared.counters.unproven);
+                return tell(shared, Answer::Prove(cookie), socket, peer);
+            }
+        }
+    }
+    directory.boards.retain(|board| board.slot.strong_count() > 0);
     match request.mode {
         Mode::Newest => {
-            for datagram in wanted.filter_map(|board| board.slot.upgrade()?.load()) {
+            for datagram in directory.wanted(request.device).filter_map(|board| board.slot.upgrade()?.load()) {
                 match shared.sockets[socket].send(datagram.as_bytes(), peer) {
                     Delivery::Sent => Counters::count(&shared.counters.sent),
                     Delivery::Full => Counters::count(&shared.counters.missed),
@@ -231,15 +255,43 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
             }
         }
         Mode::Follow => {
-            let now_ns = HostInstant::now().monotonic_ns;
             let until_ns = now_ns.saturating_add(LEASE.as_nanos() as u64);
             let subscription = Subscription { socket, peer: peer.clone(), until_ns };
-            leases.renew(request.device, &subscription, now_ns);
-            for board in wanted {
-                // Full until the next scan: clients ask again.
-                if board.subscriptions.try_send(subscription.clone()).is_err() {
-                    Counters::count(&shared.counters.refused);
+            let (subscription, lost) = match directory.leases.renew(request.device, &subscription, now_ns) {
+                Admission::Kept(subscription) => (subscription, Vec::new()),
+                Admission::Instead(subscription, lost) => (subscription, lost),
+                Admission::Refused => {
+                    Counters::count(&shared.counters.places_refused);
+                    return tell(shared, Answer::Refused, socket, peer);
                 }
+            };
+            // First out, then in: a board has no place more.
+            for Lease { device, subscription } in lost {
+                Counters::count(&shared.counters.places_refused);
+                tell(shared, Answer::Refused, subscription.socket, &subscription.peer);
+                directory.hand_on(shared, device, &Subscription { until_ns: 0, ..subscription });
+            }
+            directory.hand_on(shared, request.device, &subscription);
+        }
+    }
+}
+
+/// Sends what is no pose. It is lost where there is no room: clients ask again.
+fn tell(shared: &Shared, answer: Answer, socket: usize, peer: &Peer) {
+    let _ = shared.sockets[socket].send(&answer.to_bytes(), peer);
+}
+
+impl Directory {
+    fn wanted(&self, device: Option<DeviceId>) -> impl Iterator<Item = &Board> {
+        self.boards.iter().filter(move |board| device.is_none_or(|device| device == board.device))
+    }
+
+    /// Hands news of a follower to the boards it concerns.
+    fn hand_on(&self, shared: &Shared, device: Option<DeviceId>, news: &Subscription) {
+        for board in self.wanted(device) {
+            // Full until the next scan: clients ask again.
+            if board.subscriptions.try_send(news.clone()).is_err() {
+                Counters::count(&shared.counters.refused);
             }
         }
     }

@@ -1,12 +1,24 @@
 //! Sockets of both kinds, none of which ever blocks.
 
-use std::fs::{self, Permissions};
+use std::fs::{self, File, Permissions};
+#[cfg(target_os = "linux")]
+use std::io::IoSliceMut;
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
+#[cfg(target_os = "linux")]
+use std::os::fd::AsRawFd;
 use std::os::fd::{AsFd, BorrowedFd};
+#[cfg(target_os = "linux")]
+use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{self, UnixDatagram};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+#[cfg(target_os = "linux")]
+use nix::fcntl::OFlag;
+#[cfg(target_os = "linux")]
+use nix::sys::socket::{setsockopt, sockopt::PassCred};
 
 use super::{Address, AddressError, DatagramError};
 
@@ -20,20 +32,93 @@ pub(super) enum Socket {
 /// Who sent a datagram to a [`Socket`], and can be answered by it.
 #[derive(Clone, Debug)]
 pub(super) enum Peer {
-    Unix(net::SocketAddr),
+    Unix(Arc<UnixPeer>),
     Udp(SocketAddr),
+}
+
+/// A client on a Unix socket.
+#[derive(Debug)]
+pub(super) struct UnixPeer {
+    /// Its name, as it has chosen it.
+    name: net::SocketAddr,
+    /// Where to send to.
+    address: net::SocketAddr,
+    /// The file of its socket, if its name is one.
+    file: Option<PinnedSocket>,
+    user: Option<u32>,
+}
+
+/// Those between whom places are shared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Party {
+    /// A user of this host; `None` where the system does not say which.
+    User(Option<u32>),
+    /// All who come by UDP: it does not say whose they are.
+    Udp,
+}
+
+impl Peer {
+    pub(super) fn party(&self) -> Party {
+        match self {
+            Self::Unix(peer) => Party::User(peer.user),
+            Self::Udp(_) => Party::Udp,
+        }
+    }
 }
 
 impl PartialEq for Peer {
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Unix(a), Self::Unix(b)) => {
-                a.as_pathname() == b.as_pathname() && abstract_name(a) == abstract_name(b)
+                a.name.as_pathname() == b.name.as_pathname()
+                    && abstract_name(&a.name) == abstract_name(&b.name)
+                    && a.file.as_ref().map(|file| file.identity) == b.file.as_ref().map(|file| file.identity)
             }
             (Self::Udp(a), Self::Udp(b)) => a == b,
             _ => false,
         }
     }
+}
+
+impl UnixPeer {
+    /// The client called `name` of `user`; `None` if it cannot be answered: it has no name, or one that leads to
+    /// what is not its socket.
+    fn new(name: net::SocketAddr, user: Option<u32>) -> Option<Self> {
+        let (address, file) = match name.as_pathname() {
+            Some(path) => pinned(path, user).ok()?,
+            None => abstract_name(&name).map(|_| (name.clone(), None))?,
+        };
+        Some(Self { name, address, file, user })
+    }
+}
+
+/// The file of a client's socket, held open: what is sent goes to this one, also after its owner has put a link to
+/// somebody else's socket in its place.
+#[derive(Debug)]
+struct PinnedSocket {
+    _file: File,
+    identity: (u64, u64),
+}
+
+/// The socket at `path`, if it is one, and of that user (root's may be anybody's), and the name that leads to it and
+/// to nothing else.
+#[cfg(target_os = "linux")]
+fn pinned(path: &Path, user: Option<u32>) -> io::Result<(net::SocketAddr, Option<PinnedSocket>)> {
+    let flags = OFlag::O_PATH | OFlag::O_NOFOLLOW;
+    let file = File::options().read(true).custom_flags(flags.bits()).open(path)?;
+    let found = file.metadata()?;
+    let is_own = user.is_none_or(|user| user == 0 || user == found.uid());
+    if !found.file_type().is_socket() || !is_own {
+        return Err(ErrorKind::PermissionDenied.into());
+    }
+    let address = net::SocketAddr::from_pathname(format!("/proc/self/fd/{}", file.as_raw_fd()))?;
+    Ok((address, Some(PinnedSocket { _file: file, identity: (found.dev(), found.ino()) })))
+}
+
+/// Elsewhere a socket cannot be held open: its name is trusted.
+#[cfg(not(target_os = "linux"))]
+fn pinned(path: &Path, _: Option<u32>) -> io::Result<(net::SocketAddr, Option<PinnedSocket>)> {
+    Ok((net::SocketAddr::from_pathname(path)?, None))
 }
 
 #[cfg(any(target_os = "linux", target_os = "android"))]
@@ -51,6 +136,42 @@ fn abstract_name(_: &net::SocketAddr) -> Option<&[u8]> {
     None
 }
 
+/// The next datagram of a Unix socket: its length, the name of who sent it, and whose process that is.
+#[cfg(target_os = "linux")]
+fn receive_with_user(
+    socket: &UnixDatagram,
+    buffer: &mut [u8],
+) -> io::Result<(usize, Option<net::SocketAddr>, Option<u32>)> {
+    use std::os::linux::net::SocketAddrExt;
+
+    use nix::sys::socket::{ControlMessageOwned, MsgFlags, SockaddrLike, UnixAddr, UnixCredentials, recvmsg};
+
+    let mut control = nix::cmsg_space!(UnixCredentials);
+    let mut parts = [IoSliceMut::new(buffer)];
+    let message = recvmsg::<UnixAddr>(socket.as_raw_fd(), &mut parts, Some(&mut control), MsgFlags::MSG_DONTWAIT)?;
+    let user = message.cmsgs()?.find_map(|control| match control {
+        ControlMessageOwned::ScmCredentials(credentials) => Some(credentials.uid()),
+        _ => None,
+    });
+    // Of a sender without a name there is no address at all, not even an empty one.
+    let address = message.address.filter(|address| address.len() as usize > size_of::<nix::libc::sa_family_t>());
+    let name = address.and_then(|address| match (address.path(), address.as_abstract()) {
+        (Some(path), _) => net::SocketAddr::from_pathname(path).ok(),
+        (_, Some(name)) => net::SocketAddr::from_abstract_name(name).ok(),
+        _ => None,
+    });
+    // A datagram that was longer than the buffer fills it, as with `recv`.
+    Ok((message.bytes, name, user))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn receive_with_user(
+    socket: &UnixDatagram,
+    buffer: &mut [u8],
+) -> io::Result<(usize, Option<net::SocketAddr>, Option<u32>)> {
+    socket.recv_from(buffer).map(|(count, name)| (count, Some(name), None))
+}
+
 impl Socket {
     /// Binds `address`; with it comes what removes the socket's file, if it has one.
     pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), DatagramError> {
@@ -59,6 +180,8 @@ impl Socket {
             Address::Unix(path) => {
                 let socket = bind_path(path)?;
                 socket.set_nonblocking(true).map_err(error)?;
+                #[cfg(target_os = "linux")]
+                setsockopt(&socket, PassCred, &true).map_err(|errno| error(errno.into()))?;
                 let file = SocketFile::of(path).map_err(error)?;
                 Ok((Self::Unix(socket), Some(file)))
             }
@@ -83,10 +206,8 @@ impl Socket {
     pub(super) fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
         match self {
             Self::Unix(socket) => {
-                let (count, peer) = socket.recv_from(buffer)?;
-                // Without a name nobody can be answered.
-                let is_named = peer.as_pathname().is_some() || abstract_name(&peer).is_some();
-                Ok((count, is_named.then_some(Peer::Unix(peer))))
+                let (count, name, user) = receive_with_user(socket, buffer)?;
+                Ok((count, name.and_then(|name| UnixPeer::new(name, user)).map(|peer| Peer::Unix(Arc::new(peer)))))
             }
             Self::Udp(socket) => socket.recv_from(buffer).map(|(count, peer)| (count, Some(Peer::Udp(peer)))),
         }
@@ -94,7 +215,7 @@ impl Socket {
 
     pub(super) fn send(&self, bytes: &[u8], peer: &Peer) -> Delivery {
         let sent = match (self, peer) {
-            (Self::Unix(socket), Peer::Unix(peer)) => socket.send_to_addr(bytes, peer),
+            (Self::Unix(socket), Peer::Unix(peer)) => socket.send_to_addr(bytes, &peer.address),
             (Self::Udp(socket), Peer::Udp(peer)) => socket.send_to(bytes, peer),
             _ => return Delivery::Gone,
         };

@@ -90,7 +90,7 @@ impl Subscriber {
             while !ends.load(Ordering::Relaxed) {
                 if asked.is_none_or(|asked| asked.elapsed() > Duration::from_secs(1)) {
                     // There is no socket before the daemon has made it, and none when it has gone.
-                    let request = Request { mode: Mode::Follow, device: None };
+                    let request = Request::new(Mode::Follow, None);
                     asked = socket.send_to(&request.to_bytes(), &server).is_ok().then(Instant::now);
                 }
                 count += u64::from(socket.recv(&mut [0; 1024]).is_ok());

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use slitpose_model::Tier;
 use tempfile::TempDir;
 
-use super::{Address, DatagramServer, Mode, Request};
+use super::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
 use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
 use crate::front_end;
@@ -93,6 +93,15 @@ impl Bench {
         client
     }
 
+    /// The cookie of a client on UDP.
+    fn prove(&self, client: &UdpSocket) -> u64 {
+        self.tell(|| client.send(&Request::new(Mode::Newest, None).to_bytes()));
+        let mut bytes = [0; PoseDatagram::BYTES];
+        let count = client.recv(&mut bytes).unwrap();
+        let Some(Answer::Prove(cookie)) = Answer::from_bytes(&bytes[..count]) else { panic!("{count} bytes") };
+        cookie
+    }
+
     /// Sends bytes and waits until the server has seen them.
     fn tell(&self, send: impl FnOnce() -> std::io::Result<usize>) {
         let seen = || {
@@ -108,6 +117,6 @@ impl Bench {
     }
 
     fn ask(&self, client: &UnixDatagram, mode: Mode, device: Option<DeviceId>) {
-        self.tell(|| client.send(&Request { mode, device }.to_bytes()));
+        self.tell(|| client.send(&Request::new(mode, device).to_bytes()));
     }
 }

@@ -8,14 +8,14 @@ use tempfile::TempDir;
 use super::{Bench, DEVICE, OTHER, record};
 use crate::clock::HostInstant;
 use crate::datagram::server::LEASE;
-use crate::datagram::{Address, AddressError, DatagramError, DatagramServer, Mode, PoseDatagram, Request};
+use crate::datagram::{Address, AddressError, Answer, DatagramError, DatagramServer, Mode, PoseDatagram, Request};
 use crate::pipeline::Record;
 
 #[test]
 fn requests_are_read_as_they_are_written() {
     for mode in [Mode::Newest, Mode::Follow] {
         for device in [None, Some(DEVICE)] {
-            let request = Request { mode, device };
+            let request = Request { mode, device, cookie: 0x0123_4567_89ab_cdef };
             let bytes = request.to_bytes();
             assert_eq!(Request::from_bytes(&bytes), Some(request));
             for k in 0..12 {
@@ -23,10 +23,67 @@ fn requests_are_read_as_they_are_written() {
                 changed[k] ^= 0x80;
                 assert_eq!(Request::from_bytes(&changed), None, "{k}");
             }
-            assert_eq!(Request::from_bytes(&bytes[..23]), None);
+            assert_eq!(Request::from_bytes(&bytes[..31]), None);
             assert_eq!(Request::from_bytes(&[&bytes[..], &[0]].concat()), None);
+            // As clients asked before there were cookies.
+            let mut short = bytes[..24].to_vec();
+            assert_eq!(Request::from_bytes(&short), None);
+            short[6] = 24;
+            assert_eq!(Request::from_bytes(&short), Some(Request { cookie: 0, ..request }));
         }
     }
+}
+
+#[test]
+fn answers_are_read_as_they_are_written_and_no_longer_than_a_request() {
+    for answer in [Answer::Prove(u64::MAX), Answer::Refused, Answer::Renew(7)] {
+        let bytes = answer.to_bytes();
+        assert_eq!(bytes.len(), 24);
+        assert_eq!(Answer::from_bytes(&bytes), Some(answer));
+        for k in 0..16 {
+            let mut changed = bytes;
+            changed[k] ^= 0x80;
+            assert_eq!(Answer::from_bytes(&changed), None, "{k}");
+        }
+        assert_eq!(Answer::from_bytes(&bytes[..23]), None);
+    }
+}
+
+#[test]
+fn on_udp_nothing_longer_than_a_request_is_sent_to_who_has_not_proved_its_address() {
+    let bench = Bench::new();
+    let [client, other] = [bench.udp_client(), bench.udp_client()];
+    let mut publisher = bench.server.publisher(DEVICE);
+    let record = record();
+    publisher.publish(&record, HostInstant::now());
+    let cookie = bench.prove(&other);
+    let mut bytes = [0; 2 * PoseDatagram::BYTES];
+    // Without a cookie, with a guess, with that of somebody else; of the length it had before there were cookies, too.
+    for cookie in [0, 1, cookie] {
+        for mode in [Mode::Newest, Mode::Follow] {
+            let mut request = Request { mode, device: None, cookie }.to_bytes().to_vec();
+            if cookie == 0 {
+                request.truncate(24);
+                request[6] = 24;
+            }
+            bench.tell(|| client.send(&request));
+            for _ in 0..3 {
+                publisher.publish(&record, HostInstant::now());
+            }
+            let count = client.recv(&mut bytes).unwrap();
+            assert!(count <= request.len(), "{count} bytes for {}", request.len());
+            assert!(matches!(Answer::from_bytes(&bytes[..count]), Some(Answer::Prove(_))), "{mode:?}");
+        }
+    }
+    client.set_nonblocking(true).unwrap();
+    assert!(client.recv(&mut bytes).is_err(), "more than an answer each");
+    let counts = bench.server.counts();
+    assert_eq!((counts.unproven, counts.sent, counts.places_taken), (7, 0, 0));
+    // With the one that it was sent it is served.
+    let Some(Answer::Prove(cookie)) = Answer::from_bytes(&bytes[..24]) else { panic!("kept from above") };
+    bench.tell(|| client.send(&Request { mode: Mode::Follow, device: None, cookie }.to_bytes()));
+    publisher.publish(&record, HostInstant::now());
+    assert_eq!(client.recv(&mut bytes).unwrap(), PoseDatagram::BYTES);
 }
 
 fn u64_at(bytes: &[u8], at: usize) -> u64 {
@@ -70,7 +127,8 @@ fn the_newest_is_given_to_who_asks() {
         both.map(|bytes| (bytes[16..28].to_vec(), u64_at(&bytes, 32))),
         [(DEVICE.0.to_vec(), 3), (OTHER.0.to_vec(), 1)]
     );
-    bench.tell(|| udp.send(&Request { mode: Mode::Newest, device: Some(OTHER) }.to_bytes()));
+    let cookie = bench.prove(&udp);
+    bench.tell(|| udp.send(&Request { mode: Mode::Newest, device: Some(OTHER), cookie }.to_bytes()));
     let mut bytes = [0; PoseDatagram::BYTES];
     assert_eq!(udp.recv(&mut bytes).unwrap(), bytes.len());
     assert_eq!(bytes, both[1]);
@@ -150,7 +208,7 @@ fn what_is_no_request_is_counted_and_nothing_else() {
     // Who has no name cannot be answered.
     let Address::Unix(path) = &bench.server.addresses()[0] else { panic!("unix first") };
     let nameless = UnixDatagram::unbound().unwrap();
-    bench.tell(|| nameless.send_to(&Request { mode: Mode::Newest, device: None }.to_bytes(), path));
+    bench.tell(|| nameless.send_to(&Request::new(Mode::Newest, None).to_bytes(), path));
     let counts = bench.server.counts();
     assert_eq!((counts.requests, counts.refused, counts.sent), (0, 4, 0));
     bench.ask(&client, Mode::Newest, None);
@@ -205,4 +263,69 @@ fn who_asks_before_the_board_is_there_follows_it() {
     for (client, expected) in [(&every, &[1, 1][..]), (&first, &[1, 1]), (&second, &[])] {
         assert_eq!(drain(client).0, expected);
     }
+}
+
+#[test]
+fn a_link_in_the_place_of_a_clients_socket_leads_nowhere() {
+    let mut bench = Bench::new();
+    let victim = UnixDatagram::bind(bench.folder.path().join("victim")).unwrap();
+    victim.set_nonblocking(true).unwrap();
+    let client = bench.unix_client();
+    let name = bench.folder.path().join("client 1");
+    let mut publisher = bench.server.publisher(DEVICE);
+    let record = record();
+    bench.ask(&client, Mode::Follow, None);
+    std::fs::remove_file(&name).unwrap();
+    std::os::unix::fs::symlink(bench.folder.path().join("victim"), &name).unwrap();
+    publisher.publish(&record, HostInstant::now());
+    assert!(victim.recv(&mut [0; 1]).is_err(), "the link was followed");
+    assert_eq!(drain(&client).0, [1], "the socket itself still has its poses");
+    // Nor can it be asked for under the name of the link.
+    let before = bench.server.counts().refused;
+    bench.ask(&client, Mode::Newest, None);
+    assert_eq!(bench.server.counts().refused, before + 1);
+    assert!(victim.recv(&mut [0; 1]).is_err() && drain(&client).0.is_empty());
+}
+
+#[test]
+fn one_kind_of_client_does_not_take_the_places_of_another() {
+    let mut bench = Bench::new();
+    let mut publisher = bench.server.publisher(DEVICE);
+    let record = record();
+    let mut publish = || publisher.publish(&record, HostInstant::now());
+    // All places, and one more, by UDP.
+    let mut udp: Vec<_> = (0..17).map(|_| bench.udp_client()).collect();
+    for client in &udp {
+        let cookie = bench.prove(client);
+        bench.tell(|| client.send(&Request { mode: Mode::Follow, device: None, cookie }.to_bytes()));
+    }
+    let counts = bench.server.counts();
+    assert_eq!((counts.places, counts.places_taken, counts.places_refused), (16, 16, 1));
+    let answer_of = |client: &std::net::UdpSocket| {
+        let mut bytes = [0; PoseDatagram::BYTES];
+        let count = client.recv(&mut bytes).unwrap();
+        Answer::from_bytes(&bytes[..count])
+    };
+    assert_eq!(answer_of(&udp.pop().unwrap()), Some(Answer::Refused), "the one that came last is told");
+    publish();
+    assert!(udp.iter().all(|client| answer_of(client).is_none()), "all others have the pose");
+    // Clients of a user have half of them, and no more, as long as others want the rest.
+    let unix: Vec<_> = (0..9).map(|_| bench.unix_client()).collect();
+    for client in &unix {
+        bench.ask(client, Mode::Follow, Some(DEVICE));
+    }
+    publish();
+    for (number, client) in unix.iter().enumerate() {
+        let mut bytes = [0; PoseDatagram::BYTES];
+        let count = client.recv(&mut bytes).unwrap();
+        assert_eq!(Answer::from_bytes(&bytes[..count]), (number == 8).then_some(Answer::Refused), "{number}");
+    }
+    for (number, client) in udp.iter().enumerate() {
+        assert_eq!(answer_of(client), (number >= 8).then_some(Answer::Refused), "{number}");
+    }
+    assert_eq!(bench.server.counts().places_taken, 16);
+    // Who was pushed out gets nothing more.
+    publish();
+    udp[15].set_nonblocking(true).unwrap();
+    assert!(udp[15].recv(&mut [0; 1]).is_err());
 }

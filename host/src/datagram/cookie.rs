@@ -1,0 +1,60 @@
+//! Proof that a client on UDP receives where it says it does.
+//!
+//! Anybody on the host may write to a UDP port under another's address. Without proof 24 bytes would send
+//! thousands of datagrams to somebody who never asked. So a client is first sent a cookie, no longer than its
+//! request, and served once it has echoed that. The server keeps nothing for it: a cookie is a keyed hash of
+//! address and time, as in TCP (Bernstein's SYN cookies, RFC 4987, section 3.6).
+
+use std::hash::{BuildHasher, RandomState};
+use std::net::SocketAddr;
+
+/// A cookie is good in the epoch it is from and in the next one. Clients that follow ask each second.
+const EPOCH_NS: u64 = 10_000_000_000;
+
+/// Makes cookies and knows them again. Its key, SipHash's, is random and new with each server.
+#[derive(Debug, Default)]
+pub(super) struct Cookies(RandomState);
+
+/// What a cookie is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Worth {
+    /// It proves the address.
+    Good,
+    /// It still does; here is the next.
+    Old(u64),
+    /// It proves nothing; this one will.
+    Nothing(u64),
+}
+
+impl Cookies {
+    /// What the `cookie` of a client at `address` is worth at `now_ns` by CLOCK_MONOTONIC.
+    pub(super) fn judge(&self, address: SocketAddr, cookie: u64, now_ns: u64) -> Worth {
+        let epoch = now_ns / EPOCH_NS;
+        let of = |epoch: u64| self.0.hash_one((address, epoch)).max(1);
+        match cookie {
+            cookie if cookie == of(epoch) => Worth::Good,
+            cookie if epoch > 0 && cookie == of(epoch - 1) => Worth::Old(of(epoch)),
+            _ => Worth::Nothing(of(epoch)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cookie_proves_one_address_for_some_seconds() {
+        let cookies = Cookies::default();
+        let [here, there]: [SocketAddr; 2] = ["127.0.0.1:4000", "127.0.0.1:4001"].map(|text| text.parse().unwrap());
+        let Worth::Nothing(cookie) = cookies.judge(here, 0, EPOCH_NS) else { panic!("zero is no cookie") };
+        assert_eq!(cookies.judge(here, cookie, 2 * EPOCH_NS - 1), Worth::Good);
+        let Worth::Old(next) = cookies.judge(here, cookie, 2 * EPOCH_NS) else { panic!("too old too early") };
+        assert_eq!(cookies.judge(here, next, 2 * EPOCH_NS), Worth::Good);
+        assert_eq!(cookies.judge(here, cookie, 3 * EPOCH_NS - 1), Worth::Old(next));
+        assert!(matches!(cookies.judge(here, cookie, 3 * EPOCH_NS), Worth::Nothing(_)));
+        assert!(matches!(cookies.judge(there, cookie, EPOCH_NS), Worth::Nothing(_)));
+        // Another server has another key.
+        assert!(matches!(Cookies::default().judge(here, cookie, EPOCH_NS), Worth::Nothing(_)));
+    }
+}
