@@ -1,7 +1,7 @@
 //! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes.
 //!
 //! The server has a thread of its own and asks for a report when somebody asks it. It has no
-//! authentication: by default it listens for programs of its own host only.
+//! authentication: by default it listens for programs of its own host only, and never answers pages in browsers.
 
 use std::fs::{self, Permissions};
 use std::io;
@@ -12,8 +12,10 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use axum::Router;
+use axum::extract::Request;
 use axum::http::StatusCode;
 use axum::http::header::{CONNECTION, CONTENT_TYPE};
+use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use thiserror::Error;
@@ -21,7 +23,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::oneshot;
 
 use super::connection::{Door, Socket};
-use super::{DaemonReport, StatusAddress, metrics, view};
+use super::{DaemonReport, StatusAddress, metrics, origin, view};
 use crate::clock::HostInstant;
 
 /// Owner and group may ask; nobody else.
@@ -125,7 +127,17 @@ impl StatusServer {
         };
         let (end, ended) = oneshot::channel();
         let source: Source = Arc::new(source);
-        let routes = routes(&source);
+        // Browsers have no way to a Unix socket: there a host may be called anything.
+        let named = if matches!(address, StatusAddress::Unix(_)) { Reach::Anywhere } else { reach };
+        let routes = routes(&source).layer(from_fn(move |request: Request, next: Next| async move {
+            if origin::is_own(request.headers(), named) {
+                next.run(request).await
+            } else {
+                let text =
+                    "pages in a browser get no answer; ask by 127.0.0.1, [::1] or localhost, without an Origin\n";
+                reply(StatusCode::FORBIDDEN, TEXT, text.to_owned())
+            }
+        }));
         let thread = std::thread::Builder::new()
             .name("status".to_owned())
             .spawn(move || serve(runtime, socket, routes, ended))
