@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::process::{Command, Stdio};
+use std::time::{Duration, UNIX_EPOCH};
 
 use nix::unistd::geteuid;
 
@@ -20,11 +21,11 @@ pub(super) fn checks() -> [Check; 3] {
 }
 
 fn of_date(utc_ns: u64) -> Check {
-    let days = utc_ns as f64 / 86_400e9;
+    let date = humantime::format_rfc3339_seconds(UNIX_EPOCH + Duration::from_nanos(utc_ns));
     if utc_ns >= EARLIEST_UTC_NS {
-        Check::ok("date", format!("{days:.1} days after 1970 began"))
+        Check::ok("date", format!("{date} (UTC)"))
     } else {
-        let finding = format!("the clock of this host is wrong: {days:.1} days after 1970 began");
+        let finding = format!("the clock of this host is wrong: it says {date} (UTC)");
         Check::warning("date", finding, "set the clock: timedatectl set-ntp true")
     }
 }
@@ -97,8 +98,11 @@ mod tests {
 
     #[test]
     fn a_clock_that_starts_in_1970_is_not_believed() {
-        assert_eq!(of_date(0).verdict, Verdict::Warning);
-        assert_eq!(of_date(EARLIEST_UTC_NS).verdict, Verdict::Ok);
+        let wrong = of_date(86_399_000_000_000);
+        assert_eq!(wrong.verdict, Verdict::Warning);
+        assert_eq!(wrong.finding, "the clock of this host is wrong: it says 1970-01-01T23:59:59Z (UTC)");
+        let right = of_date(EARLIEST_UTC_NS);
+        assert_eq!((right.verdict, right.finding.as_str()), (Verdict::Ok, "2026-01-01T00:00:00Z (UTC)"));
         let verdicts = [Some("yes"), Some("no"), Some(""), None].map(|said| of_synchronisation(said).verdict);
         assert_eq!(verdicts, [Verdict::Ok, Verdict::Warning, Verdict::Skipped, Verdict::Skipped]);
     }

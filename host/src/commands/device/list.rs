@@ -53,9 +53,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
 fn hints(listed: &[Listed]) -> Vec<&'static str> {
     let any = |state: fn(PortState) -> bool| listed.iter().any(|it| state(it.state));
     let mut hints = Vec::new();
-    if listed.is_empty() {
+    if !listed.iter().any(|it| it.device().is_some()) {
         hints.push(
-            "no board found; plug one in, look elsewhere with --search '/dev/ttyUSB*', or use the simulated one: \
+            "no board found. Check its power, and that the cable carries data: `lsusb` shows a board as 1209:0001, and \
+             an ST-LINK as 0483:374e. Look at other ports with --search '/dev/ttyUSB*', or use a simulated board: \
              --device sim",
         );
     }
@@ -145,6 +146,19 @@ fn ndjson(listed: &[Listed]) -> serde_json::Result<String> {
 mod tests {
     use super::*;
     use crate::device::Port;
+
+    #[test]
+    fn ports_without_a_board_are_no_board() {
+        let port = |state| {
+            let port = Port { name: "/dev/ttyUSB0".to_owned(), usb: None };
+            vec![Listed { state, ..Listed::new(port) }]
+        };
+        for listed in [Vec::new(), port(PortState::NoAnswer), port(PortState::InUse)] {
+            let hints = hints(&listed);
+            assert!(hints.len() == 1 && hints[0].starts_with("no board found. Check"), "{hints:?}");
+        }
+        assert_eq!(hints(&port(PortState::NoPermission)).len(), 2);
+    }
 
     #[test]
     fn columns_stand_below_each_other() {
