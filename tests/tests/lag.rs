@@ -55,7 +55,7 @@ impl Unread {
             assert!(self.since.elapsed() < PATIENCE, "no pose comes");
             if self.asked.is_none_or(|asked| asked.elapsed() > Duration::from_millis(500)) {
                 // There is no socket before the daemon has made it.
-                let request = Request { mode: Mode::Follow, device: None };
+                let request = Request::new(Mode::Follow, None);
                 self.asked = self.client.send_to(&request.to_bytes(), &self.server).is_ok().then(Instant::now);
             }
             let mut datagram = [0; 544];

@@ -268,6 +268,13 @@ impl<'a> Playback<'a> {
                         sink.note(&note).map_err(printing)?;
                     }
                 }
+                Item::Oddity { device_time_s, oddity } => {
+                    talk(format_args!("{oddity}"));
+                    if let Some(sink) = sink {
+                        let (severity, text) = (slitpose_protocol::Severity::Warning, oddity.to_string());
+                        sink.note(&Note::Event { device, severity, device_time_s, text }).map_err(printing)?;
+                    }
+                }
                 // What a board was asked is history.
                 Item::Scan(_) | Item::Status(_) | Item::Reply(_) => {}
             }

@@ -11,11 +11,13 @@ use slitpose_protocol::{Configuration, Hello};
 
 use super::backlog::Backlog;
 use super::circuit::{Filler, circuit};
+use super::claims::Claims;
 use super::consumers::{Consumers, Outbox};
 use super::error::BoardError;
 use super::inlet::{CaptureInlet, Overflow, Parcel};
 use super::link::Link;
 use super::opener::Opener;
+use super::progress::Progress;
 use super::reader::Reader;
 use super::real_time;
 use super::slot::BoardSlot;
@@ -78,6 +80,7 @@ pub(super) struct Outlets {
     pub(super) parcels: Option<(Filler<Parcel>, f64)>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) real_time: Option<u8>,
+    pub(super) claims: Claims,
 }
 
 /// The threads of a board.
@@ -111,6 +114,7 @@ impl BoardThreads {
             pipeline,
             segments: drainer,
             verdicts: tell,
+            progress: Progress::new(Duration::from_secs_f64(plan.configuration.schedule.frame_rate_hz().recip())),
             consumers: Consumers::new(
                 BoardStatistics::new(name.clone(), HostInstant::now()),
                 outlets.datagrams,
@@ -130,6 +134,10 @@ impl BoardThreads {
             segments: filler,
             verdicts,
             connection: 0,
+            has_scans: false,
+            // The name of a port may be given twice, that of a thread not.
+            claims: outlets.claims,
+            claimant: format!("{name} (board {number})"),
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
         };

@@ -107,6 +107,10 @@ impl Consumers {
                 let (device, severity, device_time_s) = (self.device, *severity, *device_time_s);
                 self.note(|| Note::Event { device, severity, device_time_s, text: (*text).to_owned() });
             }
+            Item::Oddity { device_time_s, oddity } => {
+                let (device, device_time_s, severity) = (self.device, *device_time_s, Severity::Warning);
+                self.note(|| Note::Event { device, severity, device_time_s, text: oddity.to_string() });
+            }
             // Told when all of the segment is taken: what came is not to be lost.
             Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
             Item::Reply(_) | Item::Status(_) | Item::Pose(_) => {}

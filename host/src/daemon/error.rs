@@ -3,7 +3,7 @@
 use slitpose_protocol::Rejection;
 use thiserror::Error;
 
-use crate::device::DeviceError;
+use crate::device::{DeviceError, DeviceId};
 use crate::pipeline::PipelineError;
 
 /// Why a board is followed no longer.
@@ -18,6 +18,19 @@ pub enum BoardError {
     /// It does not do what it is asked.
     #[error("the board refused a command")]
     Refused(#[source] Rejection),
+    /// Another thread follows it already.
+    #[error(
+        "{name} and {other} have one number, {device}: give only one of them if they are two ports of one board; two \
+         boards whose poses shall be told apart need different numbers"
+    )]
+    Twice {
+        /// The board.
+        device: DeviceId,
+        /// What was to follow it.
+        name: String,
+        /// What follows it.
+        other: String,
+    },
     /// The system gives no more threads.
     #[error("cannot start a thread; close other programs, or raise the limit of threads")]
     Thread(#[source] std::io::Error),
@@ -28,8 +41,21 @@ impl BoardError {
     pub(super) fn is_passing(&self) -> bool {
         match self {
             Self::Device(error) => error.is_passing(),
-            Self::Pipeline(_) | Self::Refused(_) | Self::Thread(_) => false,
+            Self::Pipeline(_) | Self::Refused(_) | Self::Twice { .. } | Self::Thread(_) => false,
         }
+    }
+
+    /// Since when the last usable scan is missed, seconds before this was noticed.
+    pub(super) fn missed_s(&self) -> f64 {
+        match self {
+            Self::Device(DeviceError::Quiet { seconds, .. } | DeviceError::NoScans { seconds, .. }) => *seconds,
+            _ => 0.0,
+        }
+    }
+
+    /// Whether most likely somebody has to do something about it, so that there is no hurry to try again.
+    pub(super) fn needs_somebody(&self) -> bool {
+        !self.is_passing() || matches!(self, Self::Device(DeviceError::NoScans { .. }))
     }
 
     /// Whether the board is simply not there.

@@ -2,13 +2,20 @@
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::error::{BoardError, with_causes};
 use crate::clock::HostInstant;
 use crate::device::{DeviceError, DeviceId};
 use crate::telemetry::{LinkReport, LinkState};
 use crate::threads::lock;
+
+/// A reason that comes again is told again after this time, then after twice that, and so on: what goes on for a
+/// week is told some twenty times.
+const TOLD_AGAIN: Duration = Duration::from_secs(2);
+
+/// Reasons that are remembered.
+const REASONS: usize = 8;
 
 /// Says something to the user.
 pub type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
@@ -26,6 +33,22 @@ struct State {
     device: Option<DeviceId>,
     is_given_up: bool,
     missed_since: Option<Instant>,
+    /// Whether the user knows that it is missed.
+    is_missed_aloud: bool,
+    told: Vec<Told>,
+}
+
+/// A reason that the user knows.
+struct Told {
+    /// Without its numbers, which are others each time.
+    reason: String,
+    at: Instant,
+    /// When it came last.
+    last: Instant,
+    /// For how long it is not told again.
+    pause: Duration,
+    /// Times that it has come without being told.
+    untold: u64,
 }
 
 impl State {
@@ -34,6 +57,28 @@ impl State {
             self.report.since_utc_ns = HostInstant::now().utc_ns;
         }
         (self.report.state, self.report.reason) = (state, reason);
+    }
+
+    /// Whether to tell `reason` at `now`, and how often it has come untold since it was told.
+    fn is_told(&mut self, reason: &str, now: Instant) -> Option<u64> {
+        let reason = reason.replace(|character: char| character.is_ascii_digit(), "");
+        let Some(told) = self.told.iter_mut().find(|told| told.reason == reason) else {
+            if self.told.len() == REASONS {
+                self.told.remove(0);
+            }
+            let pause = TOLD_AGAIN;
+            self.told.push(Told { reason, at: now, last: now, pause, untold: 0 });
+            return Some(0);
+        };
+        let before = std::mem::replace(&mut told.last, now);
+        if now - told.at < told.pause {
+            told.untold += 1;
+            return None;
+        }
+        // After a time as long without it, it is news.
+        told.pause = if now - before >= told.pause { TOLD_AGAIN } else { told.pause.saturating_mul(2) };
+        told.at = now;
+        Some(std::mem::take(&mut told.untold))
     }
 }
 
@@ -79,7 +124,10 @@ impl Link {
         state.set(LinkState::Running, None);
         state.report.reconnects += u64::from(state.has_run);
         state.has_run = true;
-        if let Some(since) = state.missed_since.take() {
+        state.report.attempts = 0;
+        let missed_since = state.missed_since.take();
+        let is_told = std::mem::take(&mut state.is_missed_aloud);
+        if let Some(since) = missed_since.filter(|_| is_told) {
             drop(state);
             self.say(format_args!(
                 "the board on {port} runs; it was missed for {:.1} s",
@@ -88,22 +136,28 @@ impl Link {
         }
     }
 
-    /// The board is not there, or will not do: said once for each reason.
+    /// The board is not there, or will not do: said once for each reason, and more and more rarely while it lasts.
     pub(super) fn lost(&self, error: &BoardError) {
         let reason = with_causes(error);
         let mut state = self.lock();
         state.missed_since.get_or_insert_with(Instant::now);
+        state.report.attempts += 1;
         let kind = match error {
-            BoardError::Device(DeviceError::Quiet { .. } | DeviceError::Stopped { .. }) => LinkState::Quiet,
+            BoardError::Device(
+                DeviceError::Quiet { .. } | DeviceError::NoScans { .. } | DeviceError::Stopped { .. },
+            ) => LinkState::Quiet,
             error if !error.is_passing() => LinkState::Refused,
             _ if state.has_run => LinkState::Gone,
             _ => LinkState::Searching,
         };
-        let is_known = state.report.reason.as_ref() == Some(&reason);
+        let told = state.is_told(&reason, Instant::now());
+        state.is_missed_aloud |= told.is_some();
         state.set(kind, Some(reason.clone()));
         drop(state);
-        if !is_known {
-            self.say(format_args!("{reason}; looking for it"));
+        match told {
+            Some(0) => self.say(format_args!("{reason}; looking for it")),
+            Some(untold) => self.say(format_args!("{reason}; looking for it, as {untold} times before")),
+            None => {}
         }
     }
 
@@ -152,7 +206,22 @@ mod tests {
         assert_eq!((link.report().reason, link.report().reconnects), (None, 1));
         let said = said.lock().unwrap();
         let kinds: Vec<bool> = said.iter().map(|text| text.contains("looking for it")).collect();
-        assert_eq!(kinds, [true, false, true, true, true, false], "{said:?}");
-        assert!(said[5].contains("other port runs"), "{said:?}");
+        assert_eq!(kinds, [true, false, true, true, false], "{said:?}");
+        assert!(said[4].contains("other port runs"), "{said:?}");
+    }
+
+    #[test]
+    fn what_comes_again_and_again_is_told_more_and_more_rarely() {
+        let mut state = State::default();
+        let began = Instant::now();
+        let mut tell =
+            |tenths: u32| state.is_told(&format!("{tenths} bytes came"), began + tenths * Duration::from_millis(100));
+        // Ten times a second for a minute.
+        let told: Vec<_> = (0..600).filter_map(|tenths| Some((tenths, tell(tenths)?))).collect();
+        assert_eq!(told, [(0, 0), (20, 19), (60, 39), (140, 79), (300, 159)]);
+        // An hour later it is news, and once more soon after.
+        assert_eq!([36_000, 36_010, 36_020].map(&mut tell), [Some(299), None, Some(1)]);
+        // Another reason does not wait.
+        assert_eq!(state.is_told("another", began), Some(0));
     }
 }

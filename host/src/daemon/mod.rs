@@ -19,12 +19,14 @@
 mod backlog;
 mod board;
 mod circuit;
+mod claims;
 mod consumers;
 mod error;
 mod inlet;
 mod link;
 mod opener;
 mod printer;
+mod progress;
 mod reader;
 mod real_time;
 mod recorder;
@@ -51,6 +53,7 @@ use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use crate::threads::{join, lock};
 use board::BoardThreads;
 use circuit::circuit;
+use claims::Claims;
 use consumers::{OUTBOX_POSES, Outbox};
 use recorder::RecorderThread;
 use slot::BoardSlot;
@@ -82,6 +85,7 @@ pub struct Daemon {
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<JoinHandle<io::Result<()>>>>,
     recorder: Option<RecorderThread>,
+    datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
 }
 
@@ -125,6 +129,7 @@ impl Daemon {
             None => (None, None),
         };
         let mut threads = Vec::new();
+        let claims = Claims::default();
         for (number, board) in boards.into_iter().enumerate() {
             let outlets = board::Outlets {
                 outboxes: outboxes.clone(),
@@ -132,6 +137,7 @@ impl Daemon {
                 parcels: parcels.clone(),
                 datagrams: datagrams.clone(),
                 real_time,
+                claims: claims.clone(),
             };
             threads.push(BoardThreads::start(number, board, outlets, &slots[number], &stop)?);
         }
@@ -141,6 +147,7 @@ impl Daemon {
             boards: Mutex::new(threads),
             printer: Mutex::new(printer),
             recorder,
+            datagrams,
             stop,
         })
     }
@@ -150,7 +157,8 @@ impl Daemon {
         let boards = self.boards_report();
         let recorder = self.recorder.as_ref().map(RecorderThread::report);
         let recorder = with_unrecorded(recorder.unwrap_or_default(), &boards);
-        DaemonReport::of_now(self.started, boards, recorder)
+        let datagrams = self.datagrams.as_ref().map(|datagrams| datagrams.counts());
+        DaemonReport { datagrams, ..DaemonReport::of_now(self.started, boards, recorder) }
     }
 
     fn boards_report(&self) -> Vec<BoardReport> {

@@ -10,10 +10,11 @@ use slitpose_protocol::Configuration;
 
 use super::board::Admit;
 use super::circuit::Filler;
+use super::claims::Claims;
 use super::error::BoardError;
 use super::opener::Opener;
 use super::slot::BoardSlot;
-use crate::device::{Conversation, DeviceError, DeviceId, Keep};
+use crate::device::{Conversation, DeviceError, DeviceId, Keep, Scanless};
 use crate::pipeline::Segment;
 
 /// Between two looks for a board that was there a moment ago: a re-plugged one is back at once.
@@ -22,8 +23,11 @@ const SOON: Duration = Duration::from_millis(100);
 /// How long it was there a moment ago. To look for ports costs 0.1 ms and more.
 const RECENTLY: Duration = Duration::from_secs(10);
 
-/// Between two looks for a board that stays away, and two attempts at one that is there but will not do.
+/// Between two looks for a board that stays away, and the first two attempts at one that is there but will not do.
 const LATER: Duration = Duration::from_millis(500);
+
+/// Attempts at a board that will not do are twice as far apart each time, until there is half a minute between them.
+const DOUBLINGS: u32 = 6;
 
 /// An end is noticed within this.
 const MOMENT: Duration = Duration::from_millis(20);
@@ -31,6 +35,10 @@ const MOMENT: Duration = Duration::from_millis(20);
 /// What the solver thread has found out.
 #[derive(Debug)]
 pub(super) enum Verdict {
+    /// The first scan of the connection has come.
+    Scans,
+    /// No scan has come for so many seconds; what came instead.
+    Scanless(f64, Scanless),
     /// All scans asked for have come.
     Complete,
     /// The board has stopped by itself; what it said last.
@@ -44,12 +52,17 @@ pub(super) struct Reader {
     pub(super) opener: Box<dyn Opener>,
     pub(super) configuration: Configuration,
     pub(super) admit: Admit,
-    /// How long to look for a board that is not there; `None`: for ever.
+    /// How long to go without a usable scan before giving up; `None`: for ever.
     pub(super) patience: Option<Duration>,
     pub(super) segments: Filler<Segment>,
     pub(super) verdicts: Receiver<(u64, Verdict)>,
     /// Number of the connection, from 1; a verdict carries that of its own.
     pub(super) connection: u64,
+    pub(super) claims: Claims,
+    /// By what it claims its board.
+    pub(super) claimant: String,
+    /// Whether scans have come over it.
+    pub(super) has_scans: bool,
     pub(super) slot: Arc<BoardSlot>,
     pub(super) stop: Arc<AtomicBool>,
 }
@@ -70,15 +83,16 @@ impl Reader {
     }
 
     fn follow(&mut self) -> Result<(), BoardError> {
+        // Since the last usable scan: a board that answers and sends none is no nearer.
         let mut missing_since = Instant::now();
         let mut is_first = true;
+        let mut attempts = 0;
         loop {
-            let mut ran = false;
+            self.has_scans = false;
+            self.claims.release(&self.claimant);
             let error = match self.connect() {
                 Ok(mut board) => {
-                    (is_first, ran) = (false, true);
                     let ending = self.listen(&mut board);
-                    missing_since = Instant::now();
                     match ending {
                         Ending::Wanted(keep) => return self.end(board, keep),
                         // Dropped, the conversation tells the board to stop, if that can still be told.
@@ -87,6 +101,11 @@ impl Reader {
                 }
                 Err(error) => error,
             };
+            if self.has_scans {
+                let missed = Duration::try_from_secs_f64(error.missed_s()).unwrap_or_default();
+                missing_since = Instant::now().checked_sub(missed).unwrap_or_else(Instant::now);
+                (is_first, attempts) = (false, 0);
+            }
             // At first somebody is there to mend what waiting does not. Later a port may still be closed to
             // us just after it has appeared.
             let is_hopeless = is_first && !error.is_passing();
@@ -95,9 +114,11 @@ impl Reader {
                 return Err(error);
             }
             self.slot.link.lost(&error);
-            // A board that has just run is most likely about to run again; one that stays away costs less.
-            let is_soon = ran || (error.is_absence() && missing_since.elapsed() < RECENTLY);
-            self.rest(if is_soon { SOON } else { LATER });
+            // A board that has just run is most likely about to run again; one that stays away costs less, and one
+            // that somebody has to look after gives them time.
+            let is_soon = self.has_scans || (error.is_absence() && missing_since.elapsed() < RECENTLY);
+            self.rest(if is_soon { SOON } else { pause_behind(&error, attempts) });
+            attempts = attempts.saturating_add(1);
             if self.stops() {
                 return Ok(());
             }
@@ -115,18 +136,19 @@ impl Reader {
         }
     }
 
-    /// Opens, greets, configures and starts the board.
+    /// Opens, greets, configures and starts the board. It runs once scans come.
     fn connect(&mut self) -> Result<Conversation, BoardError> {
         let _turn = self.opener.turn();
         let device = self.opener.open()?;
         self.slot.link.connecting();
         let mut board = Conversation::open(device)?;
 
-        let Self { admit, opener, slot, .. } = self;
+        let Self { admit, opener, slot, claims, claimant, .. } = self;
         let name = board.name();
         board.greet(|hello| {
             admit(hello)?;
             let device = DeviceId(hello.device_id);
+            claims.claim(device, claimant)?;
             opener.greeted(device);
             slot.link.greeted(device, &name);
             Ok::<_, BoardError>(())
@@ -134,7 +156,6 @@ impl Reader {
         board.configure(self.configuration.clone())?;
         board.start()?;
         self.connection += 1;
-        self.slot.link.running(&board.name());
         Ok(board)
     }
 
@@ -143,6 +164,13 @@ impl Reader {
         loop {
             match self.verdict() {
                 Some(Verdict::Complete) => return Ending::Wanted(Keep::Replies),
+                Some(Verdict::Scans) => {
+                    self.has_scans = true;
+                    self.slot.link.running(&board.name());
+                }
+                Some(Verdict::Scanless(seconds, cause)) => {
+                    return Ending::Lost(DeviceError::NoScans { name: board.name(), seconds, cause }.into());
+                }
                 Some(Verdict::Unusable(error)) => return Ending::Lost(error),
                 Some(Verdict::Stopped(reason)) => {
                     let reason = reason.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
@@ -193,5 +221,29 @@ impl Reader {
         board.fill(&mut segment);
         self.segments.hand_over(segment);
         true
+    }
+}
+
+/// How long to wait behind an attempt that failed, `attempts` of them after the board has run last.
+fn pause_behind(error: &BoardError, attempts: u32) -> Duration {
+    if error.needs_somebody() { LATER * (1 << attempts.min(DOUBLINGS)) } else { LATER }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_somebody_must_mend_is_tried_ever_more_rarely_and_what_comes_by_itself_is_not() {
+        let name = || "port".to_owned();
+        let seconds = |error: DeviceError| {
+            let error = error.into();
+            [0, 1, 2, 6, 7, u32::MAX].map(|attempts| pause_behind(&error, attempts).as_secs_f64())
+        };
+        let growing = [0.5, 1.0, 2.0, 32.0, 32.0, 32.0];
+        assert_eq!(seconds(DeviceError::Forbidden { name: name() }), growing);
+        let cause = Scanless::Nothing;
+        assert_eq!(seconds(DeviceError::NoScans { name: name(), seconds: 3.0, cause }), growing);
+        assert_eq!(seconds(DeviceError::Missing { name: name() }), [0.5; 6]);
     }
 }

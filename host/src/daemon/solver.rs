@@ -15,10 +15,11 @@ use super::circuit::{Drainer, Dry};
 use super::consumers::Consumers;
 use super::error::BoardError;
 use super::inlet::CaptureInlet;
+use super::progress::{News, Progress};
 use super::reader::Verdict;
 use crate::clock::HostInstant;
 use crate::datagram::Publisher;
-use crate::pipeline::{Counts, Pipeline, Queue, Segment};
+use crate::pipeline::{Counts, Item, Pipeline, Queue, Segment};
 use crate::telemetry::{HostLosses, LagReport};
 
 /// Without anything to solve it looks about so often.
@@ -45,6 +46,7 @@ pub(super) struct SolverThread {
     pub(super) pipeline: Pipeline,
     pub(super) segments: Drainer<Segment>,
     pub(super) verdicts: Sender<(u64, Verdict)>,
+    pub(super) progress: Progress,
     pub(super) consumers: Consumers,
     pub(super) backlog: Backlog,
     pub(super) slot: Arc<BoardSlot>,
@@ -134,6 +136,12 @@ impl SolverThread {
                 state.is_unusable = true;
                 self.tell(state.connection, Verdict::Unusable(error));
             }
+            let read_at = segment.reads.last().and_then(|read| read.at);
+            match self.progress.take(opened, &self.pipeline.counts(), read_at) {
+                Some(News::Begun) => self.tell(state.connection, Verdict::Scans),
+                Some(News::Missing(seconds, cause)) => self.tell(state.connection, Verdict::Scanless(seconds, cause)),
+                None => {}
+            }
             let status = self.pipeline.board_status();
             if opened {
                 // A status from before the start tells nothing.
@@ -152,9 +160,12 @@ impl SolverThread {
     }
 
     fn decode(&mut self, segment: &mut Segment) -> Result<(), BoardError> {
-        let Self { pipeline, consumers, .. } = self;
+        let Self { pipeline, consumers, slot, name, .. } = self;
         consumers.begin(segment.opened);
         let fed = pipeline.receive(segment, |item| {
+            if let Item::Oddity { oddity, .. } = &item {
+                slot.link.say(format_args!("{name}: {oddity}"));
+            }
             consumers.take(&item);
             Ok(())
         });

@@ -190,6 +190,16 @@ pub enum DeviceError {
         /// How long nothing came.
         seconds: f64,
     },
+    /// Bytes come, and no scan among them.
+    #[error("no usable scan for {seconds:.0} s from the board on {name}: {cause}")]
+    NoScans {
+        /// The device.
+        name: String,
+        /// How long none came.
+        seconds: f64,
+        /// What came instead.
+        cause: Scanless,
+    },
     /// The board stopped of its own accord.
     #[error("the board on {name} has stopped sampling: {reason}")]
     Stopped {
@@ -197,6 +207,35 @@ pub enum DeviceError {
         name: String,
         /// The last thing it reported.
         reason: String,
+    },
+}
+
+/// What comes instead of scans.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum Scanless {
+    /// At most status messages.
+    #[error("the board says that it is there, and nothing else; reset the board")]
+    Nothing,
+    /// Batches by another configuration than the one it was given.
+    #[error(
+        "{batches} batches came by a configuration that this program has not given; end whatever else speaks to the \
+         board, then reset the board"
+    )]
+    Unexplained {
+        /// How many.
+        batches: u64,
+    },
+    /// Whole packets that mean nothing here.
+    #[error("{packets} packets came that cannot be read; build firmware and program from the same source")]
+    Unreadable {
+        /// How many.
+        packets: u64,
+    },
+    /// Damaged packets.
+    #[error("{packets} packets came damaged; check cable, hub and port of the board")]
+    Damaged {
+        /// How many.
+        packets: u64,
     },
 }
 
@@ -227,6 +266,7 @@ impl DeviceError {
             | Self::NoReply { .. }
             | Self::Gone { .. }
             | Self::Quiet { .. }
+            | Self::NoScans { .. }
             | Self::Stopped { .. } => true,
             Self::Ports { .. }
             | Self::Pattern { .. }

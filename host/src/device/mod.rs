@@ -31,7 +31,7 @@ use std::io;
 pub use board_info::BoardInfo;
 pub use conversation::{Conversation, Keep};
 pub use discovery::{Found, find, list, locate};
-pub use error::DeviceError;
+pub use error::{DeviceError, Scanless};
 pub use holder::{Holder, holders};
 pub use id::{DeviceId, DeviceIdError};
 pub use keep_alive::KeepAlive;

@@ -10,6 +10,7 @@
 
 mod counts;
 mod error;
+mod oddity;
 mod segment;
 mod session;
 mod span;
@@ -26,6 +27,7 @@ use slitpose_protocol::{
 
 pub use counts::{Counts, OUTCOMES, outcome_number};
 pub use error::PipelineError;
+pub use oddity::Oddity;
 pub use segment::{Asked, Read, Segment};
 pub use session::check;
 pub use waiting::{Queue, Scan};
@@ -34,6 +36,7 @@ use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
 use crate::health::HeadHealth;
 use crate::scene_file::SceneFile;
+use oddity::ClockWatch;
 use session::Session;
 use span::Span;
 use timing::Timing;
@@ -87,6 +90,13 @@ pub enum Item<'a> {
         /// What.
         text: &'a str,
     },
+    /// The stream does what no sound board does.
+    Oddity {
+        /// By the board's clock, seconds; NaN if that is not known.
+        device_time_s: f64,
+        /// What.
+        oddity: Oddity,
+    },
     /// The board answered a command.
     Reply(&'a slitpose_protocol::Reply),
 }
@@ -132,6 +142,11 @@ struct Flow {
     timing: Timing,
     span: Span,
     truths: VecDeque<Truth>,
+    clock_watch: ClockWatch,
+    /// No hello has come over the link yet.
+    is_opened: bool,
+    /// Whether the session has been told of true poses that it cannot know.
+    has_false_truth: bool,
     counts: Counts,
 }
 
@@ -160,6 +175,9 @@ impl Pipeline {
                 timing: Timing::default(),
                 span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
+                clock_watch: ClockWatch::default(),
+                is_opened: true,
+                has_false_truth: false,
                 counts: Counts::default(),
             },
         }
@@ -260,6 +278,8 @@ impl Pipeline {
         if segment.opened {
             self.decoder.reset();
             self.flow.timing.reopen();
+            self.flow.clock_watch.begin_anew();
+            self.flow.is_opened = true;
         }
         for asked in &segment.asked {
             self.flow.timing.ask(*asked);
@@ -348,7 +368,9 @@ impl Flow {
     ) -> Result<(), E> {
         match message {
             Message::Hello(hello) => {
-                self.greet(hello)?;
+                if let Some(oddity) = self.greet(hello)? {
+                    sink(Item::Oddity { device_time_s: f64::NAN, oddity })?;
+                }
                 sink(Item::Hello(hello))
             }
             Message::Batch(batch) => self.arrive(batch, sink),
@@ -370,6 +392,12 @@ impl Flow {
                 Ok(())
             }
             Message::Truth(truth) => {
+                if self.session.as_ref().is_some_and(|session| session.kind() != BoardKind::Simulated) {
+                    return match std::mem::replace(&mut self.has_false_truth, true) {
+                        true => Ok(()),
+                        false => sink(Item::Oddity { device_time_s: f64::NAN, oddity: Oddity::Truth }),
+                    };
+                }
                 if self.truths.len() == MAX_TRUTHS {
                     self.truths.pop_front();
                 }
@@ -379,13 +407,19 @@ impl Flow {
         }
     }
 
-    fn greet(&mut self, hello: &Hello<'_>) -> Result<(), PipelineError> {
+    /// Opens a session, unless it goes on with the one there is; tells if the board has become another one.
+    fn greet(&mut self, hello: &Hello<'_>) -> Result<Option<Oddity>, PipelineError> {
+        let is_opened = std::mem::take(&mut self.is_opened);
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
-            return Ok(());
+            return Ok(None);
         }
-        if self.session.as_ref().is_some_and(|session| session.device() != DeviceId(hello.device_id)) {
+        let now = DeviceId(hello.device_id);
+        let before_now = self.session.as_ref().map(|session| session.device()).filter(|before| *before != now);
+        if before_now.is_some() {
             self.counts.begin_numbering();
         }
+        self.clock_watch.begin_anew();
+        self.has_false_truth = false;
         let number = self.sessions;
         let session =
             Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
@@ -395,7 +429,7 @@ impl Flow {
         if !self.waiting.is_empty() {
             self.earlier.extend(before);
         }
-        Ok(())
+        Ok(before_now.filter(|_| !is_opened).map(|before| Oddity::Renamed { before, now }))
     }
 
     fn arrive<E: From<PipelineError>>(
@@ -419,6 +453,10 @@ impl Flow {
                 break;
             }
             self.counts.count_scan(scan.sequence);
+            let frame_ticks = session.schedule().frame_ticks;
+            if let Some(oddity) = self.clock_watch.take(scan.sequence, scan.tick, frame_ticks, session.tick_hz()) {
+                sink(Item::Oddity { device_time_s, oddity })?;
+            }
             let scan = Scan {
                 session: session.number(),
                 device_time_s,

@@ -27,14 +27,15 @@ pub(super) struct Session {
     health: Option<Health>,
 }
 
-/// Checks what of `hello` does not depend on the schedule: the protocol and the scene.
+/// Checks what of `hello` does not depend on the schedule: the protocol, the scaling and the scene.
 ///
 /// # Errors
-/// If the board speaks otherwise, or belongs to another scene.
+/// If the board speaks otherwise, cannot measure, or belongs to another scene.
 pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     let board = || hello.board.to_owned();
     let versions = Versions { board: hello.protocol };
     hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), versions, source })?;
+    hello.scaling.validate().map_err(|source| PipelineError::Scaling { board: board(), source })?;
     if let Some(board_hash) = hello.hashes.scene
         && board_hash != file.hash
         && scene_match == SceneMatch::Required
@@ -59,7 +60,6 @@ impl Session {
         check(file, scene_match, hello)?;
         let board = || hello.board.to_owned();
         hello.schedule.validate().map_err(|source| PipelineError::Schedule { board: board(), source })?;
-        hello.scaling.validate().map_err(|source| PipelineError::Scaling { board: board(), source })?;
         let board_cells = usize::from(hello.schedule.cells);
         let scene_cells = file.scene.cells.len();
         if board_cells != scene_cells {

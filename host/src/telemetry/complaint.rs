@@ -1,6 +1,6 @@
 //! Whether all is well, and if not, what is not.
 
-use super::report::{BoardReport, DaemonReport, LagReport, LinkState, RecorderState};
+use super::report::{BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
 use crate::clock::HostInstant;
 
 /// Reports are made several times a second: one so old comes from a daemon that is stuck.
@@ -35,6 +35,9 @@ impl LagReport {
     }
 }
 
+/// Packets that arrive damaged within a second, from which on it is no chance: a good link damages none in a day.
+const DAMAGED_FROM: u64 = 3;
+
 impl DaemonReport {
     /// Everything that keeps good poses from coming, a sentence each. None: all is well.
     pub fn complaints(&self, now: HostInstant) -> Vec<String> {
@@ -64,8 +67,13 @@ impl BoardReport {
             return vec![format!("nothing is known for {age_s:.0} s: the program is stuck, start it again")];
         }
         if self.link.state != LinkState::Running {
-            let (state, colon) = (self.link.state.as_str(), if self.link.reason.is_some() { ": " } else { "" });
-            return vec![format!("{state}{colon}{}", self.link.reason.as_deref().unwrap_or_default())];
+            let state = self.link.state.as_str();
+            let reason = self.link.reason.as_deref().unwrap_or("no scan has come yet; wait some seconds");
+            let tried = match self.link.attempts {
+                0 | 1 => String::new(),
+                attempts => format!(" (tried {attempts} times)"),
+            };
+            return vec![format!("{state}: {reason}{tried}")];
         }
         let mut complaints = Vec::new();
         if let Some(scan_age_s) = self.last_scan_age_s.map(|before_s| before_s + age_s)
@@ -82,7 +90,21 @@ impl BoardReport {
         }
         let (poses, scans) = (self.recent_outcomes.poses(), self.recent_outcomes.all());
         if 2 * poses < scans {
-            complaints.push(format!("only {poses} of the last {scans} scans gave a pose"));
+            complaints.push(format!(
+                "only {poses} of the last {scans} scans gave a pose: bring the tool home, and check that the scene is \
+                 this head's"
+            ));
+        }
+        let LinkLosses { unreadable, .. } = self.recent_link_losses;
+        if unreadable > 0 {
+            complaints.push(format!(
+                "{unreadable} packets of late cannot be read: build firmware and program from the same source, and let \
+                 nothing else speak to the board"
+            ));
+        }
+        let damaged = self.recent_link_losses.damaged();
+        if damaged >= DAMAGED_FROM {
+            complaints.push(format!("{damaged} packets of late came damaged: check cable, hub and port of the board"));
         }
         complaints.extend(self.head.iter().flat_map(|head| &head.findings).map(|finding| finding.text.clone()));
         complaints
@@ -134,5 +156,13 @@ mod tests {
         // Scans, and no poses.
         let recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
         told(BoardReport { recent_outcomes, ..running() }, "only 1 of the last 3");
+        // Packets that mean nothing, and packets that arrive damaged; one of those may be chance.
+        let lossy = |recent_link_losses| BoardReport { recent_link_losses, ..running() };
+        told(lossy(LinkLosses { unreadable: 1, ..LinkLosses::default() }), "1 packets of late cannot be read");
+        told(lossy(LinkLosses { bad_checksum: 2, misframed: 1, ..LinkLosses::default() }), "3 packets of late");
+        assert_eq!(complaints(lossy(LinkLosses { overlong: 2, ..LinkLosses::default() })), Vec::<String>::new());
+        // A board that answers and sends no scan, tried again and again.
+        let link = LinkReport { state: LinkState::Connecting, attempts: 7, ..LinkReport::default() };
+        told(BoardReport { link, ..running() }, "connecting: no scan has come yet; wait some seconds (tried 7 times)");
     }
 }

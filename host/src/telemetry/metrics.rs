@@ -148,12 +148,37 @@ pub fn text(report: &DaemonReport, now: HostInstant) -> String {
     let healthy = f64::from(u8::from(report.complaints(now).is_empty()));
     out.one("slitpose_healthy", "gauge", "1 if /health says ok.", Some(healthy));
     recorder(report, &mut out);
+    datagrams(report, &mut out);
     let boards = report.boards.iter().map(|board| (board.label(), board)).collect();
     let mut boards = Boards { out, boards };
     stream(&mut boards, now);
     controller(&mut boards);
     head(&mut boards);
     boards.out.0
+}
+
+fn datagrams(report: &DaemonReport, out: &mut Exposition) {
+    let Some(counts) = report.datagrams else { return };
+    let gauges = [
+        ("slitpose_datagram_places", "Places of followers on each board.", counts.places),
+        ("slitpose_datagram_places_taken", "Places that clients have taken.", counts.places_taken),
+    ];
+    let counters = [
+        (
+            "slitpose_datagram_places_refused_total",
+            "Clients told that there is no place for them.",
+            counts.places_refused,
+        ),
+        ("slitpose_datagram_requests_total", "Requests understood.", counts.requests),
+        ("slitpose_datagram_requests_refused_total", "Requests that are none, or cannot be answered.", counts.refused),
+        ("slitpose_datagram_requests_unproven_total", "Requests on UDP answered with a cookie.", counts.unproven),
+        ("slitpose_datagrams_sent_total", "Poses sent.", counts.sent),
+        ("slitpose_datagrams_missed_total", "Poses for which a client's queue had no room.", counts.missed),
+    ];
+    let all = gauges.map(|it| ("gauge", it)).into_iter().chain(counters.map(|it| ("counter", it)));
+    for (kind, (name, help, count)) in all {
+        out.one(name, kind, help, Some(count as f64));
+    }
 }
 
 fn recorder(report: &DaemonReport, out: &mut Exposition) {

@@ -12,6 +12,7 @@ mod connection;
 mod latency;
 mod losses;
 pub mod metrics;
+mod origin;
 mod process;
 mod report;
 mod server;

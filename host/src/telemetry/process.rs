@@ -17,6 +17,7 @@ impl DaemonReport {
             process: fs::read_to_string("/proc/self/status").ok().as_deref().and_then(parse),
             boards,
             recorder,
+            datagrams: None,
         }
     }
 }

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::latency::Latency;
 use crate::clock::HostInstant;
+use crate::datagram::DatagramCounts;
 use crate::device::DeviceId;
 use crate::health::HeadHealth;
 
@@ -27,6 +28,8 @@ pub struct DaemonReport {
     pub boards: Vec<BoardReport>,
     /// The capture it writes.
     pub recorder: RecorderReport,
+    /// The datagrams it sends; `None` if nobody has asked for any.
+    pub datagrams: Option<DatagramCounts>,
 }
 
 /// What the system says of the daemon.
@@ -69,6 +72,8 @@ pub struct BoardReport {
     pub outcomes: Outcomes,
     /// The same of the last interval.
     pub recent_outcomes: Outcomes,
+    /// What was lost on the way in the last interval.
+    pub recent_link_losses: LinkLosses,
     /// How old poses are.
     pub latencies: Latencies,
     /// Whether the solver keeps up.
@@ -90,11 +95,11 @@ pub enum LinkState {
     /// It is looked for.
     #[default]
     Searching,
-    /// It is there, and spoken to.
+    /// It is there, and spoken to; no scan has come yet.
     Connecting,
     /// It sends scans.
     Running,
-    /// It is there and sends nothing.
+    /// It is there and sends nothing, or no usable scan.
     Quiet,
     /// It was there and is no more.
     Gone,
@@ -134,6 +139,8 @@ pub struct LinkReport {
     pub since_utc_ns: u64,
     /// Times it ran again after it had run before.
     pub reconnects: u64,
+    /// Times it was looked for in vain since it ran last.
+    pub attempts: u64,
 }
 
 /// Scans a second, of the last interval.
@@ -196,6 +203,25 @@ pub struct HostLosses {
     pub poses_unsent: u64,
 }
 
+impl LinkLosses {
+    /// Packets that were damaged on their way.
+    pub fn damaged(&self) -> u64 {
+        self.bad_checksum + self.misframed + self.overlong
+    }
+
+    /// What has been lost since `before`.
+    pub fn since(&self, before: &Self) -> Self {
+        Self {
+            scans: self.scans.saturating_sub(before.scans),
+            bad_checksum: self.bad_checksum.saturating_sub(before.bad_checksum),
+            misframed: self.misframed.saturating_sub(before.misframed),
+            overlong: self.overlong.saturating_sub(before.overlong),
+            unreadable: self.unreadable.saturating_sub(before.unreadable),
+            bytes_skipped: self.bytes_skipped.saturating_sub(before.bytes_skipped),
+        }
+    }
+}
+
 impl Losses {
     /// Scans lost on the board and on the way.
     pub fn scans(&self) -> u64 {
@@ -204,7 +230,7 @@ impl Losses {
 
     /// Packets that were damaged on their way.
     pub fn damaged(&self) -> u64 {
-        self.link.bad_checksum + self.link.misframed + self.link.overlong
+        self.link.damaged()
     }
 }
 

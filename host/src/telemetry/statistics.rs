@@ -40,6 +40,7 @@ pub struct BoardStatistics {
     begun: Mark,
     rates: Rates,
     recent_outcomes: Outcomes,
+    recent_link_losses: LinkLosses,
 }
 
 /// Where an interval begins.
@@ -48,6 +49,7 @@ struct Mark {
     at: HostInstant,
     scans: u64,
     outcomes: [u64; 6],
+    link: LinkLosses,
     device_s: Option<f64>,
 }
 
@@ -72,9 +74,10 @@ impl BoardStatistics {
             total_latency: LatencyHistogram::default(),
             last_device_s: None,
             last_read: None,
-            begun: Mark { at: now, scans: 0, outcomes: [0; 6], device_s: None },
+            begun: Mark { at: now, scans: 0, outcomes: [0; 6], link: LinkLosses::default(), device_s: None },
             rates: Rates::default(),
             recent_outcomes: Outcomes::default(),
+            recent_link_losses: LinkLosses::default(),
         }
     }
 
@@ -115,6 +118,13 @@ impl BoardStatistics {
                     text: (*text).to_owned(),
                 });
             }
+            Item::Oddity { device_time_s, oddity } => {
+                self.complaint = Some(Complaint {
+                    is_error: false,
+                    device_time_s: Some(*device_time_s).filter(|time_s| time_s.is_finite()),
+                    text: oddity.to_string(),
+                });
+            }
             Item::Event { .. } | Item::Reply(_) => {}
         }
     }
@@ -138,23 +148,10 @@ impl BoardStatistics {
             scans: counts.scans,
             last_scan_age_s: self.last_read.map(age_s),
             rates: self.rates,
-            losses: Losses {
-                board: self.book.board(),
-                link: LinkLosses {
-                    scans: self.book.link_scans(),
-                    bad_checksum: counts.decoder.bad_checksum,
-                    misframed: counts.decoder.misframed,
-                    overlong: counts.decoder.overlong,
-                    unreadable: counts.decoder.unknown
-                        + counts.decoder.malformed
-                        + counts.batches_unreadable
-                        + counts.batches_without_hello,
-                    bytes_skipped: counts.decoder.bytes_skipped,
-                },
-                host: self.host_losses,
-            },
+            losses: Losses { board: self.book.board(), link: self.link_losses(counts), host: self.host_losses },
             outcomes: Outcomes::of(counts.outcomes),
             recent_outcomes: self.recent_outcomes,
+            recent_link_losses: self.recent_link_losses,
             latencies: Latencies {
                 link: self.link_latency.latency(),
                 host: self.host_latency.latency(),
@@ -165,6 +162,20 @@ impl BoardStatistics {
             vitals: self.status.as_ref().map(|status| self.vitals(status)),
             complaint: self.complaint.clone(),
             head,
+        }
+    }
+
+    fn link_losses(&self, counts: &Counts) -> LinkLosses {
+        LinkLosses {
+            scans: self.book.link_scans(),
+            bad_checksum: counts.decoder.bad_checksum,
+            misframed: counts.decoder.misframed,
+            overlong: counts.decoder.overlong,
+            unreadable: counts.decoder.unknown
+                + counts.decoder.malformed
+                + counts.batches_unreadable
+                + counts.batches_without_hello,
+            bytes_skipped: counts.decoder.bytes_skipped,
         }
     }
 
@@ -210,10 +221,13 @@ impl BoardStatistics {
         };
         self.recent_outcomes =
             Outcomes::of(std::array::from_fn(|i| counts.outcomes[i].saturating_sub(before.outcomes[i])));
+        let link = self.link_losses(counts);
+        self.recent_link_losses = link.since(&before.link);
         for histogram in [&mut self.link_latency, &mut self.host_latency, &mut self.total_latency] {
             histogram.end_interval();
         }
-        self.begun = Mark { at: now, scans: counts.scans, outcomes: counts.outcomes, device_s: self.last_device_s };
+        self.begun =
+            Mark { at: now, scans: counts.scans, outcomes: counts.outcomes, link, device_s: self.last_device_s };
     }
 
     fn vitals(&self, status: &Status) -> Vitals {

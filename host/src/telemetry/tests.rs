@@ -12,6 +12,7 @@ use slitpose_protocol::{Severity, Status};
 
 use super::*;
 use crate::clock::{HostInstant, HostTime};
+use crate::datagram::DatagramCounts;
 use crate::device::DeviceId;
 use crate::health::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
 use crate::pipeline::{Counts, Item, Record};
@@ -101,7 +102,9 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
 }
 
 fn daemon(boards: Vec<BoardReport>) -> DaemonReport {
-    DaemonReport::of_now(HostInstant::now(), boards, RecorderReport::default())
+    let datagrams =
+        Some(DatagramCounts { places: 16, places_taken: 5, places_refused: 3, ..DatagramCounts::default() });
+    DaemonReport { datagrams, ..DaemonReport::of_now(HostInstant::now(), boards, RecorderReport::default()) }
 }
 
 fn serve(address: &str) -> Result<StatusServer, StatusError> {
@@ -196,6 +199,9 @@ fn metrics_are_what_prometheus_reads() {
     assert_eq!(value("slitpose_cell_condition_ratio", &saturated), 0.34);
     assert_eq!(value("slitpose_cell_verdict", &format!(";device={id};cell=1;verdict=saturated;")), 1.0);
     assert!(families["slitpose_cell_stray_amperes"].1.is_empty(), "no sample of what is not a number");
+    for (name, count) in [("places", 16.0), ("places_taken", 5.0), ("places_refused_total", 3.0)] {
+        assert_eq!(value(&format!("slitpose_datagram_{name}"), ";"), count, "{name}");
+    }
 }
 
 #[test]
@@ -268,6 +274,23 @@ fn the_status_is_served_over_a_unix_socket() {
 }
 
 #[test]
+fn a_page_in_a_browser_is_not_answered() {
+    let server = serve("127.0.0.1:0").unwrap();
+    let ask = |headers: &str| {
+        let mut stream = TcpStream::connect(tcp(&server)).unwrap();
+        write!(stream, "GET /status HTTP/1.1\r\n{headers}Connection: close\r\n\r\n").unwrap();
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        text
+    };
+    assert!(ask("Host: localhost:7450\r\n").starts_with("HTTP/1.1 200 "));
+    for headers in ["Host: evil.example\r\n", "Host: localhost\r\nOrigin: http://evil.example\r\n"] {
+        let text = ask(headers);
+        assert!(text.starts_with("HTTP/1.1 403 ") && !text.contains("boards"), "{headers}: {text}");
+    }
+}
+
+#[test]
 fn other_hosts_are_let_in_only_if_the_user_says_so() {
     for address in ["0.0.0.0:0", "[::]:0"] {
         assert!(matches!(serve(address), Err(StatusError::NotLoopback { .. })), "{address}");
@@ -299,7 +322,9 @@ fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
     let mut silent: Vec<TcpStream> = (0..50).map(|_| TcpStream::connect(tcp(&server)).unwrap()).collect();
     // Some ask, and do not read; some ask half a question.
     for (i, stream) in silent.iter_mut().enumerate().skip(20) {
-        stream.write_all(if i % 2 == 0 { b"GET /metrics HTTP/1.1\r\nHost: a\r\n\r\n" } else { b"GET /st" }).unwrap();
+        stream
+            .write_all(if i % 2 == 0 { b"GET /metrics HTTP/1.1\r\nHost: [::1]\r\n\r\n" } else { b"GET /st" })
+            .unwrap();
     }
     assert!(fetch(server.address(), "/status").is_ok());
     // The server closes what stays silent: reading ends, long before the time limit here.

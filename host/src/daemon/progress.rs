@@ -1,0 +1,135 @@
+//! Whether scans come over the link of the moment, whatever else does.
+
+use std::time::Duration;
+
+use crate::clock::HostInstant;
+use crate::device::Scanless;
+use crate::pipeline::Counts;
+
+/// A board that runs and sends no scan for so long is of no use, whatever else it sends …
+const NO_SCANS: Duration = Duration::from_secs(3);
+
+/// … unless it takes scans more rarely: then these many are missing.
+const FRAMES: u32 = 3;
+
+/// What there is to say of the scans of a link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum News {
+    /// The first has come.
+    Begun,
+    /// None has come for so many seconds; why, as far as can be told.
+    Missing(f64, Scanless),
+}
+
+/// Follows the scans of a link by when their bytes were read: a host that is behind makes no scan late.
+#[derive(Debug)]
+pub(super) struct Progress {
+    limit_ns: u64,
+    /// When the link was opened or the last scan had come; `None` while no read has told its time.
+    since: Option<HostInstant>,
+    scans: u64,
+    begun: bool,
+    /// What the counters said then.
+    counts: Counts,
+}
+
+impl Progress {
+    /// For a board that takes a frame each `frame`.
+    pub(super) fn new(frame: Duration) -> Self {
+        let limit = NO_SCANS.max(frame.saturating_mul(FRAMES));
+        Self {
+            limit_ns: u64::try_from(limit.as_nanos()).unwrap_or(u64::MAX),
+            since: None,
+            scans: 0,
+            begun: false,
+            counts: Counts::default(),
+        }
+    }
+
+    /// Takes what the counters say after bytes that were read at `at`; `opened` if they are the first of a link.
+    pub(super) fn take(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<News> {
+        let come = counts.scans > self.scans;
+        if opened {
+            self.begun = false;
+        }
+        if opened || come {
+            (self.since, self.scans, self.counts) = (at, counts.scans, *counts);
+            let first = come && !self.begun;
+            self.begun |= come;
+            return first.then_some(News::Begun);
+        }
+        let (Some(since), Some(at)) = (self.since.or(at), at) else { return None };
+        self.since = Some(since);
+        let missing_ns = at.monotonic_ns.saturating_sub(since.monotonic_ns);
+        if missing_ns < self.limit_ns {
+            return None;
+        }
+        // Told again if the link goes on as it is.
+        self.since = Some(at);
+        Some(News::Missing(missing_ns as f64 * 1e-9, self.cause(counts)))
+    }
+
+    fn cause(&self, counts: &Counts) -> Scanless {
+        let (now, before) = (counts.decoder, self.counts.decoder);
+        let unexplained = counts.batches_without_hello - self.counts.batches_without_hello;
+        let unreadable = now.unknown + now.malformed + counts.batches_unreadable
+            - (before.unknown + before.malformed + self.counts.batches_unreadable);
+        let damaged = now.damaged() - before.damaged();
+        match [unexplained, unreadable, damaged] {
+            [0, 0, 0] => Scanless::Nothing,
+            [batches, unreadable, damaged] if batches >= unreadable.max(damaged) => Scanless::Unexplained { batches },
+            [_, packets, damaged] if packets >= damaged => Scanless::Unreadable { packets },
+            [.., packets] => Scanless::Damaged { packets },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: f64) -> Option<HostInstant> {
+        Some(HostInstant { monotonic_ns: 1_000_000_000 + (seconds * 1e9) as u64, utc_ns: 0 })
+    }
+
+    #[test]
+    fn what_comes_instead_of_scans_is_told_after_three_seconds_of_it() {
+        let mut progress = Progress::new(Duration::from_micros(250));
+        let mut counts = Counts::default();
+        assert_eq!(progress.take(true, &counts, at(0.0)), None);
+        counts.scans = 4;
+        assert_eq!(progress.take(false, &counts, at(0.1)), Some(News::Begun));
+        counts.scans = 8;
+        assert_eq!(progress.take(false, &counts, at(1.0)), None);
+        counts.batches_without_hello = 5;
+        assert_eq!(progress.take(false, &counts, at(3.9)), None);
+        let cause = Scanless::Unexplained { batches: 5 };
+        assert_eq!(progress.take(false, &counts, at(4.0)), Some(News::Missing(3.0, cause)));
+        // Another link: nothing of what was before counts.
+        assert_eq!(progress.take(true, &counts, at(5.0)), None);
+        counts.decoder.malformed = 7;
+        counts.decoder.bad_checksum = 6;
+        assert_eq!(
+            progress.take(false, &counts, at(8.0)),
+            Some(News::Missing(3.0, Scanless::Unreadable { packets: 7 }))
+        );
+        assert_eq!(progress.take(true, &counts, at(9.0)), None);
+        assert_eq!(progress.take(false, &counts, at(12.0)), Some(News::Missing(3.0, Scanless::Nothing)));
+        counts.scans = 9;
+        assert_eq!(progress.take(false, &counts, at(12.1)), Some(News::Begun));
+    }
+
+    #[test]
+    fn slow_boards_and_streams_without_time_are_waited_for() {
+        let mut slow = Progress::new(Duration::from_secs(2));
+        let counts = Counts::default();
+        assert_eq!(slow.take(true, &counts, at(0.0)), None);
+        assert_eq!(slow.take(false, &counts, at(5.9)), None);
+        assert!(matches!(slow.take(false, &counts, at(6.0)), Some(News::Missing(..))));
+        let mut timeless = Progress::new(Duration::from_micros(250));
+        assert!((0..10).all(|number| timeless.take(number == 0, &counts, None).is_none()));
+        // The first read that tells its time begins it.
+        assert_eq!(timeless.take(false, &counts, at(100.0)), None);
+        assert!(matches!(timeless.take(false, &counts, at(103.0)), Some(News::Missing(..))));
+    }
+}

@@ -1,0 +1,93 @@
+//! What a stream does that no sound board does, and what it means for the poses.
+
+use thiserror::Error;
+
+use crate::device::DeviceId;
+
+/// What a stream does that no sound board does. Poses go on.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum Oddity {
+    /// Number and tick of a scan do not belong together as those of the one before did.
+    #[error(
+        "the board's clock jumped by {seconds:+.6} s between the scans {before} and {after}: device times before and \
+         after it do not compare; if it comes again, reset the board"
+    )]
+    ClockJump {
+        /// By how much, ahead if positive.
+        seconds: f64,
+        /// Number of the last scan by the old time.
+        before: u64,
+        /// Number of the first scan by the new time.
+        after: u64,
+    },
+    /// Only simulated boards know where the tool is.
+    #[error(
+        "the board says that it measures, and sends true poses as simulated ones do: they are left out; flash its \
+         firmware anew"
+    )]
+    Truth,
+    /// Another number without another link.
+    #[error(
+        "the board calls itself {now} in the midst of its stream, and was {before}: the poses that follow are told as \
+         those of {now}; see that one board alone is on this port, then reset it"
+    )]
+    Renamed {
+        /// Its number before.
+        before: DeviceId,
+        /// Its number from now on.
+        now: DeviceId,
+    },
+}
+
+/// Finds jumps of a board's clock: from one scan to the next the ticks of as many frames pass as numbers.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ClockWatch {
+    /// Number and tick of the last scan of this link and this session.
+    last: Option<(u64, u64)>,
+    jumps: u64,
+}
+
+impl ClockWatch {
+    /// Another link, another configuration, or another board: what was tells nothing of what comes.
+    pub(super) fn begin_anew(&mut self) {
+        self.last = None;
+    }
+
+    /// Takes the next scan of a board whose frames last `frame_ticks`. Of many jumps some are told: the first, the
+    /// second, the fourth, the eighth …
+    pub(super) fn take(&mut self, sequence: u64, tick: u64, frame_ticks: u32, tick_hz: f64) -> Option<Oddity> {
+        let (before, before_tick) = self.last.replace((sequence, tick))?;
+        // One that goes back is that of a board that has started anew.
+        let frames = sequence.checked_sub(before)?;
+        let expected = i128::from(before_tick) + i128::from(frames) * i128::from(frame_ticks);
+        let ahead = i128::from(tick) - expected;
+        if ahead.unsigned_abs() <= u128::from(frame_ticks / 2) {
+            return None;
+        }
+        self.jumps += 1;
+        let seconds = ahead as f64 / tick_hz;
+        self.jumps.is_power_of_two().then_some(Oddity::ClockJump { seconds, before, after: sequence })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jumps_of_the_clock_are_told_and_gaps_and_restarts_are_none() {
+        let mut watch = ClockWatch::default();
+        let mut take = |sequence, tick| watch.take(sequence, tick, 1000, 1e6);
+        for (sequence, tick) in [(10, 500), (11, 1500), (20, 10_500), (0, 70), (1, 1070), (2, 2500), (3, 3100)] {
+            assert_eq!(take(sequence, tick), None, "{sequence}");
+        }
+        assert_eq!(take(4, 5100), Some(Oddity::ClockJump { seconds: 1e-3, before: 3, after: 4 }));
+        assert_eq!(take(5, 100), Some(Oddity::ClockJump { seconds: -6e-3, before: 4, after: 5 }));
+        assert_eq!(take(6, 1100), None);
+        // The third is not told, the fourth is.
+        assert_eq!(take(7, u64::MAX), None);
+        assert!(matches!(take(8, 0), Some(Oddity::ClockJump { seconds, .. }) if seconds < -1e13));
+        watch.begin_anew();
+        assert_eq!(watch.take(9, 77, 1000, 1e6), None);
+    }
+}
