@@ -87,7 +87,7 @@ impl<S: Scalar> Solver<S> {
         let twin = near(&problem, &whiteners, twin, room);
         let own = Refined { pose, chi2: solution.chi2, factor: solution.factor, iterations: 0, converged: true };
         let [own, its] = [&own, &twin].map(|refined| self.fit(sorted, &problem, refined));
-        let is_another = observability::distinct(factor, &pose, &twin.pose, self.arm);
+        let is_another = observability::sigmas_between(factor, &pose, &twin.pose, self.arm) > S::of(DISTINCT_SIGMAS);
         (is_another && its != Fit::None && its >= own).then_some(twin.pose)
     }
 }

@@ -8,6 +8,7 @@
 
 mod algebra;
 mod fold;
+mod images;
 mod normal;
 mod observability;
 mod outcome;
@@ -17,6 +18,7 @@ mod readings;
 mod refine;
 mod search;
 mod smooth;
+mod starts;
 mod track;
 mod weights;
 
@@ -86,9 +88,8 @@ pub struct Solver<S: Scalar> {
     /// Relative change of the derivatives per unit of a scaled step.
     bend: S,
     effort: Effort,
-    /// Directions that the head cannot tell at home, with all cells lit: mirror images of every
-    /// other pose fit as well, so that it has no pose to give anywhere.
-    blind: Option<Directions>,
+    /// Whether poses of this head may have mirror images although all cells see light.
+    has_images: bool,
 }
 
 /// How well a pose explains the data, worst first.
@@ -138,7 +139,7 @@ impl<S: Scalar> Solver<S> {
             arm: S::one(),
             bend: S::zero(),
             effort: Effort::Full,
-            blind: None,
+            has_images: false,
         }
     }
 
@@ -170,14 +171,21 @@ impl<S: Scalar> Solver<S> {
         }));
         self.gates = core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells))));
         self.bend = refine::bend(&self.planes, self.arm);
-        self.blind = self.blind_at_home();
+        self.has_images = self.may_have_images();
         Ok(())
     }
 
-    /// The directions that the currents of a head leave free at home; `None` if there is none, or
-    /// if fewer than three cells see light there.
-    fn blind_at_home(&self) -> Option<Directions> {
-        observability::free_directions(&self.factor_at(&Pose::HOME)?)
+    /// The directions that the currents of the head leave free at `pose`; `None` if there is none, or if
+    /// fewer than three cells see light there.
+    pub fn free_directions(&self, pose: &Pose) -> Option<Directions> {
+        observability::free_directions(&self.factor_at(pose)?)
+    }
+
+    /// Whether poses of this head may have mirror images, other poses with nearly the same currents,
+    /// although six cells or more see light: a cold solve then looks for them, takes the best, and says
+    /// [`Outcome::Ambiguous`] where two fit alike. Of fewer cells this holds for every head.
+    pub fn has_mirror_images(&self) -> bool {
+        self.has_images
     }
 
     /// The factor of the information of all cells with light at `pose`, the tool at rest.
@@ -311,7 +319,12 @@ impl<S: Scalar> Solver<S> {
         let mut refined = outlier::quickly(&problem, &whiteners, start, room);
         let fit = self.fit(sorted, &problem, &refined);
         if fit != Fit::None {
-            return self.conclude(sorted, &problem, &refined, room, fit);
+            let solution = self.conclude(sorted, &problem, &refined, room, fit);
+            return if self.has_images {
+                self.unless_soft(solution, &problem, &whiteners, &refined, room)
+            } else {
+                solution
+            };
         }
         let mut iterations = refined.iterations;
         if let Some(mut solution) = self.without_outlier_near(sorted, motion, start, room) {
@@ -413,10 +426,6 @@ impl<S: Scalar> Solver<S> {
             factor: refined.factor,
             ..Solution::without_pose(Outcome::Diverged, sorted.used)
         };
-        if let Some(blind) = self.blind {
-            solution.outcome = Outcome::Unobservable(blind);
-            return solution;
-        }
         let Some(factor) = &refined.factor else {
             return solution;
         };

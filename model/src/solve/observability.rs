@@ -3,7 +3,6 @@
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
-use super::DISTINCT_SIGMAS;
 use super::algebra::{Factor, Matrix6};
 use super::outcome::Directions;
 
@@ -21,7 +20,7 @@ const EVEN: f64 = 1e-3;
 /// Covariance in metres and radians from the information in scaled coordinates; `None` if a
 /// direction is free.
 pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix6<S>> {
-    if !factor.is_even(S::of(EVEN)) && free_directions(factor).is_some() {
+    if is_singular(factor) {
         return None;
     }
     let inverse = factor.inverse();
@@ -32,6 +31,11 @@ pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix
     }
     let scale = |axis: usize| if axis < 3 { arm } else { S::one() };
     Some(core::array::from_fn(|i| core::array::from_fn(|j| inverse[i][j] * (scale(i) * scale(j)))))
+}
+
+/// Whether there are free directions.
+pub(super) fn is_singular<S: Scalar>(factor: &Factor<S>) -> bool {
+    !factor.is_even(S::of(EVEN)) && free_directions(factor).is_some()
 }
 
 /// The free directions; `None` if there is none.
@@ -47,10 +51,9 @@ pub(super) fn free_directions<S: Scalar>(factor: &Factor<S>) -> Option<Direction
     (!free.is_empty()).then(|| Directions::of_free(&free))
 }
 
-/// Whether two poses differ by more than the data of the first allow.
-pub(super) fn distinct<S: Scalar>(factor: &Factor<S>, a: &Transform<S>, b: &Transform<S>, arm: S) -> bool {
+/// The displacement between two poses, in σ of the data of `factor`.
+pub(super) fn sigmas_between<S: Scalar>(factor: &Factor<S>, a: &Transform<S>, b: &Transform<S>, arm: S) -> S {
     let (dt, dr) = b.to_pose().displacement_from(&a.to_pose());
     let dt = dt / arm.as_f64();
-    let sigmas = factor.length(&[dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].map(S::of));
-    sigmas.is_nan() || sigmas > S::of(DISTINCT_SIGMAS)
+    factor.length(&[dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].map(S::of))
 }

@@ -7,7 +7,7 @@ use super::normal::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution, Weakness};
 use super::readings::Sorted;
 use super::refine::{Ending, Refined};
-use super::search::descend;
+use super::search::{Search, approaching, closing};
 use super::{Fit, MAX_ITERATIONS, MotionPrior, Solver, WARM_LEFTOVER};
 
 /// Cells that must be left to tell which one is the outlier: with four, two redundancies fit too much.
@@ -75,7 +75,15 @@ impl<S: Scalar> Solver<S> {
             }
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let refined = descend(&problem, &problem.whiteners(), self.on_planes(&others), false, room);
+            let start = self.on_planes(&others);
+            let approach = problem.refine(start, &problem.coarse_whiteners(), approaching(), room);
+            iterations += approach.iterations;
+            // Rough weights are nowhere larger than the true ones, and neither is χ² by them.
+            if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(CONVICTION)) {
+                search.runner_up = search.runner_up.min(approach.chi2);
+                continue;
+            }
+            let refined = problem.refine(approach.pose, &problem.whiteners(), closing(), room);
             iterations += refined.iterations;
             if !refined.converged {
                 continue;
@@ -96,11 +104,16 @@ impl<S: Scalar> Solver<S> {
         if search.is_stale {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            found = descend(&problem, &problem.whiteners(), found.pose, false, room);
+            found = problem.refine(found.pose, &problem.whiteners(), closing(), room);
         }
         let mut solution = self.unless_alone(sorted, motion, index, &found, search.runner_up, room)?;
-        solution.iterations += iterations;
-        Some(solution)
+        iterations += solution.iterations;
+        if self.has_images && solution.excluded.contains(cell) {
+            solution = self.search(&sorted.without(index), motion, &mut Search::at_once(), room);
+            exclude(&mut solution, cell);
+            iterations += solution.iterations;
+        }
+        Some(Solution { iterations, ..solution })
     }
 
     /// The pose near `start` of all cells but one, if leaving out that one, and no other, makes the data
@@ -205,7 +218,7 @@ impl<S: Scalar> Solver<S> {
         let mut together = *found;
         if self.may_agree(sorted, &all, &whiteners, found.pose, room) {
             // Honest cells may have been led astray by their planes: with a good start they agree.
-            together = descend(&all, &whiteners, found.pose, false, room);
+            together = all.refine(found.pose, &whiteners, closing(), room);
             iterations = together.iterations;
             fit = self.fit(sorted, &all, &together);
         }

@@ -98,10 +98,30 @@ impl<S: Scalar> PlaneCell<S> {
     }
 
     fn row_of(&self, normal: S::Vec3, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
+        self.row_from(self.slit, normal, pose, arm_m)
+    }
+
+    /// Distance of the emitter from `origin` along `normal` with the tool at `pose`, metres, and its
+    /// derivatives by (δt, arm·δθ).
+    #[inline(always)]
+    pub(super) fn row_from(&self, origin: S::Vec3, normal: S::Vec3, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
         let arm = pose.rotate(self.emitter_tool);
         let turn = arm.cross(normal) * arm_m.recip();
         let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
-        (row, normal.dot(arm + pose.translation() - self.slit))
+        (row, normal.dot(arm + pose.translation() - origin))
+    }
+
+    /// The emitter's place in the tool frame.
+    pub(super) fn emitter_tool(&self) -> S::Vec3 {
+        self.emitter_tool
+    }
+
+    /// Where the emitter is with the tool at `pose`, and where it would be as far beyond the slit's
+    /// middle, along the slit: the light lands alike, and is as much.
+    pub(super) fn sides(&self, pose: &Transform<S>) -> [S::Vec3; 2] {
+        let here = pose.rotate(self.emitter_tool) + pose.translation();
+        let beyond = (here - self.slit).dot(self.along);
+        [here, here - self.along * (S::two() * beyond)]
     }
 }
 
@@ -115,12 +135,28 @@ pub(super) fn pose_on_planes<S: Scalar>(
 ) -> Transform<S> {
     let planes: heapless::Vec<_, { crate::scene::MAX_CELLS }> =
         readings.iter().map(|reading| (reading.cell, cells[reading.cell].plane(reading))).collect();
+    settle(start, arm_m, MAX_STEPS, |pose| {
+        planes.iter().map(move |&(index, (normal, weight))| {
+            let (row, distance) = cells[index].row_of(normal, &pose, arm_m);
+            (row, distance, weight)
+        })
+    })
+}
+
+/// The pose nearest `start` that the rows of `rows`, derivatives by (δt, arm·δθ), distance and weight,
+/// lead to in at most `steps` steps of Gauss and Newton.
+#[inline(always)]
+pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
+    start: Transform<S>,
+    arm_m: S,
+    steps: usize,
+    rows: impl Fn(Transform<S>) -> Rows,
+) -> Transform<S> {
     let mut pose = start;
-    for _ in 0..MAX_STEPS {
+    for _ in 0..steps {
         let mut matrix: Matrix6<S> = [[S::zero(); 6]; 6];
         let mut right: Vector6<S> = [S::zero(); 6];
-        for &(index, (normal, weight)) in &planes {
-            let (row, distance) = cells[index].row_of(normal, &pose, arm_m);
+        for (row, distance, weight) in rows(pose) {
             for i in 0..6 {
                 right[i] -= weight * row[i] * distance;
                 for j in 0..6 {

@@ -28,6 +28,9 @@ const KEEP: f64 = 0.02;
 /// A kept derivative that leaves more than this of a step was not good enough.
 const POOR: f64 = 0.2;
 
+/// What a step from the rows costs more than one by normal equations, in evaluations of all cells.
+const ROWS_WORK: usize = 3;
+
 /// When a refinement ends.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ending<S> {
@@ -87,6 +90,9 @@ impl<S: Scalar> Problem<'_, S> {
                 continue;
             };
             iterations += 1;
+            if by_rows {
+                room.work = room.work.saturating_sub(ROWS_WORK);
+            }
             // The derivatives change along the step by this share, and the currents by as much of what
             // the step could do to them at most.
             let length = square(&step).square_root();

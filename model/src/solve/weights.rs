@@ -85,7 +85,11 @@ impl<S: Scalar> CellNoise<S> {
     /// solution true weights turn χ² into narrow bent valleys; these keep it round.
     pub(crate) fn coarse(&self, detector_length_m: S) -> Self {
         let position = S::of(1e-4) / detector_length_m;
-        Self { emitter_gain: S::of(0.05 * 0.05), position: position * position, ..*self }
+        Self {
+            emitter_gain: self.emitter_gain.max(S::of(0.05 * 0.05)),
+            position: self.position.max(position * position),
+            ..*self
+        }
     }
 
     /// The weights at the measured `currents` (above dark).
