@@ -5,7 +5,8 @@
 ///
 /// `i_om_a` is the measured photocurrent without dark current (amperes), `solid_angle_sr` the
 /// spot's Ω (steradians), `radiant_intensity_w_per_sr` the axial I_e, `responsivity_a_per_w` the
-/// detector's S. `None` if the model expects no light there (the product S·Ω·I_e is not positive).
+/// detector's S. `None` if the model expects no light there: the product S·Ω·I_e is not positive, or so
+/// small that the quotient is no number.
 pub fn identified_relative_intensity(
     i_om_a: f64,
     solid_angle_sr: f64,
@@ -13,7 +14,7 @@ pub fn identified_relative_intensity(
     responsivity_a_per_w: f64,
 ) -> Option<f64> {
     let full = responsivity_a_per_w * solid_angle_sr * radiant_intensity_w_per_sr;
-    (full > 0.0).then(|| i_om_a / full)
+    (full > 0.0).then(|| i_om_a / full).filter(|relative| relative.is_finite())
 }
 
 #[cfg(test)]
@@ -29,5 +30,6 @@ mod tests {
         for dark in [[0.0, 3.16e-3, 0.54], [3.5523e-3, 0.0, 0.54], [3.5523e-3, 3.16e-3, 0.0]] {
             assert_eq!(identified_relative_intensity(i_o_a, dark[0], dark[1], dark[2]), None);
         }
+        assert_eq!(identified_relative_intensity(i_o_a, 1e-312, 3.16e-3, 0.54), None);
     }
 }

@@ -221,7 +221,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
 }
 
 /// The plate that stands for a polygonal spot: a is the chord through the centroid along x,
-/// b = area/a, centred on the centroid along y; the central axis passes through the centroid.
+/// b = area/a, centred on the centroid along y.
 struct PolygonPlate<S: Scalar> {
     alpha: HalfAngle<S>,
     beta: HalfAngle<S>,
@@ -229,17 +229,19 @@ struct PolygonPlate<S: Scalar> {
     right: usize,
     chord: S,
     across: S,
-    ray: S::Vec3,
+    beam: CentralAxis<S>,
 }
 
 impl<S: Scalar> PolygonPlate<S> {
-    fn of(polygon: &Polygon<S>) -> Self {
+    fn of(polygon: &Polygon<S>, skew: S) -> Self {
         let [xc, yc] = polygon.centroid();
         let ((left, x_left), (right, x_right)) = polygon.chord(yc);
         let chord = x_right - x_left;
         let across = polygon.area() / chord;
         let h2 = polygon.height() * polygon.height();
         let half = S::half() * across;
+        let ray = |x, y| S::Vec3::new(x, y, -polygon.height());
+        let ends = [ray(x_left, yc), ray(x_right, yc), ray(xc, yc - half), ray(xc, yc + half)];
         Self {
             alpha: HalfAngle::of_segment(x_left, x_right, chord, h2 + yc * yc),
             beta: HalfAngle::of_segment(yc - half, yc + half, across, h2 + xc * xc),
@@ -247,34 +249,75 @@ impl<S: Scalar> PolygonPlate<S> {
             right,
             chord,
             across,
-            ray: S::Vec3::new(xc, yc, -polygon.height()),
+            beam: CentralAxis::of(ends, ray(xc, yc), skew),
         }
     }
 }
 
-/// Ω and cos γ of a polygonal spot, without derivatives.
-pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> Beam<S> {
-    let plate = PolygonPlate::of(polygon);
+/// The beam's central axis. Of a tilted slit it goes to the spot's centroid, of a rectangle along the
+/// sum of the unit vectors to the mid-points of the plate's edges; `skew` leads from one to the other.
+struct CentralAxis<S: Scalar> {
+    ends: [S::Vec3; 4],
+    centroid: S::Vec3,
+    skew: S,
+    sum: S::Vec3,
+    /// Of both definitions, before it is given unit length.
+    blend: S::Vec3,
+    direction: S::Vec3,
+}
+
+impl<S: Scalar> CentralAxis<S> {
+    fn of(ends: [S::Vec3; 4], centroid: S::Vec3, skew: S) -> Self {
+        let unit = |v: S::Vec3| v * v.length().recip();
+        let sum = ends.into_iter().map(unit).fold(S::Vec3::default(), |sum, end| sum + end);
+        let blend = unit(sum) * (S::one() - skew) + unit(centroid) * skew;
+        Self { ends, centroid, skew, sum, blend, direction: unit(blend) }
+    }
+
+    /// Derivative of cos γ by the emitter's position, for edge mid-points and a centroid whose x and y
+    /// move by `ends` and `centroid`.
+    fn turn(&self, axis: S::Vec3, ends: [[S::Vec3; 2]; 4], centroid: [S::Vec3; 2]) -> S::Vec3 {
+        // A unit vector turns by the part of a motion across itself, over the vector's length.
+        let across = |v: S::Vec3, of: S::Vec3| {
+            let inverse = of.length().recip();
+            let unit = of * inverse;
+            (v - unit * unit.dot(v)) * inverse
+        };
+        // All points are as high as the emitter is above the detector: z falls as it rises.
+        let along = |weight: S::Vec3, [x, y]: [S::Vec3; 2]| {
+            x * weight.x() + y * weight.y() - S::Vec3::new(S::zero(), S::zero(), weight.z())
+        };
+        let of_blend = across(axis, self.blend);
+        let of_sum = across(of_blend, self.sum) * (S::one() - self.skew);
+        let of_ends = self.ends.into_iter().zip(ends).map(|(end, moved)| along(across(of_sum, end), moved));
+        let of_centroid = along(across(of_blend, self.centroid) * self.skew, centroid);
+        of_ends.fold(of_centroid, |sum, end| sum + end)
+    }
+}
+
+/// Ω and cos γ of a polygonal spot, without derivatives. `skew`: see [`Turned`](crate::aperture::Turned).
+pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3, skew: S) -> Beam<S> {
+    let plate = PolygonPlate::of(polygon, skew);
     Beam {
         solid_angle: plate_solid_angle(plate.alpha.tangent2, plate.beta.tangent2).0,
-        cosine: axis.dot(plate.ray) / plate.ray.length(),
+        cosine: axis.dot(plate.beam.direction),
     }
 }
 
 /// Power and centroid (relative to the emitter's foot) of a polygonal spot, with derivatives by
-/// the emitter's position (foot fixed) and axis.
+/// the emitter's position (foot fixed) and axis. `skew`: see [`Turned`](crate::aperture::Turned).
 pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     polygon: &Polygon<S>,
     axis: S::Vec3,
     emission: &E,
+    skew: S,
 ) -> (EmitterGradient<S>, EmitterGradient<S>) {
-    let plate = PolygonPlate::of(polygon);
-    let mut centroid = EmitterGradient::of_value(plate.ray.x());
+    let plate = PolygonPlate::of(polygon, skew);
+    let [x_centre, y_centre] = [plate.beam.centroid.x(), plate.beam.centroid.y()];
+    let mut centroid = EmitterGradient::of_value(x_centre);
     let (area_moved, x_moved, y_moved) = if GRADIENT { polygon.motion() } else { Default::default() };
     centroid.by_position = x_moved;
-    let inverse = plate.ray.length().recip();
-    let direction = plate.ray * inverse;
-    let cosine = axis.dot(direction);
+    let cosine = axis.dot(plate.beam.direction);
     if cosine <= S::zero() {
         return (EmitterGradient::of_value(S::zero()), centroid);
     }
@@ -298,12 +341,12 @@ pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     let two = S::two();
     let height2 = ez * (two * polygon.height());
     let ([a_low, a_high, a_distance2], [b_low, b_high, b_distance2]) = (plate.alpha.slopes(), plate.beta.slopes());
-    let alpha = left * a_low + right * a_high + (yc * (two * plate.ray.y()) + height2) * a_distance2;
+    let alpha = left * a_low + right * a_high + (yc * (two * y_centre) + height2) * a_distance2;
     let beta =
-        (yc - half_across) * b_low + (yc + half_across) * b_high + (xc * (two * plate.ray.x()) + height2) * b_distance2;
-    let turn = (axis + direction * (-cosine)) * inverse;
-    power.by_position = (alpha * by_alpha + beta * by_beta) * relative
-        + (xc * turn.x() + yc * turn.y() + ez * (-turn.z())) * (omega * slope);
-    power.by_axis = direction * (omega * slope);
+        (yc - half_across) * b_low + (yc + half_across) * b_high + (xc * (two * x_centre) + height2) * b_distance2;
+    let ends = [[left, yc], [right, yc], [xc, yc - half_across], [xc, yc + half_across]];
+    power.by_position =
+        (alpha * by_alpha + beta * by_beta) * relative + plate.beam.turn(axis, ends, [xc, yc]) * (omega * slope);
+    power.by_axis = plate.beam.direction * (omega * slope);
     (power, centroid)
 }

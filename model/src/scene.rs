@@ -227,6 +227,9 @@ pub enum Fault {
     /// NaN or infinite.
     #[error("{0} is not a finite number")]
     NotFinite(f64),
+    /// Beyond anything a head can have: a slip of units.
+    #[error("{0} is more than any sensor head can have; check its unit")]
+    TooLarge(f64),
     /// Below zero where that has no meaning.
     #[error("{0} is negative; give zero or more")]
     Negative(f64),

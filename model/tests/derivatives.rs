@@ -86,3 +86,30 @@ fn exact_tier_across_the_horizon() {
         check(kind, Tier::Exact { tolerance: 1e-11 }, 300, 1.5, 1e-4);
     }
 }
+
+#[test]
+fn paper_tier_of_slits_that_are_hardly_tilted() {
+    // 0.01° to 0.1°, where the definition of the beam's axis changes.
+    let mut rng = generator();
+    for _ in 0..200 {
+        let mut scene = scene(&mut rng, Kind::Thin);
+        scene.cells[0].slit.tilt_rad = common::vector(&mut rng, 1e-3);
+        let plan = Plan::<f64>::compile(&scene, Tier::Paper).expect("scene");
+        let pose = pose(&mut rng, &scene, 1.5e-3, 0.3);
+        let (status, pair, jacobian) = plan.linearise(0, &pose);
+        if !status.has_spot() || pair.total_a() < 1e-7 {
+            continue;
+        }
+        for axis in 0..6 {
+            let h = STEPS[axis / 3];
+            let (coarse, fine) = (numeric(&plan, &pose, axis, h), numeric(&plan, &pose, axis, 0.5 * h));
+            let scale = pair.total_a() / if axis < 3 { 1e-3 } else { 0.1 };
+            for electrode in 0..2 {
+                if (coarse[electrode] - fine[electrode]).abs() <= 1e-7 * scale {
+                    let error = (jacobian[electrode][axis] - fine[electrode]).abs() / scale;
+                    assert!(error <= 2e-7, "axis {axis}: {error:.1e}");
+                }
+            }
+        }
+    }
+}

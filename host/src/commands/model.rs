@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use slitpose_model::{Plan, Response};
+use slitpose_model::{Plan, Response, Tier};
 
 use super::options::TierOptions;
+use super::talk::talk;
 use super::{CommandError, Outcome};
 use crate::scene_file::SceneFile;
 use crate::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
@@ -34,7 +35,9 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let scene = SceneFile::open(&args.scene)?.scene;
-    let plan = Plan::<f64>::compile(&scene, args.tier.tier(DEFAULT_TOLERANCE))?;
+    let tier = args.tier.tier(DEFAULT_TOLERANCE);
+    let plan = Plan::<f64>::compile(&scene, tier)?;
+    let (mut inexact_rows, mut worst) = (0, 0.0_f64);
     let mut poses = TableReader::open(&args.poses)?;
     let columns = PoseColumns::find(&poses)?;
     let names: Vec<String> = (0..plan.cell_count()).flat_map(column_names).collect();
@@ -43,12 +46,29 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     while let Some(row) = poses.next_row()? {
         let pose = columns.pose(&row)?;
         table.text(columns.id(&row))?;
+        let mut reached = 0.0_f64;
         for cell in 0..plan.cell_count() {
             write_response(&mut table, &plan.respond(cell, &pose))?;
+            if let Some(integration) = plan.integration(cell, &pose) {
+                reached = reached.max(integration.relative_error);
+            }
         }
         table.end_row()?;
+        if let Tier::Exact { tolerance } = tier
+            && reached > tolerance
+        {
+            inexact_rows += 1;
+            worst = worst.max(reached);
+        }
     }
     table.finish()?;
+    if inexact_rows > 0 {
+        talk(format_args!(
+            "{inexact_rows} rows are good to {worst:.1e} of I_O only: the exact tier met its limit of {} values of a \
+             profile for a cell, or of rounding; --tolerance {worst:.0e} takes less time",
+            Plan::<f64>::MAX_EVALUATIONS
+        ));
+    }
     Ok(Outcome::Done)
 }
 

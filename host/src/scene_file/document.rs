@@ -245,6 +245,7 @@ impl<'a> Document<'a> {
         let fault = match (error.fault, written) {
             (Fault::NotFinite(_), Some(value)) => Fault::NotFinite(value),
             (Fault::Negative(_), Some(value)) => Fault::Negative(value),
+            (Fault::TooLarge(_), Some(value)) => Fault::TooLarge(value),
             (Fault::NotPositive(_), Some(value)) => Fault::NotPositive(value),
             (fault, _) => fault,
         };

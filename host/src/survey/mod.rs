@@ -3,6 +3,7 @@
 //! [`Survey::of`] evaluates the optics at home, over a sample of the workspace and along the six
 //! axes, and derives [`Warning`]s. All numbers are SI and are serialised as they stand.
 
+mod cost;
 mod coverage;
 mod crosstalk;
 mod home;
@@ -17,6 +18,7 @@ use slitpose_model::{Plan, Pose, SceneError, Tier};
 
 use crate::scene_file::{SceneFile, Workspace};
 
+pub use cost::CellCost;
 pub use coverage::{CellCoverage, Coverage};
 pub use crosstalk::SlotCrosstalk;
 pub use home::CellAtHome;
@@ -45,6 +47,8 @@ pub struct Survey {
     pub coverage: Coverage,
     /// How far the tool moves along each axis with every cell lit and not faint.
     pub travel: Vec<Travel>,
+    /// What each cell's integrals take for a solver, over some of the workspace.
+    pub cost: Vec<CellCost>,
     /// Cross-talk of every lighting slot with more than one emitter.
     pub crosstalk: Vec<SlotCrosstalk>,
     /// Duration of slots and frame; `None` without front end.
@@ -76,6 +80,7 @@ impl Survey {
             home: home::at_home(&file.scene, &plan),
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a),
             travel: travel::along_axes(&plan),
+            cost: cost::of_cells(file, samples)?,
             crosstalk: crosstalk::of_slots(file, &plan, samples),
             timing: Timing::of(file),
             warnings: Vec::new(),

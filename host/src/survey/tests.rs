@@ -54,6 +54,7 @@ fn warnings_carry_the_number_and_a_remedy() {
         (wide.replace("saturation_a = 100e-6", "saturation_a = 8e-6"), "saturates in", "narrow the slit"),
         (wide.replace("3.16e-3", "3.16e-5"), "is faint in", "widen the slit"),
         (wide.replace("[2, 5], []]", "[2, 5]]"), "no lighting slot is dark", "add []"),
+        (wide.replace("half_angle_deg = 55.0", "half_angle_deg = 0.2"), "at tolerance 1e-6", "--tolerance 1e-4"),
         (
             wide.replace("[[0, 3], [1, 4], [2, 5], []]", "[[0, 1, 2, 3, 4, 5], []]"),
             "% of its own signal",

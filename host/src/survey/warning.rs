@@ -6,11 +6,19 @@ use thiserror::Error;
 
 use crate::scene_file::{SceneFile, SceneFileError};
 
+use super::cost::CellCost;
 use super::coverage::CellCoverage;
 use super::{End, Survey};
 
 /// Cross-talk below this share stays under what gains are known to (1e-3).
 const CROSSTALK_LIMIT: f64 = 1e-3;
+
+/// Values of a profile that six cells may take in the three to five evaluations of a solve, at some 25 ns each
+/// with derivatives, and leave it within 100 µs.
+const MOST_EVALUATIONS: usize = 150;
+
+/// How much looser a tolerance is proposed.
+const LOOSER: f64 = 100.0;
 
 /// A finding that does not make the scene unusable.
 #[derive(Debug, Error)]
@@ -114,6 +122,27 @@ pub enum Warning {
         /// Where.
         at: Pose,
     },
+    /// Integrals that take long.
+    #[error(
+        "cell {} takes up to {} values of its emission profile for one pair of currents at tolerance {:.0e} \
+         (an ordinary cell: 9), so that solving may fall behind; a wider or smoother profile or a smaller spot \
+         takes fewer, or solve with --tolerance {:.0e} or --tier paper",
+        cost.cell, cost.most_evaluations, cost.tolerance, LOOSER * cost.tolerance
+    )]
+    Costly {
+        /// What is taken.
+        cost: CellCost,
+    },
+    /// Integrals that meet the limit of work.
+    #[error(
+        "cell {}: the exact tier reaches {:.1e} of I_O where tolerance {:.0e} is asked for: {} values of the emission \
+         profile, the limit, do not suffice; give the profile fewer bends or make the spot smaller",
+        cost.cell, cost.relative_error, cost.tolerance, cost.most_evaluations
+    )]
+    Inexact {
+        /// What is reached.
+        cost: CellCost,
+    },
     /// Nothing to subtract ambient light with.
     #[error("no lighting slot is dark, so ambient light and offsets stay in the currents; add [] to lighting.slots")]
     NoDarkSlot,
@@ -146,6 +175,13 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Warning> {
     for cell in &survey.coverage.cells {
         warnings.extend(light_of(file, cell));
     }
+    warnings.extend(survey.cost.iter().filter_map(|&cost| {
+        if cost.relative_error > cost.tolerance {
+            Some(Warning::Inexact { cost })
+        } else {
+            (cost.most_evaluations > MOST_EVALUATIONS).then_some(Warning::Costly { cost })
+        }
+    }));
     let loud = survey.crosstalk.iter().filter(|slot| slot.share > CROSSTALK_LIMIT);
     warnings.extend(loud.map(|entry| Warning::Crosstalk {
         slot: entry.slot,

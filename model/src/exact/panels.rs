@@ -29,6 +29,13 @@ struct Panel<S> {
     t: [S; 2],
 }
 
+/// Parts along s and t into which all slabs are tried to be divided beforehand: a table often has a
+/// polynomial for half a spot or a quarter of one.
+const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
+
+/// Four of each slab.
+const MAX_PARTS: usize = 4 * MAX_CORNERS;
+
 /// Numbers of nodes along s and t, and what stands for the profile.
 type Rule<S> = ((usize, usize), Option<Series<S>>);
 
@@ -57,12 +64,16 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let mut sums = Sums::default();
     let mut evaluations = 0;
     let whole = |slab: usize| Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t };
-    let rules: Vec<_, MAX_CORNERS> =
-        slabs.iter().enumerate().map_while(|(i, slab)| integrand.rule(slab, &whole(i))).collect();
-    if rules.len() == slabs.len() {
-        for (i, (nodes, series)) in rules.iter().enumerate() {
+    for parts in if E::NEEDS_SERIES { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
+        let panels = || (0..slabs.len()).flat_map(|slab| whole(slab).parts(*parts));
+        let rules: Vec<Rule<S>, MAX_PARTS> =
+            panels().map_while(|panel| integrand.rule(&slabs[panel.slab], &panel)).collect();
+        if rules.len() < panels().count() {
+            continue;
+        }
+        for (panel, (nodes, series)) in panels().zip(&rules) {
             evaluations += nodes.0 * nodes.1;
-            integrand.add_panel::<GRADIENT>(&slabs[i], &whole(i), *nodes, series.as_ref(), &mut sums);
+            integrand.add_panel::<GRADIENT>(&slabs[panel.slab], &panel, *nodes, series.as_ref(), &mut sums);
         }
         return (sums, Integration { evaluations, relative_error: tolerance });
     }
@@ -95,11 +106,16 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         if error <= allowed * total || largest == S::zero() || panels.len() == MAX_PANELS {
             break;
         }
-        let halves = panels[worst].halves();
-        let [first, second] = halves.map(|half| integrand.measure(&slabs[half.slab], half));
-        evaluations += first.evaluations + second.evaluations;
-        panels[worst] = first;
-        let _ = panels.push(second);
+        for (half, panel) in panels[worst].halves().enumerate() {
+            let measured = integrand.measure(&slabs[panel.slab], panel);
+            evaluations += measured.evaluations;
+            if half == 0 {
+                panels[worst] = measured;
+            } else {
+                // Below its capacity, as just checked.
+                let _ = panels.push(measured);
+            }
+        }
     }
     if GRADIENT {
         for measured in &panels {
@@ -117,18 +133,24 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     (sums, Integration { evaluations, relative_error })
 }
 
-impl<S: Scalar> Measured<S> {
-    fn halves(&self) -> [Panel<S>; 2] {
-        let panel = self.panel;
-        let split = |[a, b]: [S; 2]| {
-            let middle = S::half() * (a + b);
-            [[a, middle], [middle, b]]
+impl<S: Scalar> Panel<S> {
+    /// Equal parts, so many along s and along t.
+    fn parts(self, [along_s, along_t]: [usize; 2]) -> impl Iterator<Item = Self> + use<S> {
+        let part = |[a, b]: [S; 2], i: usize, of: usize| {
+            let at = |i: usize| a + (b - a) * (S::of(i as f64) / S::of(of as f64));
+            [at(i), at(i + 1)]
         };
-        if self.across_t {
-            split(panel.t).map(|t| Panel { t, ..panel })
-        } else {
-            split(panel.share).map(|share| Panel { share, ..panel })
-        }
+        (0..along_s * along_t).map(move |i| Self {
+            share: part(self.share, i % along_s, along_s),
+            t: part(self.t, i / along_s, along_t),
+            ..self
+        })
+    }
+}
+
+impl<S: Scalar> Measured<S> {
+    fn halves(&self) -> impl Iterator<Item = Panel<S>> + use<S> {
+        self.panel.parts(if self.across_t { [1, 2] } else { [2, 1] })
     }
 }
 

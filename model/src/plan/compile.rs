@@ -16,6 +16,16 @@ use super::{CompiledCell, CompiledEmitter, Tier};
 /// How far from unit length or perpendicularity an axis may be and is still normalised.
 const AXIS_TOLERANCE: f64 = 1e-6;
 
+/// Lengths and positions up to 1000 km, metres: beyond, squares and cubes of them leave the number
+/// range of the board.
+const LONGEST_M: f64 = 1e6;
+
+/// Intensities, responsivities, currents, relative intensities in their SI units.
+const LARGEST: f64 = 1e9;
+
+/// An exponent of a profile: half angle 0.07°.
+const LARGEST_EXPONENT: f64 = 1e6;
+
 /// Checks one value; knows where it stands.
 struct Check {
     cell: Option<usize>,
@@ -30,6 +40,15 @@ impl Check {
     fn finite(&self, key: &'static str, values: &[f64]) -> Result<(), SceneError> {
         match values.iter().find(|value| !value.is_finite()) {
             Some(&value) => Err(self.fault(key, Fault::NotFinite(value))),
+            None => Ok(()),
+        }
+    }
+
+    /// Finite, and not beyond `most`.
+    fn within(&self, key: &'static str, values: &[f64], most: f64) -> Result<(), SceneError> {
+        self.finite(key, values)?;
+        match values.iter().find(|value| value.abs() > most) {
+            Some(&value) => Err(self.fault(key, Fault::TooLarge(value))),
             None => Ok(()),
         }
     }
@@ -137,7 +156,7 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
 }
 
 fn check_detector(section: &Check, cell: &Check, detector: &Detector) -> Result<(DVec3, DVec3), SceneError> {
-    cell.finite("detector_mm", &detector.centre_base_m.to_array())?;
+    cell.within("detector_mm", &detector.centre_base_m.to_array(), LONGEST_M)?;
     let x_axis = cell.unit("x_axis", detector.x_axis_base)?;
     let normal = cell.unit("normal", detector.normal_base)?;
     let cosine = x_axis.dot(normal);
@@ -146,9 +165,13 @@ fn check_detector(section: &Check, cell: &Check, detector: &Detector) -> Result<
     }
     section.positive("length_mm", detector.length_m)?;
     section.positive("width_mm", detector.width_m)?;
+    section.within("length_mm", &[detector.length_m], LONGEST_M)?;
+    section.within("width_mm", &[detector.width_m], LONGEST_M)?;
     section.not_negative("responsivity_a_per_w", detector.responsivity_a_per_w)?;
     section.not_negative("dark_current_a", detector.dark_current_a)?;
     section.not_negative("faint_a", detector.faint_a)?;
+    section.within("responsivity_a_per_w", &[detector.responsivity_a_per_w], LARGEST)?;
+    section.within("dark_current_a", &[detector.dark_current_a], LARGEST)?;
     if let Some(resistance) = detector.interelectrode_ohm {
         section.positive("interelectrode_ohm", resistance)?;
     }
@@ -163,7 +186,11 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
     check.not_negative("width_mm", slit.width_m)?;
     check.not_negative("length_mm", slit.length_m)?;
     check.not_negative("thickness_mm", slit.thickness_m)?;
-    check.finite("offset_mm", &slit.offset_m.to_array())?;
+    check.within("distance_mm", &[slit.distance_m], LONGEST_M)?;
+    check.within("width_mm", &[slit.width_m], LONGEST_M)?;
+    check.within("length_mm", &[slit.length_m], LONGEST_M)?;
+    check.within("thickness_mm", &[slit.thickness_m], LONGEST_M)?;
+    check.within("offset_mm", &slit.offset_m.to_array(), LONGEST_M)?;
     check.finite("tilt_deg", &slit.tilt_rad.to_array())?;
     let below = 0.5 * slit.thickness_m - slit.distance_m;
     if below > 0.0 {
@@ -173,15 +200,20 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
 }
 
 fn check_emitter(section: &Check, cell: &Check, emitter: &Emitter) -> Result<DVec3, SceneError> {
-    cell.finite("emitter_mm", &emitter.position_tool_m.to_array())?;
+    cell.within("emitter_mm", &emitter.position_tool_m.to_array(), LONGEST_M)?;
     let axis = cell.unit("emitter_axis", emitter.axis_tool)?;
     section.not_negative("radiant_intensity_w_per_sr", emitter.radiant_intensity_w_per_sr)?;
+    section.within("radiant_intensity_w_per_sr", &[emitter.radiant_intensity_w_per_sr], LARGEST)?;
     match &emitter.profile {
-        Profile::Cosine { exponent } => section.not_negative("profile_exponent", *exponent)?,
+        Profile::Cosine { exponent } => {
+            section.not_negative("profile_exponent", *exponent)?;
+            section.within("profile_exponent", &[*exponent], LARGEST_EXPONENT)?;
+        }
         Profile::Table(knots) => {
             for &(angle, value) in knots {
                 section.finite("profile", &[angle])?;
                 section.not_negative("profile", value)?;
+                section.within("profile", &[value], LARGEST)?;
             }
             let degrees = |angle: f64| angle.to_degrees();
             match knots.as_slice() {

@@ -76,7 +76,9 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
             return Some(of_sides::<S, GRADIENT>(&light, rectangle, false));
         }
-        (_, _, Spot::Polygon(polygon)) => paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission),
+        (_, _, Spot::Polygon(polygon)) => {
+            paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission, cell.aperture.skew())
+        }
     };
     let x_a = EmitterGradient { value: seen.position.x() + centroid.value, ..centroid };
     Some(Light { power, x_a: Place::Weighted(x_a) })
@@ -223,7 +225,7 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
     };
     let beam = match &spot {
         Spot::Rectangle(rectangle) => paper::rectangle_beam(rectangle, seen.axis),
-        Spot::Polygon(polygon) => paper::polygon_beam(polygon, seen.axis),
+        Spot::Polygon(polygon) => paper::polygon_beam(polygon, seen.axis, cell.aperture.skew()),
     };
     let light = emitter.light_on::<false>(plan, cell, &seen, &spot);
     let power = light.as_ref().map_or(S::zero(), |light| light.power.value);

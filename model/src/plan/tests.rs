@@ -249,3 +249,53 @@ fn crosstalk_is_the_other_emitter_on_this_detector() {
         assert!(plan.crosstalk(0, 1, &pose) != plan.photocurrents(0, &pose));
     }
 }
+
+/// A slit that is turned a little gives currents that differ a little: no steeper than a turn by itself
+/// changes them, at any turn, about any axis, from parallel sides either way.
+#[test]
+fn currents_are_continuous_in_the_tilt_of_the_slit() {
+    for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-12 }] {
+        let current = |base_deg: f64, axis: DVec3, tilt_deg: f64| {
+            let turned = scene(1, |cell| {
+                cell.slit.tilt_rad = (DVec3::Z * base_deg + axis * tilt_deg) * core::f64::consts::PI / 180.0;
+            });
+            let plan = Plan::<f64>::compile(&turned, tier).expect("scene");
+            plan.respond(0, &Pose::from_vectors(DVec3::new(1e-3, 0.0, 0.0), DVec3::new(0.0, 0.1, 0.0))).currents
+        };
+        for base_deg in [0.0, 90.0] {
+            for axis in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(0.6, 0.0, 0.8)] {
+                let mut tilts = [0.0; 101];
+                for (i, tilt) in tilts.iter_mut().enumerate().skip(1) {
+                    *tilt = libm::pow(10.0, -8.0 + 0.08 * i as f64);
+                }
+                for pair in tilts.windows(2) {
+                    let (a, b) = (current(base_deg, axis, pair[0]), current(base_deg, axis, pair[1]));
+                    let step_rad = (pair[1] - pair[0]).to_radians();
+                    // A slit of 10 mm turned by 1 rad moves its ends by 5 mm, ten widths: currents change by 20 times themselves
+                    // at most. Rounding of lengths of millimetres against a spot of one.
+                    let allowed = (20.0 * step_rad + 1e-12) * a.total_a();
+                    let change = (a.i_x1_a - b.i_x1_a).abs().max((a.i_x2_a - b.i_x2_a).abs());
+                    assert!(change <= allowed, "{tier:?} {base_deg} {axis} {pair:?}: {change:e} > {allowed:e}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_no_head_can_have_is_refused_with_its_place() {
+    type Change<'a> = &'a dyn Fn(&mut Cell);
+    let changes: [(&str, Change<'_>); 7] = [
+        ("detector_mm", &|cell| cell.detector.centre_base_m.y = 1e197),
+        ("emitter_mm", &|cell| cell.emitter.position_tool_m.z = -1e197),
+        ("offset_mm", &|cell| cell.slit.offset_m.x = 1e7),
+        ("distance_mm", &|cell| cell.slit.distance_m = 1e7),
+        ("profile_exponent", &|cell| cell.emitter.profile = Profile::Cosine { exponent: 1e12 }),
+        ("profile", &|cell| cell.emitter.profile = Profile::Table([(0.0, 1e300), (1.0, 0.0)].into_iter().collect())),
+        ("radiant_intensity_w_per_sr", &|cell| cell.emitter.radiant_intensity_w_per_sr = 1e300),
+    ];
+    for (key, change) in changes {
+        let error = Plan::<f64>::compile(&scene(1, change), EXACT).map(|_| ()).expect_err("too large");
+        assert!(matches!(error.fault, Fault::TooLarge(_)) && error.place.key == key, "{error}");
+    }
+}
