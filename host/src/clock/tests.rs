@@ -127,6 +127,35 @@ fn truth_is_always_within_the_uncertainty() {
     }
 }
 
+/// Delays of some microseconds, which hide nothing.
+const QUICK: Link = Link { up_ns: 2e3, down_ns: 2e3, jitter_ns: 1e3, frame_ns: 0.0, stalls: 0.0, wander: 0.0, ..USB };
+
+#[test]
+fn a_rate_that_wanders_as_fast_as_it_may_is_followed_on_a_quick_link() {
+    // The curve bends by 0.1 ms over the window. 300 ppm within 80 s are 23.6 ppm a second at most, of 25 that
+    // are promised.
+    let trial = Trial::run(&Link { wander: 300e-6, wander_period_s: 80.0, ..QUICK }, 18, 100.0);
+    println!("{HEAD}\n{}", trial.row("quick, wandering"));
+    let latest_s = trial.unknown_s.iter().fold(0.0_f64, |latest, &truth_s| latest.max(truth_s));
+    assert!(latest_s < 1.5, "seed 18: no time at {latest_s} s");
+}
+
+#[test]
+fn a_fast_clock_has_a_positive_drift() {
+    // `rate` is of true seconds a device second: a fast clock counts more seconds than there are.
+    for (rate, fast_ppm) in [(-100e-6, 100.0), (100e-6, -100.0), (-1_000e-6, 1_000.0)] {
+        let mut fit = ClockFit::new(TICK_HZ);
+        assert_eq!(fit.drift_ppm(), None);
+        Link { rate, ..QUICK }.run(19, 20.0, |seen, _| match seen {
+            Seen::Pong { asked, tick, at } => fit.answered(asked, tick, at),
+            Seen::Batch { last, at, .. } => fit.arrived(last, at),
+        });
+        let drift_ppm = fit.drift_ppm().unwrap();
+        // A rate that may change by 25 ppm in a second is known no better.
+        assert!((drift_ppm - fast_ppm).abs() < 25.0, "seed 19: {drift_ppm} ppm for {fast_ppm}");
+    }
+}
+
 #[test]
 fn an_hour_is_followed() {
     let link = Link { wander: 5e-6, wander_period_s: 900.0, ..USB };

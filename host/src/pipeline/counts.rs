@@ -96,4 +96,33 @@ mod tests {
         }
         assert_eq!((counts.scans, counts.scans_lost, counts.restarts), (6, 2, 1));
     }
+
+    #[test]
+    fn every_kind_of_loss_is_one_by_itself() {
+        assert!(!Counts::default().has_loss() && !Counts::default().has_loss_before_end());
+        let kinds: [fn(&mut Counts); 5] = [
+            |counts| counts.scans_lost = 1,
+            |counts| counts.restarts = 1,
+            |counts| counts.batches_without_hello = 1,
+            |counts| counts.batches_unreadable = 1,
+            |counts| counts.decoder.bytes_skipped = 1,
+        ];
+        for (kind, lose) in kinds.iter().enumerate() {
+            let mut counts = Counts::default();
+            lose(&mut counts);
+            assert!(counts.has_loss() && counts.has_loss_before_end(), "{kind}");
+        }
+        // A packet under way at the end is one only for those who wanted it.
+        let pending = Counts { pending_bytes: 1, ..Counts::default() };
+        assert!(pending.has_loss() && !pending.has_loss_before_end());
+        // Scans that arrived and were not solved were not lost on the way, and a gap lies between boards.
+        assert!(!Counts { scans_skipped: 1, ..Counts::default() }.has_loss());
+        let mut counts = Counts::default();
+        counts.count_scan(1000);
+        counts.begin_numbering();
+        counts.count_scan(3);
+        counts.begin_numbering();
+        counts.count_scan(7000);
+        assert!(!counts.has_loss(), "{counts:?}");
+    }
 }

@@ -115,11 +115,16 @@ pub(super) mod tests {
 
     impl Bench {
         pub(in crate::pipeline) fn new() -> Self {
+            Self::numbered(0)
+        }
+
+        /// One of several boards.
+        fn numbered(number: u8) -> Self {
             let file = WIDE.read().unwrap();
             let configuration = front_end::configuration(&file).unwrap();
             let frame_ns = (1e9 / configuration.schedule.frame_rate_hz()) as u64;
             let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 2.0);
-            let board = SimulatedBoard::new(&file, trajectory, TIER, 1).unwrap();
+            let board = SimulatedBoard::numbered(number, &file, trajectory, TIER, 1).unwrap();
             let mut bench = Self { file, board, frame_ns, frames: 0 };
             bench.tell(1, Command::Configure(configuration));
             bench.tell(2, Command::Start);
@@ -229,6 +234,34 @@ pub(super) mod tests {
         // No ping, no time; and an answer to a ping from before says nothing.
         assert!(!records.is_empty() && records.iter().all(|record| record.host_time.is_none()));
         assert_eq!(pipeline.counts().decoder.bytes_skipped, pending);
+    }
+
+    #[test]
+    fn a_batch_has_come_after_its_last_sample() {
+        let mut bench = Bench::new();
+        let mut pipeline = bench.pipeline();
+        feed(&mut pipeline, &bench.segment(20, 0));
+        let session = pipeline.flow.session.unwrap();
+        // Ticks of 170 MHz: frames of 42 500; a slot is 2210 of settling and 24 conversions of 148; the last
+        // conversion of the fourth slot, the dark one, is the 24th.
+        let last_sample = 3 * (2_210 + 24 * 148) + 2_210 + 23 * 148;
+        assert_eq!(session.last_tick(1_000, 1), 1_000 + last_sample);
+        assert_eq!(session.last_tick(1_000, 4), 1_000 + 3 * 42_500 + last_sample);
+        assert_eq!(session.last_tick(u64::MAX, 1), last_sample - 1, "the counter wraps");
+    }
+
+    #[test]
+    fn another_board_counts_its_own_scans() {
+        let (mut first, mut second) = (Bench::new(), Bench::numbered(1));
+        let mut pipeline = first.pipeline();
+        let (_, before) = feed(&mut pipeline, &first.segment(50, 0));
+        let mut segment = second.segment(50, 1);
+        segment.opened = true;
+        let (_, after) = feed(&mut pipeline, &segment);
+        assert!(before[0].device != after[0].device && after[0].sequence < before[before.len() - 1].sequence);
+        let counts = pipeline.counts();
+        let scans = (before.len() + after.len()) as u64;
+        assert_eq!((counts.scans, counts.scans_lost, counts.restarts), (scans, 0, 0));
     }
 
     #[test]

@@ -128,6 +128,16 @@ mod tests {
     }
 
     #[test]
+    fn no_scan_is_missing_between_two_boards() {
+        let mut book = LossBook::default();
+        [5, 6].iter().for_each(|&sequence| book.scan(sequence));
+        book.begin_numbering();
+        [900, 901].iter().for_each(|&sequence| book.scan(sequence));
+        book.status(&status(1, 0, 0));
+        assert_eq!(shares(&book), (0, 0, 0));
+    }
+
+    #[test]
     fn a_reset_of_the_board_takes_nothing_back() {
         let mut book = LossBook::default();
         book.scan(0);
