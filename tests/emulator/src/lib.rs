@@ -12,13 +12,14 @@
 //! | [`world`] | emitters, optics, electronics |
 //! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
-//! | [`rig`] | all of it together, running an [`image`] |
+//! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made ([`built`]) |
 //! | [`stopwatch`], [`profile`], [`solver_cost`] | a bare board that times the pose solver |
 //!
 //! What a program does against the reference manual is recorded, not tolerated: see
 //! [`peripherals::Effects::violations`].
 
 pub mod board;
+pub mod built;
 pub mod cpu;
 pub mod image;
 pub mod machine;

@@ -26,7 +26,7 @@ const SLICE_TICKS: Ticks = TICKS_PER_SECOND / 2_000;
 
 /// While a reader is this slow to take what has come, the board's time stands still; then it
 /// goes on, and the board sees a host that does not read.
-const PATIENCE: Duration = Duration::from_secs(1);
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Motions are planned for this long, in seconds.
 const HORIZON_S: f64 = 3600.0;

@@ -9,6 +9,7 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, MAX_REQUEST_BYTES, Request, encode};
 use thiserror::Error;
 
+use crate::built::{self, StaleError};
 use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
 use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
@@ -27,16 +28,7 @@ const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
 /// The file that `firmware/build` made last: in the target directory of the environment, or that
 /// of the sources this was built from.
 pub fn default_image_path() -> PathBuf {
-    built_image_path("slitpose-board")
-}
-
-/// Where `firmware/build` puts the image `name`.
-pub(crate) fn built_image_path(name: &str) -> PathBuf {
-    // Relative to the project, as for firmware/build.
-    let project = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let target = std::env::var_os("CARGO_TARGET_DIR").filter(|target| !target.is_empty());
-    let target = project.join(target.map_or_else(|| PathBuf::from("target"), PathBuf::from));
-    target.join("firmware/thumbv7em-none-eabihf/firmware").join(name)
+    built::image_path("slitpose-board")
 }
 
 /// Why there is no image to run.
@@ -58,14 +50,29 @@ pub enum OpenError {
         /// Why.
         source: ImageError,
     },
+    /// It is older than its sources.
+    #[error(transparent)]
+    Stale(#[from] StaleError),
 }
 
 /// Reads the image in `path`, or what `firmware/build` made last.
 ///
 /// # Errors
-/// If there is none.
+/// If there is none, or the one made last is older than its sources.
 pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
-    let path = path.map_or_else(default_image_path, Path::to_owned);
+    path.map_or_else(|| open_built(&default_image_path(), "firmware/build"), read_image)
+}
+
+/// Reads the image in `path`, which `build` has made.
+pub(crate) fn open_built(path: &Path, build: &'static str) -> Result<Image, OpenError> {
+    let image = read_image(path)?;
+    built::check(path, build)?;
+    Ok(image)
+}
+
+/// Reads the image in `path`, whoever made it.
+pub(crate) fn read_image(path: &Path) -> Result<Image, OpenError> {
+    let path = path.to_owned();
     match std::fs::read(&path) {
         Ok(file) => Image::from_elf(&file).map_err(|source| OpenError::Image { path, source }),
         Err(source) => Err(OpenError::Read { path, source }),

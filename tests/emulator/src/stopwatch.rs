@@ -9,13 +9,14 @@ use slitpose_model::{Photocurrents, Pose, Scene, Tier};
 use slitpose_stopwatch::{Answer, MAILBOX_SYMBOL, Mailbox, Numbers, Request, SLOTS, Solved, State};
 use thiserror::Error;
 
+use crate::built;
 use crate::cpu::FaultReport;
 use crate::image::Image;
 use crate::machine::{Machine, Stop};
 use crate::memory::{FlashArray, RAM_BASE};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::profile::Profile;
-use crate::rig::{OpenError, built_image_path, open_image};
+use crate::rig::{OpenError, open_built, read_image};
 use crate::world::World;
 
 /// Longest time the image may take for anything. Compiling a scene in software `f64` is the longest.
@@ -26,7 +27,7 @@ const LOOK_TICKS: Ticks = 1_000;
 
 /// The file that `firmware/build --stopwatch` made last.
 pub fn stopwatch_image_path() -> PathBuf {
-    built_image_path("slitpose-stopwatch")
+    built::image_path("slitpose-stopwatch")
 }
 
 /// Why there are no cycles to tell.
@@ -103,12 +104,15 @@ impl World for Nothing {
 /// Reads the image in `path`, or what `firmware/build --stopwatch` made last.
 ///
 /// # Errors
-/// If there is none.
+/// If there is none, or the one made last is older than its sources.
 pub fn open_stopwatch_image(path: Option<&Path>) -> Result<Image, StopwatchError> {
-    let path = path.map_or_else(stopwatch_image_path, Path::to_owned);
-    open_image(Some(&path)).map_err(|error| match error {
+    let image = match path {
+        Some(path) => read_image(path),
+        None => open_built(&stopwatch_image_path(), "firmware/build --stopwatch"),
+    };
+    image.map_err(|error| match error {
         OpenError::Read { path, source } => StopwatchError::NoImage { path, source },
-        error @ OpenError::Image { .. } => StopwatchError::Image(error),
+        error => StopwatchError::Image(error),
     })
 }
 

@@ -224,7 +224,10 @@ struct Outcome {
     missing: u64,
     dropped: u64,
     overruns: u32,
+    /// By the board's own account, of its last half second.
     load_permille: u16,
+    /// By the emulator's, of all the time.
+    awake_permille: f64,
 }
 
 fn outcome(bench: &mut Bench, configuration: &Configuration, ms: u64) -> Outcome {
@@ -232,7 +235,10 @@ fn outcome(bench: &mut Bench, configuration: &Configuration, ms: u64) -> Outcome
     let before = bench.ask_status();
     bench.forget();
     bench.accept(&Command::Start);
+    let (awake, since) = (bench.rig.machine().awake_ticks(), bench.rig.now());
     bench.run_ms(ms);
+    let awake = bench.rig.machine().awake_ticks() - awake;
+    let awake_permille = 1e3 * awake as f64 / (bench.rig.now() - since) as f64;
     let load_permille = bench.last_status().cpu_load_permille;
     bench.accept(&Command::Stop);
     let after = bench.ask_status();
@@ -245,6 +251,7 @@ fn outcome(bench: &mut Bench, configuration: &Configuration, ms: u64) -> Outcome
         dropped: after.scans_dropped - before.scans_dropped,
         overruns: after.adc_overruns - before.adc_overruns,
         load_permille,
+        awake_permille,
     };
     if outcome.missing == 0 {
         check_counters(&scans, &configuration.schedule);
@@ -263,6 +270,8 @@ fn assert_nothing_is_lost(are_asked: impl Fn(&str) -> bool) {
         assert_eq!((outcome.missing, outcome.dropped, outcome.overruns), (0, 0, 0), "{name}");
         assert!(outcome.scans as f64 >= 0.999 * rate_hz, "{name}: {outcome:?}");
         assert!(outcome.load_permille < 900, "{name}: {outcome:?}");
+        // Of one half second and of two: what differs is the start, some milliseconds.
+        assert!((f64::from(outcome.load_permille) - outcome.awake_permille).abs() < 20.0, "{name}: {outcome:?}");
     }
     bench.assert_no_faults();
 }

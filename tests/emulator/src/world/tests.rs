@@ -2,7 +2,6 @@ use super::*;
 use slitpose::scene_file::Shipped;
 use slitpose::simulator::TrajectoryKind;
 use slitpose_model::{Pair, Plan};
-use std::time::Instant;
 
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 const NOMINAL: [u16; 2] = [NOMINAL_LEVEL_CODE; 2];
@@ -209,41 +208,4 @@ fn inputs_without_detector_and_scenes_without_board() {
         OpticsWorld::new(&file, still(), TIER, NoiseSource::Off),
         Err(WorldError::TooManyCells { cells: 7, .. })
     ));
-}
-
-#[test]
-fn a_second_of_sampling_takes_a_fraction_of_it() {
-    let still = || Trajectory::of_kind(TrajectoryKind::Still, 0, 0.0);
-    let variants = [
-        ("dark, no noise", still(), NoiseSource::Off, [0; 2]),
-        ("dark, noise", still(), NoiseSource::Seeded(1), [0; 2]),
-        ("smooth motion, no noise", moving(), NoiseSource::Off, NOMINAL),
-        ("smooth motion, noise", moving(), NoiseSource::Seeded(1), NOMINAL),
-    ];
-    for (name, trajectory, noise, levels) in variants {
-        let per_sample = seconds_per_sample(&mut world(trajectory, noise), levels);
-        println!("{name}, 4 kHz frames of 192 samples: {:.3} µs a sample", 1e6 * per_sample);
-        assert!(per_sample < 2e-6, "{per_sample}");
-    }
-}
-
-/// Wall-clock time of half a second of device time, optics included.
-fn seconds_per_sample(world: &mut OpticsWorld, levels: [u16; 2]) -> f64 {
-    let begin = Instant::now();
-    let mut samples = 0;
-    for frame in 0..2_000 {
-        for slot in 0..4 {
-            let start = frame * FRAME_TICKS + slot * SLOT_TICKS;
-            world.drive(start, GATES[slot as usize], levels);
-            for conversion in 0..24 {
-                let (cell, now) = (conversion / 4, start + 2_210 + 148 * conversion as u64);
-                for (adc, inputs) in [(1, ADC1_INPUTS), (2, ADC2_INPUTS)] {
-                    let code = world.sample(now, adc, inputs[cell]);
-                    assert!(code < 4_096);
-                    samples += 1;
-                }
-            }
-        }
-    }
-    begin.elapsed().as_secs_f64() / f64::from(samples)
 }
