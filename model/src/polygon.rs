@@ -194,10 +194,12 @@ impl<S: Scalar> Polygon<S> {
         self.lines = lines;
     }
 
-    /// Whether more than rounding is left.
+    /// Whether more than rounding is left: that of corners far from the emitter's foot.
     fn has_area(&self) -> bool {
         let perimeter = (0..self.corners.len()).fold(S::zero(), |sum, i| sum + self.edge_length(i));
-        self.corners.len() >= 3 && self.area() > S::of(64.0) * S::epsilon() * perimeter * perimeter
+        let farthest = self.corners.as_flattened().iter().fold(S::zero(), |most, x| most.max(x.abs()));
+        self.corners.len() >= 3
+            && self.area() > S::of(64.0) * S::epsilon() * perimeter * (perimeter + S::of(0.1) * farthest)
     }
 
     pub(crate) fn height(&self) -> S {

@@ -17,5 +17,6 @@ fn triangle<S: Scalar>(twice_area: S, a: [S; 2], b: [S; 2], c: [S; 2], height: S
 /// Solid angle of a convex polygon given as a fan: its first corner, and for each triangle twice
 /// its area and the two other corners.
 pub(crate) fn of_fan<S: Scalar>(first: [S; 2], fan: impl Iterator<Item = (S, [S; 2], [S; 2])>, height: S) -> S {
-    fan.fold(S::zero(), |sum, (twice, b, c)| sum + triangle(twice, first, b, c, height))
+    // A sliver thinner than its corners' rounding has none.
+    fan.fold(S::zero(), |sum, (twice, b, c)| sum + triangle(twice, first, b, c, height)).max(S::zero())
 }

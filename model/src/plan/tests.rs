@@ -299,3 +299,11 @@ fn what_no_head_can_have_is_refused_with_its_place() {
         assert!(matches!(error.fault, Fault::TooLarge(_)) && error.place.key == key, "{error}");
     }
 }
+
+/// The board has 96 KiB beside the memory its code runs from (STM32G474RE, RM0440), the scene it was
+/// given is 21 KiB of it, and the stack needs some.
+#[test]
+fn a_plan_leaves_room_on_the_board() {
+    let size = size_of::<Plan<f32>>();
+    assert!(size <= 60 * 1024, "{size} bytes");
+}
