@@ -70,6 +70,8 @@ struct Output {
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
+    /// Flushes so far, in all files.
+    flushes: u64,
     recorded: Recorded,
 }
 
@@ -94,6 +96,7 @@ impl CaptureSeries {
             next,
             opened: now,
             flushed: now,
+            flushes: 0,
             recorded: Recorded::default(),
         };
         output.open(existing, &about)?;
@@ -215,7 +218,14 @@ impl CaptureSeries {
     /// Those of the disk.
     pub fn flush(&mut self) -> Result<(), CaptureError> {
         self.output.flushed = Instant::now();
-        self.output.attempt(0, CaptureFile::flush)
+        self.output.attempt(0, CaptureFile::flush)?;
+        self.output.flushes += 1;
+        Ok(())
+    }
+
+    /// Times that all recorded until then was made to survive a power cut.
+    pub fn flushes(&self) -> u64 {
+        self.output.flushes
     }
 
     /// Ends the capture.

@@ -216,6 +216,7 @@ impl Recorder {
         report.file = Some(self.series.path().display().to_string());
         report.bytes = self.series.bytes();
         report.files = recorded.files;
+        report.flushes = self.series.flushes();
         report.bytes_dropped = recorded.dropped_bytes + self.bytes_missing;
     }
 }

@@ -191,6 +191,7 @@ fn recorder(report: &DaemonReport, out: &mut Exposition) {
     let counters = [
         ("slitpose_recorder_bytes_total", "Bytes written to the capture.", recorder.bytes),
         ("slitpose_recorder_files_total", "Files begun.", recorder.files),
+        ("slitpose_recorder_flushes_total", "Times that all recorded reached the disk.", recorder.flushes),
         ("slitpose_recorder_dropped_bytes_total", "Bytes of links that were not recorded.", recorder.bytes_dropped),
     ];
     for (name, help, count) in counters {

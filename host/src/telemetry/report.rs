@@ -386,6 +386,8 @@ pub struct RecorderReport {
     pub bytes: u64,
     /// Files begun.
     pub files: u64,
+    /// Times that all recorded until then was made to survive a power cut: about once a second.
+    pub flushes: u64,
     /// Bytes of links that were not recorded: the disk was too slow, or failed.
     pub bytes_dropped: u64,
 }
