@@ -6,6 +6,7 @@ use crate::pipeline::Record;
 use crate::simulator::{PathError, Trajectory};
 use crate::sink::Accuracy;
 use crate::table::{Column, PoseColumns, TableError, TableReader};
+use crate::terminal::{WIDTH, layout};
 
 /// Names of the axes and units of a millionth along them.
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];
@@ -98,7 +99,7 @@ impl Comparison {
         if count == 0 {
             return lines;
         }
-        lines.extend(self.accuracy.lines("the reference"));
+        lines.extend(layout(&self.accuracy.lines("the reference"), WIDTH));
         lines.push("axis          mean        rms    largest".to_owned());
         for ((name, unit), axis) in AXES.iter().zip(&self.axes) {
             let (mean, rms) = (axis.sum / count as f64, (axis.square / count as f64).sqrt());

@@ -23,6 +23,7 @@
 //! * [`sink`] is where poses go;
 //! * [`survey`] tells what a scene can do;
 //! * [`table`] reads and writes CSV, and is where results go;
+//! * [`terminal`] draws for the person who gave the command;
 //! * [`telemetry`] tells how daemon, boards and heads do;
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
@@ -55,4 +56,5 @@ pub mod sink;
 pub mod survey;
 pub mod table;
 pub mod telemetry;
+pub mod terminal;
 mod threads;

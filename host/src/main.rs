@@ -4,7 +4,8 @@
 
 use std::process::ExitCode;
 
-use slitpose::commands::{run, talk};
+use slitpose::commands::run;
+use slitpose::terminal::complain;
 
 fn main() -> ExitCode {
     match run(std::env::args_os()) {
@@ -13,7 +14,7 @@ fn main() -> ExitCode {
         Err(error) => {
             let code = error.exit_code();
             let error = anyhow::Error::new(error);
-            talk(format_args!("{error:#}"));
+            complain(format_args!("{error:#}"));
             code
         }
     }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::playback::{PlayOptions, Playback};
+use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
 use crate::pace::Speed;
@@ -36,8 +36,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let by_name = Format::from_str(extension, true).unwrap_or(Format::Csv);
     let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
-    let sink = sink::open(args.poses.format_or(by_name), &mut output, false);
-    let played = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, (sink, &target))?.run();
+    let (format, is_terminal) = (args.poses.format_or(by_name), output.is_terminal());
+    let sink = sink::open(format, &mut output, false);
+    let printing = Printing { sink, target: &target, format, is_terminal };
+    let played = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, printing)?.run();
     let outcome = played?;
     output.finish()?;
     Ok(outcome)

@@ -51,8 +51,7 @@ use crate::scene_file::SceneFileError;
 use crate::simulator::{PathError, SimulatorError};
 use crate::table::{Output, OutputError, TableError};
 use crate::telemetry::{FetchError, StatusError};
-use talk::interrupt;
-pub use talk::talk;
+use talk::{interrupt, talk};
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use thiserror::Error;
 
 use super::capture_files::{first_log_ns, scene_hash, tell_of_end, tell_of_scene};
@@ -19,9 +18,10 @@ use crate::device::DeviceId;
 use crate::pace::{Pace, Speed};
 use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch, Segment};
 use crate::scene_file::{SceneFile, Shipped, WIDE};
-use crate::sink::{Format, Note, Sink};
+use crate::sink::{Account, Format, Note, Sink};
 use crate::table::OutputError;
-use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState};
+use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState, RecorderReport};
+use crate::terminal::{Amount, Progress};
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;
@@ -81,6 +81,17 @@ pub enum PlaybackError {
     },
 }
 
+/// Where poses go, and as what.
+pub(super) struct Printing<'a> {
+    /// `None`: nowhere.
+    pub(super) sink: Option<Box<dyn Sink + Send + 'a>>,
+    /// What it writes to, in words.
+    pub(super) target: &'a str,
+    pub(super) format: Format,
+    /// Whether that is a terminal.
+    pub(super) is_terminal: bool,
+}
+
 /// Captures being solved.
 pub(super) struct Playback<'a> {
     files: &'a [PathBuf],
@@ -92,10 +103,12 @@ pub(super) struct Playback<'a> {
     sink: Option<Box<dyn Sink + Send + 'a>>,
     /// Where that writes.
     target: &'a str,
+    format: Format,
     comparison: Option<Comparison>,
     boards: Vec<Board>,
     stop: Arc<AtomicBool>,
-    progress: ProgressBar,
+    /// Drawn while nothing else shows how far it has come.
+    progress: Option<Progress>,
 }
 
 /// A board of a capture.
@@ -115,7 +128,7 @@ impl<'a> Playback<'a> {
         play: &'a PlayOptions,
         poses: &'a PoseOptions,
         speed: Speed,
-        (sink, target): (Option<Box<dyn Sink + Send + 'a>>, &'a str),
+        Printing { sink, target, format, is_terminal }: Printing<'a>,
     ) -> Result<Self, CommandError> {
         if let (Some(from_s), Some(to_s)) = (play.from, play.to)
             && to_s <= from_s
@@ -124,13 +137,24 @@ impl<'a> Playback<'a> {
         }
         let comparison = play.compare.as_deref().map(Comparison::open).transpose()?;
         let bytes = files.iter().filter_map(|file| fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
-        // It is drawn on terminals only.
-        let progress = ProgressBar::new(bytes);
-        if let Ok(style) = ProgressStyle::with_template("{bar:40} {bytes} of {total_bytes}, {eta} left") {
-            progress.set_style(style);
-        }
+        // Poses that run over the screen show it themselves.
+        let is_drawn = !is_terminal || matches!(format, Format::Summary | Format::None);
+        let progress = is_drawn.then(|| Progress::new("progress", bytes, Amount::Bytes));
         let stop = interrupt()?;
-        Ok(Self { files, play, poses, speed, pace: None, sink, target, comparison, boards: Vec::new(), stop, progress })
+        Ok(Self {
+            files,
+            play,
+            poses,
+            speed,
+            pace: None,
+            sink,
+            target,
+            format,
+            comparison,
+            boards: Vec::new(),
+            stop,
+            progress,
+        })
     }
 
     /// Solves all of them.
@@ -152,7 +176,7 @@ impl<'a> Playback<'a> {
                 outcome = Outcome::DataLost;
             }
         }
-        self.progress.finish_and_clear();
+        self.progress = None;
         self.end(outcome, is_over)
     }
 
@@ -173,7 +197,9 @@ impl<'a> Playback<'a> {
                 Entry::Link { log_ns, .. } if log_ns > to_ns => {}
                 Entry::Link { device, .. } => self.feed(path, device, &segment)?,
             }
-            self.progress.set_position(read_bytes + reader.end().whole_bytes);
+            if let Some(progress) = &mut self.progress {
+                progress.at(read_bytes + reader.end().whole_bytes);
+            }
             let elapsed_s = self.elapsed_s();
             let speed = self.speed;
             let pace = self.pace.get_or_insert_with(|| Pace::new(speed));
@@ -221,7 +247,7 @@ impl<'a> Playback<'a> {
             .until(self.poses.duration)
             .following(self.poses.following_or(settings.map(|settings| settings.following)));
         // Only people look at the cells.
-        if self.poses.format_or(Format::Ndjson) == Format::Summary { pipeline.watched() } else { pipeline }
+        if self.format == Format::Summary { pipeline.watched() } else { pipeline }
     }
 
     fn feed(&mut self, path: &Path, device: Option<DeviceId>, segment: &Segment) -> Result<(), CommandError> {
@@ -288,9 +314,9 @@ impl<'a> Playback<'a> {
             }
             fed => drop(fed?),
         }
-        let reports = || self.boards.iter().map(Board::report).collect();
+        let account = || account(&self.boards);
         match &mut self.sink {
-            Some(sink) => Ok(sink.tick(&reports).map_err(printing)?),
+            Some(sink) => Ok(sink.tick(&account).map_err(printing)?),
             None => Ok(()),
         }
     }
@@ -310,10 +336,10 @@ impl<'a> Playback<'a> {
     }
 
     fn end(mut self, mut outcome: Outcome, is_over: bool) -> Result<Outcome, CommandError> {
-        let reports = || self.boards.iter().map(Board::report).collect();
+        let account = || account(&self.boards);
         if let Some(sink) = &mut self.sink {
             let target = self.target.to_owned();
-            sink.finish(&reports).map_err(|source| OutputError::Write { target, source })?;
+            sink.finish(&account).map_err(|source| OutputError::Write { target, source })?;
         }
         let (mut scans, mut bytes, mut packets) = (0, 0, 0);
         for board in &self.boards {
@@ -337,6 +363,11 @@ impl<'a> Playback<'a> {
             _ => Ok(outcome),
         }
     }
+}
+
+/// How all of them did; nothing is recorded.
+fn account(boards: &[Board]) -> Account {
+    Account { boards: boards.iter().map(Board::report).collect(), recorder: RecorderReport::default() }
 }
 
 impl Board {

@@ -3,11 +3,12 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
-use super::playback::{PlayOptions, Playback};
+use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
 use crate::pace::Speed;
 use crate::sink;
+use crate::terminal;
 
 /// Solves captures again, through the same pipeline as live boards.
 ///
@@ -32,8 +33,10 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let live = io::stdout().is_terminal();
+    let is_terminal = io::stdout().is_terminal();
+    let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = sink::open(args.poses.format(live), output, live);
-    Playback::new(&args.files, &args.play, &args.poses, args.speed, (sink, "standard output"))?.run()
+    let sink = sink::open(format, output, terminal::is_live());
+    let printing = Printing { sink, target: "standard output", format, is_terminal };
+    Playback::new(&args.files, &args.play, &args.poses, args.speed, printing)?.run()
 }

@@ -1,11 +1,11 @@
 //! `slitpose report`: error against run time, and what happens in extreme cases.
 
-use std::io::Write;
 use std::path::PathBuf;
 
-use super::{CommandError, Outcome};
-use crate::report::{Folder, POSES, QUICK_POSES, Settings, study};
+use super::{CommandError, Outcome, talk};
+use crate::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
 use crate::scene_file::{SceneFile, WIDE};
+use crate::terminal::{Amount, Progress};
 
 /// Measures how exact and how fast everything is, for one scene, and makes a page of it.
 ///
@@ -49,14 +49,18 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         cycles: args.cycles.clone(),
     };
     let folder = Folder::create(&args.output)?;
-    // A closed standard error is no reason to stop.
-    let tell = |text: &str| drop(writeln!(std::io::stderr(), "{text}"));
-    let report = study(&file, &settings, |title| tell(&format!("{title} …")))?;
+    let mut progress = Progress::new("report", SECTIONS, Amount::Of("sections"));
+    let mut done = 0;
+    let report = study(&file, &settings, |title| {
+        progress.step(done, title);
+        done += 1;
+    })?;
+    drop(progress);
     for warning in &report.warnings {
-        tell(warning);
+        talk(format_args!("{warning}"));
     }
     for path in folder.write(&report)? {
-        tell(&format!("wrote {}", path.display()));
+        talk(format_args!("wrote {}", path.display()));
     }
     Ok(Outcome::Done)
 }

@@ -24,6 +24,7 @@ use crate::scene_file::SceneFile;
 use crate::service::{self, Service};
 use crate::sink;
 use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
+use crate::terminal;
 use crate::threads::lock;
 
 /// The ends of boards are looked for, and housekeeping is done, so often.
@@ -107,9 +108,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     for address in datagrams.iter().flat_map(DatagramServer::addresses) {
         talk(format_args!("poses at {address}"));
     }
-    let live = io::stdout().is_terminal();
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = sink::open(args.poses.format(live), output, live);
+    let sink = sink::open(args.poses.format(io::stdout().is_terminal()), output, terminal::is_live());
     let service = Service::from_environment().map_err(CommandError::Service)?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
@@ -186,6 +186,10 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
             capture.bytes_dropped
         ));
         outcome = Outcome::DataLost;
+    }
+    if let (false, Some(file)) = (capture.state == RecorderState::Failed, &capture.file) {
+        let files = if capture.files > 1 { format!(", the last of {} files", capture.files) } else { String::new() };
+        talk(format_args!("recorded {:.1} MB in {file}{files}", capture.bytes as f64 * 1e-6));
     }
     failed?;
     match printed {

@@ -1,22 +1,17 @@
 //! Between a command and the person who gave it.
 
 use std::fmt;
-use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::CommandError;
-use crate::foreign::printable;
+use crate::terminal;
 
-/// No message of ours is longer, however long the texts of others in it.
-const LONGEST_MESSAGE: usize = 4000;
-
-/// Says something on standard error, in one line.
-pub fn talk(text: fmt::Arguments<'_>) {
-    // Nobody is left to tell if even standard error is closed.
-    let _ = writeln!(io::stderr(), "slitpose: {}", printable(&text.to_string()).at_most(LONGEST_MESSAGE));
+/// Says something on standard error.
+pub(super) fn talk(text: fmt::Arguments<'_>) {
+    terminal::say(text);
 }
 
 /// What is set when the user interrupts, the service manager ends the program, or its terminal is closed. After

@@ -48,7 +48,7 @@ pub use recorder::CapturePlan;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::pipeline::Counts;
-use crate::sink::Sink;
+use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use crate::threads::{join, lock};
 use board::BoardThreads;
@@ -111,20 +111,25 @@ impl Daemon {
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
-        let (printer, outboxes) = match sink {
-            Some(sink) => {
-                let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
-                let (slots, stop) = (slots.clone(), Arc::clone(&stop));
-                let accounts = move || slots.iter().map(|slot| slot.report()).collect();
-                let print = move || printer::print(&drainer, sink, &accounts, &stop);
-                (Some(spawn("printer".to_owned(), print)?), Some(filler))
-            }
-            None => (None, None),
-        };
         let (recorder, parcels) = match capture {
             Some(capture) => {
                 let (thread, filler) = RecorderThread::start(capture, &boards)?;
                 (Some(thread), Some(filler))
+            }
+            None => (None, None),
+        };
+        let (printer, outboxes) = match sink {
+            Some(sink) => {
+                let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
+                let (slots, stop) = (slots.clone(), Arc::clone(&stop));
+                let recorder = recorder.as_ref().map(RecorderThread::reports);
+                let accounts = move || {
+                    let boards: Vec<_> = slots.iter().map(|slot| slot.report()).collect();
+                    let recorder = recorder.as_ref().map(|report| report()).unwrap_or_default();
+                    Account { recorder: with_unrecorded(recorder, &boards), boards }
+                };
+                let print = move || printer::print(&drainer, sink, &accounts, &stop);
+                (Some(spawn("printer".to_owned(), print)?), Some(filler))
             }
             None => (None, None),
         };

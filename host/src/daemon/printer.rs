@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 
 use super::circuit::{Drainer, Dry};
 use super::consumers::{OUTBOX_POSES, Outbox, Outgoing};
-use crate::sink::Sink;
-use crate::telemetry::BoardReport;
+use crate::sink::{Account, Sink};
 
 /// Without a pose to print it looks about so often.
 const IDLE: Duration = Duration::from_millis(50);
@@ -17,8 +16,8 @@ const IDLE: Duration = Duration::from_millis(50);
 /// A stream that is always behind is flushed and shown at least so often.
 const TICK_AFTER: Duration = Duration::from_millis(200);
 
-/// Gives the accounts of all boards.
-pub(super) type Accounts = dyn Fn() -> Vec<BoardReport> + Send;
+/// Gives the account of boards and recorder.
+pub(super) type Accounts = dyn Fn() -> Account + Send;
 
 /// Prints what the solvers hand over until they have ended. When the sink fails it tells everybody to
 /// `stop`, and what still comes is dropped.

@@ -98,6 +98,12 @@ impl RecorderThread {
         lock(&self.report).clone()
     }
 
+    /// Says how it goes whenever it is asked.
+    pub(super) fn reports(&self) -> impl Fn() -> RecorderReport + Send + use<> {
+        let report = Arc::clone(&self.report);
+        move || lock(&report).clone()
+    }
+
     /// Puts an account into the capture, if the recorder is not far behind.
     pub(super) fn account(&self, report: DaemonReport) {
         if let Some(accounts) = &*lock(&self.accounts) {

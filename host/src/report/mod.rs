@@ -70,6 +70,9 @@ impl Settings {
     }
 }
 
+/// Sections of a study.
+pub const SECTIONS: u64 = 6;
+
 /// What makes a section.
 type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 

@@ -13,7 +13,7 @@ pub use note::Note;
 pub use summary::Accuracy;
 
 use crate::pipeline::Record;
-use crate::telemetry::BoardReport;
+use crate::telemetry::{BoardReport, RecorderReport};
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -28,8 +28,17 @@ pub enum Format {
     None,
 }
 
-/// Gives the accounts of all boards, as they are now.
-pub type Accounts<'a> = dyn Fn() -> Vec<BoardReport> + 'a;
+/// What there is to say of boards and recording.
+#[derive(Clone, Debug, Default)]
+pub struct Account {
+    /// Each board.
+    pub boards: Vec<BoardReport>,
+    /// The capture that is written.
+    pub recorder: RecorderReport,
+}
+
+/// Gives the account as it is now.
+pub type Accounts<'a> = dyn Fn() -> Account + 'a;
 
 /// Something poses are written to.
 pub trait Sink {
@@ -63,7 +72,8 @@ pub trait Sink {
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
 
-/// The sink of a format; `live` tells whether `output` is a terminal. `None` for nothing.
+/// The sink of a format; `live` tells whether `output` is the terminal of standard output, which can be
+/// drawn on in place. `None` for nothing.
 pub fn open<'a>(format: Format, output: impl Write + Send + 'a, live: bool) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
         Format::Summary => Some(Box::new(summary::Summary::new(output, live))),

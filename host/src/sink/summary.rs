@@ -1,4 +1,4 @@
-//! A summary for people: renewed in place on a terminal, printed once otherwise.
+//! A summary for people: drawn in place on a terminal, and printed once at the end.
 
 use std::io::{self, Write};
 use std::time::{Duration, Instant};
@@ -6,14 +6,18 @@ use std::time::{Duration, Instant};
 use slitpose_model::Estimate;
 use slitpose_protocol::Severity;
 
-use super::{Accounts, Note, Sink};
+use super::{Account, Accounts, Note, Sink};
 use crate::device::DeviceId;
 use crate::foreign::printable;
 use crate::pipeline::Record;
 use crate::telemetry::view;
+use crate::terminal::{self, Line, Tone, WIDTH, layout};
 
 /// A person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
+
+/// The rate of a recording is that of so long a time, or up to twice.
+const RATE_OVER: Duration = Duration::from_secs(2);
 
 /// How near poses are to the truth, where there is one.
 #[derive(Clone, Debug, Default)]
@@ -48,28 +52,34 @@ impl Accuracy {
     }
 
     /// Three lines for people; `against` names where the truth comes from.
-    pub fn lines(&self, against: &str) -> Vec<String> {
+    pub fn lines(&self, against: &str) -> Vec<Line> {
         if self.count == 0 {
             return Vec::new();
         }
         let count = self.count as f64;
-        vec![
-            format!("against     {against}"),
-            format!(
-                "  error     {:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest",
-                (self.square_m2 / count).sqrt() * 1e6,
-                self.largest_m * 1e6,
-                (self.square_rad2 / count).sqrt() * 1e6,
-                self.largest_rad * 1e6,
-            ),
-            format!(
-                "  honesty   mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
-                self.nees_sum / count,
-                self.beyond_five_sigma,
-            ),
-        ]
+        let error = format!(
+            "{:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest",
+            (self.square_m2 / count).sqrt() * 1e6,
+            self.largest_m * 1e6,
+            (self.square_rad2 / count).sqrt() * 1e6,
+            self.largest_rad * 1e6,
+        );
+        let honesty = format!(
+            "mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
+            self.nees_sum / count,
+            self.beyond_five_sigma,
+        );
+        let mut lines =
+            vec![Line::new("against", against), Line::new("  error", &error), Line::new("  honesty", &honesty)];
+        for (line, rank) in lines.iter_mut().zip([3, 2, 2]) {
+            line.rank(rank);
+        }
+        lines
     }
 }
+
+/// The lines of a pose, and what a low window leaves out of them first.
+const POSE_LINES: [(&str, u8); 4] = [("position", 0), ("  sigma", 1), ("rotation", 0), ("  sigma", 1)];
 
 /// What was seen of one board.
 struct Seen {
@@ -79,19 +89,30 @@ struct Seen {
 }
 
 impl Seen {
-    fn lines(&self) -> Vec<String> {
+    fn lines(&self) -> Vec<Line> {
         let mut lines = Vec::new();
         match &self.last.solution.estimate {
             Some(estimate) => {
                 let (t, r) = (estimate.pose.translation_m * 1e3, estimate.pose.rotation_rad());
                 let s = estimate.sigma();
-                lines.push(format!("position    {:>+9.4} {:>+9.4} {:>+9.4} mm", t.x, t.y, t.z));
-                lines.push(format!("  sigma     {:>9.2} {:>9.2} {:>9.2} um", s[0] * 1e6, s[1] * 1e6, s[2] * 1e6));
                 let degrees = r * (180.0 / std::f64::consts::PI);
-                lines.push(format!("rotation    {:>+9.4} {:>+9.4} {:>+9.4} deg", degrees.x, degrees.y, degrees.z));
-                lines.push(format!("  sigma     {:>9.1} {:>9.1} {:>9.1} urad", s[3] * 1e6, s[4] * 1e6, s[5] * 1e6));
+                let texts = [
+                    format!("{:>+8.4} {:>+8.4} {:>+8.4} mm", t.x, t.y, t.z),
+                    format!("{:>8.2} {:>8.2} {:>8.2} um", s[0] * 1e6, s[1] * 1e6, s[2] * 1e6),
+                    format!("{:>+8.4} {:>+8.4} {:>+8.4} deg", degrees.x, degrees.y, degrees.z),
+                    format!("{:>8.1} {:>8.1} {:>8.1} urad", s[3] * 1e6, s[4] * 1e6, s[5] * 1e6),
+                ];
+                for ((name, rank), text) in POSE_LINES.into_iter().zip(texts) {
+                    let mut line = Line::new(name, &text);
+                    line.rank(rank);
+                    lines.push(line);
+                }
             }
-            None => lines.push(format!("position    none: {}", self.last.solution.outcome.as_str())),
+            None => {
+                let mut line = Line::new("position", &format!("none: {}", self.last.solution.outcome.as_str()));
+                line.tone(Tone::Wrong);
+                lines.push(line);
+            }
         }
         lines.extend(self.accuracy.lines("the simulated truth"));
         lines
@@ -103,40 +124,40 @@ pub(super) struct Summary<W> {
     output: W,
     live: bool,
     shown: Option<Instant>,
-    lines: usize,
+    /// The capture's length at two instants, some seconds apart.
+    recorded: [Option<(Instant, u64)>; 2],
     boards: Vec<Seen>,
 }
 
 impl<W: Write> Summary<W> {
     pub(super) fn new(output: W, live: bool) -> Self {
-        Self { output, live, shown: None, lines: 0, boards: Vec::new() }
+        Self { output, live, shown: None, recorded: [None; 2], boards: Vec::new() }
     }
 
-    fn text(&self, accounts: &Accounts<'_>) -> Vec<String> {
+    fn lines(&mut self, account: &Account) -> Vec<Line> {
         let mut lines = Vec::new();
-        for account in accounts() {
+        for board in &account.boards {
             if !lines.is_empty() {
-                lines.push(String::new());
+                lines.push(Line::blank());
             }
-            lines.extend(view::lines(&account));
-            let seen = self.boards.iter().find(|seen| Some(seen.device) == account.device);
+            lines.extend(view::lines(board));
+            let seen = self.boards.iter().find(|seen| Some(seen.device) == board.device);
             lines.extend(seen.map(Seen::lines).into_iter().flatten());
         }
+        let bytes_per_s = self.bytes_per_s(account.recorder.bytes);
+        lines.extend(view::recorder(&account.recorder, bytes_per_s));
         lines
     }
 
-    fn show(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
-        if self.live && self.lines > 0 {
-            // Back to the first line of the last summary, and clear to the end of the screen.
-            write!(self.output, "\x1b[{}A\x1b[J", self.lines)?;
+    /// How fast the capture grows, of late.
+    fn bytes_per_s(&mut self, bytes: u64) -> Option<f64> {
+        let now = Instant::now();
+        let [before, newest] = &mut self.recorded;
+        if newest.is_none_or(|(at, _)| now.duration_since(at) >= RATE_OVER) {
+            (*before, *newest) = (*newest, Some((now, bytes)));
         }
-        let lines = self.text(accounts);
-        for line in &lines {
-            writeln!(self.output, "{line}")?;
-        }
-        self.lines = lines.len();
-        self.shown = Some(Instant::now());
-        self.output.flush()
+        let (at, before) = before.as_ref()?;
+        Some(bytes.saturating_sub(*before) as f64 / now.duration_since(*at).as_secs_f64())
     }
 }
 
@@ -162,22 +183,31 @@ impl<W: Write> Sink for Summary<W> {
     fn note(&mut self, note: &Note) -> io::Result<()> {
         match note {
             Note::Event { severity, device_time_s, text, .. } if *severity != Severity::Info => {
-                writeln!(self.output, "{severity:?} at {device_time_s:.3} s: {}", printable(text))?;
-                self.lines = 0;
+                let text = printable(text);
+                terminal::print(&mut self.output, format_args!("{severity:?} at {device_time_s:.3} s: {text}"))
             }
-            Note::Event { .. } | Note::Hello { .. } => {}
+            Note::Event { .. } | Note::Hello { .. } => Ok(()),
         }
-        Ok(())
     }
 
     fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
         if self.live && self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
-            self.show(accounts)?;
+            let lines = self.lines(&accounts());
+            terminal::show(lines)?;
+            self.shown = Some(Instant::now());
         }
         Ok(())
     }
 
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()> {
-        self.show(accounts)
+        let lines = self.lines(&accounts());
+        if self.live {
+            terminal::clear();
+        }
+        let width = if self.live { terminal::columns() } else { WIDTH };
+        for line in layout(&lines, width) {
+            writeln!(self.output, "{line}")?;
+        }
+        self.output.flush()
     }
 }

@@ -101,7 +101,13 @@ impl CellCoverage {
 }
 
 impl Coverage {
-    pub(super) fn of(plan: &Plan<f64>, workspace: &Workspace, samples: usize, full_scale_a: Option<f64>) -> Self {
+    pub(super) fn of(
+        plan: &Plan<f64>,
+        workspace: &Workspace,
+        samples: usize,
+        full_scale_a: Option<f64>,
+        progress: &mut impl FnMut(),
+    ) -> Self {
         let mut cells: Vec<_> = (0..plan.cell_count()).map(CellCoverage::new).collect();
         let mut lit_counts = vec![0_usize; plan.cell_count() + 1];
         for pose in workspace_poses(workspace, samples) {
@@ -112,6 +118,7 @@ impl Coverage {
                 cell.add(&pose, &response, full_scale_a);
             }
             lit_counts[lit] += 1;
+            progress();
         }
         cells.iter_mut().for_each(|cell| cell.divide_by(samples as f64));
         let at_least = |least| lit_counts[least..].iter().sum::<usize>() as f64 / samples as f64;

@@ -24,7 +24,12 @@ pub struct SlotCrosstalk {
     pub at: Pose,
 }
 
-pub(super) fn of_slots(file: &SceneFile, plan: &Plan<f64>, samples: usize) -> Vec<SlotCrosstalk> {
+pub(super) fn of_slots(
+    file: &SceneFile,
+    plan: &Plan<f64>,
+    samples: usize,
+    progress: &mut impl FnMut(),
+) -> Vec<SlotCrosstalk> {
     let mut worst: Vec<_> = file
         .lighting
         .slots
@@ -40,6 +45,7 @@ pub(super) fn of_slots(file: &SceneFile, plan: &Plan<f64>, samples: usize) -> Ve
         })
         .collect();
     for pose in workspace_poses(&file.workspace, samples) {
+        progress();
         for entry in &mut worst {
             for cell in entry.emitters.clone() {
                 let share = share_of_others(plan, cell, &entry.emitters, &pose);

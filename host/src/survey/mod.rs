@@ -67,8 +67,9 @@ pub struct WorkspaceFacts {
 }
 
 impl Survey {
-    /// Surveys a scene, with `samples` poses spread over its workspace.
-    pub fn of(file: &SceneFile, samples: usize) -> Result<Self, SceneError> {
+    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is told of each pose: there
+    /// are twice as many.
+    pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut()) -> Result<Self, SceneError> {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = Plan::<f64>::compile(&file.scene, tier)?;
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
@@ -78,10 +79,10 @@ impl Survey {
             hash: format!("{:016x}", file.hash),
             workspace: file.workspace.into(),
             home: home::at_home(&file.scene, &plan),
-            coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a),
+            coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
             travel: travel::along_axes(&plan),
             cost: cost::of_cells(file, samples)?,
-            crosstalk: crosstalk::of_slots(file, &plan, samples),
+            crosstalk: crosstalk::of_slots(file, &plan, samples, &mut progress),
             timing: Timing::of(file),
             warnings: Vec::new(),
         };

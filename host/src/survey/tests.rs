@@ -5,7 +5,7 @@ use crate::scene_file::{BASE, BENCH, WIDE};
 const SAMPLES: usize = 3000;
 
 fn survey_of(text: &str) -> Survey {
-    Survey::of(&SceneFile::parse("scene.toml", text).unwrap(), SAMPLES).unwrap()
+    Survey::of(&SceneFile::parse("scene.toml", text).unwrap(), SAMPLES, || {}).unwrap()
 }
 
 fn warnings(text: &str) -> String {

@@ -1,54 +1,37 @@
-//! Reports in lines for people: at most [`WIDTH`] columns.
+//! Reports in lines for people.
 
 use std::time::Duration;
 
 use super::latency::Latency;
-use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
+use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::clock::HostInstant;
 use crate::foreign::printable;
 use crate::health::{CellHealth, Verdict};
 use crate::pipeline::OUTCOMES;
+use crate::terminal::{Line, Tone, WIDTH, layout};
 
-/// No line is longer.
-pub const WIDTH: usize = 100;
-
-/// The names at the beginnings of the lines stand in a column of their own.
-const INDENT: usize = 12;
-
-/// A text that boards or files make longer is cut.
-const LONGEST_TEXT: usize = 800;
-
-/// So are names of boards and of their firmware.
+/// A name of a board, or of its firmware, that is longer is cut.
 const LONGEST_NAME: usize = 60;
 
 const KELVIN_AT_0_CELSIUS: f32 = 273.15;
 
 /// All of a daemon, as it is `now`.
 pub fn daemon_lines(report: &DaemonReport, now: HostInstant) -> Vec<String> {
+    layout(&daemon(report, now), WIDTH)
+}
+
+fn daemon(report: &DaemonReport, now: HostInstant) -> Vec<Line> {
     let mut lines = Vec::new();
     let memory = report.process.map_or(String::new(), |process| {
         format!(", {:.1} MB, {} threads", process.resident_bytes as f64 * 1e-6, process.threads)
     });
     put(&mut lines, report.program, &format!("{}, up {}{memory}", report.version, duration(report.uptime_s)));
     for board in &report.boards {
-        lines.push(String::new());
+        lines.push(Line::blank());
         lines.extend(self::lines(board));
     }
-    lines.push(String::new());
-    let recorder = &report.recorder;
-    let file = recorder.file.as_deref().unwrap_or("a capture");
-    match recorder.state {
-        RecorderState::Off => put(&mut lines, "recorder", "off"),
-        RecorderState::Recording => put(
-            &mut lines,
-            "recorder",
-            &format!("{file}: {:.1} MB, {} bytes not recorded", recorder.bytes as f64 * 1e-6, recorder.bytes_dropped),
-        ),
-        RecorderState::Failed => {
-            let reason = recorder.reason.as_deref().unwrap_or("it gives no reason");
-            put(&mut lines, "recorder", &format!("failed on {file}: {reason}"));
-        }
-    }
+    lines.push(Line::blank());
+    lines.extend(recorder(&report.recorder, None).or_else(|| Some(Line::new("recorder", "off"))));
     let complaints = report.complaints(now);
     if complaints.is_empty() {
         put(&mut lines, "health", "ok");
@@ -57,12 +40,38 @@ pub fn daemon_lines(report: &DaemonReport, now: HostInstant) -> Vec<String> {
     let findings: Vec<_> =
         report.boards.iter().filter_map(|board| board.head.as_ref()).flat_map(|head| &head.findings).collect();
     let is_told = |complaint: &str| findings.iter().any(|finding| complaint.ends_with(&finding.text));
-    complaints.iter().filter(|complaint| !is_told(complaint)).for_each(|complaint| put(&mut lines, "wrong", complaint));
+    for complaint in complaints.iter().filter(|complaint| !is_told(complaint)) {
+        put(&mut lines, "wrong", complaint).tone(Tone::Wrong);
+    }
     lines
 }
 
+/// The capture that is written, and how fast it grows, if that is known; `None` if there is none.
+pub fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Option<Line> {
+    let file = report.file.as_deref().unwrap_or("a capture");
+    let megabytes = report.bytes as f64 * 1e-6;
+    let mut line = match report.state {
+        RecorderState::Off => return None,
+        RecorderState::Recording => {
+            let rate = bytes_per_s.map_or(String::new(), |rate| format!(", {:.0} kB/s", rate * 1e-3));
+            let missing = match report.bytes_dropped {
+                0 => String::new(),
+                dropped => format!(", {dropped} bytes not recorded"),
+            };
+            Line::new("recorder", &format!("{megabytes:.1} MB{rate}{missing} in {file}"))
+        }
+        RecorderState::Failed => {
+            let reason = report.reason.as_deref().unwrap_or("it gives no reason");
+            Line::new("recorder", &format!("failed on {file}: {reason}"))
+        }
+    };
+    let is_whole = report.state == RecorderState::Recording && report.bytes_dropped == 0;
+    line.tone(if is_whole { Tone::Plain } else { Tone::Wrong });
+    Some(line)
+}
+
 /// One board: link, rates, losses, outcomes, latencies, cells, findings.
-pub fn lines(report: &BoardReport) -> Vec<String> {
+pub fn lines(report: &BoardReport) -> Vec<Line> {
     let mut lines = Vec::new();
     let BoardReport { link, losses, rates, .. } = report;
     let name = |text| printable(text).at_most(LONGEST_NAME);
@@ -79,7 +88,13 @@ pub fn lines(report: &BoardReport) -> Vec<String> {
         1 => ", 1 reconnection".to_owned(),
         count => format!(", {count} reconnections"),
     };
-    put(&mut lines, "link", &format!("{} for {}{reconnects}{reason}", link.state.as_str(), duration(since_s)));
+    let tone = match link.state {
+        LinkState::Running | LinkState::Connecting | LinkState::Ended if link.reason.is_none() => Tone::Plain,
+        LinkState::Searching | LinkState::Connecting => Tone::Careful,
+        _ => Tone::Wrong,
+    };
+    let text = format!("{} for {}{reconnects}{reason}", link.state.as_str(), duration(since_s));
+    put(&mut lines, "link", &text).tone(tone).rank(1);
     if report.scans == 0 && link.state != LinkState::Running {
         return lines;
     }
@@ -88,7 +103,8 @@ pub fn lines(report: &BoardReport) -> Vec<String> {
         &mut lines,
         "rate",
         &format!("{device} scans/s by the board's clock, {:.1} by the host's; {} scans", rates.host_hz, report.scans),
-    );
+    )
+    .rank(2);
     put(
         &mut lines,
         "lost",
@@ -101,22 +117,27 @@ pub fn lines(report: &BoardReport) -> Vec<String> {
             losses.host.bytes_unrecorded,
             losses.host.poses_unsent,
         ),
-    );
+    )
+    .tone(if *losses == Losses::default() { Tone::Plain } else { Tone::Careful })
+    .rank(1);
     let outcomes = OUTCOMES.iter().zip(report.outcomes.counts()).filter(|(_, count)| *count > 0);
     let outcomes: Vec<String> = outcomes.map(|(name, count)| format!("{name} {count}")).collect();
-    put(&mut lines, "outcomes", &outcomes.join(", "));
+    let recent = &report.recent_outcomes;
+    let tone = if recent.all() > 0 && recent.poses() == 0 { Tone::Wrong } else { Tone::Plain };
+    put(&mut lines, "outcomes", &outcomes.join(", ")).tone(tone).rank(1);
     let latencies = &report.latencies;
     for (name, latency) in [("link", &latencies.link), ("host", &latencies.host), ("total", &latencies.total)] {
         if latency.total.count > 0 {
-            put(&mut lines, "latency", &format!("{name:<6}{}", percentiles(latency)));
+            let rank = if name == "total" { 2 } else { 3 };
+            put(&mut lines, "latency", &format!("{name:<6}{}", percentiles(latency))).rank(rank);
         }
     }
     if let Some(complaint) = report.lag.complaint() {
-        put(&mut lines, "late", &complaint);
+        put(&mut lines, "late", &complaint).tone(Tone::Wrong);
     }
     if let Some(uncertainty_s) = report.clock.uncertainty_s {
         let drift = report.clock.drift_ppm.map_or(String::new(), |drift_ppm| format!(", fast by {drift_ppm:+.2} ppm"));
-        put(&mut lines, "clock", &format!("known to {:.1} us{drift}", uncertainty_s * 1e6));
+        put(&mut lines, "clock", &format!("known to {:.1} us{drift}", uncertainty_s * 1e6)).rank(3);
     }
     if let Some(vitals) = &report.vitals {
         put(
@@ -129,16 +150,20 @@ pub fn lines(report: &BoardReport) -> Vec<String> {
                 100.0 * vitals.cpu_load,
                 vitals.reset_cause
             ),
-        );
+        )
+        .rank(3);
     }
     if let Some(complaint) = &report.complaint {
         let at = complaint.device_time_s.map_or(String::new(), |time_s| format!(" (at {time_s:.3} s)"));
-        put(&mut lines, "it said", &format!("{}{at}", complaint.text));
+        let tone = if complaint.is_error { Tone::Wrong } else { Tone::Careful };
+        put(&mut lines, "it said", &format!("{}{at}", complaint.text)).tone(tone).rank(1);
     }
     if let Some(head) = &report.head {
         let cells: Vec<String> = head.cells.iter().map(word).collect();
-        put(&mut lines, "cells", &cells.join(" "));
-        head.findings.iter().for_each(|finding| put(&mut lines, "  !", &finding.text));
+        put(&mut lines, "cells", &cells.join(" ")).rank(2);
+        for finding in &head.findings {
+            put(&mut lines, "  !", &finding.text).tone(Tone::Wrong);
+        }
     }
     lines
 }
@@ -170,24 +195,9 @@ fn duration(seconds: f64) -> String {
     whole.map_or_else(|_| "-".to_owned(), |duration| humantime::format_duration(duration).to_string())
 }
 
-/// Appends `text` under `name`, in as many lines as it takes. What boards and files say in it is escaped.
-fn put(lines: &mut Vec<String>, name: &str, text: &str) {
-    let text = printable(text).at_most(LONGEST_TEXT).to_string();
-    let mut line = format!("{name:<INDENT$}");
-    let mut columns = INDENT.max(name.chars().count());
-    for word in text.split(' ') {
-        let length = word.chars().count();
-        let begins = columns <= INDENT;
-        if !begins && columns + 1 + length > WIDTH {
-            lines.push(std::mem::replace(&mut line, " ".repeat(INDENT)));
-            columns = INDENT;
-        } else if !begins {
-            line.push(' ');
-            columns += 1;
-        }
-        // A word that no line holds is cut.
-        line.extend(word.chars().take(WIDTH - columns));
-        columns += length.min(WIDTH - columns);
-    }
-    lines.push(line.trim_end().to_owned());
+/// Appends `text` under `name`.
+fn put<'a>(lines: &'a mut Vec<Line>, name: &'static str, text: &str) -> &'a mut Line {
+    let at = lines.len();
+    lines.push(Line::new(name, text));
+    &mut lines[at]
 }

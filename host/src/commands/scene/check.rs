@@ -8,6 +8,7 @@ use super::{CommandError, Outcome};
 use crate::scene_file::SceneFile;
 use crate::survey::Survey;
 use crate::table::Output;
+use crate::terminal::{Amount, Progress};
 
 /// Tells what a scene can do, and warns of what it cannot.
 ///
@@ -38,7 +39,13 @@ enum Format {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let file = SceneFile::open(&args.scene)?;
     let output = Output::open(args.output.as_deref())?;
-    let survey = Survey::of(&file, args.samples as usize)?;
+    let mut progress = Progress::new("check", 2 * u64::from(args.samples), Amount::Of("poses"));
+    let mut done = 0;
+    let survey = Survey::of(&file, args.samples as usize, || {
+        done += 1;
+        progress.at(done);
+    })?;
+    drop(progress);
     let text = match args.format {
         Format::Text => survey.report(),
         Format::Json => serde_json::to_string_pretty(&survey).map_err(|error| output.error(error.into()))? + "\n",

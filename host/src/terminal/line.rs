@@ -1,0 +1,187 @@
+//! Lines for people, laid out for the width and height there is.
+
+use console::measure_text_width;
+
+use crate::foreign::printable;
+
+/// Pages without a window of their own are laid out for this many columns; no line is longer.
+pub const WIDTH: usize = 100;
+
+/// The names at the beginnings of the lines stand in a column of their own.
+const INDENT: usize = 12;
+
+/// A text that boards or files make longer is cut.
+const LONGEST_TEXT: usize = 800;
+
+/// How good the news are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tone {
+    /// As it should be, or neither.
+    #[default]
+    Plain,
+    /// Worth a look.
+    Careful,
+    /// Wrong.
+    Wrong,
+}
+
+impl Tone {
+    /// What begins and ends its colour (SGR of ECMA-48).
+    pub(super) fn codes(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Plain => ("", ""),
+            Self::Careful => ("\x1b[33m", "\x1b[0m"),
+            Self::Wrong => ("\x1b[1;31m", "\x1b[0m"),
+        }
+    }
+}
+
+/// A name and what there is to say under it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Line {
+    name: &'static str,
+    text: String,
+    tone: Tone,
+    rank: u8,
+}
+
+/// The line that a low window leaves out last, and first.
+const RANKS: std::ops::RangeInclusive<u8> = 0..=3;
+
+impl Line {
+    /// `text` under `name`; what boards and files say in it is escaped.
+    pub fn new(name: &'static str, text: &str) -> Self {
+        Self { name, text: printable(text).at_most(LONGEST_TEXT).to_string(), ..Self::default() }
+    }
+
+    /// Between boards.
+    pub fn blank() -> Self {
+        Self { rank: *RANKS.end(), ..Self::default() }
+    }
+
+    /// Says how good the news are.
+    pub fn tone(&mut self, tone: Tone) -> &mut Self {
+        self.tone = tone;
+        self
+    }
+
+    /// A window that is too low leaves out lines of higher ranks first; 0 to 3, 0 unless said otherwise.
+    pub fn rank(&mut self, rank: u8) -> &mut Self {
+        self.rank = rank;
+        self
+    }
+
+    /// The rows of this line in `width` columns.
+    fn rows(&self, width: usize) -> Vec<Row> {
+        let width = width.clamp(1, WIDTH);
+        let indent = INDENT.min(width / 4);
+        let mut rows = Vec::new();
+        let mut row = format!("{:<indent$}", self.name.chars().take(width).collect::<String>());
+        if self.name.chars().count() >= indent && !self.text.is_empty() && indent > 0 {
+            row.push(' ');
+        }
+        let mut columns = row.chars().count();
+        let mut is_empty = true;
+        for word in self.text.split(' ') {
+            let mut word = word;
+            loop {
+                let length = measure_text_width(word);
+                let gap = usize::from(!is_empty);
+                if columns + gap + length <= width {
+                    row.extend(std::iter::repeat_n(' ', gap));
+                    row.push_str(word);
+                    columns += gap + length;
+                    is_empty = false;
+                    break;
+                }
+                if is_empty && columns <= indent.max(1) {
+                    // No row holds the word: it goes on in the next.
+                    let (head, tail) = split_at_width(word, width - columns.min(width - 1));
+                    row.push_str(head);
+                    word = tail;
+                }
+                rows.push(std::mem::replace(&mut row, " ".repeat(indent)));
+                (columns, is_empty) = (indent, true);
+            }
+        }
+        rows.push(row);
+        rows.into_iter().map(|text| Row { text: text.trim_end().to_owned(), tone: self.tone }).collect()
+    }
+}
+
+/// At least one character, then as many as `width` columns hold.
+fn split_at_width(word: &str, width: usize) -> (&str, &str) {
+    let fits = |end: &usize| measure_text_width(&word[..*end]) <= width;
+    let ends = || word.char_indices().skip(1).map(|(at, _)| at);
+    let end = ends().take_while(fits).last().or_else(|| ends().next()).unwrap_or(word.len());
+    word.split_at(end)
+}
+
+/// One row on the screen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Row {
+    pub(super) text: String,
+    pub(super) tone: Tone,
+}
+
+/// All of `lines` in `width` columns, [`WIDTH`] at most.
+pub fn layout(lines: &[Line], width: usize) -> Vec<String> {
+    lines.iter().flat_map(|line| line.rows(width)).map(|row| row.text).collect()
+}
+
+/// As many of `lines` as `height` rows of `width` columns hold, those of low rank first.
+pub(super) fn fit(lines: &[&Line], width: usize, height: usize) -> Vec<Row> {
+    let of_rank = |most: u8| -> Vec<Row> {
+        lines.iter().filter(|line| line.rank <= most).flat_map(|line| line.rows(width)).collect()
+    };
+    let fitting = RANKS.rev().map(of_rank).find(|rows| rows.len() <= height);
+    fitting.unwrap_or_else(|| {
+        let mut rows = of_rank(*RANKS.start());
+        rows.truncate(height.saturating_sub(1));
+        rows.push(Row { text: "… more".chars().take(width).collect(), tone: Tone::Plain });
+        rows.truncate(height);
+        rows
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_keep_to_the_width_and_lose_no_word() {
+        let words = "the quick brown fox 頭頭頭 jumps over averyveryveryveryveryveryverylongword 12345";
+        for name in ["name", "a long name"] {
+            for width in [1, 2, 5, 12, 13, 20, 40, 80, 100, 300] {
+                let rows = layout(&[Line::new(name, words)], width);
+                let longest = rows.iter().map(|row| measure_text_width(row)).max().unwrap();
+                // A wide character in a window of one column cannot be helped.
+                assert!(longest <= width.max(2) && longest <= WIDTH, "{width}: {rows:#?}");
+                let all = |text: &str| text.chars().filter(|c| *c != ' ').collect::<String>();
+                let shown = all(&rows.concat());
+                assert!(shown.ends_with(&all(words)), "{width}: {rows:#?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_low_window_keeps_what_matters() {
+        let mut lines = [Line::new("pose", "1 2 3"), Line::new("rate", "4000"), Line::new("clock", "fine")];
+        lines[1].rank(1);
+        lines[2].rank(3);
+        let lines: Vec<_> = lines.iter().collect();
+        let names = |height| {
+            let rows = fit(&lines, 40, height);
+            rows.iter().map(|row| row.text.split(' ').next().unwrap_or_default().to_owned()).collect::<Vec<_>>()
+        };
+        assert_eq!(names(5), ["pose", "rate", "clock"]);
+        assert_eq!(names(2), ["pose", "rate"]);
+        assert_eq!(names(1), ["pose"]);
+        assert_eq!(names(0), [""; 0]);
+    }
+
+    #[test]
+    fn what_others_say_is_escaped() {
+        assert_eq!(layout(&[Line::new("said", "a\u{1b}[2Jb\nc")], 80), ["said        a\\u{1b}[2Jb\\nc"]);
+    }
+}
