@@ -104,6 +104,9 @@ fn a_scene_that_is_not_there() {
     slitpose!()
         .run(["model", "no/such.toml", "--poses", "-"])
         .assert_refused(1, &["no/such.toml", "wide, base, bench"]);
+    for (typed, meant) in [("wied", "wide"), ("bas", "base"), ("bnech", "bench")] {
+        slitpose!().run(["scene", "check", typed]).assert_refused(1, &[typed, &format!("did you mean `{meant}`?")]);
+    }
     let refused = slitpose!().run(["run", "--device", "sim", "--scene", "bench", "--duration", "1ms"]);
     refused.assert_refused(1, &["bench", "[front_end]", "add one"]);
 }

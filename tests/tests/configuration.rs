@@ -113,6 +113,20 @@ fn what_is_printed_configures_the_same() {
 }
 
 #[test]
+fn what_counts_without_being_given_is_printed() {
+    let printed = Bench::new().printed(&[], &[]);
+    assert!(!printed.contains("\"\""), "an empty value: {printed}");
+    for line in ["# tier = \"exact\"  # default", "# tolerance = \"1e-6\"  # default", "# seed = \"1\"  # default"] {
+        assert!(printed.lines().any(|printed| printed == line), "{line}: {printed}");
+    }
+    for beginning in
+        ["# patience: forever;", "# format: summary on a terminal", "# record: none", "device = [\"auto\"]"]
+    {
+        assert!(printed.lines().any(|printed| printed.starts_with(beginning)), "{beginning}: {printed}");
+    }
+}
+
+#[test]
 fn a_file_configures_a_run() {
     let bench = Bench::new();
     let file = "device = 'sim'\nspeed = 'max'\nduration = '100ms'\nformat = 'csv'\ntier = 'paper'\n";

@@ -17,6 +17,7 @@ use thiserror::Error;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
+use super::defaults;
 use crate::foreign::printable;
 use crate::scene_file::{FilePlace, nearest};
 
@@ -246,14 +247,19 @@ pub(super) fn print(configured: &Configured, matches: &ArgMatches) -> String {
             _ if keys.iter().any(|key| key == id) => "file",
             _ => "default",
         };
-        let unset = if texts.is_empty() { "# " } else { "" };
-        let value = match (arg.get_action(), texts.first()) {
-            (ArgAction::SetTrue, Some(flag)) => flag.clone(),
-            (ArgAction::Append, _) => Value::from(texts).to_string(),
-            (_, text) => Value::from(text.map_or("", String::as_str)).to_string(),
+        let line = match (arg.get_action(), texts.first()) {
+            (ArgAction::SetTrue, Some(flag)) => format!("{id} = {flag}  # {source}"),
+            (ArgAction::Append, Some(_)) => format!("{id} = {}  # {source}", Value::from(texts)),
+            (_, Some(text)) => format!("{id} = {}  # {source}", Value::from(text.as_str())),
+            // Not given: what counts then, as a comment, for some make sense with a simulated board only.
+            (_, None) => match defaults::of(VERB, id) {
+                Some(value) if !value.contains(' ') => format!("# {id} = {}  # default", Value::from(value)),
+                Some(rule) => format!("# {id}: {rule}  # default"),
+                None => format!("# {id}: none  # default"),
+            },
         };
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "{unset}{id} = {value}  # {source}");
+        let _ = writeln!(text, "{line}");
     }
     text
 }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::device::BoardOptions;
 use super::poses::parse_duration;
-use super::talk;
 use super::{CommandError, Outcome};
+use super::{names, talk};
 use crate::doctor::{Bundle, Subject, Verdict, examine};
 use crate::scene_file::SceneFile;
 use crate::table::{Output, OutputError};
@@ -20,8 +20,8 @@ use crate::table::{Output, OutputError};
 pub(super) struct Args {
     #[command(flatten)]
     board: BoardOptions,
-    /// The scene of its head: a file, or the name of a shipped scene [default: the one the board belongs to]
-    #[arg(long, value_name = "SCENE")]
+    /// The scene of its head: a file, or the name of a shipped scene
+    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
     scene: Option<String>,
     /// Where recordings go
     #[arg(long, value_name = "DIR", default_value = ".")]

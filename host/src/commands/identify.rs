@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use slitpose_model::{Plan, Tier};
 
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, names};
 use crate::identification::{Identified, ProfileError, identify, profile_table};
 use crate::scene_file::SceneFile;
 use crate::table::{CurrentColumns, Output, PoseColumns, TableReader, TableWriter};
@@ -20,6 +20,7 @@ use crate::table::{CurrentColumns, Output, PoseColumns, TableReader, TableWriter
 #[command(after_help = "Example:\n  slitpose identify bench --currents measured.csv --format profile --step 5")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// Table of poses and currents; - is standard input
     #[arg(long, value_name = "CSV")]

@@ -6,6 +6,7 @@
 mod capture_files;
 mod completions;
 mod config;
+mod defaults;
 mod device;
 mod doctor;
 mod export;
@@ -13,6 +14,7 @@ mod identify;
 mod losses;
 mod man;
 mod model;
+mod names;
 mod options;
 mod paper;
 mod playback;
@@ -220,9 +222,10 @@ impl CommandError {
     }
 }
 
-/// The command line as it can be typed here: options of `run` may stand in the environment, too.
+/// The command line as it can be typed here: options of `run` may stand in the environment, too, and help
+/// says what counts where an option is not given.
 pub fn command() -> clap::Command {
-    Cli::command().mut_subcommand("run", config::with_environment)
+    defaults::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
 }
 
 /// Does what `arguments`, the name of the program first, ask for; ends the program if they are wrong,

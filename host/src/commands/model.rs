@@ -6,12 +6,12 @@ use slitpose_model::{Plan, Response, Tier};
 
 use super::options::TierOptions;
 use super::talk::talk;
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, names};
 use crate::scene_file::SceneFile;
 use crate::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
 
 /// Tables are made once and kept, so they get nearly all the digits there are.
-const DEFAULT_TOLERANCE: f64 = 1e-10;
+pub(super) const DEFAULT_TOLERANCE: f64 = 1e-10;
 
 /// Evaluates every cell of a scene at every pose of a table.
 ///
@@ -22,6 +22,7 @@ const DEFAULT_TOLERANCE: f64 = 1e-10;
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv --output currents.csv")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// Table of poses; - is standard input
     #[arg(long, value_name = "CSV")]

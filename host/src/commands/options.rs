@@ -13,10 +13,9 @@ const MOST: f64 = 1e9;
 #[derive(Args, Clone, Copy, Debug)]
 pub(super) struct TierOptions {
     /// Equations as printed in the source paper, or integrated over the spot
-    /// [default: exact]
     #[arg(long, value_enum)]
     tier: Option<TierName>,
-    /// Relative error of the exact tier's integrals
+    /// Relative error of the exact tier's integrals; given alone it means the exact tier
     #[arg(long, value_name = "T", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
 }

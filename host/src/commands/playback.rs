@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use super::capture_files::{first_log_ns, scene_hash, tell_of_end, tell_of_scene};
 use super::poses::{PoseOptions, parse_duration};
-use super::{CommandError, Outcome, interrupt, losses, talk};
+use super::{CommandError, Outcome, interrupt, losses, names, talk};
 use crate::capture::{CaptureReader, Entry, Setup};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
@@ -30,7 +30,7 @@ const LATEST_NS: u64 = 1_000_000_000;
 #[derive(clap::Args, Debug)]
 pub(super) struct PlayOptions {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
-    #[arg(long, value_name = "SCENE")]
+    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
     scene: Option<String>,
     /// Begin this long after the beginning; the first poses are then found from nothing
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]

@@ -26,7 +26,7 @@ pub(super) struct PoseOptions {
     /// End after this much device time, such as 10s; else at the end of the data, or an interrupt
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub(super) duration: Option<f64>,
-    /// [default: summary on a terminal, else ndjson]
+    /// How poses are written
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Tell a pose from many scans, too: a parabola through those of about this long, such as 5ms;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{CommandError, Outcome, talk};
+use super::{CommandError, Outcome, names, talk};
 use crate::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
 use crate::scene_file::{SceneFile, WIDE};
 use crate::terminal::{Amount, Progress};
@@ -19,12 +19,13 @@ use crate::terminal::{Amount, Progress};
     after_help = "Examples:\n  slitpose report --output report\n  slitpose report head.toml --output report --quick"
 )]
 pub(super) struct Args {
-    /// Scene file, or the name of a shipped scene [default: wide]
-    scene: Option<String>,
+    /// Scene file, or the name of a shipped scene
+    #[arg(default_value = WIDE.name, value_parser = names::scenes(), hide_possible_values = true)]
+    scene: String,
     /// Make this folder with the page, its tables and pictures
     #[arg(long, value_name = "DIR")]
     output: PathBuf,
-    /// Poses of the workspace [default: 1000, quick: 100]
+    /// Poses of the workspace
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
     poses: Option<u32>,
     /// Seed of the noise
@@ -40,7 +41,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(args.scene.as_deref().unwrap_or(WIDE.name))?;
+    let file = SceneFile::open(&args.scene)?;
     let default = if args.quick { QUICK_POSES } else { POSES };
     let settings = Settings {
         poses: args.poses.map_or(default, |poses| poses as usize),

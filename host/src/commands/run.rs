@@ -12,7 +12,7 @@ use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::talk::outlive_file_limits;
 use super::tool::ToolOptions;
-use super::{CommandError, Outcome, interrupt, losses, talk};
+use super::{CommandError, Outcome, interrupt, losses, names, talk};
 use crate::clock::HostInstant;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
@@ -49,10 +49,10 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 pub(super) struct Args {
     /// Which board: `auto`, a serial number, the path of a port, or `sim`, a simulated one; once for
     /// each board
-    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto")]
+    #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = names::devices(), hide_possible_values = true)]
     device: Vec<String>,
     /// Scene file, or the name of a shipped scene; one for all boards, or one for each
-    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide")]
+    #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide", value_parser = names::scenes(), hide_possible_values = true)]
     scene: Vec<String>,
     #[command(flatten)]
     poses: PoseOptions,
@@ -65,7 +65,6 @@ pub(super) struct Args {
     #[arg(long, value_name = "ADDRESS")]
     status: Option<StatusAddress>,
     /// How long to look for a board that is not there: a time, or `forever`
-    /// [default: forever; with --duration not at all]
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
     /// Ports to look at for boards, besides those on USB, such as '/dev/ttyS*'
@@ -74,13 +73,12 @@ pub(super) struct Args {
     /// Read and solve with real-time priority (SCHED_FIFO), 1 to 99
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(1..=99))]
     real_time: Option<u8>,
-    /// Device seconds a second a simulated board runs at, or max [default: 1]
+    /// Device seconds a second a simulated board runs at, or max
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     speed: Option<Speed>,
     #[command(flatten)]
     tool: ToolOptions,
     /// Configuration file, or none
-    /// [default: ~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Print the options in force as a configuration file, and end

@@ -9,7 +9,7 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 use super::options::TierOptions;
 use super::poses::{DEFAULT_TOLERANCE, parse_duration};
 use super::tool::ToolOptions;
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, names};
 use crate::capture::{About, CaptureSeries, Existing, Limits, Settings, Setup};
 use crate::device::{Conversation, DeviceError, DeviceId, Keep};
 use crate::front_end;
@@ -28,7 +28,7 @@ use crate::table::{Output, POSE_COLUMNS, TableWriter};
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
-    #[arg(long, value_name = "SCENE", default_value = "wide")]
+    #[arg(long, value_name = "SCENE", default_value = "wide", value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// Device time to simulate, such as 10s
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "10s")]

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use slitpose_model::{Pair, Photocurrents, Solver};
 
 use super::options::TierOptions;
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, names};
 use crate::scene_file::SceneFile;
 use crate::table::{CurrentColumns, Output, SOLUTION_COLUMNS, SolutionRow, TableReader, TableWriter};
 
 /// A measured current is worth no more digits.
-const DEFAULT_TOLERANCE: f64 = 1e-6;
+pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
 
 /// Finds the pose behind each row of currents, each from a cold start.
 ///
@@ -24,6 +24,7 @@ const DEFAULT_TOLERANCE: f64 = 1e-6;
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv | slitpose solve wide --currents -")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// Table of currents; - is standard input
     #[arg(long, value_name = "CSV")]

@@ -2,7 +2,7 @@
 
 use slitpose_model::Tier;
 
-use super::CommandError;
+use super::{CommandError, names};
 use crate::device::SimulatedDevice;
 use crate::front_end;
 use crate::pace::Speed;
@@ -13,10 +13,9 @@ use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 #[derive(clap::Args, Debug)]
 pub(super) struct ToolOptions {
     /// still, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
-    /// [default: smooth]
-    #[arg(long, value_name = "MOTION")]
+    #[arg(long, value_name = "MOTION", value_parser = names::motions(), hide_possible_values = true)]
     trajectory: Option<String>,
-    /// Seed of motion and noise [default: 1]
+    /// Seed of motion and noise
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
 }

@@ -96,7 +96,7 @@ pub(super) mod tests {
     use crate::pipeline::{Asked, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
     use crate::scene_file::{SceneFile, WIDE};
     use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-    use crate::sink::{self, Format};
+    use crate::sink::{self, Account, Format};
 
     const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
 
@@ -286,7 +286,7 @@ pub(super) mod tests {
             for record in [before, after] {
                 sink.pose(record).unwrap();
             }
-            sink.finish(&Vec::new).unwrap();
+            sink.finish(&Account::default).unwrap();
             drop(sink);
             String::from_utf8(output).unwrap()
         };

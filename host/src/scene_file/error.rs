@@ -6,6 +6,7 @@ use std::io;
 use slitpose_model::{Fault, Place};
 use thiserror::Error;
 
+use super::document::nearest;
 use super::shipped::SHIPPED;
 use crate::foreign::printable;
 
@@ -13,7 +14,12 @@ use crate::foreign::printable;
 #[derive(Debug, Error)]
 pub enum SceneFileError {
     /// There is no such file and no such shipped scene, or the file cannot be read.
-    #[error("cannot read scene `{}`; give a scene file or a shipped scene ({})", printable(argument), shipped_names())]
+    #[error(
+        "cannot read scene `{}`; {}give a scene file or a shipped scene ({})",
+        printable(argument),
+        meant(argument),
+        shipped_names()
+    )]
     Read {
         /// The SCENE argument.
         argument: String,
@@ -33,6 +39,12 @@ impl SceneFileError {
 
 fn shipped_names() -> String {
     SHIPPED.map(|shipped| shipped.name).join(", ")
+}
+
+/// The shipped scene whose name is spelt almost like `argument`.
+fn meant(argument: &str) -> String {
+    let nearest = nearest(argument, &SHIPPED.map(|shipped| shipped.name));
+    nearest.map_or_else(String::new, |name| format!("did you mean `{name}`? Otherwise "))
 }
 
 /// One fault at one place in the text.

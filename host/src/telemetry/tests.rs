@@ -213,7 +213,7 @@ fn the_view_keeps_to_its_width() {
     let lines = view::daemon_lines(&daemon, HostInstant::now());
     println!("{}", lines.join("\n"));
     for line in &lines {
-        assert!(line.chars().count() <= view::WIDTH, "{line}");
+        assert!(line.chars().count() <= crate::terminal::WIDTH, "{line}");
     }
     let has = |text: &str| assert!(lines.iter().any(|line| line.contains(text)), "{text}");
     has("converged 3999, degraded 1");

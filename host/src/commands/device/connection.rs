@@ -2,8 +2,10 @@
 
 use std::time::Duration;
 
+use clap::builder::TypedValueParser;
+
 use crate::commands::CommandError;
-use crate::commands::talk;
+use crate::commands::{names, talk};
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, Versions,
     find, holders,
@@ -18,7 +20,10 @@ const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 #[derive(Debug, clap::Args)]
 pub(in crate::commands) struct BoardOptions {
     /// The board: its serial number, the path of its port, auto: the one there is, or sim: a simulated one
-    #[arg(long, value_name = "DEVICE", default_value = "auto")]
+    #[arg(
+        long, value_name = "DEVICE", default_value = "auto", hide_possible_values = true,
+        value_parser = names::devices().try_map(|text| text.parse::<Selector>())
+    )]
     pub(in crate::commands) device: Selector,
     /// Look for boards here, too: a path with * and ?, such as '/dev/ttyUSB*'; may be repeated
     #[arg(long, value_name = "GLOB")]

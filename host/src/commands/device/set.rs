@@ -5,7 +5,7 @@ use std::time::Duration;
 use slitpose_protocol::Hashes;
 
 use super::{BoardOptions, Connection};
-use crate::commands::{CommandError, Outcome};
+use crate::commands::{CommandError, Outcome, names};
 use crate::device::DeviceError;
 use crate::front_end;
 use crate::scene_file::{SceneFile, WIDE};
@@ -25,7 +25,7 @@ pub(super) struct Args {
     #[command(flatten)]
     board: BoardOptions,
     /// The scene of its head: a file, or the name of a shipped scene
-    #[arg(long, value_name = "SCENE", required_unless_present = "clear", conflicts_with = "clear")]
+    #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true, required_unless_present = "clear", conflicts_with = "clear")]
     scene: Option<String>,
     /// Forget what is stored; the board starts with its defaults from then on
     #[arg(long)]

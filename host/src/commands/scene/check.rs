@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
+use crate::commands::names;
 use crate::scene_file::SceneFile;
 use crate::survey::Survey;
 use crate::table::Output;
@@ -18,6 +19,7 @@ use crate::terminal::{Amount, Progress};
 #[command(after_help = "Example:\n  slitpose scene check wide\n  slitpose scene check mine.toml --format json")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// For people, or for programs (SI units)
     #[arg(long, value_enum, default_value_t = Format::Text)]

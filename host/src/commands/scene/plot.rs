@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use slitpose_model::{Plan, Pose, Tier};
 
 use super::{CommandError, Outcome};
+use crate::commands::names;
 use crate::commands::options::parse_pose;
 use crate::plot::{cell_picture, scene_picture};
 use crate::scene_file::SceneFile;
@@ -19,6 +20,7 @@ const TOLERANCE: f64 = 1e-6;
                         slitpose scene plot bench --cell 0 --pose 3,0,0,0,0,0 --output cell.svg")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// Pose of the tool: translation in mm, rotation vector in degrees
     #[arg(long, value_name = "TX,TY,TZ,RX,RY,RZ", allow_hyphen_values = true, value_parser = parse_pose)]
