@@ -58,3 +58,18 @@ pub mod table;
 pub mod telemetry;
 pub mod terminal;
 mod threads;
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn documents_ask_for_the_rust_that_is_declared() {
+        let declared = env!("CARGO_PKG_RUST_VERSION");
+        for (name, text) in
+            [("README.md", include_str!("../../README.md")), ("INSTALL.md", include_str!("../INSTALL.md"))]
+        {
+            assert!(text.contains(&format!("Rust {declared} or newer")), "{name} does not ask for Rust {declared}");
+        }
+        let peers = include_str!("../../tests/peers/Cargo.toml");
+        assert!(peers.contains(&format!("rust-version = \"{declared}\"")), "tests/peers asks for another");
+    }
+}

@@ -42,6 +42,7 @@ fn a_quick_report_is_complete_and_its_numbers_are_where_they_belong() {
     assert!(finished.stdout.is_empty(), "data went to the folder and to standard output");
 
     pages(&output, &finished.stderr);
+    summary(&output);
     forward(&table(&output, "forward.csv"));
     solver(&output);
     motion(&table(&output, "motion.csv"));
@@ -70,6 +71,27 @@ fn pages(folder: &Path, talk: &str) {
     let is_checked = cfg!(debug_assertions);
     assert_eq!(page.contains("its times say little"), is_checked);
     assert_eq!(talk.contains("its times say little"), is_checked);
+}
+
+/// The page opens with what its tables say, in words and with the same numbers.
+fn summary(folder: &Path) {
+    let page = fs::read_to_string(folder.join("index.html")).expect("page");
+    let (summary, _) = page.split_once("<h2 id=\"conditions\">").expect("a summary comes first");
+    let noisy = table(folder, "solver_noisy.csv");
+    let default =
+        [("light", "exact"), ("tier", "exact 1e-6"), ("number", "f64"), ("start", "cold"), ("effort", "full")];
+    let row = rows(&noisy, &default)[0];
+    let shown = format!(
+        "the position to {:.2} µm and the orientation to {:.0} µrad",
+        row.number("rms_um"),
+        row.number("rms_urad")
+    );
+    for part in [&shown, "Cramér–Rao", "when the pose of the scan before is known", "m/s", "Extreme cases"] {
+        assert!(summary.contains(part), "`{part}` is not in: {summary}");
+    }
+    for jargon in ["Halton", "χ²", "NEES"] {
+        assert!(!summary.contains(jargon), "{jargon}: {summary}");
+    }
 }
 
 fn forward(table: &Table) {
@@ -150,7 +172,13 @@ fn economy(table: &Table) {
     for group in ["mask", "slit", "profile", "uncertainty", "noise", "exposure", "cells"] {
         let rows = rows(table, &[("group", group)]);
         assert!(rows.len() >= 2, "{group}");
-        assert_eq!((rows[0].number("forward_ratio"), rows[0].number("solve_ratio")), (1.0, 1.0), "{group}");
+        // Each ratio is the quotient of the times beside it and of those of the first of its group.
+        for row in &rows {
+            for (ratio, time) in [("forward_ratio", "forward_least_us"), ("solve_ratio", "solve_least_us")] {
+                let (found, expected) = (row.number(ratio), row.number(time) / rows[0].number(time));
+                assert!((found / expected - 1.0).abs() < 1e-9, "{group}, {ratio}: {found}, not {expected}");
+            }
+        }
     }
 }
 
@@ -179,7 +207,12 @@ fn stiff(table: &Table) {
     ] {
         for row in rows(table, &[("study", study)]) {
             let verdict = row.text("verdict");
-            assert!(verdict == "good" || KNOWN_SHORT.contains(&study), "{study}, {}: {verdict}", row.text("case"));
+            // How long a solve takes is not judged: this machine may be busy.
+            let is_as_expected = !verdict.starts_with("short") || KNOWN_SHORT.contains(&study);
+            assert!(is_as_expected, "{study}, {}: {verdict}", row.text("case"));
+            for outcome in [row.text("f64_outcome"), row.text("f32_outcome")] {
+                assert!(!(outcome.contains("diverged") && verdict == "good"), "{study}: {outcome} is good");
+            }
         }
     }
     // The sweep goes on to where `f32` has no pose to give, and says so; `f64` still has one.

@@ -147,10 +147,13 @@ impl Canvas {
         self.element("circle", &attributes);
     }
 
-    /// A line with an arrow head at `to`.
+    /// A line with an arrow head at `to`; without the head where the line is shorter than that.
     pub fn arrow(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
         let direction = (to - from).normalize_or_zero();
         let (length, half_width) = (3.2 * stroke.width + 3.0, 1.2 * stroke.width + 1.2);
+        if from.distance(to) < length {
+            return self.line(from, to, stroke);
+        }
         let base = to - direction * length;
         self.line(from, base, stroke);
         let side = direction.perp() * half_width;

@@ -162,6 +162,11 @@ impl Chart {
     /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`.
     /// Tick numbers and axis names stand to the left of and below it, the legend above it.
     pub fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
+        self.draw_with_legend(canvas, top_left, bottom_right, top_left);
+    }
+
+    /// The same with the lower left corner of the legend at `legend`.
+    pub fn draw_with_legend(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2, legend: DVec2) {
         self.draw_axes(canvas, top_left, bottom_right);
         let place = |[x, y]: [f64; 2]| {
             let share = dvec2(self.x.share(x), 1.0 - self.y.share(y));
@@ -175,7 +180,7 @@ impl Chart {
             let style = NOTE.coloured(note.colour).anchored(note.anchor);
             canvas.text(place(note.at) + note.offset, &note.text, style);
         }
-        self.draw_legend(canvas, top_left);
+        self.draw_legend(canvas, legend);
     }
 
     fn draw_axes(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {

@@ -5,6 +5,7 @@ use slitpose_model::{Cell, Plan, Pose, Response, rotation_exp};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::palette::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
+use super::scene::pose_text;
 use super::size::{PlotError, quantity, require_drawable};
 
 const WIDTH: f64 = 900.0;
@@ -33,7 +34,7 @@ pub fn cell_picture(
     let height = TOP + side.top_mm * side.scale + BOTTOM;
     let mut canvas = Canvas::new(WIDTH, height, &format!("{name}, cell {number} from the side"));
     canvas.text(dvec2(28.0, 36.0), name, TextStyle::new(20.0).bold());
-    let view = format!("cell {number}, seen along its $y$ axis");
+    let view = format!("cell {number}, seen along its $y$ axis; {}", pose_text(pose));
     canvas.text(dvec2(28.0, 58.0), &view, TextStyle::new(13.0).coloured(SOFT_INK));
     side.draw_parts(&mut canvas);
     side.draw_light(&mut canvas);

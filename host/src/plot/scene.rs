@@ -257,7 +257,8 @@ fn draw_legend(canvas: &mut Canvas, top_left: DVec2) {
     });
 }
 
-fn pose_text(pose: &Pose) -> String {
+/// The pose of the tool in words.
+pub(super) fn pose_text(pose: &Pose) -> String {
     if *pose == Pose::HOME {
         return "tool at home".to_owned();
     }

@@ -1,4 +1,4 @@
-use glam::DVec3;
+use glam::{DVec3, dvec2};
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use slitpose_model::{Plan, Pose, Tier};
@@ -48,6 +48,32 @@ fn a_name_with_characters_that_xml_cannot_hold_loses_only_those() {
     let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
     let picture = scene_picture("a\u{1}b\u{fffe} 1 < 2", &file.scene, &plan, &Pose::HOME).unwrap();
     assert!(picture.contains("ab 1 &lt; 2") && !picture.contains('\u{1}') && !picture.contains('\u{fffe}'));
+}
+
+#[test]
+fn a_picture_of_a_cell_names_the_pose() {
+    let file = SHIPPED[0].read().unwrap();
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).unwrap();
+    for (pose, text) in [(Pose::HOME, "tool at home"), (poses()[1], "tool at (2, 0, −3) mm")] {
+        let picture = cell_picture(&file.name, 0, &file.scene.cells[0], &plan, &pose).unwrap();
+        assert!(labels(&picture).contains(text), "{text}");
+    }
+}
+
+#[test]
+fn an_arrow_shorter_than_its_head_has_none() {
+    let stroke = Stroke::new(palette::INK, 1.6);
+    for (length, heads) in [(0.0, 0), (1e-9, 0), (2.0, 0), (7.9, 0), (8.5, 1), (60.0, 1)] {
+        let mut canvas = Canvas::new(100.0, 100.0, "arrow");
+        let before = canvas_parts(Canvas::new(100.0, 100.0, "arrow"));
+        canvas.arrow(dvec2(10.0, 10.0), dvec2(10.0 + length, 10.0), stroke);
+        assert_eq!(canvas_parts(canvas) - before, heads, "{length}");
+    }
+}
+
+/// Filled areas of a picture.
+fn canvas_parts(canvas: Canvas) -> usize {
+    canvas.into_svg().matches("<polygon").count()
 }
 
 #[test]

@@ -12,8 +12,8 @@ const OPT_LEVEL: &str = env!("SLITPOSE_OPT_LEVEL");
 pub(super) fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, String)> {
     let checks = if cfg!(debug_assertions) { "debug" } else { "release" };
     let counts = format!(
-        "{} poses spread over the workspace with every cell lit (Halton sequence), {} rounds of timing, least and \
-         median shown",
+        "{} poses spread evenly over the workspace with every cell lit, the same ones every time; {} rounds of \
+         timing, least and median shown",
         settings.poses,
         settings.rounds()
     );

@@ -29,8 +29,14 @@ struct Entry {
 }
 
 pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
-    let mut section =
-        Section { name: "cycles", title: TITLE, paragraphs: Vec::new(), pictures: Vec::new(), tables: Vec::new() };
+    let mut section = Section {
+        name: "cycles",
+        title: TITLE,
+        summary: Vec::new(),
+        paragraphs: Vec::new(),
+        pictures: Vec::new(),
+        tables: Vec::new(),
+    };
     let (source, entries) = match (&settings.cycles, program()) {
         (Some(file), _) => {
             let file = file.display().to_string();

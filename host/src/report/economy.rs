@@ -68,6 +68,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     Ok(Section {
         name: "economy",
         title: TITLE,
+        summary: Vec::new(),
         paragraphs: vec![
             "The same head with one thing added at a time. A scene is compiled to a plan that holds only what the scene \
              has, so that the first row of each group pays for nothing it does not use. Warm solves are of noisy \

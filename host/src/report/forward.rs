@@ -91,6 +91,11 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     Ok(Section {
         name: "forward",
         title: TITLE,
+        summary: vec![format!(
+            "The equations of the source paper (paper tier) differ from the integrals over the spot (exact tier) by \
+             up to {} % of a cell's current.",
+            Value::from(100.0 * difference).shown()
+        )],
         paragraphs: vec![
             format!(
                 "All {} cells at {} poses of the workspace. The error is that of an electrode's current relative to \

@@ -8,6 +8,11 @@ pub(super) fn markdown(report: &Report) -> String {
     for warning in &report.warnings {
         text += &format!("**{warning}**\n\n");
     }
+    text += "## In short\n\n";
+    for sentence in report.summary() {
+        text += &format!("* {sentence}\n");
+    }
+    text += "\n## Conditions\n\n";
     for (name, value) in &report.conditions {
         text += &format!("* {name}: {value}\n");
     }

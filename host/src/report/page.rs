@@ -17,7 +17,11 @@ pub(super) fn page(report: &Report) -> String {
     for warning in &report.warnings {
         page += &format!("<p class=\"alert\">{}</p>\n", words(warning));
     }
-    page += "<dl>\n";
+    page += "<h2 id=\"summary\">In short</h2>\n<ul>\n";
+    for sentence in report.summary() {
+        page += &format!("<li>{}</li>\n", words(sentence));
+    }
+    page += "</ul>\n<h2 id=\"conditions\">Conditions</h2>\n<dl>\n";
     for (name, value) in &report.conditions {
         page += &format!("<dt>{name}</dt><dd>{}</dd>\n", words(value));
     }
@@ -93,7 +97,14 @@ mod tests {
 
     #[test]
     fn a_page_fetches_nothing() {
-        let section = Section { name: "a", title: "A", paragraphs: vec![], pictures: vec![], tables: vec![] };
+        let section = Section {
+            name: "a",
+            title: "A",
+            summary: vec!["Short.".into()],
+            paragraphs: vec![],
+            pictures: vec![],
+            tables: vec![],
+        };
         let report = Report {
             scene: "s".into(),
             conditions: vec![("seed", "1".into())],
@@ -105,5 +116,6 @@ mod tests {
             assert!(!page.contains(word), "{word}");
         }
         assert!(page.contains("prefers-color-scheme: dark") && page.contains("<dt>seed</dt>"));
+        assert!(page.find("<li>Short.</li>") < page.find("<dt>"), "the summary comes first");
     }
 }

@@ -106,6 +106,8 @@ pub struct Section {
     pub name: &'static str,
     /// Its heading.
     pub title: &'static str,
+    /// What a reader of nothing else should know of it; it stands at the head of the report.
+    pub summary: Vec<String>,
     /// What was done, and what follows from it.
     pub paragraphs: Vec<String>,
     /// Pictures, which come first.
@@ -125,6 +127,13 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// The chapters.
     pub sections: Vec<Section>,
+}
+
+impl Report {
+    /// What a reader of nothing else should know, in the order of the chapters.
+    pub fn summary(&self) -> impl Iterator<Item = &str> {
+        self.sections.iter().flat_map(|section| &section.summary).map(String::as_str)
+    }
 }
 
 /// Three significant digits, powers of ten where zeros would have to be counted, a true minus sign.

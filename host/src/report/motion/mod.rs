@@ -114,8 +114,14 @@ struct Entry {
 }
 
 pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, ReportError> {
-    let mut section =
-        Section { name: "motion", title: TITLE, paragraphs: Vec::new(), pictures: Vec::new(), tables: Vec::new() };
+    let mut section = Section {
+        name: "motion",
+        title: TITLE,
+        summary: Vec::new(),
+        paragraphs: Vec::new(),
+        pictures: Vec::new(),
+        tables: Vec::new(),
+    };
     let Some(frame) = &head.frame else {
         section.paragraphs.push(
             "The scene has no [front_end], so nothing is known of the order in which its cells are exposed; give it \
@@ -130,8 +136,8 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
         format!(
             "The tool moves while the cells are exposed one after another, {} µs between the first and the last. The \
              tracker carries each exposure to the reference instant with the twist it has seen in the frames before; \
-             \"ignored\" is the same tracker told that all cells are exposed at once. Errors in units of the Cramér–Rao \
-             bound of one frame, the tool at rest. Without filter each pose rests on its own frame; a filter makes it \
+             \"ignored\" is the same tracker told that all cells are exposed at once. Errors are divided by the least \
+             that the noise of one frame allows a tool at rest (the Cramér–Rao bound): 1 is as good as can be. Without filter each pose rests on its own frame; a filter makes it \
              from many, and stays behind where the motion bends faster than its memory.",
             Value::from((spread(f64::max) - spread(f64::min)) * 1e6).shown()
         ),
@@ -140,6 +146,24 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
          twist is taken from. Speeds are the greatest of the motion; the tool turns at 10 rad/s for each m/s."
             .to_owned(),
     ];
+    section.paragraphs.push(
+        "A filter gives a pose once it has seen enough frames that fit, so that frames with a pose can be fewer than \
+         frames that fit."
+            .to_owned(),
+    );
+    let followed = |speed: f64| {
+        let of = |entry: &&Entry| entry.motion == Motion::Smooth && entry.following == Following::Honoured;
+        entries.iter().filter(of).find(|entry| entry.speed_m_per_s == speed)
+    };
+    if let (Some(slow), Some(fast)) = (followed(0.5), followed(2.0)) {
+        let ratio = |entry: &Entry| Value::from(entry.errors.rms_m() / entry.bound.0).shown();
+        section.summary.push(format!(
+            "A tool that moves at up to 0.5 m/s is located with {} times the error that one at rest allows, at up to \
+             2 m/s with {} times.",
+            ratio(slow),
+            ratio(fast)
+        ));
+    }
     section.pictures.push(picture(&entries, head));
     section.tables.push(table(&entries));
     section.tables.push(cost(head, frame, settings)?);
@@ -252,12 +276,12 @@ fn table(entries: &[Entry]) -> Table {
             column("motion", "motion"),
             column("speed_m_per_s", "speed / (m/s)"),
             column("order", "order of exposure"),
-            column("translation_sigmas", "translation / σ"),
-            column("rotation_sigmas", "rotation / σ"),
+            column("translation_sigmas", "translation / bound"),
+            column("rotation_sigmas", "rotation / bound"),
             column("rms_um", "rms / µm"),
             column("rms_urad", "rms / µrad"),
-            column("solved_percent", "solved / %"),
-            column("converged_percent", "converged / %"),
+            column("solved_percent", "frames with a pose / %"),
+            column("converged_percent", "frames that fit their own currents / %"),
         ],
         rows: entries.iter().map(row).collect(),
     }
@@ -289,7 +313,7 @@ fn picture(entries: &[Entry], head: &Head<'_>) -> Picture {
         // Where no filter's curve crosses it.
         let notes = (motion == Motion::Straight).then_some(note).into_iter().collect();
         let x = Axis::around("greatest speed / (m/s)", SPEEDS_M_PER_S);
-        let mut y = Axis::logarithmic("rms error / σ", all().chain([1.0]));
+        let mut y = Axis::logarithmic("rms error / bound at rest", all().chain([1.0]));
         y.range[0] *= 0.8;
         (motion.name().to_owned() + " motion", Chart { x, y, curves, notes })
     };

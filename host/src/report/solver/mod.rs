@@ -60,13 +60,16 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
     let mut section = Section {
         name: "solver",
         title: TITLE,
+        summary: summary(&entries, bound),
         paragraphs: vec![
             format!(
                 "{} poses of the workspace, one frame of photocurrents each, the tool at rest. Noise is that of the \
                  scene's front end, drawn from the covariance of each pair of currents. A cold start knows nothing; a \
                  warm one starts {} µm and {} mrad off per axis, as from the frame before. `planes` is the pose that \
                  the positions of the light give; so many steps follow on the currents; `full` goes to the minimum and \
-                 judges the fit.",
+                 judges the fit. A counted step ends with an evaluation of the model at the pose that it has reached, \
+                 to see that the fit is better there; a full solve from nearby knows before its last step that nothing \
+                 more can be won and leaves that evaluation out, so that it takes less time than one counted step.",
                 head.poses.len(),
                 PRIOR_M * 1e6,
                 PRIOR_RAD * 1e3
@@ -96,6 +99,35 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
         ));
     }
     Ok(section)
+}
+
+/// What the default solver does for the user of this head.
+fn summary(entries: &[Entry], bound: (f64, f64)) -> Vec<String> {
+    let full = |wanted: Start| {
+        entries.iter().find(|Entry { run: Run { method, light }, .. }| {
+            let Method { tier, precision, start, effort } = *method;
+            (tier, precision, start, effort, *light) == (STREAM, Precision::Double, wanted, Effort::Full, Light::Exact)
+        })
+    };
+    let (Some(cold), Some(warm)) = (full(Start::Cold), full(Start::Warm)) else { return Vec::new() };
+    let shown = |value: f64| Value::from(value).shown();
+    vec![
+        format!(
+            "One scan gives the position to {} µm and the orientation to {} µrad (root mean square of the error's \
+             length, from nothing but that scan); the least that its noise allows (the Cramér–Rao bound) is {} µm and \
+             {} µrad. {} % of the scans gave a pose.",
+            shown(cold.noisy.rms_m() * 1e6),
+            shown(cold.noisy.rms_rad() * 1e6),
+            shown(bound.0 * 1e6),
+            shown(bound.1 * 1e6),
+            shown(100.0 * cold.noisy.solved()),
+        ),
+        format!(
+            "A solve takes {} µs when the pose of the scan before is known, {} µs when nothing is.",
+            shown(warm.timing.least_s * 1e6),
+            shown(cold.timing.least_s * 1e6)
+        ),
+    ]
 }
 
 /// Mean steps of a full solve that found no fit and searched everywhere for one. Such a point

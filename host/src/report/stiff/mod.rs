@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 use super::head::Head;
 use super::method::Precision;
-use super::section::{Picture, Section};
+use super::section::{Picture, Section, Value};
 use super::sheet::{Sheet, curve};
 use super::{ReportError, Settings};
 use crate::plot::{Axis, Chart, CurveStyle};
@@ -32,18 +32,21 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     cases.extend(pose::noises(head, settings)?);
     cases.extend(time::front_ends(head));
     cases.extend(time::jumps(head, settings)?);
+    let summary = summary(&cases);
     Ok(Section {
         name: "stiff",
         title: TITLE,
+        summary: vec![format!("Extreme cases: {}{}", summary[..1].to_lowercase(), &summary[1..])],
         paragraphs: vec![
             format!(
-                "Each case is driven towards the point where it must fail, in f64 and in f32. What is attainable is \
-                 what remains when every number that goes in is rounded once: the problem's condition times the number \
-                 type's rounding. Currents of one cell are compared with an integration that shares nothing with the \
+                "Each case is driven towards the point where it must fail, in f64 and in f32. The condition number of \
+                 a case says by how much it magnifies a relative error of what goes in; what is attainable is what \
+                 remains when every number that goes in is rounded once: the condition number times the number type's \
+                 rounding. Currents of one cell are compared with an integration that shares nothing with the \
                  model; poses, {} near home in each case, with the truth.",
                 trial::POSES
             ),
-            summary(&cases),
+            summary,
         ],
         pictures: vec![layouts_picture(&cases), cells_picture(&cases)],
         tables: vec![case::table(&cases)],
@@ -58,15 +61,22 @@ fn summary(cases: &[Case]) -> String {
             *short.entry((case.study, precision)).or_default() += 1;
         }
     }
+    let slow = match cases.iter().filter_map(Case::slow_s).reduce(f64::max) {
+        Some(slow_s) => {
+            let count = cases.iter().filter(|case| case.slow_s().is_some()).count();
+            format!(" {count} cases are slow: up to {} ms a solve.", Value::from(slow_s * 1e3).shown())
+        }
+        None => String::new(),
+    };
     if short.is_empty() {
-        return format!("All {} cases came out as they must.", cases.len());
+        return format!("All {} cases came out as they must.{slow}", cases.len());
     }
     let of = |study: &str| cases.iter().filter(|case| case.study == study).count();
     let names: Vec<String> = short
         .into_iter()
         .map(|((study, precision), count)| format!("{study} in {precision} ({count} of {})", of(study)))
         .collect();
-    format!("Of {} cases these fall short, and are marked in the table: {}.", cases.len(), names.join(", "))
+    format!("Of {} cases these fall short, and are marked in the table: {}.{slow}", cases.len(), names.join(", "))
 }
 
 /// Error and what is attainable against the condition number, of the chosen cases.
@@ -109,7 +119,7 @@ fn layouts_picture(cases: &[Case]) -> Picture {
 fn cells_picture(cases: &[Case]) -> Picture {
     let panel = |study: &'static str| {
         let chosen: Vec<_> = cases.iter().filter(|case| case.study == study).collect();
-        let chart = against_condition(&chosen, "condition of the current", "relative error of a current");
+        let chart = against_condition(&chosen, "condition number of the current", "relative error of a current");
         (study.to_owned(), chart)
     };
     Sheet {

@@ -77,6 +77,7 @@ impl Trial {
                 }
                 slowest_s = slowest_s.max(least_s);
                 *reached.outcomes.entry(solved.outcome.as_str().to_owned()).or_default() += 1;
+                reached.without_value += usize::from(solved.pose.is_none());
                 best += attainable_m(index, precision).powi(2);
                 if let Some(found_pose) = solved.pose {
                     let (dt, dr) = found_pose.displacement_from(pose);
