@@ -200,8 +200,17 @@ fn wrong_usage_ends_with_two() {
 
 #[test]
 fn help_is_data_and_has_an_example() {
-    for verb in ["run", "replay", "simulate", "model", "solve"] {
-        let help = slitpose!().run([verb, "--help"]).done();
-        assert!(help.contains("Example") && help.contains(&format!("slitpose {verb} ")), "{help}");
+    fn check(command: &clap::Command, words: &[&str]) {
+        let verbs: Vec<_> = command.get_subcommands().filter(|verb| verb.get_name() != "help").collect();
+        // A verb of verbs leaves examples to them.
+        if verbs.is_empty() || words.is_empty() {
+            let help = slitpose!().run(words.iter().chain(&["--help"])).done();
+            let example = help.split_once("Example").map_or("", |(_, example)| example);
+            assert!(example.contains(&format!("slitpose {}", words.join(" "))), "{words:?}: {help}");
+        }
+        for verb in verbs {
+            check(verb, &[words, &[verb.get_name()]].concat());
+        }
     }
+    check(&slitpose::commands::command(), &[]);
 }

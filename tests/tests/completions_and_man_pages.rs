@@ -49,7 +49,7 @@ fn names_and_files_are_completed_where_both_are_taken() {
         (&["slitpose", "run", "--scene", "b"][..], &["base", "bench", "bench-of-mine.toml"][..]),
         (&["slitpose", "replay", "x.mcap", "--scene", "wi"], &["wide"]),
         (&["slitpose", "device", "set", "--scene", "wi"], &["wide"]),
-        (&["slitpose", "run", "--device", "s"], &["sim", "script.bash"]),
+        (&["slitpose", "run", "--device", "s"], &["script.bash", "sim"]),
         (&["slitpose", "doctor", "--device", "a"], &["auto"]),
         (&["slitpose", "simulate", "--trajectory", "s"], &["script.bash", "smooth", "still"]),
         // Where there is no word bash looks for files itself.

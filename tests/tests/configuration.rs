@@ -61,7 +61,7 @@ fn a_flag_counts_before_the_environment_before_the_file_before_the_default() {
     let file = text(&file);
     let unconfigured = bench.printed(&[], &["--config", "none"]);
     assert_eq!(line(&unconfigured, "device"), r#"device = ["auto"]  # default"#);
-    assert_eq!(line(&unconfigured, "seed"), r#"# seed = ""  # default"#);
+    assert_eq!(line(&unconfigured, "seed"), r#"# seed = "1"  # default"#);
     assert_eq!(line(&unconfigured, "without_clipped"), "without_clipped = false  # default");
 
     let configured = bench.printed(&[], &["--config", file]);

@@ -182,12 +182,17 @@ fn economy(table: &Table) {
     }
 }
 
-/// Studies in which something falls short of what arithmetic allows, and why.
-const KNOWN_SHORT: [&str; 2] = [
+/// Studies, and beginnings of their cases, that fall short of what arithmetic allows, and why.
+const KNOWN_SHORT: [(&str, &str); 5] = [
     // An emitter far off the axis: the spot's place is the difference of two large numbers.
-    "small solid angle",
+    ("small solid angle", ""),
     // Lit minus dark of a front end slower than the frame is a difference of nearly equal numbers.
-    "front end",
+    ("front end", ""),
+    // The three cells that are left do not tell images apart, and the search gives up.
+    ("masked cells", "3 of 6"),
+    // More noise than light: some searches find no pose that fits.
+    ("noise", "3e-7 A"),
+    ("noise", "1e-6 A"),
 ];
 
 fn stiff(table: &Table) {
@@ -208,8 +213,9 @@ fn stiff(table: &Table) {
         for row in rows(table, &[("study", study)]) {
             let verdict = row.text("verdict");
             // How long a solve takes is not judged: this machine may be busy.
-            let is_as_expected = !verdict.starts_with("short") || KNOWN_SHORT.contains(&study);
-            assert!(is_as_expected, "{study}, {}: {verdict}", row.text("case"));
+            let case = row.text("case");
+            let is_known = KNOWN_SHORT.iter().any(|(of, beginning)| *of == study && case.starts_with(beginning));
+            assert!(!verdict.starts_with("short") || is_known, "{study}, {case}: {verdict}");
             for outcome in [row.text("f64_outcome"), row.text("f32_outcome")] {
                 assert!(!(outcome.contains("diverged") && verdict == "good"), "{study}: {outcome} is good");
             }

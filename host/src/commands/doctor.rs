@@ -1,5 +1,6 @@
 //! `slitpose doctor`: what may be wrong, and what to do about it.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use super::device::BoardOptions;
@@ -9,6 +10,7 @@ use super::{names, talk};
 use crate::doctor::{Bundle, Subject, Verdict, examine};
 use crate::scene_file::SceneFile;
 use crate::table::{Output, OutputError};
+use crate::terminal::{self, Tone};
 
 /// Looks at everything between a board and its poses, and says what to do about what is wrong.
 ///
@@ -38,7 +40,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let scene = args.scene.as_deref().map(SceneFile::open).transpose()?;
     // An impossible place is told before anything is measured.
     let file = args.bundle.as_deref().map(Output::file).transpose()?;
-    let output = Output::open(None)?;
+    let mut output = Output::open(None)?;
     let examination = examine(&Subject {
         device: &args.board.device,
         search: &args.board.search,
@@ -46,7 +48,19 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         folder: &args.folder,
         duration_s: args.duration,
     });
-    output.write_text(&examination.text())?;
+    let has_colours = terminal::has_colours(output.is_terminal());
+    for check in &examination.checks {
+        let tone = match check.verdict {
+            Verdict::Failed => Tone::Wrong,
+            Verdict::Warning => Tone::Careful,
+            Verdict::Ok | Verdict::Skipped => Tone::Plain,
+        };
+        let text = tone.paint(check.to_string().trim_end(), has_colours);
+        if let Err(source) = writeln!(output, "{text}") {
+            return Err(output.error(source).into());
+        }
+    }
+    output.finish()?;
     if let Some(file) = file {
         let target = file.target().to_owned();
         let bundle = Bundle::of(&examination);

@@ -57,9 +57,10 @@ use talk::{interrupt, talk};
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.
 ///
-/// Data goes to standard output, talk to standard error. Exit codes: 0 done, 1 failed,
+/// Results go to standard output, messages to standard error. Exit codes: 0 done, 1 failed,
 /// 2 wrong usage, 3 finished, but input data was damaged or lost.
 #[derive(Debug, Parser)]
+#[command(after_help = "Examples:\n  slitpose run --device sim\n  slitpose doctor\n  slitpose help run")]
 #[command(name = "slitpose", version, propagate_version = true, max_term_width = 100)]
 pub struct Cli {
     #[command(subcommand)]

@@ -38,7 +38,7 @@ pub(super) struct PlayOptions {
     /// End this long after the beginning
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     to: Option<f64>,
-    /// Tell on standard error how far poses are from those of this CSV table, with the columns of a
+    /// Report on standard error how far poses are from those of this CSV table, which has the columns of a
     /// pose and seq, or time_s
     #[arg(long, value_name = "CSV")]
     compare: Option<String>,

@@ -23,13 +23,13 @@ pub(super) fn parse_duration(text: &str) -> Result<f64, String> {
 /// When a stream of poses ends, how it is written and how it is solved.
 #[derive(clap::Args, Debug)]
 pub(super) struct PoseOptions {
-    /// End after this much device time, such as 10s; else at the end of the data, or an interrupt
+    /// End after this much time of the board's clock, such as 10s; else at the end of the data, or at an interrupt
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub(super) duration: Option<f64>,
     /// How poses are written
     #[arg(long, value_enum)]
     format: Option<Format>,
-    /// Tell a pose from many scans, too: a parabola through those of about this long, such as 5ms;
+    /// Also estimate each pose from many scans, by a parabola through about this long, such as 5ms;
     /// or off
     #[arg(long, value_name = "TIME", value_parser = parse_filter)]
     filter: Option<Filter>,

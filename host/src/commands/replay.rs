@@ -13,7 +13,7 @@ use crate::terminal;
 /// Solves captures again, through the same pipeline as live boards.
 ///
 /// The same bytes give the same poses, bit for bit. Scene, equations and filter are those of the
-/// recording unless given; files of a series are given together, in order. Files that are no MCAP are
+/// recording unless given; files of a series are given together, in order. Files other than MCAP are
 /// taken for the bytes of a port. Ends with exit code 3 if a capture is damaged or incomplete.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose replay contact.mcap --format csv > poses.csv\n  \
@@ -27,7 +27,7 @@ pub(super) struct Args {
     play: PlayOptions,
     #[command(flatten)]
     poses: PoseOptions,
-    /// Device seconds a second, or max
+    /// Seconds of the recording per second, or max
     #[arg(long, value_name = "N", default_value_t = Speed::Max, allow_negative_numbers = true)]
     speed: Speed,
 }

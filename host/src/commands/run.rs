@@ -36,11 +36,11 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 /// Follows the tool in front of a board, or of several.
 ///
 /// Finds the board, starts it with the schedule of the scene and prints a pose for each scan: a
-/// summary on a terminal, one JSON object a line otherwise. A board that goes is looked for until it
-/// is back. Simulated poses are marked and come with the truth.
+/// summary on a terminal, one JSON object a line otherwise. A board that is unplugged is looked for until
+/// it is back. Simulated poses are marked and come with the true ones.
 ///
 /// Each option may also stand in the environment (SLITPOSE_DEVICE, SLITPOSE_SCENE, …) or in a
-/// configuration file (device = "auto"). A flag counts before the environment, that before the file.
+/// configuration file (device = "auto"). Flags override environment variables, which override the file.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose run --scene head.toml\n  \
                   slitpose run --device sim --duration 10s\n  \
@@ -61,7 +61,7 @@ pub(super) struct Args {
     /// Send poses as datagrams: unix:PATH, or udp:127.0.0.1:PORT
     #[arg(long, value_name = "ADDRESS", value_delimiter = ',')]
     publish: Vec<Address>,
-    /// Tell how it goes, as JSON and for Prometheus: 127.0.0.1:PORT, or unix:PATH
+    /// Serve the state as text, as JSON and for Prometheus at 127.0.0.1:PORT, or unix:PATH
     #[arg(long, value_name = "ADDRESS")]
     status: Option<StatusAddress>,
     /// How long to look for a board that is not there: a time, or `forever`
@@ -73,7 +73,7 @@ pub(super) struct Args {
     /// Read and solve with real-time priority (SCHED_FIFO), 1 to 99
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(1..=99))]
     real_time: Option<u8>,
-    /// Device seconds a second a simulated board runs at, or max
+    /// Seconds of a simulated board's clock per second, or max
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     speed: Option<Speed>,
     #[command(flatten)]
@@ -185,7 +185,8 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
         ));
         outcome = Outcome::DataLost;
     }
-    if let (false, Some(file)) = (capture.state == RecorderState::Failed, &capture.file) {
+    // Somebody looks; programs read it from /status and the capture.
+    if let (true, Some(file)) = (io::stderr().is_terminal() && capture.state != RecorderState::Failed, &capture.file) {
         let files = if capture.files > 1 { format!(", the last of {} files", capture.files) } else { String::new() };
         talk(format_args!("recorded {:.1} MB in {file}{files}", capture.bytes as f64 * 1e-6));
     }

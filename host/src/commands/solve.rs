@@ -18,7 +18,7 @@ pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
 /// included. Columns out: status, pose, standard deviations, condition number, chi2, iterations,
 /// cells_used, free_directions, which names what an unobservable pose leaves open, excluded_cells,
 /// which contradict all others, and verified: how well redundancy checked the pose (well: no single
-/// lying cell can have moved it by 30 sigma unnoticed; weakly: by 300; not). A row without a pose
+/// faulty cell can have moved it by 30 sigma unnoticed; weakly: by 300; not). A row without a pose
 /// keeps its place, with a status.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv | slitpose solve wide --currents -")]

@@ -1,13 +1,16 @@
 //! `slitpose status`: how a daemon does.
 
+use std::io::Write;
+
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
 use crate::foreign::printable_lines;
-use crate::table::Output;
+use crate::table::{Output, OutputError};
 use crate::telemetry::{DEFAULT_STATUS_ADDRESS, StatusAddress, fetch};
+use crate::terminal::{self, Tone};
 
-/// Tells how a running daemon, its boards and their cells do.
+/// Shows the state of a running daemon, its boards and their cells.
 ///
 /// Asks the daemon that was started with `slitpose run --status ADDRESS`.
 #[derive(Debug, clap::Args)]
@@ -40,8 +43,21 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let output = Output::open(None)?;
     match args.format {
         // Whatever listens there may have written it.
-        Format::Text => output.write_text(&printable_lines(&text))?,
+        Format::Text => write_lines(output, &printable_lines(&text))?,
         Format::Json | Format::Prometheus => output.write_text(&text)?,
     }
     Ok(Outcome::Done)
+}
+
+/// What is wrong stands out where somebody looks.
+fn write_lines(mut output: Output, text: &str) -> Result<(), OutputError> {
+    let has_colours = terminal::has_colours(output.is_terminal());
+    for line in text.lines() {
+        let is_wrong = ["wrong ", "  ! "].iter().any(|name| line.starts_with(name));
+        let tone = if is_wrong { Tone::Wrong } else { Tone::Plain };
+        if let Err(source) = writeln!(output, "{}", tone.paint(line, has_colours)) {
+            return Err(output.error(source));
+        }
+    }
+    output.finish()
 }

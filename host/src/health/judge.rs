@@ -135,8 +135,8 @@ impl Health {
                 format!("the words of cell {cell} never change: reset the board, then check its converter's wiring")
             }
             Verdict::Saturated => format!(
-                "cell {cell} is saturated in {:.0} % of the scans: lower the level of its emitter, or shade it from \
-                 other light",
+                "cell {cell} is saturated in {:.0} % of the scans (its converter at full scale, or its detector above \
+                 saturation_a): lower the level of its emitter, or shade it from other light",
                 percent(shares.saturated)
             ),
             Verdict::Dark => format!(

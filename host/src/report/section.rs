@@ -130,9 +130,10 @@ pub struct Report {
 }
 
 impl Report {
-    /// What a reader of nothing else should know, in the order of the chapters.
+    /// What a reader of nothing else should know: poses first, then what they rest on.
     pub fn summary(&self) -> impl Iterator<Item = &str> {
-        self.sections.iter().flat_map(|section| &section.summary).map(String::as_str)
+        let (first, others) = self.sections.split_at(self.sections.len().min(1));
+        others.iter().chain(first).flat_map(|section| &section.summary).map(String::as_str)
     }
 }
 

@@ -46,14 +46,17 @@ fn home(survey: &Survey, text: &mut String) -> fmt::Result {
 fn coverage(survey: &Survey, text: &mut String) -> fmt::Result {
     let coverage = &survey.coverage;
     writeln!(text, "\nOver the workspace ({} poses)", coverage.samples)?;
-    writeln!(text, "  cell   lit/%  clipped/%  dark/%  behind/%  faint/%  saturated/%     I_O/µA     electrode/µA")?;
+    writeln!(
+        text,
+        "  cell   lit/%  clipped/%  dark/%  behind/%  faint/%  saturated/%  overscale/%     I_O/µA     electrode/µA"
+    )?;
     for cell in &coverage.cells {
         let percent = |share: f64| 100.0 * share;
         let range =
             cell.i_o_range_a.map_or("-".to_owned(), |[least, most]| format!("{:.3} … {:.3}", least * 1e6, most * 1e6));
         writeln!(
             text,
-            "  {:>4} {:>7.2} {:>10.2} {:>7.2} {:>9.2} {:>8.2} {:>12.2}  {range:>15}  up to {:.3}",
+            "  {:>4} {:>7.2} {:>10.2} {:>7.2} {:>9.2} {:>8.2} {:>12.2} {:>12.2}  {range:>15}  up to {:.3}",
             cell.cell,
             percent(cell.lit),
             percent(cell.clipped),
@@ -61,9 +64,11 @@ fn coverage(survey: &Survey, text: &mut String) -> fmt::Result {
             percent(cell.behind),
             percent(cell.faint),
             percent(cell.saturated),
+            percent(cell.over_scale),
             cell.most_electrode_a * 1e6
         )?;
     }
+    writeln!(text, "  saturated: the detector, above its saturation_a; overscale: an electrode above full_scale_a")?;
     let cells = coverage.cells.len();
     write!(text, "  all {cells} lit in {:.2} %", 100.0 * coverage.at_least_lit[cells])?;
     for least in (1..cells).rev() {

@@ -80,7 +80,7 @@ pub enum Warning {
     },
     /// A current beyond the detector.
     #[error(
-        "cell {cell} saturates in {:.2} % of the workspace (I_O up to {:.1} µA); \
+        "the detector of cell {cell} saturates in {:.2} % of the workspace (I_O up to {:.1} µA, more than its saturation_a); \
          lower the emitter's intensity or narrow the slit",
         100.0 * share, most_a * 1e6
     )]

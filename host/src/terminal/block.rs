@@ -39,8 +39,7 @@ impl Block {
             rows => format!("\r\x1b[{rows}A\x1b[J"),
         };
         for row in rows {
-            let (begin, end) = if has_colours { row.tone.codes() } else { ("", "") };
-            text += &format!("{begin}{}{end}\n", row.text);
+            text += &(row.tone.paint(&row.text, has_colours) + "\n");
         }
         let widest = rows.iter().map(|row| measure_text_width(&row.text)).max().unwrap_or(0);
         *self = Self { rows: rows.len(), widest };

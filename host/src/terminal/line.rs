@@ -27,12 +27,20 @@ pub enum Tone {
 
 impl Tone {
     /// What begins and ends its colour (SGR of ECMA-48).
-    pub(super) fn codes(self) -> (&'static str, &'static str) {
+    fn codes(self) -> (&'static str, &'static str) {
         match self {
             Self::Plain => ("", ""),
             Self::Careful => ("\x1b[33m", "\x1b[0m"),
             Self::Wrong => ("\x1b[1;31m", "\x1b[0m"),
         }
+    }
+}
+
+impl Tone {
+    /// `text` in its colour, if it `has_colours`.
+    pub fn paint(self, text: &str, has_colours: bool) -> String {
+        let (begin, end) = if has_colours { self.codes() } else { ("", "") };
+        format!("{begin}{text}{end}")
     }
 }
 

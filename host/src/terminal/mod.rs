@@ -102,9 +102,11 @@ pub fn complain(text: fmt::Arguments<'_>) {
 fn write_message(tone: Tone, text: fmt::Arguments<'_>) {
     let text = text.to_string();
     let text = printable(&text).at_most(LONGEST_MESSAGE);
-    let (begin, end) = if has_colours(io::stderr().is_terminal()) { tone.codes() } else { ("", "") };
-    // Nobody is left to tell if even standard error is closed.
-    let _ = screen().above(|| writeln!(io::stderr(), "{begin}slitpose:{end} {text}"));
+    let name = tone.paint("slitpose:", has_colours(io::stderr().is_terminal()));
+    let write = || writeln!(io::stderr(), "{name} {text}");
+    // Elsewhere it disturbs no view, and does not wait for a terminal that is held (Ctrl-S). Nobody is
+    // left to tell if even standard error is closed.
+    let _ = if io::stderr().is_terminal() { screen().above(write) } else { write() };
 }
 
 fn screen() -> std::sync::MutexGuard<'static, Screen> {

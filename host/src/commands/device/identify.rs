@@ -5,7 +5,7 @@ use crate::commands::talk;
 use crate::commands::{CommandError, Outcome};
 use crate::scene_file::WIDE;
 
-/// Lets a board's indicator light show which one it is.
+/// Blinks a board's indicator light, to find it among several.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose device identify --device 0036002900544850025a0320 --seconds 30")]
 pub(super) struct Args {

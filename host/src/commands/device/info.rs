@@ -11,7 +11,7 @@ use crate::foreign::printable;
 use crate::scene_file::{Shipped, WIDE};
 use crate::table::Output;
 
-/// Tells all that a board says of itself: versions, schedule, scaling, what it stores, its counters.
+/// Shows all that a board reports: versions, schedule, scaling, what it stores, its counters.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose device info\n  slitpose device info --device /dev/ttyACM0 --format json")]
 pub(super) struct Args {
@@ -67,7 +67,7 @@ fn text(connection: &Connection, status: Option<&Status>) -> String {
     lines.push((
         "scaling",
         format!(
-            "up to {:.3} uA in {} bits, zero at code {:.1}, {:.4} nA a code, saturated at code {}",
+            "up to {:.3} uA in {} bits, zero at code {:.1}, {:.4} nA a code, full scale at code {}",
             scaling.full_scale_a() * 1e6,
             scaling.bits,
             scaling.zero_code,

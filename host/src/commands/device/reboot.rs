@@ -23,7 +23,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// Between two looks for the port.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// Lets a board start anew, and waits until it is back.
+/// Restarts a board, and waits until it is back.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose device reboot --device /dev/ttyACM0")]
 pub(super) struct Args {

@@ -11,12 +11,12 @@ use crate::survey::Survey;
 use crate::table::Output;
 use crate::terminal::{Amount, Progress};
 
-/// Tells what a scene can do, and warns of what it cannot.
+/// Shows what a scene can do, and warns of what it cannot.
 ///
 /// Each cell at home, over the workspace and along every axis; cross-talk of emitters that are lit
 /// together; timing. Ends with 0 also if there are warnings, with 1 if the scene cannot be used.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  slitpose scene check wide\n  slitpose scene check mine.toml --format json")]
+#[command(after_help = "Examples:\n  slitpose scene check wide\n  slitpose scene check mine.toml --format json")]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
     #[arg(value_parser = names::scenes(), hide_possible_values = true)]

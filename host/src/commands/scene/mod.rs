@@ -20,6 +20,7 @@ pub(super) struct Args {
 enum Verb {
     Check(check::Args),
     /// Lists the scenes that come with the program
+    #[command(after_help = "Example:\n  slitpose scene list")]
     List,
     Plot(plot::Args),
     Show(show::Args),
