@@ -186,7 +186,8 @@ pub struct Uncertainty {
     pub emitter_gain_relative: f64,
     /// Of each electrode's gain, relative.
     pub electrode_gain_relative: f64,
-    /// Of each cell's measured light position X_A, metres.
+    /// Of where each cell's detector, slit and emitter are to each other, per axis of space, metres: a
+    /// displaced cell sees its spot moved and its light changed.
     pub position_m: f64,
 }
 

@@ -112,8 +112,10 @@ fn abrupt_reversals_cost_no_pose() {
     assert_complete(&lines, 8_000);
     let honesty = honesty(&lines);
     assert!(honesty.poses >= 7_992);
-    // Legs of 15 ms on average make 133 reversals in 2 s, and each can surprise one frame.
-    assert!(honesty.beyond_five_sigma <= 133);
+    // Only a frame with a reversal between its exposures, 68 µs of 250, has no one twist: 36 of the 133 that
+    // legs of 15 ms on average make in 2 s. Of those 2 do not show in the currents; of 2 on average more than
+    // 10 come in one draw of 100 000.
+    assert!(honesty.beyond_five_sigma <= 10);
     let largest_m = lines
         .iter()
         .filter_map(Line::error)

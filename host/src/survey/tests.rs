@@ -60,6 +60,12 @@ fn warnings_carry_the_number_and_a_remedy() {
             "% of its own signal",
             "different slots",
         ),
+        // 12 mm/4 · 1 % · √2.
+        (
+            wide.to_owned() + "\n[uncertainty]\nemitter_gain_relative = 0.01\n",
+            "moves a spot by up to 42 µm",
+            "set electrode_gain_relative",
+        ),
         (wide.replace("frame_rate_hz = 4000", "frame_rate_hz = 9000"), "frame period is 111.1 µs", "frame_rate_hz"),
         (wide.replace("[4.0, 4.0, 4.0]", "[4.0, 9.0, 4.0]"), "beyond ty", "shrink the workspace"),
         (

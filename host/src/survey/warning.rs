@@ -146,6 +146,17 @@ pub enum Warning {
     /// Nothing to subtract ambient light with.
     #[error("no lighting slot is dark, so ambient light and offsets stay in the currents; add [] to lighting.slots")]
     NoDarkSlot,
+    /// Gains are said to be open, but only those that both electrodes of a cell share.
+    #[error(
+        "uncertainty.emitter_gain_relative leaves open what both electrodes of a cell share; each electrode's own gain \
+         counts as known, yet 1 % of it moves a spot by up to {:.0} µm, and hardly a pose would tell; \
+         set electrode_gain_relative unless it is calibrated",
+        moved_m * 1e6
+    )]
+    ElectrodeGainsTakenAsKnown {
+        /// By how much one percent of both gains moves a spot, metres.
+        moved_m: f64,
+    },
     /// The schedule is longer than the frame.
     #[error(transparent)]
     SlotsDoNotFit(#[from] SceneFileError),
@@ -191,6 +202,12 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Warning> {
     }));
     if file.lighting.dark_slot().is_none() {
         warnings.push(Warning::NoDarkSlot);
+    }
+    let open = &file.scene.uncertainty;
+    if open.emitter_gain_relative > 0.0 && open.electrode_gain_relative == 0.0 {
+        // X_A = Lx/2·(I_X2 − I_X1)/I_O: of a spot in the middle Lx/4 per relative gain of either.
+        let length_m = file.scene.cells.iter().map(|cell| cell.detector.length_m).fold(0.0, f64::max);
+        warnings.push(Warning::ElectrodeGainsTakenAsKnown { moved_m: 0.25 * length_m * 0.01 * 2f64.sqrt() });
     }
     if let Err(error) = file.require_slots_fit() {
         warnings.push(error.into());

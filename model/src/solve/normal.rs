@@ -103,6 +103,8 @@ pub(super) struct Workspace<S: Scalar> {
     rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
     /// Readings whose cell has no spot: their plane is a third row.
     guided: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
+    /// Of readings of cells whose parts may be displaced: their weights at the last expansion.
+    displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
     /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
     slack_m: S,
     /// M₁ and M₂, where the twist is not known.
@@ -131,6 +133,7 @@ impl<S: Scalar> Workspace<S> {
             evaluations: 0,
             rows: ArrayVec::new(),
             guided: ArrayVec::new(),
+            displaced: ArrayVec::new(),
             slack_m: S::zero(),
             twist_moments: [[[S::zero(); 6]; 6]; 2],
             elimination: None,
@@ -288,8 +291,9 @@ impl<S: Scalar> Problem<'_, S> {
         room: &mut Workspace<S>,
     ) -> Expansion<S> {
         room.count();
-        let Workspace { rows: all_rows, guided, slack_m, twist_moments, .. } = room;
+        let Workspace { rows: all_rows, guided, displaced, slack_m, twist_moments, .. } = room;
         *slack_m = S::infinity();
+        displaced.clear();
         all_rows.clear();
         guided.clear();
         let mut information = [[S::zero(); 6]; 6];
@@ -307,7 +311,15 @@ impl<S: Scalar> Problem<'_, S> {
                     return;
                 };
                 *slack_m = slack_m.min(terms.slack_m);
-                let whitener = &whiteners[index];
+                let variance = self.noise[cell].displacement;
+                let looser;
+                let whitener = if variance > S::zero() {
+                    looser = whiteners[index].displaced(&terms.jacobian, variance);
+                    displaced.push(looser);
+                    &looser
+                } else {
+                    &whiteners[index]
+                };
                 // Translations are counted in units of the arm.
                 let whitener_in_arms = whitener.scaled(self.arm);
                 let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
@@ -455,7 +467,8 @@ impl<S: Scalar> Problem<'_, S> {
                     return;
                 };
                 let residual = [reading.pair[0] - currents[0], reading.pair[1] - currents[1]];
-                for (row, residual) in room.rows[index].iter_mut().zip(whiteners[index].apply(residual)) {
+                let whitener = room.displaced.get(index).unwrap_or(&whiteners[index]);
+                for (row, residual) in room.rows[index].iter_mut().zip(whitener.apply(residual)) {
                     row.residual = residual;
                 }
                 index += 1;

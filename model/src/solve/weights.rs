@@ -30,6 +30,14 @@ impl<S: Scalar> Whitener<S> {
         Self { rows: [[w0[0] - a * along[0], w0[1] - a * along[1]], [w1[0] - b * along[0], w1[1] - b * along[1]]] }
     }
 
+    /// For the pair of a cell whose parts may be displaced along each axis by a standard deviation of which
+    /// `variance` is the square, m²: that does to the currents what moving the tool the other way does,
+    /// by `jacobian`, of which the first three columns are the tool's translation.
+    #[cold]
+    pub(crate) fn displaced(&self, jacobian: &[[S; 6]; 2], variance: S) -> Self {
+        (0..3).fold(*self, |whitener, axis| whitener.loosened(jacobian.map(|row| row[axis]), variance))
+    }
+
     /// For derivatives that are to be counted in units of `unit`.
     #[inline(always)]
     pub(crate) fn scaled(&self, unit: S) -> Self {
@@ -47,37 +55,42 @@ impl<S: Scalar> Whitener<S> {
 pub(crate) struct CellNoise<S> {
     /// 2qB: variance of the total current per ampere of light.
     shot: S,
-    /// 2q·I_D·B: variance of the total current without light.
-    dark_shot: S,
-    /// 4kT·B/R_ie.
+    /// 4kT·B/R_ie, and what the places where the dark current starts do.
     johnson: S,
     /// Of converter and amplifier, per electrode.
     converter: S,
     emitter_gain: S,
     electrode_gain: S,
-    /// Variance of X_A/Lx.
+    /// Variance of X_A/Lx, on the way from far off.
     position: S,
+    /// Variance of the place of the cell's parts per axis, m²: see [`Whitener::displaced`].
+    pub(crate) displacement: S,
     /// Square of the relative error of the arithmetic: of the exact tier's integrals, or rounding.
     arithmetic: S,
+    /// Variance of the dark current.
+    dark: S,
 }
 
 impl<S: Scalar> CellNoise<S> {
     pub(crate) fn compile(scene: &Scene, cell: usize, relative_error: f64) -> Self {
         let detector = &scene.cells[cell].detector;
-        let [shot, dark_shot, johnson, converter] = scene.noise.map_or([0.0; 4], |noise| {
-            [noise.shot_a(), noise.dark_shot_a2(detector), noise.johnson_a2(detector), noise.adc_a * noise.adc_a]
+        let (shot, dark, johnson, converter) = scene.noise.map_or((0.0, 0.0, 0.0, 0.0), |noise| {
+            // Starting anywhere between the electrodes, an electron of the dark current divides into
+            // ½ ∓ x/Lx, of which the variance is 1/12.
+            let dark = noise.dark_shot_a2(detector);
+            (noise.shot_a(), dark, noise.johnson_a2(detector) + dark / 12.0, noise.adc_a * noise.adc_a)
         });
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
-        let position = position_m / detector.length_m;
         Self {
             shot: S::of(shot),
-            dark_shot: S::of(dark_shot),
             johnson: S::of(johnson),
             converter: S::of(converter),
             emitter_gain: S::of(emitter_gain_relative * emitter_gain_relative),
             electrode_gain: S::of(electrode_gain_relative * electrode_gain_relative),
-            position: S::of(position * position),
+            position: S::zero(),
+            displacement: S::of(position_m * position_m),
             arithmetic: S::of(relative_error * relative_error),
+            dark: S::of(dark),
         }
     }
 
@@ -94,11 +107,12 @@ impl<S: Scalar> CellNoise<S> {
 
     /// The weights at the measured `currents` (above dark).
     ///
-    /// Shot noise of a point spot is common to both electrodes and divides like the current;
+    /// Shot noise of a point spot is common to both electrodes and divides like the current; that of the
+    /// dark current divides evenly;
     /// Johnson noise of the inter-electrode resistance flows out of one electrode into the other;
-    /// unknown gains and an unknown position are nuisance parameters marginalised here: each
-    /// belongs to this cell alone, so its effect is a covariance of this pair. An emitter gain known
-    /// to nothing leaves the ratio of the currents.
+    /// unknown gains are nuisance parameters marginalised here: each belongs to this cell alone, so its
+    /// effect is a covariance of this pair. So is that of displaced parts, which depends on the pose:
+    /// [`Whitener::displaced`]. An emitter gain known to nothing leaves the ratio of the currents.
     #[inline]
     pub(crate) fn whitener(&self, currents: [S; 2]) -> Whitener<S> {
         let total = (currents[0] + currents[1]).abs();
@@ -110,7 +124,10 @@ impl<S: Scalar> CellNoise<S> {
         if across > S::zero() {
             whitener = whitener.loosened([-S::one(), S::one()], across);
         }
-        let along = (self.shot * total + self.dark_shot) / square + self.emitter_gain;
+        if self.dark > S::zero() {
+            whitener = whitener.loosened([S::half(), S::half()], self.dark);
+        }
+        let along = self.shot * total / square + self.emitter_gain;
         if along > S::zero() {
             whitener = whitener.loosened(currents, along);
         }
@@ -125,13 +142,14 @@ mod tests {
     fn noise<S: Scalar>(emitter_gain: f64) -> CellNoise<S> {
         CellNoise {
             shot: S::of(3.2e-15),
-            dark_shot: S::of(1.6e-20),
             johnson: S::of(3.4e-21),
             converter: S::of(3.6e-19),
             emitter_gain: S::of(emitter_gain * emitter_gain),
             electrode_gain: S::of(1e-6),
             position: S::of(1e-8),
+            displacement: S::zero(),
             arithmetic: S::of(1e-20),
+            dark: S::of(1e-21),
         }
     }
 
@@ -153,7 +171,8 @@ mod tests {
             add(electrode, 3.6e-19 + 1e-20 * total * total + 1e-6 * current * current);
         }
         add([-1.0, 1.0], 3.4e-21 + 1e-8 * total * total);
-        add(pair, (3.2e-15 * total + 1.6e-20) / (total * total) + 1e-4);
+        add([0.5, 0.5], 1e-21);
+        add(pair, 3.2e-15 * total / (total * total) + 1e-4);
         for i in 0..2 {
             for j in 0..2 {
                 let product: f64 = (0..2)

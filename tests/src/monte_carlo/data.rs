@@ -5,6 +5,7 @@
 //! * Johnson noise 4kT·B/R_ie of the inter-electrode resistance leaves one and enters the other;
 //! * the converter's is their own.
 
+use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Pair, Photocurrents, Plan, Pose, Scene};
@@ -28,8 +29,6 @@ struct CellDisturbance {
     converter_a: f64,
     emitter_gain: f64,
     electrode_gain: f64,
-    /// Of X_A/Lx.
-    position: f64,
 }
 
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
@@ -49,7 +48,6 @@ impl Disturbance {
                 converter_a: 0.0,
                 emitter_gain: uncertainty.emitter_gain_relative,
                 electrode_gain: uncertainty.electrode_gain_relative,
-                position: uncertainty.position_m / detector.length_m,
             };
             if let Some(noise) = scene.noise {
                 disturbance.shot_a = 2.0 * ELEMENTARY_CHARGE_C * noise.shot_bandwidth_hz;
@@ -63,14 +61,13 @@ impl Disturbance {
         Self { cells: cells.collect() }
     }
 
-    /// `pair` as cell `cell` would measure it: gains and position drawn anew, then noise.
+    /// `pair` as cell `cell` would measure it: gains drawn anew, then noise.
     pub fn measure(&self, cell: usize, pair: Pair<f64>, rng: &mut ChaCha8Rng) -> Pair<f64> {
         let cell = &self.cells[cell];
         let emitter = 1.0 + cell.emitter_gain * normal(rng);
-        let shift = cell.position * normal(rng) * pair.total_a();
         let mut electrode = |current_a: f64| current_a * emitter * (1.0 + cell.electrode_gain * normal(rng));
-        let first = electrode(pair.i_x1_a - shift);
-        let second = electrode(pair.i_x2_a + shift);
+        let first = electrode(pair.i_x1_a);
+        let second = electrode(pair.i_x2_a);
 
         let total = first + second;
         let shot = if total > 0.0 { (cell.shot_a * (total + cell.dark_a)).sqrt() * normal(rng) / total } else { 0.0 };
@@ -87,7 +84,7 @@ impl Disturbance {
         let (a, b, total) = (pair.i_x1_a, pair.i_x2_a, pair.total_a());
         let common = cell.emitter_gain.powi(2)
             + if total > 0.0 { cell.shot_a * (total + cell.dark_a) / (total * total) } else { 0.0 };
-        let opposed = cell.johnson_a.powi(2) + (cell.position * total).powi(2);
+        let opposed = cell.johnson_a.powi(2);
         let own = |current_a: f64| cell.converter_a.powi(2) + (cell.electrode_gain * current_a).powi(2);
         [
             [common * a * a + opposed + own(a), common * a * b - opposed],
@@ -109,6 +106,16 @@ impl Disturbance {
 /// The photocurrents of all cells at `pose`, undisturbed.
 pub fn pairs(plan: &Plan<f64>, pose: &Pose) -> Vec<Pair<f64>> {
     (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)).collect()
+}
+
+/// The same where each cell's detector and slit are off by `position_m` along each axis, drawn anew: they
+/// see the emitter off the other way.
+pub fn displaced_pairs(plan: &Plan<f64>, pose: &Pose, position_m: f64, rng: &mut ChaCha8Rng) -> Vec<Pair<f64>> {
+    let mut displaced = || {
+        let off_m = DVec3::from_array([0; 3].map(|_| position_m * normal(rng)));
+        Pose { translation_m: pose.translation_m - off_m, ..*pose }
+    };
+    (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &displaced())).collect()
 }
 
 /// How many of `pairs` are not faint, clipped spots included.
@@ -140,7 +147,6 @@ mod tests {
             calibrated,
             Uncertainty { emitter_gain_relative: 1e-3, ..calibrated },
             Uncertainty { electrode_gain_relative: 1e-3, ..calibrated },
-            Uncertainty { position_m: 10e-6, ..calibrated },
         ] {
             scene.uncertainty = uncertainty;
             let disturbance = Disturbance::of(&scene);

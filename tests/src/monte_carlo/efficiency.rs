@@ -4,7 +4,7 @@ use std::fmt;
 
 use slitpose_model::{AXES, Scene, Solver, Tier, Uncertainty};
 
-use super::data::{Disturbance, lit_count, measured, pairs};
+use super::data::{Disturbance, displaced_pairs, lit_count, measured, pairs};
 use super::layout::Table;
 use super::tally::{Case, Tally, Verdict, list};
 use super::trials::Trials;
@@ -67,6 +67,9 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
             let row = one_in_box(rng, HALF_MM, HALF_DEG);
             let pairs = pairs(solver.plan(), &pose(row));
             if lit_count(scene, &pairs) == scene.cells.len() {
+                let position_m = scene.uncertainty.position_m;
+                let pairs =
+                    if position_m > 0.0 { displaced_pairs(solver.plan(), &pose(row), position_m, rng) } else { pairs };
                 let case = Case::new(trial, row, solver.solve(&measured(&disturbance, &pairs, rng)));
                 return Trial { case, bound: solver.bound(&pose(row)).map(|bound| sigma(&bound)) };
             }
