@@ -1,0 +1,51 @@
+//! What each scan costs a tracker, whatever the head sees: one table on stdout; exit code 1 if a case
+//! takes longer than it may, or falls behind.
+//!
+//! `cargo run --release -p slitpose-tests --example lit_cells -- [SCENE...] [--runs 10] [--scans 1000] [--seed S]`
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use slitpose::scene_file::SceneFile;
+use slitpose_tests::lit_cells::{Report, cases, study, table};
+use slitpose_tests::monte_carlo::trials::Trials;
+
+/// What a scan may take, 99 % of all scans, µs.
+const MOST_P99_US: f64 = 100.0;
+
+#[derive(Parser)]
+#[command(about = "What each scan costs a tracker, whatever the head sees")]
+struct Options {
+    /// Names of shipped scenes, or scene files
+    #[arg(default_value = "wide")]
+    scenes: Vec<String>,
+    /// Runs of each case
+    #[arg(long, default_value_t = 10)]
+    runs: usize,
+    /// Scans of each run
+    #[arg(long, default_value_t = 1000)]
+    scans: usize,
+    /// Scans with all cells well before each run of a second set of cases
+    #[arg(long, default_value_t = 20)]
+    healthy: usize,
+    /// Seed of everything that is drawn
+    #[arg(long, default_value_t = 20_180_718)]
+    seed: u64,
+}
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    let trials = Trials { count: options.runs, seed: options.seed };
+    let mut reports = Vec::new();
+    for scene in &options.scenes {
+        let file = SceneFile::open(scene).unwrap_or_else(|error| panic!("{error}"));
+        reports.extend(cases(&file, options.healthy, options.scans).iter().map(|case| study(case, trials)));
+    }
+    println!("{} runs of {} scans each, seed {}", options.runs, options.scans, options.seed);
+    print!("{}", table(&reports));
+    let is_late =
+        |report: &&Report| report.cost_us(0.99) > MOST_P99_US || report.most_lag_us() > 1e6 * report.period_s();
+    let (late, cases) = (reports.iter().filter(is_late).count(), reports.len());
+    println!("99 % within {MOST_P99_US} us, none later than the next scan: {} of {cases} cases", cases - late);
+    ExitCode::from(u8::from(late > 0))
+}
