@@ -70,6 +70,14 @@ mod tests {
         assert_eq!(levels.len(), 6);
     }
 
+    /// By the table of the analogue front end (README.md): the reference at code 4031, 10 µA at code 0.
+    #[test]
+    fn the_default_scaling_is_that_of_the_front_end() {
+        let AdcScaling { zero_code, amperes_per_code, bits, saturation_code } = default_scaling();
+        assert_eq!((zero_code, bits, saturation_code), (4031.0, 12, 32));
+        assert!((amperes_per_code + 2.480774e-9).abs() < 1e-15, "{amperes_per_code}");
+    }
+
     #[test]
     fn the_packet_arithmetic_is_that_of_the_encoder() {
         let samples = [0xff; BATCH_SCANS * 6 * 8];
