@@ -477,3 +477,18 @@ fn chi2_gate(freedom: usize) -> f64 {
     let root = 1.0 - spread + GATE_SIGMAS * libm::sqrt(spread);
     k * root * root * root
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gate_of_chi2_is_passed_by_chance_once_in_a_billion() {
+        // Quantiles of χ² for 9.9e-10, from its closed form for even degrees of freedom. The cube root is
+        // a normal deviate to a few percent, least so for few degrees.
+        for (freedom, quantile) in [(2, 41.47), (4, 47.91), (6, 53.37), (10, 62.98), (26, 94.63)] {
+            let ratio = chi2_gate(freedom) / quantile;
+            assert!((0.99..1.2).contains(&ratio), "{freedom}: {ratio}");
+        }
+    }
+}

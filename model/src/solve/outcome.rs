@@ -284,3 +284,19 @@ impl fmt::Display for Cells {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_checks_a_pose_is_put_into_words_by_how_far_it_may_have_been_moved() {
+        let verified = |unnoticed_sigmas| {
+            let nothing = Solution::<f64>::without_pose(Outcome::Converged, Cells::default());
+            Solution { unnoticed_sigmas, ..nothing }.verified()
+        };
+        assert_eq!([0.0, 29.9].map(verified), [Verified::Well; 2]);
+        assert_eq!([30.1, 299.0].map(verified), [Verified::Weakly; 2]);
+        assert_eq!([301.0, 2999.0, f64::INFINITY, f64::NAN].map(verified), [Verified::Not; 4]);
+    }
+}

@@ -318,11 +318,13 @@ impl<S: Scalar> Solver<S> {
             minima.add(refined, self.fit(sorted, problem, &refined));
         }
         search.has_begun = true;
+        // Of three cells alone no pose will come of it.
+        let unfinished = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
         let mut seen = Seen::new();
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
             if room.work == 0 {
                 if search.may_pause {
-                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, Outcome::Diverged) });
+                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
                 }
                 break;
             }
@@ -333,7 +335,7 @@ impl<S: Scalar> Solver<S> {
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
                 if search.outlier.is_paused() {
-                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, Outcome::Diverged) });
+                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
                 }
             }
             let start = search.under_way.take().or_else(|| {
