@@ -181,7 +181,7 @@ fn no_currents_cost_more_than_the_budget() {
                 },
                 |solution| assert_ne!(solution.outcome, Outcome::Converged),
             );
-            let mut of_three_places = |scene: &Scene, rng: &mut ChaCha8Rng| {
+            let of_three_places = |scene: &Scene, rng: &mut ChaCha8Rng| {
                 let poses: [Pose; 3] = std::array::from_fn(|_| pose_in_box(rng, 3.0, 12.0));
                 Photocurrents::of_pairs(
                     (0..scene.cells.len()).map(|cell| solver.plan().photocurrents(cell, &poses[cell % 3])),
