@@ -269,4 +269,16 @@ fn a_word_that_tells_no_current_gives_none() {
     }
     assert!(matches!(readings[1], Reading::Missing));
     assert!([3, 4].iter().all(|&cell| matches!(readings[cell], Reading::Saturated)));
+
+    // Without dark words the scene says what there is in the dark: half of 200 nA an electrode, whatever
+    // the level. Zero current is code 4031, and 8 000 of a sum of four code 2000.
+    let mut file = wide(|file, _| file.scene.cells[0].detector.dark_current_a = 200e-9);
+    file.lighting.slots.retain(|slot| !slot.is_empty());
+    let schedule = configuration(&file).expect("a front end").schedule;
+    let mut scan = RawScan::new(6, false);
+    scan.levels_mut().fill(Level(0x4000));
+    scan.lit_mut().fill([8_000; 2]);
+    let Reading::Light(pair) = Stage::new(&file, &schedule, &scaling).photocurrents(&scan).cells[0] else { panic!() };
+    let expected_a = (2_031.0 * 2.5e-9 - 100e-9) / 0.5;
+    assert!((pair.i_x1_a / expected_a - 1.0).abs() < 1e-9, "{pair:?}");
 }
