@@ -24,6 +24,12 @@ pub enum CaptureError {
         /// What the system said.
         source: io::Error,
     },
+    /// The user did not wait for somebody to read a pipe.
+    #[error("interrupted: nobody reads {} yet; start its reader first", path.display())]
+    Interrupted {
+        /// The pipe.
+        path: PathBuf,
+    },
     /// Writing failed on the way.
     #[error(
         "recording to {} has ended: writing failed; its first {kept_bytes} bytes are whole and can be replayed; \

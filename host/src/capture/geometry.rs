@@ -1,7 +1,7 @@
 //! Poses and velocities as ROS 2 has them.
 
 use glam::DVec3;
-use slitpose_model::{Estimate, TwistEstimate};
+use slitpose_model::{Estimate, Pose, TwistEstimate};
 
 use super::cdr::Encoder;
 
@@ -10,29 +10,50 @@ const FRAME: &str = "base";
 
 /// `geometry_msgs/msg/PoseWithCovarianceStamped`.
 pub(super) fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
-    let mut encoder = header(stamp_ns, bytes);
-    vector(&mut encoder, estimate.pose.translation_m);
-    for value in estimate.pose.rotation.to_array() {
-        encoder.f64(value);
-    }
+    let mut encoder = Encoder::new(bytes);
+    header(&mut encoder, stamp_ns);
+    pose(&mut encoder, &estimate.pose);
     covariance(&mut encoder, &estimate.covariance);
+}
+
+/// `geometry_msgs/msg/PoseStamped`.
+pub(super) fn encode_pose_stamped(stamp_ns: u64, of: &Pose, bytes: &mut Vec<u8>) {
+    let mut encoder = Encoder::new(bytes);
+    header(&mut encoder, stamp_ns);
+    pose(&mut encoder, of);
+}
+
+/// `tf2_msgs/msg/TFMessage` with one transform; `child` is the name of the tool's frame.
+pub(super) fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mut Vec<u8>) {
+    let mut encoder = Encoder::new(bytes);
+    encoder.length(1);
+    header(&mut encoder, stamp_ns);
+    encoder.text(child);
+    pose(&mut encoder, of);
 }
 
 /// `geometry_msgs/msg/TwistWithCovarianceStamped`.
 pub(super) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
-    let mut encoder = header(stamp_ns, bytes);
+    let mut encoder = Encoder::new(bytes);
+    header(&mut encoder, stamp_ns);
     vector(&mut encoder, estimate.twist.linear_m_per_s);
     vector(&mut encoder, estimate.twist.angular_rad_per_s);
     covariance(&mut encoder, &estimate.covariance);
 }
 
-fn header(stamp_ns: u64, bytes: &mut Vec<u8>) -> Encoder<'_> {
+fn header(encoder: &mut Encoder<'_>, stamp_ns: u64) {
     const S: u64 = 1_000_000_000;
-    let mut encoder = Encoder::new(bytes);
     encoder.i32(i32::try_from(stamp_ns / S).unwrap_or(i32::MAX));
     encoder.u32((stamp_ns % S) as u32);
     encoder.text(FRAME);
-    encoder
+}
+
+/// Translation, then rotation as x, y, z, w: poses and transforms alike.
+fn pose(encoder: &mut Encoder<'_>, pose: &Pose) {
+    vector(encoder, pose.translation_m);
+    for value in pose.rotation.to_array() {
+        encoder.f64(value);
+    }
 }
 
 fn vector(encoder: &mut Encoder<'_>, vector: DVec3) {
@@ -74,6 +95,19 @@ mod tests {
         assert_eq!(bytes[8..12], 123_456_789_u32.to_le_bytes());
         assert_eq!(bytes[12..21], *b"\x05\0\0\0base\0");
         assert_eq!(numbers(&bytes), [&[1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5], flat].concat());
+
+        encode_pose_stamped(1_750_000_000_123_456_789, &pose, &mut bytes);
+        assert_eq!(bytes[12..21], *b"\x05\0\0\0base\0");
+        assert_eq!(numbers(&bytes), [1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5]);
+        encode_transform(1_750_000_000_123_456_789, "tool", &pose, &mut bytes);
+        assert_eq!(bytes[4..8], 1_u32.to_le_bytes());
+        assert_eq!(bytes[8..12], 1_750_000_000_i32.to_le_bytes());
+        assert_eq!(bytes[16..25], *b"\x05\0\0\0base\0");
+        assert_eq!(bytes[28..37], *b"\x05\0\0\0tool\0");
+        // Behind the names: padding to a multiple of 8 from the end of the first four bytes.
+        let (found, rest) = bytes[4 + 40..].as_chunks();
+        let found: Vec<f64> = found.iter().map(|number| f64::from_le_bytes(*number)).collect();
+        assert_eq!((found, rest.len()), (vec![1.0, 2.0, 3.0, 0.5, -0.5, 0.5, 0.5], 0));
 
         let twist = Twist { linear_m_per_s: DVec3::new(4.0, 5.0, 6.0), angular_rad_per_s: DVec3::new(7.0, 8.0, 9.0) };
         encode_twist(0, &TwistEstimate { twist, covariance }, &mut bytes);

@@ -1,32 +1,44 @@
 //! What records mean: which channel is whose, which scene belongs to which board.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use mcap::records::{Record, op};
 
 use super::link_bytes;
 use super::reader::Entry;
 use super::records::attachment;
-use super::setup::{METADATA, Setup};
+use super::setup::{METADATA, Setup, SetupError};
 use crate::device::DeviceId;
 use crate::pipeline::Segment;
+use crate::scene_file::fnv1a_64;
 
 /// A scene is some kilobytes of text. Longer attachments are not ours.
 const MAX_SCENE_BYTES: usize = 1 << 20;
 
-/// More scenes than boards that one host can follow.
-const MAX_SCENES: usize = 256;
+/// More than one host can follow.
+const MAX_BOARDS: usize = 256;
+
+/// Each board may have had several, one after the other.
+const MAX_SCENES: usize = 2 * MAX_BOARDS;
 
 /// What must be remembered to understand records.
 #[derive(Default)]
 pub(super) struct Index {
     channels: BTreeMap<u16, Channel>,
-    /// Scenes by name of attachment.
-    attachments: BTreeMap<String, String>,
+    /// Texts of scenes by their hashes.
+    scenes: BTreeMap<u64, String>,
+    /// Boards with what was last said of them.
+    setups: BTreeMap<DeviceId, Setup>,
+    /// Boards whose last hello is known to who reads: copies of it are passed over.
+    greeted: BTreeSet<DeviceId>,
+    /// Settings may be missing: those ahead are to be looked for.
+    pub(super) misses_settings: bool,
     /// Records that are damaged, so far.
     pub(super) damaged_records: u64,
     /// Bytes in them.
     pub(super) damaged_bytes: u64,
+    /// The first settings that cannot be used, though nothing damaged them.
+    pub(super) refused: Option<SetupError>,
 }
 
 #[derive(Clone, Copy)]
@@ -37,10 +49,11 @@ enum Channel {
 }
 
 impl Index {
-    /// Counts a damaged record.
+    /// Counts a damaged record, or bytes that are none. What was said in it is not known: hellos count again.
     pub(super) fn count_damage(&mut self, bytes: u64) {
         self.damaged_records += 1;
         self.damaged_bytes += bytes;
+        self.greeted.clear();
     }
 
     /// Takes a record; gives an entry if it is one.
@@ -56,6 +69,16 @@ impl Index {
             self.count_damage(record.len() as u64);
         }
         taken.flatten()
+    }
+
+    /// Takes a scene or the settings of a board that stand further on in the file. `Some` if the settings
+    /// of a board are known then, with an entry if they are new.
+    pub(super) fn take_ahead(&mut self, opcode: u8, record: &[u8]) -> Option<Option<Entry>> {
+        match opcode {
+            op::ATTACHMENT => self.take_attachment(record).and(None),
+            op::METADATA => self.settle(&metadata(record)?).ok(),
+            _ => None,
+        }
     }
 
     fn take_channel(&mut self, record: &[u8]) -> Option<()> {
@@ -76,26 +99,52 @@ impl Index {
     }
 
     fn take_attachment(&mut self, record: &[u8]) -> Option<()> {
-        let (name, media_type, data) = attachment(record)?;
-        if media_type != "application/toml" || data.len() > MAX_SCENE_BYTES || self.attachments.len() >= MAX_SCENES {
+        let (_, media_type, data) = attachment(record)?;
+        if media_type != "application/toml" || data.len() > MAX_SCENE_BYTES {
             return Some(());
         }
-        self.attachments.insert(name.to_owned(), std::str::from_utf8(data).ok()?.to_owned());
+        let hash = fnv1a_64(data);
+        if self.scenes.len() < MAX_SCENES && !self.scenes.contains_key(&hash) {
+            self.scenes.insert(hash, std::str::from_utf8(data).ok()?.to_owned());
+        }
         Some(())
     }
 
     fn take_metadata(&mut self, record: &[u8]) -> Option<Option<Entry>> {
-        let Ok(Record::Metadata(metadata)) = mcap::parse_record(op::METADATA, record) else {
-            return None;
-        };
-        if metadata.name != METADATA {
-            return Some(None);
+        let Some(entries) = metadata(record) else { return Some(None) };
+        match self.settle(&entries) {
+            Ok(entry) => Some(entry),
+            Err(SetupError::Damaged) => {
+                self.misses_settings = true;
+                None
+            }
+            // The scene was damaged and is counted; there may be another copy.
+            Err(SetupError::Scene { .. }) => {
+                self.misses_settings = true;
+                Some(None)
+            }
+            Err(refused) => {
+                self.refused.get_or_insert(refused);
+                Some(None)
+            }
         }
-        let (setup, channels) = Setup::from_metadata(&metadata.metadata, &self.attachments)?;
+    }
+
+    /// Takes the settings of a board; gives an entry if they are new.
+    fn settle(&mut self, entries: &BTreeMap<String, String>) -> Result<Option<Entry>, SetupError> {
+        let (setup, channels) = Setup::from_metadata(entries, &self.scenes)?;
+        let device = setup.device;
+        if self.setups.len() >= MAX_BOARDS && !self.setups.contains_key(&device) {
+            return Err(SetupError::TooMany { limit: MAX_BOARDS });
+        }
         // Should the chunk with the channels be damaged; a file that was edited may number otherwise.
-        self.channels.entry(channels.link).or_insert(Channel::Link(setup.device));
-        self.channels.entry(channels.hello).or_insert(Channel::Hello(setup.device));
-        Some(Some(Entry::Setup(Box::new(setup))))
+        self.channels.entry(channels.link).or_insert(Channel::Link(device));
+        self.channels.entry(channels.hello).or_insert(Channel::Hello(device));
+        if self.setups.get(&device) == Some(&setup) {
+            return Ok(None);
+        }
+        self.setups.insert(device, setup.clone());
+        Ok(Some(Entry::Setup(Box::new(setup))))
     }
 
     fn take_message(&mut self, record: &[u8], segment: &mut Segment) -> Option<Option<Entry>> {
@@ -104,11 +153,23 @@ impl Index {
         };
         let log_ns = header.log_time;
         let entry = match self.channels.get(&header.channel_id) {
-            Some(Channel::Link(device)) => Entry::Link { device: Some(*device), log_ns },
-            Some(Channel::Hello(device)) => Entry::Hello { device: *device, log_ns },
-            Some(Channel::Other) | None => return Some(None),
+            Some(Channel::Link(device)) => {
+                self.greeted.insert(*device);
+                Entry::Link { device: Some(*device), log_ns }
+            }
+            // Each chunk has one; it says something new at the beginning, and behind damage.
+            Some(Channel::Hello(device)) if self.greeted.insert(*device) => Entry::Hello { device: *device, log_ns },
+            Some(Channel::Hello(_) | Channel::Other) | None => return Some(None),
         };
         link_bytes::decode(&data, segment)?;
         Some(Some(entry))
+    }
+}
+
+/// The entries of a metadata record, if it is one of ours.
+fn metadata(record: &[u8]) -> Option<BTreeMap<String, String>> {
+    match mcap::parse_record(op::METADATA, record) {
+        Ok(Record::Metadata(metadata)) if metadata.name == METADATA => Some(metadata.metadata),
+        _ => None,
     }
 }

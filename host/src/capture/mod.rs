@@ -8,6 +8,8 @@
 //! What is promised, and how:
 //! * *All that was flushed can be read*, wherever the file is cut: each chunk reaches the file whole,
 //!   and a record says how long it is.
+//! * *Damage costs the chunk it is in*: settings, scenes and hellos are written again and again, and
+//!   behind bytes that are no record the next one is looked for.
 //! * *Each file stands alone*: it begins with scenes, settings and the last hello of each board, and
 //!   a packet is never split between two, since one that has not ended is held back.
 //! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
@@ -28,23 +30,17 @@ mod series;
 mod setup;
 #[cfg(test)]
 mod tests;
+mod window;
 
 pub use error::CaptureError;
 pub use naming::Existing;
 pub use reader::{CaptureReader, End, Entry};
-pub use schemas::ANY_OBJECT;
 pub use series::{CaptureSeries, Limits, Recorded};
-pub use setup::{CapturedScene, Settings, Setup};
+pub use setup::{CapturedScene, Settings, Setup, SetupError};
 
 /// What a capture says of the program that writes it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct About {
     /// JSON schema of all reports.
-    pub report_schema: &'static str,
-}
-
-impl Default for About {
-    fn default() -> Self {
-        Self { report_schema: ANY_OBJECT }
-    }
+    pub report_schema: String,
 }

@@ -6,6 +6,8 @@ use std::io;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
+use crate::special_file;
+
 /// What becomes of a file that is there already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
@@ -27,8 +29,8 @@ pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
         return io::stdout().as_fd().try_clone_to_owned().map(File::from);
     }
     // Something that is no regular file, such as a device or a named pipe, is written as it is.
-    if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
-        return File::options().write(true).open(path);
+    if special_file::is_special(path) {
+        return special_file::open(path);
     }
     let file = match existing {
         Existing::Kept => File::create_new(path),

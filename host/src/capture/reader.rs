@@ -1,21 +1,24 @@
 //! A capture from its beginning to its end, one chunk in memory at a time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use mcap::records::op;
 
 use super::index::Index;
 use super::packets::last_hello;
-use super::records::{ChunkRecords, Next, Records};
-use super::{CaptureError, Setup};
+use super::records::{ChunkRecords, Next, Records, is_capture};
+use super::{CaptureError, Setup, SetupError};
 use crate::device::DeviceId;
 use crate::pipeline::{self, Segment};
 
 /// Bytes of a plain byte stream in a segment: some 20 ms of a board at 4 kHz.
 const RAW_BYTES: usize = 4096;
+
+/// Bytes among which a capture whose beginning is damaged shows itself: a scene and the metadata behind it.
+const BEGIN_BYTES: u64 = 1 << 16;
 
 /// What comes next in a capture.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,7 +43,7 @@ pub enum Entry {
 }
 
 /// How a capture ended.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct End {
     /// Whether the recorder ended the file. If not, it was cut off, or is still being recorded;
     /// what is missing came after the last flush, or after the cut.
@@ -49,16 +52,26 @@ pub struct End {
     pub whole_bytes: u64,
     /// Bytes of the file that could not be read: damaged records, and all behind the last whole one.
     pub lost_bytes: u64,
-    /// Chunks and other records that are damaged; each chunk held up to a second.
+    /// Places that are damaged: chunks, other records, and bytes that are no record any more; each chunk
+    /// held up to a second.
     pub damaged_records: u64,
     /// The checksum over all records does not agree.
     pub checksum_failed: bool,
+    /// What follows the records, their index, is not what was written.
+    pub index_damaged: bool,
+    /// The first settings of a board that cannot be used, though they are what was written.
+    pub refused: Option<SetupError>,
 }
 
 impl End {
     /// Whether something is or may be missing.
     pub fn has_loss(&self) -> bool {
-        !self.finished || self.lost_bytes > 0 || self.damaged_records > 0 || self.checksum_failed
+        !self.finished || self.is_damaged() || self.refused.is_some()
+    }
+
+    /// Whether the file is not what was written.
+    pub fn is_damaged(&self) -> bool {
+        self.damaged_records > 0 || self.checksum_failed || self.index_damaged
     }
 }
 
@@ -76,7 +89,7 @@ pub struct CaptureReader<R = File> {
 
 enum Input<R> {
     Mcap(Box<McapInput<R>>),
-    Raw { begin: Vec<u8>, input: R },
+    Raw(io::Chain<io::Cursor<Vec<u8>>, R>),
 }
 
 struct McapInput<R> {
@@ -84,6 +97,10 @@ struct McapInput<R> {
     /// The chunk that is being read.
     chunk: Option<ChunkRecords>,
     index: Index,
+    /// Settings from further on.
+    ahead: VecDeque<Entry>,
+    /// Nothing of that kind stands further on.
+    is_last: bool,
     is_over: bool,
 }
 
@@ -99,19 +116,25 @@ impl CaptureReader {
     }
 }
 
-impl<R: Read> CaptureReader<R> {
+impl<R: Read + Seek> CaptureReader<R> {
     /// Reads from `input`; `path` names it in messages.
     ///
     /// # Errors
     /// If nothing can be read.
     pub fn new(path: &Path, mut input: R) -> io::Result<Self> {
         let mut begin = Vec::new();
-        input.by_ref().take(mcap::MAGIC.len() as u64).read_to_end(&mut begin)?;
-        let input = if !begin.is_empty() && mcap::MAGIC.starts_with(&begin) {
-            let records = Records::new(&begin, input);
-            Input::Mcap(Box::new(McapInput { records, chunk: None, index: Index::default(), is_over: false }))
+        input.by_ref().take(BEGIN_BYTES).read_to_end(&mut begin)?;
+        let input = if is_capture(&begin) {
+            Input::Mcap(Box::new(McapInput {
+                records: Records::new(begin, input),
+                chunk: None,
+                index: Index::default(),
+                ahead: VecDeque::new(),
+                is_last: false,
+                is_over: false,
+            }))
         } else {
-            Input::Raw { begin, input }
+            Input::Raw(io::Cursor::new(begin).chain(input))
         };
         Ok(Self { path: path.to_owned(), input, from_ns: 0, owed: BTreeMap::new(), held: None, end: End::default() })
     }
@@ -140,7 +163,7 @@ impl<R: Read> CaptureReader<R> {
         loop {
             let advanced = match &mut self.input {
                 Input::Mcap(input) => input.next(segment, &mut self.end),
-                Input::Raw { begin, input } => next_raw(begin, input, segment, &mut self.end),
+                Input::Raw(input) => next_raw(input, segment, &mut self.end),
             };
             let bytes = self.end.whole_bytes;
             let entry = advanced.map_err(|source| CaptureError::Read { path: self.path.clone(), bytes, source })?;
@@ -157,7 +180,7 @@ impl<R: Read> CaptureReader<R> {
 
     /// How the capture ended; so far, if it has not.
     pub fn end(&self) -> End {
-        self.end
+        self.end.clone()
     }
 
     /// The entry that is to come now, if `entry` is not passed over.
@@ -188,17 +211,10 @@ impl<R: Read> CaptureReader<R> {
     }
 }
 
-/// The next piece of a plain byte stream; `begin` was taken from `input` before.
-fn next_raw(
-    begin: &mut Vec<u8>,
-    input: &mut impl Read,
-    segment: &mut Segment,
-    end: &mut End,
-) -> io::Result<Option<Entry>> {
+/// The next piece of a plain byte stream.
+fn next_raw(input: &mut impl Read, segment: &mut Segment, end: &mut End) -> io::Result<Option<Entry>> {
     segment.clear();
-    segment.bytes.append(begin);
-    let wanted = RAW_BYTES - segment.bytes.len();
-    input.take(wanted as u64).read_to_end(&mut segment.bytes)?;
+    input.by_ref().take(RAW_BYTES as u64).read_to_end(&mut segment.bytes)?;
     let bytes = segment.bytes.len();
     if bytes == 0 {
         end.finished = true;
@@ -209,51 +225,79 @@ fn next_raw(
     Ok(Some(Entry::Link { device: None, log_ns: 0 }))
 }
 
-/// What a record outside chunks leads to.
-enum Step {
-    Entry(Entry),
-    Next,
-    Over { finished: bool, checksum_failed: bool },
-}
-
-impl<R: Read> McapInput<R> {
+impl<R: Read + Seek> McapInput<R> {
     fn next(&mut self, segment: &mut Segment, end: &mut End) -> io::Result<Option<Entry>> {
         while !self.is_over {
+            if let Some(entry) = self.ahead.pop_front() {
+                return Ok(Some(entry));
+            }
             if let Some(entry) = self.next_in_chunk(segment) {
                 return Ok(Some(entry));
             }
             let Self { records, chunk, index, .. } = self;
-            let step = records.next(|next| match next {
+            let mut behind_bytes = 0;
+            let mut entry = None;
+            match records.next()? {
                 Next::Record(op::CHUNK, record) => {
                     *chunk = ChunkRecords::new(record);
                     if chunk.is_none() {
                         index.count_damage(record.len() as u64);
                     }
-                    Step::Next
                 }
-                Next::Record(opcode, record) => index.take(opcode, record, segment).map_or(Step::Next, Step::Entry),
-                Next::Finished => Step::Over { finished: true, checksum_failed: false },
-                Next::FinishedDamaged => Step::Over { finished: true, checksum_failed: true },
-                Next::Cut => Step::Over { finished: false, checksum_failed: false },
-            })?;
-            end.whole_bytes = records.whole_bytes();
-            match step {
-                Step::Entry(entry) => return Ok(Some(entry)),
-                Step::Next => {}
-                Step::Over { finished, checksum_failed } => {
-                    let behind_bytes = if finished { 0 } else { records.drain()? };
-                    *end = End {
-                        finished,
-                        checksum_failed,
-                        whole_bytes: records.whole_bytes(),
-                        lost_bytes: behind_bytes + index.damaged_bytes,
-                        damaged_records: index.damaged_records,
-                    };
+                Next::Record(opcode, record) => entry = index.take(opcode, record, segment),
+                Next::Damaged(bytes) => {
+                    index.count_damage(bytes);
+                    index.misses_settings = true;
+                }
+                Next::Finished { checksum_failed, index_damaged } => {
                     self.is_over = true;
+                    *end = End { finished: true, checksum_failed, index_damaged, ..End::default() };
                 }
+                Next::Cut(bytes) => {
+                    self.is_over = true;
+                    behind_bytes = bytes;
+                }
+            }
+            if self.chunk.is_some() {
+                self.look_ahead()?;
+            }
+            let Self { records, index, .. } = self;
+            end.whole_bytes = records.whole_bytes();
+            end.lost_bytes = behind_bytes + index.damaged_bytes;
+            end.damaged_records = index.damaged_records;
+            end.refused.clone_from(&index.refused);
+            if entry.is_some() {
+                return Ok(entry);
             }
         }
         Ok(None)
+    }
+
+    /// Behind damage that may have hit settings, and ahead of a chunk: looks for their next copy, which
+    /// stands behind that chunk or further on.
+    fn look_ahead(&mut self) -> io::Result<()> {
+        if !std::mem::take(&mut self.index.misses_settings) || self.is_last {
+            return Ok(());
+        }
+        let Self { records, index, ahead, is_last, .. } = self;
+        let found = records.look_ahead(|records| {
+            let mut is_found = false;
+            loop {
+                match records.next()? {
+                    Next::Record(op::CHUNK, _) if is_found => return Ok(true),
+                    Next::Record(opcode, record) => {
+                        if let Some(entry) = index.take_ahead(opcode, record) {
+                            is_found = true;
+                            ahead.extend(entry);
+                        }
+                    }
+                    Next::Damaged(_) => {}
+                    Next::Finished { .. } | Next::Cut(_) => return Ok(is_found),
+                }
+            }
+        })?;
+        *is_last = found == Some(false);
+        Ok(())
     }
 
     /// The next entry of the chunk that is being read.

@@ -1,88 +1,119 @@
-//! The records of an MCAP file, from its beginning until it ends or makes no sense any more.
+//! The records of an MCAP file, from its beginning to its end, also where it is damaged.
+//!
+//! A record says how long it is, and the next follows. Where that makes no sense, the next record is
+//! looked for byte by byte: one that proves what it is by a checksum, or by lengths that agree.
 
-use std::io::{self, Read};
+use std::io::{self, Read, Seek};
+use std::ops::Range;
 
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use super::window::Window;
+
 /// No record of a capture is longer, so that a damaged length cannot ask for more memory than this:
-/// a chunk has some 1 MiB, and other programs that write MCAP stay far below.
+/// a chunk has some 128 KiB, and other programs that write MCAP stay far below.
 const MAX_RECORD_BYTES: usize = 64 << 20;
 
 /// Opcode and length ahead of each record.
 const FRAME_BYTES: usize = 1 + 8;
 
-/// Bytes read at once.
-const READ_BYTES: usize = 1 << 18;
+/// Two instants, the length and the checksum of the records stand ahead of a chunk's compression.
+const COMPRESSION_AT: usize = FRAME_BYTES + 8 + 8 + 8 + 4;
+
+/// The compressions that MCAP knows, with the length ahead of each.
+const COMPRESSIONS: [&[u8]; 3] = [b"\x04\0\0\0zstd", b"\x03\0\0\0lz4", b"\0\0\0\0"];
+
+/// The frame of a chunk and what says how long it is.
+const CHUNK_BEGIN_BYTES: usize = COMPRESSION_AT + 8 + 8;
+
+/// How far a search goes before what was searched is forgotten.
+const SEARCHED_BYTES: usize = 1 << 20;
+
+/// Checksum and magic at the end of a file.
+const END_BYTES: usize = 4 + mcap::MAGIC.len();
 
 /// Takes bytes from `input` and gives records, chunks as they are.
 pub(super) struct Records<R> {
-    input: R,
-    reader: LinearReader,
-    /// Bytes of whole records, and of the magic before them.
+    window: Window<R>,
+    /// Length of the record that was given last.
+    given: usize,
     whole_bytes: u64,
-    read_bytes: u64,
+    /// Whether bytes were passed over, so that the checksum over all records says nothing.
+    has_gap: bool,
+    is_begun: bool,
 }
 
 /// What comes next in a file.
+#[derive(Debug)]
 pub(super) enum Next<'a> {
-    /// A record, and what follows its frame.
+    /// A record: what follows its frame.
     Record(u8, &'a [u8]),
+    /// So many bytes are no record; one follows.
+    Damaged(u64),
     /// The last record of the data; what follows only repeats and indexes.
-    Finished,
-    /// As [`Finished`](Self::Finished), but what was read is not what was written.
-    FinishedDamaged,
-    /// The file ends without its last record, or goes on with what is no record.
-    Cut,
+    Finished {
+        /// The records are not those that were written.
+        checksum_failed: bool,
+        /// The index is not the one that was written.
+        index_damaged: bool,
+    },
+    /// The file ends without its last record, and so many bytes behind the last whole one.
+    Cut(u64),
+}
+
+/// Where a record stands in the window.
+enum Found {
+    Record {
+        opcode: u8,
+        body: Range<usize>,
+        end: usize,
+    },
+    /// Nothing here is a record.
+    None,
+    /// The file ends before it could be one.
+    End,
 }
 
 impl<R: Read> Records<R> {
-    /// Reads on from `begin`, which was taken from `input`.
-    pub(super) fn new(begin: &[u8], input: R) -> Self {
-        let options = LinearReaderOptions::default()
-            .with_emit_chunks(true)
-            .with_skip_end_magic(true)
-            .with_validate_data_section_crc(true)
-            .with_record_length_limit(MAX_RECORD_BYTES);
-        let mut reader = LinearReader::new_with_options(options);
-        reader.insert(begin.len())[..begin.len()].copy_from_slice(begin);
-        reader.notify_read(begin.len());
-        Self { input, reader, whole_bytes: 0, read_bytes: begin.len() as u64 }
+    /// Reads from the beginning of the file; `begin` was taken from `input`.
+    pub(super) fn new(begin: Vec<u8>, input: R) -> Self {
+        Self::within(Window::new(begin, input, 0), false)
     }
 
-    /// Hands the next record to `take`: a borrowed one could not be returned from within a loop.
-    pub(super) fn next<T>(&mut self, take: impl FnOnce(Next<'_>) -> T) -> io::Result<T> {
-        loop {
-            let next = match self.reader.next_event() {
-                Some(Ok(LinearReadEvent::ReadRequest(bytes))) => {
-                    self.fetch(bytes)?;
-                    continue;
-                }
-                Some(Ok(LinearReadEvent::Record { opcode: op::DATA_END, .. })) => Next::Finished,
-                Some(Ok(LinearReadEvent::Record { opcode, data })) if is_known(opcode) => {
-                    self.whole_bytes = self.whole_bytes.max(mcap::MAGIC.len() as u64);
-                    self.whole_bytes += (FRAME_BYTES + data.len()) as u64;
-                    Next::Record(opcode, data)
-                }
-                Some(Err(McapError::BadDataCrc { .. })) => Next::FinishedDamaged,
-                None | Some(Ok(_) | Err(_)) => Next::Cut,
-            };
-            return Ok(take(next));
+    fn within(window: Window<R>, is_begun: bool) -> Self {
+        Self { whole_bytes: window.offset(), window, given: 0, has_gap: false, is_begun }
+    }
+
+    /// What comes next.
+    pub(super) fn next(&mut self) -> io::Result<Next<'_>> {
+        let given = std::mem::take(&mut self.given);
+        self.window.advance(given);
+        if !std::mem::replace(&mut self.is_begun, true)
+            && let Some(damage) = self.begin()?
+        {
+            return Ok(damage);
         }
-    }
-
-    fn fetch(&mut self, bytes: usize) -> io::Result<()> {
-        let buffer = self.reader.insert(bytes.max(READ_BYTES));
-        let length = loop {
-            match self.input.read(buffer) {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                read => break read?,
+        match self.record_at(0)? {
+            Found::Record { opcode: op::DATA_END, body, end } => {
+                let stated = self.window.slice(body).try_into().map_or(0, u32::from_le_bytes);
+                let sum = self.window.take_checksum();
+                self.window.advance(end);
+                self.whole_bytes = self.window.offset();
+                let checksum_failed = self.has_gap || (stated != 0 && stated != sum);
+                Ok(Next::Finished { checksum_failed, index_damaged: self.is_index_damaged()? })
             }
-        };
-        self.reader.notify_read(length);
-        self.read_bytes += length as u64;
-        Ok(())
+            Found::Record { opcode: op::FOOTER, .. } => {
+                Ok(Next::Finished { checksum_failed: true, index_damaged: true })
+            }
+            Found::Record { opcode, body, end } => {
+                self.given = end;
+                self.whole_bytes = self.window.offset() + end as u64;
+                Ok(Next::Record(opcode, self.window.slice(body)))
+            }
+            Found::None | Found::End => self.search(),
+        }
     }
 
     /// Bytes up to the end of the last whole record.
@@ -90,17 +121,222 @@ impl<R: Read> Records<R> {
         self.whole_bytes
     }
 
-    /// Reads to the end of the input and gives how many bytes came behind the last whole record.
-    pub(super) fn drain(&mut self) -> io::Result<u64> {
-        self.read_bytes += io::copy(&mut self.input, &mut io::sink())?;
-        Ok(self.read_bytes - self.whole_bytes)
+    /// Takes the magic at the beginning.
+    fn begin(&mut self) -> io::Result<Option<Next<'static>>> {
+        let length = mcap::MAGIC.len();
+        let bytes = self.window.fill(length)?;
+        if bytes.len() < length {
+            return Ok(Some(Next::Cut(bytes.len() as u64)));
+        }
+        let is_magic = bytes.starts_with(mcap::MAGIC);
+        self.window.advance(length);
+        if is_magic {
+            self.whole_bytes = self.window.offset();
+            return Ok(None);
+        }
+        self.has_gap = true;
+        Ok(Some(Next::Damaged(length as u64)))
+    }
+
+    /// Looks for the next record that proves itself.
+    fn search(&mut self) -> io::Result<Next<'static>> {
+        let (mut passed, mut at) = (0, 1);
+        loop {
+            if at >= SEARCHED_BYTES {
+                self.window.advance(at);
+                passed += at as u64;
+                at = 0;
+            }
+            let bytes = self.window.fill(at + CHUNK_BEGIN_BYTES)?;
+            if at >= bytes.len() {
+                let rest = self.window.bytes().len();
+                self.window.advance(rest);
+                return Ok(Next::Cut(self.window.offset() - self.whole_bytes));
+            }
+            if may_begin(&bytes[at..]) && matches!(self.proven_at(at)?, Found::Record { .. }) {
+                self.window.advance(at);
+                self.has_gap = true;
+                return Ok(Next::Damaged(passed + at as u64));
+            }
+            at += 1;
+        }
+    }
+
+    /// The record that stands at `at` behind another one.
+    fn record_at(&mut self, at: usize) -> io::Result<Found> {
+        let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
+        let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
+        let chunk = chunk_bytes(bytes);
+        if opcode == op::CHUNK && length.is_some() && chunk == length {
+            return self.found(at, opcode, length);
+        }
+        if chunk.is_some_and(|_| !is_uncompressed(bytes)) {
+            // A chunk whose frame is damaged.
+            return self.proven_at(at);
+        }
+        match opcode {
+            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE => self.checked(at, opcode, length, parses),
+            op::MESSAGE_INDEX => {
+                let stated = bytes.get(FRAME_BYTES + 2..).and_then(|bytes| bytes.first_chunk());
+                let stated = stated.map(|stated| u32::from_le_bytes(*stated) as usize + 2 + 4);
+                if stated == length { self.found(at, opcode, length) } else { Ok(Found::None) }
+            }
+            0x80.. => self.found(at, opcode, length),
+            _ => self.proven_at(at),
+        }
+    }
+
+    /// The record at `at`, if it proves that it is one.
+    fn proven_at(&mut self, at: usize) -> io::Result<Found> {
+        let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
+        let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
+        let chunk = chunk_bytes(bytes);
+        // What is compressed is a chunk, whatever its frame says.
+        if chunk.is_some() && (!is_uncompressed(bytes) || (opcode == op::CHUNK && chunk == length)) {
+            let found = self.checked(at, op::CHUNK, chunk, |_, body| ChunkRecords::is_whole(body))?;
+            // Bytes behind what was compressed would not be noticed.
+            let is_followed = match &found {
+                Found::Record { end, .. } => self.is_record_or_end(*end)?,
+                Found::None | Found::End => true,
+            };
+            return Ok(if is_followed { found } else { Found::None });
+        }
+        match opcode {
+            op::METADATA => self.checked(at, opcode, length, |_, body| is_metadata(body)),
+            op::ATTACHMENT => self.checked(at, opcode, length, |_, body| attachment(body).is_some()),
+            op::DATA_END if length == Some(4) => self.found(at, opcode, length),
+            op::FOOTER if length == Some(8 + 8 + 4) => self.found(at, opcode, length),
+            _ => Ok(Found::None),
+        }
+    }
+
+    /// Whether a record may begin at `at`, or the file ends there.
+    fn is_record_or_end(&mut self, at: usize) -> io::Result<bool> {
+        let bytes = &self.window.fill(at + FRAME_BYTES)?[at..];
+        let is_known = |opcode| (op::HEADER..=op::DATA_END).contains(&opcode) || opcode >= 0x80;
+        Ok(frame(bytes).is_none_or(|(opcode, length)| is_known(opcode) && length.is_some()))
+    }
+
+    /// The record of this length at `at`, if the file holds all of it.
+    fn found(&mut self, at: usize, opcode: u8, length: Option<usize>) -> io::Result<Found> {
+        let Some(length) = length else { return Ok(Found::None) };
+        let (begin, end) = (at + FRAME_BYTES, at + FRAME_BYTES + length);
+        let is_there = self.window.fill(end)?.len() >= end;
+        Ok(if is_there { Found::Record { opcode, body: begin..end, end } } else { Found::End })
+    }
+
+    /// As [`Self::found`], if it is `sound`, too.
+    fn checked(
+        &mut self,
+        at: usize,
+        opcode: u8,
+        length: Option<usize>,
+        sound: impl FnOnce(u8, &[u8]) -> bool,
+    ) -> io::Result<Found> {
+        let found = self.found(at, opcode, length)?;
+        match &found {
+            Found::Record { body, .. } if !sound(opcode, self.window.slice(body.clone())) => Ok(Found::None),
+            _ => Ok(found),
+        }
+    }
+
+    /// Reads to the end of the file; whether its index is the one that was written.
+    fn is_index_damaged(&mut self) -> io::Result<bool> {
+        self.window.take_checksum();
+        loop {
+            let length = self.window.fill(SEARCHED_BYTES)?.len();
+            self.window.advance(length.saturating_sub(END_BYTES));
+            if length < SEARCHED_BYTES {
+                break;
+            }
+        }
+        let sum = self.window.take_checksum();
+        let Some((stated, magic)) = self.window.bytes().split_first_chunk() else { return Ok(true) };
+        let stated = u32::from_le_bytes(*stated);
+        Ok(*magic != *mcap::MAGIC || (stated != 0 && stated != sum))
     }
 }
 
-/// Whether the specification knows such a record, or leaves it to others. Bytes that are no record
-/// often pretend to be one of another kind: a disk that lost its power shows zeros.
-fn is_known(opcode: u8) -> bool {
-    (op::HEADER..=op::DATA_END).contains(&opcode) || opcode >= 0x80
+impl<R: Read + Seek> Records<R> {
+    /// Hands the records behind the one that was given last to `look`, and goes on as if nothing had
+    /// been; `None` if the input cannot go back, as a pipe.
+    pub(super) fn look_ahead<T>(
+        &mut self,
+        look: impl FnOnce(&mut Records<&mut R>) -> io::Result<T>,
+    ) -> io::Result<Option<T>> {
+        let Some(window) = self.window.look_ahead(self.given) else { return Ok(None) };
+        let seen = look(&mut Records::within(window, true));
+        self.window.come_back()?;
+        seen.map(Some)
+    }
+}
+
+/// Whether these bytes are the beginning of a capture: its magic, or what remains of one.
+pub(super) fn is_capture(begin: &[u8]) -> bool {
+    let magic = mcap::MAGIC;
+    if begin.len() < magic.len() {
+        return !begin.is_empty() && magic.starts_with(begin);
+    }
+    let agreeing = magic.iter().zip(begin).filter(|(a, b)| a == b).count();
+    let proves = |(opcode, length): (u8, Option<usize>), body: &[u8]| {
+        let body = length.and_then(|length| body.get(..length));
+        opcode == op::METADATA && body.is_some_and(is_metadata)
+    };
+    let has_metadata = || {
+        (0..begin.len()).any(|at| {
+            let bytes = &begin[at..];
+            may_begin(bytes) && frame(bytes).is_some_and(|frame| proves(frame, &bytes[FRAME_BYTES..]))
+        })
+    };
+    2 * agreeing >= magic.len() || has_metadata()
+}
+
+/// Opcode and length of a record; no length if it is none.
+fn frame(bytes: &[u8]) -> Option<(u8, Option<usize>)> {
+    let [opcode, length @ ..] = *bytes.first_chunk::<FRAME_BYTES>()?;
+    let length = usize::try_from(u64::from_le_bytes(length)).ok().filter(|length| *length <= MAX_RECORD_BYTES);
+    Some((opcode, length))
+}
+
+/// Whether a record that can prove itself may begin with these bytes.
+fn may_begin(bytes: &[u8]) -> bool {
+    let is_short = bytes.get(5..FRAME_BYTES) == Some(&[0; 4]);
+    let opcodes = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END, op::FOOTER];
+    (is_short && opcodes.contains(&bytes[0])) || chunk_bytes(bytes).is_some_and(|_| !is_uncompressed(bytes))
+}
+
+/// Length of a chunk by what stands behind its frame.
+fn chunk_bytes(bytes: &[u8]) -> Option<usize> {
+    let compression = bytes.get(COMPRESSION_AT..)?;
+    let name = COMPRESSIONS.iter().find(|name| compression.starts_with(name))?;
+    let records = u64::from_le_bytes(*compression[name.len()..].first_chunk()?);
+    let records = usize::try_from(records).ok().filter(|records| *records <= MAX_RECORD_BYTES)?;
+    Some(COMPRESSION_AT - FRAME_BYTES + name.len() + 8 + records)
+}
+
+fn is_uncompressed(bytes: &[u8]) -> bool {
+    bytes[COMPRESSION_AT..].starts_with(&[0; 4])
+}
+
+fn parses(opcode: u8, body: &[u8]) -> bool {
+    mcap::parse_record(opcode, body).is_ok()
+}
+
+/// Whether it is a row of pairs of texts behind a name, and nothing else.
+fn is_metadata(body: &[u8]) -> bool {
+    let pairs = || {
+        let (_, rest) = text(body)?;
+        let (length, mut rest) = rest.split_first_chunk()?;
+        if u32::from_le_bytes(*length) as usize != rest.len() {
+            return None;
+        }
+        while !rest.is_empty() {
+            let (_, behind) = text(rest)?;
+            (_, rest) = text(behind)?;
+        }
+        Some(())
+    };
+    pairs().is_some()
 }
 
 /// The records in a chunk.
@@ -132,6 +368,18 @@ impl ChunkRecords {
         buffer[FRAME_BYTES..bytes].copy_from_slice(chunk);
         reader.notify_read(bytes);
         Some(Self { reader, bytes: bytes as u64 })
+    }
+
+    /// Whether all records of a chunk can be read.
+    fn is_whole(chunk: &[u8]) -> bool {
+        let Some(mut records) = Self::new(chunk) else { return false };
+        loop {
+            match records.next(|_, _| ()) {
+                Ok(Some(())) => {}
+                Ok(None) => return true,
+                Err(_) => return false,
+            }
+        }
     }
 
     /// Length of the chunk in the file.
@@ -168,15 +416,17 @@ fn is_framed(mut records: &[u8]) -> bool {
     records.is_empty()
 }
 
-/// Name, media type and data of an attachment; `None` if it is shorter than it says.
+/// Name, media type and data of an attachment; `None` if its lengths or its checksum do not agree.
 pub(super) fn attachment(record: &[u8]) -> Option<(&str, &str, &[u8])> {
+    let (before, checksum) = record.split_last_chunk()?;
     // Two instants come first.
-    let rest = record.get(16..)?;
-    let (name, rest) = text(rest)?;
+    let (name, rest) = text(before.get(16..)?)?;
     let (media_type, rest) = text(rest)?;
-    let (length, rest) = rest.split_first_chunk()?;
-    let data = rest.get(..usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    Some((name, media_type, data))
+    let (length, data) = rest.split_first_chunk()?;
+    let checksum = u32::from_le_bytes(*checksum);
+    let is_sound =
+        u64::from_le_bytes(*length) == data.len() as u64 && (checksum == 0 || checksum == crc32fast::hash(before));
+    is_sound.then_some((name, media_type, data))
 }
 
 fn text(bytes: &[u8]) -> Option<(&str, &[u8])> {

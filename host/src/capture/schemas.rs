@@ -101,8 +101,76 @@ uint32 nanosec
 ",
 };
 
-/// Name of the schema of reports.
-pub(super) const REPORT: &str = "slitpose.Report";
+/// The same pose for programs that want no covariance.
+pub(super) const POSE_STAMPED: RosType = RosType {
+    name: "geometry_msgs/msg/PoseStamped",
+    definition: "\
+std_msgs/Header header
+Pose pose
+================================================================================
+MSG: geometry_msgs/Pose
+Point position
+Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x 0
+float64 y 0
+float64 z 0
+float64 w 1
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+",
+};
 
-/// A JSON schema that any object satisfies.
-pub const ANY_OBJECT: &str = r#"{"type":"object"}"#;
+/// The same pose as a transform from the tool's frame to the base frame.
+pub(super) const TRANSFORMS: RosType = RosType {
+    name: "tf2_msgs/msg/TFMessage",
+    definition: "\
+geometry_msgs/TransformStamped[] transforms
+================================================================================
+MSG: geometry_msgs/TransformStamped
+std_msgs/Header header
+string child_frame_id
+Transform transform
+================================================================================
+MSG: geometry_msgs/Transform
+Vector3 translation
+Quaternion rotation
+================================================================================
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x 0
+float64 y 0
+float64 z 0
+float64 w 1
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+",
+};
+
+/// A report: its text is JSON. ROS tools refuse a file in which anything is not in CDR.
+pub(super) const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };
+
+/// Name of the attachment with the JSON schema of reports.
+pub(super) const REPORT_SCHEMA: &str = "report.schema.json";

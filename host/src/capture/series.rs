@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use mcap::McapError;
 use serde::Serialize;
 
-use super::file::{CaptureFile, Channels, io_error, report_bytes};
+use super::file::{CaptureFile, Channels, io_error, report_text};
 use super::naming::{Existing, create, next_number, numbered};
 use super::packets::{Packets, last_hello};
 use super::{About, CaptureError, Setup};
@@ -56,8 +56,6 @@ struct DeviceStream {
     setup: Setup,
     channels: Channels,
     packets: Packets,
-    /// The last hello that was written.
-    hello: Vec<u8>,
     /// When it was last heard.
     log_ns: u64,
 }
@@ -89,18 +87,23 @@ impl CaptureSeries {
             let number = next_number(path);
             Some((path.to_owned(), number.map_err(|source| CaptureError::Create { path: path.to_owned(), source })?))
         };
-        let now = Instant::now();
-        let mut output = Output {
-            file: None,
-            path: path.to_owned(),
-            next,
-            opened: now,
-            flushed: now,
-            flushes: 0,
-            recorded: Recorded::default(),
-        };
+        let mut output = Output::new(path.to_owned(), next);
         output.open(existing, &about)?;
-        Ok(Self { about, limits, output, devices: BTreeMap::new(), message: Segment::default() })
+        Ok(Self::over(output, limits, about))
+    }
+
+    /// Begins a capture in a file that is open; `path` names it in messages.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
+        let mut output = Output::new(path.to_owned(), None);
+        output.begin(file, &about)?;
+        Ok(Self::over(output, Limits::default(), about))
+    }
+
+    fn over(output: Output, limits: Limits, about: About) -> Self {
+        Self { about, limits, output, devices: BTreeMap::new(), message: Segment::default() }
     }
 
     /// Adds a board, ahead of all it says. A board that is given again goes on with the new setup.
@@ -112,20 +115,16 @@ impl CaptureSeries {
     /// # Errors
     /// Those of the disk.
     pub fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
+        let device = setup.device;
         let mut added = None;
         self.output.attempt(0, |file| {
-            let channels = file.add_device(&setup, log_ns)?;
-            if let Some(hello) = hello {
-                file.hello(channels, hello, log_ns)?;
-            }
-            added = Some(channels);
+            let hello = hello.unwrap_or_else(|| file.hello(device)).to_owned();
+            added = Some(file.add_device(&setup, &hello, log_ns)?);
             file.flush()
         })?;
         let Some(channels) = added else { return Ok(()) };
-        let (packets, before) =
-            self.devices.remove(&setup.device).map(|stream| (stream.packets, stream.hello)).unwrap_or_default();
-        let hello = hello.map_or(before, <[u8]>::to_owned);
-        self.devices.insert(setup.device, DeviceStream { setup, channels, packets, hello, log_ns });
+        let packets = self.devices.remove(&device).map(|stream| stream.packets).unwrap_or_default();
+        self.devices.insert(device, DeviceStream { setup, channels, packets, log_ns });
         Ok(())
     }
 
@@ -186,7 +185,7 @@ impl CaptureSeries {
             },
             None => None,
         };
-        let report = report_bytes(report)?;
+        let report = report_text(report)?;
         self.output.attempt(0, |file| file.report(channels, &report, log_ns))?;
         self.tick()
     }
@@ -272,14 +271,13 @@ impl CaptureSeries {
         if !is_long && !is_old {
             return Ok(());
         }
+        let hello = |device| self.output.file.as_ref().map_or(Vec::new(), |file| file.hello(device).to_owned());
+        let hellos: Vec<Vec<u8>> = self.devices.keys().map(|device| hello(*device)).collect();
         self.output.end()?;
         self.output.open(Existing::Kept, &self.about)?;
         self.output.attempt(0, |file| {
-            for stream in self.devices.values_mut() {
-                stream.channels = file.add_device(&stream.setup, log_ns)?;
-                if !stream.hello.is_empty() {
-                    file.hello(stream.channels, &stream.hello, log_ns)?;
-                }
+            for (stream, hello) in self.devices.values_mut().zip(&hellos) {
+                stream.channels = file.add_device(&stream.setup, hello, log_ns)?;
             }
             file.flush()
         })
@@ -292,14 +290,18 @@ impl DeviceStream {
         let first = first_read.or_else(|| message.asked.first().map(|asked| asked.at));
         file.link(self.channels, message, first.map_or(self.log_ns, |at| at.utc_ns))?;
         if let Some(hello) = last_hello(&message.bytes) {
-            self.hello.clear();
-            self.hello.extend_from_slice(hello);
+            file.set_hello(self.setup.device, hello);
         }
         Ok(())
     }
 }
 
 impl Output {
+    fn new(path: PathBuf, next: Option<(PathBuf, u64)>) -> Self {
+        let now = Instant::now();
+        Self { file: None, path, next, opened: now, flushed: now, flushes: 0, recorded: Recorded::default() }
+    }
+
     /// Begins the next file.
     fn open(&mut self, existing: Existing, about: &About) -> Result<(), CaptureError> {
         let existing = match &mut self.next {
@@ -313,12 +315,15 @@ impl Output {
         let path = self.path.clone();
         let file = create(&path, existing).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => CaptureError::Exists { path: path.clone() },
+            io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.file = Some(CaptureFile::create(file, about).map_err(|error| {
-            let source = io_error(error);
-            CaptureError::Create { path, source }
-        })?);
+        self.begin(file, about)
+    }
+
+    fn begin(&mut self, file: File, about: &About) -> Result<(), CaptureError> {
+        let error = |error| CaptureError::Create { path: self.path.clone(), source: io_error(error) };
+        self.file = Some(CaptureFile::create(file, about).map_err(error)?);
         self.opened = Instant::now();
         self.recorded.files += 1;
         Ok(())

@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use slitpose_model::Tier;
+use thiserror::Error;
 
 use crate::device::DeviceId;
+use crate::foreign::printable;
 use crate::pipeline::Following;
 use crate::scene_file::{SceneFile, SceneFileError, fnv1a_64};
 
@@ -110,40 +112,127 @@ impl Setup {
         put("without_clipped", following.without_clipped.to_string());
         put("link_channel", channels.link.to_string());
         put("hello_channel", channels.hello.to_string());
+        let hash = settings_hash(&map);
+        map.insert(HASH.to_owned(), format!("{hash:016x}"));
         map
     }
 
-    /// From the entries of a metadata record and the attachments before it; `None` if something is
-    /// missing or does not agree.
+    /// From the entries of a metadata record and the scenes of the file by their hashes.
     pub(super) fn from_metadata(
         map: &BTreeMap<String, String>,
-        attachments: &BTreeMap<String, String>,
-    ) -> Option<(Self, LinkChannels)> {
-        let get = |key: &str| map.get(key);
-        let source = attachments.get(get("scene")?)?.clone();
-        let hash = u64::from_str_radix(get("scene_hash")?, 16).ok()?;
-        if fnv1a_64(source.as_bytes()) != hash {
-            return None;
-        }
+        scenes: &BTreeMap<u64, String>,
+    ) -> Result<(Self, LinkChannels), SetupError> {
+        check_hash(map)?;
+        let get = |key: &'static str| map.get(key).ok_or(SetupError::Damaged);
+        let value = |key: &'static str, expected: &'static str| {
+            let value = map.get(key).cloned().unwrap_or_default();
+            SetupError::Value { device: map.get("device").cloned().unwrap_or_default(), key, value, expected }
+        };
+        let number = |key: &'static str, expected: &'static str, is_fit: fn(f64) -> bool| {
+            let number = get(key)?.parse::<f64>().ok();
+            number.filter(|number| is_fit(*number)).ok_or_else(|| value(key, expected))
+        };
+        let channel = |key: &'static str| get(key)?.parse::<u16>().map_err(|_| value(key, "a channel from 0 to 65535"));
         let tier = match get("tier")?.as_str() {
             "paper" => Tier::Paper,
-            "exact" => Tier::Exact { tolerance: get("tolerance")?.parse().ok()? },
-            _ => return None,
+            "exact" => Tier::Exact {
+                tolerance: number("tolerance", "a number between 0 and 1", |number| number > 0.0 && number < 1.0)?,
+            },
+            _ => return Err(value("tier", "`paper` or `exact`")),
         };
-        let filter_s = get("filter_s").map(|text| text.parse()).transpose().ok()?;
-        let following = Following { filter_s, without_clipped: get("without_clipped")?.parse().ok()? };
+        let filter_s = match map.get("filter_s") {
+            Some(_) => {
+                Some(number("filter_s", "a number of seconds above 0", |number| number > 0.0 && number.is_finite())?)
+            }
+            None => None,
+        };
+        let without_clipped =
+            get("without_clipped")?.parse().map_err(|_| value("without_clipped", "`true` or `false`"))?;
+        let device = get("device")?.parse().map_err(|_| value("device", "24 hexadecimal digits"))?;
+        let hash =
+            u64::from_str_radix(get("scene_hash")?, 16).map_err(|_| value("scene_hash", "16 hexadecimal digits"))?;
+        let source = scenes.get(&hash).cloned().ok_or(SetupError::Scene { hash })?;
         let scene =
             CapturedScene { name: get("scene_name")?.clone(), origin: get("scene_origin")?.clone(), hash, source };
-        let setup = Self {
-            device: get("device")?.parse().ok()?,
-            scene,
-            settings: Settings { tier, following },
-            program: get("program")?.clone(),
-        };
-        let channels =
-            LinkChannels { link: get("link_channel")?.parse().ok()?, hello: get("hello_channel")?.parse().ok()? };
-        Some((setup, channels))
+        let settings = Settings { tier, following: Following { filter_s, without_clipped } };
+        let setup = Self { device, scene, settings, program: get("program")?.clone() };
+        Ok((setup, LinkChannels { link: channel("link_channel")?, hello: channel("hello_channel")? }))
     }
+}
+
+/// Key of the hash over all other entries.
+const HASH: &str = "settings_hash";
+
+/// The keys of captures that had no such hash.
+const UNHASHED: [&str; 12] = [
+    "device",
+    "filter_s",
+    "hello_channel",
+    "link_channel",
+    "program",
+    "scene",
+    "scene_hash",
+    "scene_name",
+    "scene_origin",
+    "tier",
+    "tolerance",
+    "without_clipped",
+];
+
+/// FNV-1a, 64 bits, of all entries but the hash itself, in the order of their keys: key, 0, value, 0.
+fn settings_hash(map: &BTreeMap<String, String>) -> u64 {
+    let mut bytes = Vec::new();
+    for text in map.iter().filter(|(key, _)| *key != HASH).flat_map(|(key, value)| [key, value]) {
+        bytes.extend_from_slice(text.as_bytes());
+        bytes.push(0);
+    }
+    fnv1a_64(&bytes)
+}
+
+fn check_hash(map: &BTreeMap<String, String>) -> Result<(), SetupError> {
+    let is_sound = match map.get(HASH) {
+        Some(hash) => u64::from_str_radix(hash, 16) == Ok(settings_hash(map)),
+        // Then nothing else is unknown either; else the key of the hash is what was damaged.
+        None => map.keys().all(|key| UNHASHED.contains(&key.as_str())),
+    };
+    if is_sound { Ok(()) } else { Err(SetupError::Damaged) }
+}
+
+/// Why the settings of a board cannot be used.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum SetupError {
+    /// They are not what was written.
+    #[error("settings of a board are damaged")]
+    Damaged,
+    /// They are what was written, and make no sense.
+    #[error(
+        "the settings of board {} say {key} = `{}`, and {expected} is needed; \
+         give --scene, and what else differs from the defaults, to solve its bytes all the same",
+        printable(device),
+        printable(value)
+    )]
+    Value {
+        /// The board.
+        device: String,
+        /// The entry.
+        key: &'static str,
+        /// What it says.
+        value: String,
+        /// What it may say.
+        expected: &'static str,
+    },
+    /// Their scene is not there.
+    #[error("the scene of hash {hash:016x} is missing or damaged")]
+    Scene {
+        /// [`SceneFile::hash`].
+        hash: u64,
+    },
+    /// More boards than one host can follow.
+    #[error("the capture holds more than {limit} boards; the others are passed over")]
+    TooMany {
+        /// How many are read.
+        limit: usize,
+    },
 }
 
 #[cfg(test)]
@@ -163,10 +252,76 @@ mod tests {
             let name = setup.attachment(|_| false);
             assert_eq!(name, "wide.toml");
             let map = setup.to_metadata(&name, channels);
-            let mut attachments = BTreeMap::from([(name.clone(), file.source.clone())]);
-            assert_eq!(Setup::from_metadata(&map, &attachments), Some((setup, channels)));
-            attachments.insert(name, "other".to_owned());
-            assert_eq!(Setup::from_metadata(&map, &attachments), None);
+            let scenes = BTreeMap::from([(file.hash, file.source.clone())]);
+            assert_eq!(Setup::from_metadata(&map, &scenes), Ok((setup, channels)));
+            let missing = Setup::from_metadata(&map, &BTreeMap::new());
+            assert_eq!(missing, Err(SetupError::Scene { hash: file.hash }));
+        }
+    }
+
+    fn entries() -> (BTreeMap<String, String>, BTreeMap<u64, String>) {
+        let file = WIDE.read().unwrap();
+        let following = Following { filter_s: Some(0.005), without_clipped: false };
+        let settings = Settings { tier: Tier::Exact { tolerance: 1e-6 }, following };
+        let setup = Setup::new(DeviceId(*b"0123456789ab"), &file, settings);
+        let map = setup.to_metadata("wide.toml", LinkChannels { link: 1, hello: 7 });
+        (map, BTreeMap::from([(file.hash, file.source)]))
+    }
+
+    /// Any bit of any entry, as long as it is text.
+    #[test]
+    fn a_bit_in_an_entry_is_damage() {
+        let (map, scenes) = entries();
+        let flipped = |text: &str, at: usize, bit: usize| {
+            let mut bytes = text.as_bytes().to_owned();
+            bytes[at] ^= 1 << bit;
+            String::from_utf8(bytes).ok()
+        };
+        let mut tried = 0;
+        for (key, value) in &map {
+            for (at, bit) in (0..key.len().max(value.len())).flat_map(|at| (0..8).map(move |bit| (at, bit))) {
+                let other_key = (at < key.len()).then(|| flipped(key, at, bit)).flatten();
+                let other_value = (at < value.len()).then(|| flipped(value, at, bit)).flatten();
+                for (other_key, other_value) in [(other_key, Some(value.clone())), (Some(key.clone()), other_value)] {
+                    let (Some(other_key), Some(other_value)) = (other_key, other_value) else { continue };
+                    let mut damaged = map.clone();
+                    damaged.remove(key);
+                    damaged.insert(other_key.clone(), other_value.clone());
+                    let read = Setup::from_metadata(&damaged, &scenes);
+                    // The hash reads alike in large and small letters.
+                    let is_same = key == HASH && other_value.eq_ignore_ascii_case(value) && other_key == *key;
+                    assert!(is_same || read == Err(SetupError::Damaged), "{other_key} = {other_value}: {read:?}");
+                    tried += 1;
+                }
+            }
+        }
+        assert!(tried > 1000, "{tried}");
+    }
+
+    #[test]
+    fn values_without_sense_are_refused_by_name() {
+        let (map, scenes) = entries();
+        for (key, values) in [
+            ("tolerance", &["NaN", "0", "-1", "inf", "1", "1e-6x", ""][..]),
+            ("filter_s", &["NaN", "0", "-0.005", "inf", "soon"]),
+            ("tier", &["Exact", ""]),
+            ("without_clipped", &["1"]),
+            ("device", &["0123"]),
+            ("link_channel", &["65536", "-1"]),
+        ] {
+            for value in values {
+                // Also in a capture without the hash, as programs before it wrote them.
+                for hashed in [true, false] {
+                    let mut changed = map.clone();
+                    changed.remove(HASH);
+                    changed.insert(key.to_owned(), (*value).to_owned());
+                    if hashed {
+                        changed.insert(HASH.to_owned(), format!("{:016x}", settings_hash(&changed)));
+                    }
+                    let message = Setup::from_metadata(&changed, &scenes).unwrap_err().to_string();
+                    assert!(message.contains(&format!("{key} = `{value}`")), "{message}");
+                }
+            }
         }
     }
 

@@ -27,8 +27,22 @@ pub(super) fn tell_of_end(path: &Path, end: &End) -> Outcome {
         return Outcome::Done;
     }
     let path = path.display();
-    if end.damaged_records > 0 || end.checksum_failed {
-        talk(format_args!("{path} is damaged: {} records of up to a second could not be read", end.damaged_records));
+    if end.damaged_records > 0 {
+        talk(format_args!(
+            "{path} is damaged in {} places, {} bytes together: what stood there, up to a second each time, is missing",
+            end.damaged_records, end.lost_bytes
+        ));
+    } else if end.checksum_failed {
+        talk(format_args!("{path} is damaged, as its checksum says, in a place that holds nothing of a board"));
+    }
+    if end.index_damaged {
+        talk(format_args!(
+            "the index at the end of {path} is damaged: nothing is missing, but other programs may refuse the file; \
+             `mcap recover` writes another"
+        ));
+    }
+    if let Some(refused) = &end.refused {
+        talk(format_args!("{path}: {refused}"));
     }
     if !end.finished {
         talk(format_args!(

@@ -1,20 +1,20 @@
 //! `slitpose export`: every pose of a capture as a table.
 
-use std::path::PathBuf;
-
-use clap::ValueEnum;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
-use super::{CommandError, Outcome};
+use super::{CommandError, Outcome, interrupt};
 use crate::pace::Speed;
 use crate::sink::{self, Format};
-use crate::table::Output;
+use crate::special_file;
+use crate::table::{Output, OutputError, refuse_twice};
 
 /// Writes a pose for every scan of captures to a file.
 ///
 /// A capture holds some poses only; the others follow from its bytes, as when it was recorded. The
-/// format is that of the ending of the file's name, .csv or .ndjson, unless given.
+/// ending of the file's name says how they are written: .csv or .ndjson. Another needs --format.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose export contact.mcap --output poses.csv\n  \
                         slitpose export night-0001.mcap night-0002.mcap --output night.ndjson --filter 5ms")]
@@ -32,15 +32,32 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let extension = args.output.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    let by_name = Format::from_str(extension, true).unwrap_or(Format::Csv);
+    let format = match args.poses.asked_format() {
+        Some(format) => format,
+        None => format_of(&args.output)?,
+    };
+    refuse_twice(&args.output, args.files.iter().map(PathBuf::as_path).chain(args.play.sources()))?;
+    let stop = interrupt()?;
     let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
-    let (format, is_terminal) = (args.poses.format_or(by_name), output.is_terminal());
+    let is_terminal = output.is_terminal();
     let sink = sink::open(format, &mut output, false);
     let printing = Printing { sink, target: &target, format, is_terminal };
-    let played = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, printing)?.run();
-    let outcome = played?;
+    let outcome = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, printing)?.run()?;
+    if stop.load(Ordering::Relaxed) {
+        return Err(OutputError::Interrupted { target }.into());
+    }
     output.finish()?;
     Ok(outcome)
+}
+
+/// How poses are written to a file of this name.
+fn format_of(output: &Path) -> Result<Format, CommandError> {
+    match output.extension().and_then(|extension| extension.to_str()) {
+        Some("csv") => Ok(Format::Csv),
+        Some("ndjson") => Ok(Format::Ndjson),
+        // Standard output, devices and pipes have no name that could say it.
+        _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
+        _ => Err(CommandError::Extension { path: output.to_owned() }),
+    }
 }

@@ -10,6 +10,7 @@ mod defaults;
 mod device;
 mod doctor;
 mod export;
+mod host_clock;
 mod identify;
 mod losses;
 mod man;
@@ -32,6 +33,7 @@ mod tool;
 
 use std::ffi::OsString;
 use std::io;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -170,6 +172,15 @@ pub enum CommandError {
     /// A capture.
     #[error(transparent)]
     Capture(#[from] CaptureError),
+    /// A name that does not say how to write.
+    #[error(
+        "the name {} does not say how poses are to be written; give one that ends in .csv or .ndjson, or --format",
+        path.display()
+    )]
+    Extension {
+        /// The file asked for.
+        path: PathBuf,
+    },
     /// A capture that cannot be solved.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
@@ -216,6 +227,8 @@ impl CommandError {
             Self::OnlySimulated { .. }
             | Self::Scenes { .. }
             | Self::Config(_)
+            | Self::Extension { .. }
+            | Self::Output(OutputError::Twice { .. })
             | Self::Playback(PlaybackError::Range { .. })
             | Self::Device(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }) => ExitCode::from(2),
             _ => ExitCode::FAILURE,
@@ -240,6 +253,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<Outcome, Com
     let configured = config::configured(command(), &matches)?;
     let matches = configured.command.clone().get_matches_from(&arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    talk::outlive_file_limits()?;
     match cli.verb {
         Verb::Run(args) if args.print_config => {
             Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)

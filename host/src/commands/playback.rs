@@ -1,6 +1,7 @@
 //! Captures through the pipeline: what `replay` and `export` share.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use thiserror::Error;
 
 use super::capture_files::{first_log_ns, scene_hash, tell_of_end, tell_of_scene};
+use super::host_clock::HostClock;
 use super::poses::{PoseOptions, parse_duration};
 use super::{CommandError, Outcome, interrupt, losses, names, talk};
 use crate::capture::{CaptureReader, Entry, Setup};
@@ -42,6 +44,13 @@ pub(super) struct PlayOptions {
     /// pose and seq, or time_s
     #[arg(long, value_name = "CSV")]
     compare: Option<String>,
+}
+
+impl PlayOptions {
+    /// Files that are read besides captures.
+    pub(super) fn sources(&self) -> impl Iterator<Item = &Path> {
+        self.scene.iter().chain(&self.compare).map(Path::new)
+    }
 }
 
 /// Why a capture cannot be solved.
@@ -106,6 +115,8 @@ pub(super) struct Playback<'a> {
     format: Format,
     comparison: Option<Comparison>,
     boards: Vec<Board>,
+    /// Boards that the capture names and says nothing of.
+    unsettled: BTreeSet<DeviceId>,
     stop: Arc<AtomicBool>,
     /// Drawn while nothing else shows how far it has come.
     progress: Option<Progress>,
@@ -118,6 +129,7 @@ struct Board {
     setup: Option<Box<Setup>>,
     pipeline: Pipeline,
     statistics: RefCell<BoardStatistics>,
+    host_clock: HostClock,
     /// Nothing more can be made of it until its link was opened anew.
     is_unusable: bool,
 }
@@ -152,6 +164,7 @@ impl<'a> Playback<'a> {
             format,
             comparison,
             boards: Vec::new(),
+            unsettled: BTreeSet::new(),
             stop,
             progress,
         })
@@ -253,7 +266,11 @@ impl<'a> Playback<'a> {
     fn feed(&mut self, path: &Path, device: Option<DeviceId>, segment: &Segment) -> Result<(), CommandError> {
         let at = match self.boards.iter().position(|board| board.device == device) {
             Some(at) => at,
-            // Bytes of a port: nothing says whose.
+            None if device.is_some() && self.play.scene.is_none() => {
+                self.pass_over(path, device);
+                return Ok(());
+            }
+            // Bytes of a port, whose nothing says; or of a board, of which no more is known.
             None => {
                 let (file, scene_match) = self.scene_of_bytes(path)?;
                 let pipeline = self.pipeline(file, scene_match, None);
@@ -266,11 +283,14 @@ impl<'a> Playback<'a> {
         }
         let Self { boards, sink, comparison, target, .. } = self;
         let printing = |source| OutputError::Write { target: (*target).to_owned(), source };
-        let Board { pipeline, statistics, is_unusable, .. } = &mut boards[at];
+        let Board { pipeline, statistics, host_clock, is_unusable, .. } = &mut boards[at];
         let statistics = statistics.get_mut();
         *is_unusable &= !segment.opened;
         if *is_unusable {
             return Ok(());
+        }
+        for set_by_s in segment.reads.iter().filter_map(|read| host_clock.set_by_s(read.at?)) {
+            talk(format_args!("the clock of the host was set by {set_by_s:+.3} s while it recorded"));
         }
         let fed = pipeline.feed(segment, |item| {
             statistics.take(&item, None, None);
@@ -321,6 +341,19 @@ impl<'a> Playback<'a> {
         }
     }
 
+    /// Says that nothing can be made of the bytes of a board.
+    fn pass_over(&mut self, path: &Path, device: Option<DeviceId>) {
+        if let Some(device) = device
+            && self.unsettled.insert(device)
+        {
+            talk(format_args!(
+                "{}: the settings of board {device} cannot be read anywhere, and its bytes are passed over; \
+                 give --scene, and --tier, --tolerance and --filter as they were",
+                path.display()
+            ));
+        }
+    }
+
     /// The scene for the bytes of a port: that asked for, else the shipped one that the board names.
     fn scene_of_bytes(&self, path: &Path) -> Result<(SceneFile, SceneMatch), CommandError> {
         let hash = scene_hash(path)?;
@@ -352,6 +385,9 @@ impl<'a> Playback<'a> {
                 outcome = Outcome::DataLost;
             }
         }
+        if !self.unsettled.is_empty() {
+            outcome = Outcome::DataLost;
+        }
         if let Some(comparison) = &self.comparison {
             comparison.lines().iter().for_each(|line| talk(format_args!("{line}")));
         }
@@ -374,7 +410,7 @@ impl Board {
     fn new(device: Option<DeviceId>, setup: Option<Box<Setup>>, pipeline: Pipeline) -> Self {
         let name = device.map_or_else(|| "capture".to_owned(), |device| device.to_string());
         let statistics = RefCell::new(BoardStatistics::new(name, HostInstant::now()));
-        Self { device, setup, pipeline, statistics, is_unusable: false }
+        Self { device, setup, pipeline, statistics, host_clock: HostClock::default(), is_unusable: false }
     }
 
     fn report(&self) -> BoardReport {

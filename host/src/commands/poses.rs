@@ -46,6 +46,11 @@ impl PoseOptions {
         self.format_or(if live { Format::Summary } else { Format::Ndjson })
     }
 
+    /// The format that was asked for.
+    pub(super) fn asked_format(&self) -> Option<Format> {
+        self.format
+    }
+
     /// The format to write in, `usual` unless one was asked for.
     pub(super) fn format_or(&self, usual: Format) -> Format {
         self.format.unwrap_or(usual)

@@ -8,6 +8,7 @@ use super::poses::parse_duration;
 use super::talk;
 use crate::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
 use crate::daemon::CapturePlan;
+use crate::telemetry::report_schema;
 
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const POSES_HZ: f64 = 25.0;
@@ -42,7 +43,7 @@ impl RecordOptions {
             max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
         };
         let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
-        let series = CaptureSeries::create(path, limits, existing, About::default())?;
+        let series = CaptureSeries::create(path, limits, existing, About { report_schema: report_schema() })?;
         let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
         Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
     }

@@ -10,7 +10,6 @@ use slitpose_protocol::Hello;
 
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
-use super::talk::outlive_file_limits;
 use super::tool::ToolOptions;
 use super::{CommandError, Outcome, interrupt, losses, names, talk};
 use crate::clock::HostInstant;
@@ -101,7 +100,6 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let boards = args.boards()?;
     let stop = interrupt()?;
-    outlive_file_limits()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
     for address in datagrams.iter().flat_map(DatagramServer::addresses) {
         talk(format_args!("poses at {address}"));

@@ -1,7 +1,8 @@
 //! `slitpose simulate`: a capture of a simulated board, without solving it.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
@@ -9,15 +10,16 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 use super::options::TierOptions;
 use super::poses::{DEFAULT_TOLERANCE, parse_duration};
 use super::tool::ToolOptions;
-use super::{CommandError, Outcome, names};
-use crate::capture::{About, CaptureSeries, Existing, Limits, Settings, Setup};
+use super::{CommandError, Outcome, interrupt, names};
+use crate::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
 use crate::device::{Conversation, DeviceError, DeviceId, Keep};
 use crate::front_end;
 use crate::pace::Speed;
 use crate::pipeline::{Following, Segment};
 use crate::scene_file::SceneFile;
 use crate::simulator::Trajectory;
-use crate::table::{Output, POSE_COLUMNS, TableWriter};
+use crate::table::{Output, OutputError, POSE_COLUMNS, Replace, TableWriter, refuse_twice};
+use crate::telemetry::report_schema;
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///
@@ -36,7 +38,7 @@ pub(super) struct Args {
     /// Capture to write; - is standard output
     #[arg(long, value_name = "FILE")]
     output: PathBuf,
-    /// Replace a capture that is there already
+    /// Replace a file that is there already
     #[arg(long)]
     overwrite: bool,
     /// Write the bytes alone, as they would come from a port
@@ -64,6 +66,12 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         device = DeviceId(hello.device_id);
         Ok::<_, DeviceError>(())
     })?;
+    let sources = [args.scene.as_str(), args.tool.table().unwrap_or_default()].map(Path::new);
+    refuse_twice(&args.output, sources)?;
+    if let Some(truth) = &args.truth {
+        refuse_twice(truth, sources.into_iter().chain([&*args.output]))?;
+    }
+    let stop = interrupt()?;
     let truth = args.truth.as_deref().map(Output::file).transpose()?;
     let mut record = Recording::begin(args, device, &file, tier, &schedule)?;
 
@@ -72,6 +80,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     record.write(&mut board)?;
     while board.listen()? {
         record.write(&mut board)?;
+        if stop.load(Ordering::Relaxed) {
+            return Err(OutputError::Interrupted { target: record.output.target().to_owned() }.into());
+        }
     }
     board.stop(Keep::All)?;
     record.write(&mut board)?;
@@ -81,24 +92,22 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         let instants = (0..frames).map(|frame| {
             (frame as f64 * f64::from(schedule.frame_ticks) + schedule.reference_ticks()) / f64::from(schedule.tick_hz)
         });
-        write_truth(truth, &args.tool.trajectory(0, args.duration)?, instants)?;
+        write_truth(truth, &args.tool.trajectory(0, args.duration)?, instants, &stop)?;
     }
     Ok(Outcome::Done)
 }
 
 /// What is written as it comes.
 struct Recording {
-    target: Target,
+    /// Where it goes at the end.
+    output: Output,
+    /// `None`: bytes alone.
+    capture: Option<(Box<CaptureSeries>, DeviceId)>,
     segment: Segment,
     /// Finds out when the bytes come, by the board's clock.
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     tick_hz: f64,
     device_ns: u64,
-}
-
-enum Target {
-    Bytes(Output),
-    Capture(Box<CaptureSeries>, DeviceId),
 }
 
 impl Recording {
@@ -109,17 +118,20 @@ impl Recording {
         tier: Tier,
         schedule: &Schedule,
     ) -> Result<Self, CommandError> {
-        let target = if args.raw {
-            Target::Bytes(Output::open(Some(&args.output))?)
+        let replace = if args.overwrite { Replace::Anything } else { Replace::Nothing };
+        let output = Output::replacing(&args.output, replace)?;
+        let capture = if args.raw {
+            None
         } else {
-            let existing = if args.overwrite { Existing::Replaced } else { Existing::Kept };
-            let mut series = CaptureSeries::create(&args.output, Limits::default(), existing, About::default())?;
+            let file_of_capture = output.as_file().map_err(|source| output.error(source))?;
+            let mut series =
+                CaptureSeries::in_file(file_of_capture, &args.output, About { report_schema: report_schema() })?;
             let settings = Settings { tier, following: Following::default() };
-            series.add_device(Setup::new(device, file, settings), None, 0)?;
-            Target::Capture(Box::new(series), device)
+            series.add_device(Setup::new(device, file, settings), None, 0).map_err(|error| writing(&output, error))?;
+            Some((Box::new(series), device))
         };
         let tick_hz = f64::from(schedule.tick_hz);
-        Ok(Self { target, segment: Segment::default(), decoder: Decoder::new(), tick_hz, device_ns: 0 })
+        Ok(Self { output, capture, segment: Segment::default(), decoder: Decoder::new(), tick_hz, device_ns: 0 })
     }
 
     fn write(&mut self, board: &mut Conversation) -> Result<(), CommandError> {
@@ -131,21 +143,28 @@ impl Recording {
                 self.device_ns = (batch.tick as f64 / self.tick_hz * 1e9) as u64;
             }
         }
-        match &mut self.target {
-            Target::Bytes(output) => {
-                output.write_all(&self.segment.bytes).map_err(|source| output.error(source))?;
+        let Self { output, capture, segment, device_ns, .. } = self;
+        match capture {
+            Some((series, device)) => {
+                series.segment(*device, segment, *device_ns).map_err(|error| writing(output, error))
             }
-            Target::Capture(series, device) => series.segment(*device, &self.segment, self.device_ns)?,
+            None => output.write_all(&segment.bytes).map_err(|source| output.error(source).into()),
         }
-        Ok(())
     }
 
     fn finish(self) -> Result<(), CommandError> {
-        match self.target {
-            Target::Bytes(output) => output.finish()?,
-            Target::Capture(series, _) => drop(series.finish()?),
+        if let Some((series, _)) = self.capture {
+            series.finish().map_err(|error| writing(&self.output, error))?;
         }
-        Ok(())
+        Ok(self.output.finish()?)
+    }
+}
+
+/// A capture that cannot be written is not kept in part, other than one that a daemon records.
+fn writing(output: &Output, error: CaptureError) -> CommandError {
+    match error {
+        CaptureError::Write { source, .. } => output.error(source).into(),
+        error => error.into(),
     }
 }
 
@@ -153,7 +172,9 @@ fn write_truth(
     output: Output,
     trajectory: &Trajectory,
     instants: impl Iterator<Item = f64>,
+    stop: &AtomicBool,
 ) -> Result<(), CommandError> {
+    let target = output.target().to_owned();
     let header = ["seq", "device_time_s"].into_iter().chain(POSE_COLUMNS);
     let mut table = TableWriter::new(output, header)?;
     for (sequence, time_s) in instants.enumerate() {
@@ -164,6 +185,9 @@ fn write_truth(
             table.number(number)?;
         }
         table.end_row()?;
+        if stop.load(Ordering::Relaxed) {
+            return Err(OutputError::Interrupted { target }.into());
+        }
     }
     Ok(table.finish()?)
 }

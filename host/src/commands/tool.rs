@@ -20,13 +20,16 @@ pub(super) struct ToolOptions {
     seed: Option<u64>,
 }
 
-/// A motion that plans ahead for no end in sight does so for an hour.
-const ENDLESS_PLAN_S: f64 = 3600.0;
-
 impl ToolOptions {
     /// The first option that was given, if any.
     pub(super) fn given(&self) -> Option<&'static str> {
         self.trajectory.as_ref().map(|_| "--trajectory").or(self.seed.map(|_| "--seed"))
+    }
+
+    /// The table of a motion, if it is one.
+    pub(super) fn table(&self) -> Option<&str> {
+        use clap::ValueEnum;
+        self.trajectory.as_deref().filter(|name| TrajectoryKind::from_str(name, false).is_err())
     }
 
     /// The simulated board with this number and the head of `file`, for `duration_s`, which may be
@@ -55,10 +58,7 @@ impl ToolOptions {
         use clap::ValueEnum;
         let name = self.trajectory.as_deref().unwrap_or("smooth");
         match TrajectoryKind::from_str(name, false) {
-            Ok(kind) => {
-                let plan_s = if duration_s.is_finite() { duration_s } else { ENDLESS_PLAN_S };
-                Ok(Trajectory::of_kind(kind, self.seed(number), plan_s))
-            }
+            Ok(kind) => Ok(Trajectory::of_kind(kind, self.seed(number), duration_s)),
             Err(_) => Ok(Trajectory::from_table(name)?),
         }
     }

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use schemars::JsonSchema;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -59,7 +60,7 @@ pub enum DatagramError {
 }
 
 /// What was sent and refused since the server started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DatagramCounts {
     /// Places that clients have taken, now.
     pub places_taken: u64,

@@ -1,5 +1,6 @@
 //! Electrodes or plugs in each other's place: tried on a few scans that the scene does not explain.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use slitpose_model::{
     Effort, MAX_CELLS, MotionPrior, Outcome, Photocurrents, Pose, Reading, Solution, Solver, Twist, Weakness,
@@ -35,7 +36,7 @@ const ANY_MOTION: MotionPrior = MotionPrior {
 };
 
 /// What stands in the place of something else.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Exchange {
     /// I_X1 and I_X2 of a cell.

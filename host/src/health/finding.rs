@@ -1,11 +1,12 @@
 //! What there is to say of a head, for programs and for people.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::Exchange;
 
 /// The state of a cell, gravest cause first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Less than a second of scans: nothing can be said yet.
@@ -52,7 +53,7 @@ impl Verdict {
 }
 
 /// Shares of the scans of the last second, 0 to 1.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Shares {
     /// A converter or the detector was at its limit.
     pub saturated: f64,
@@ -69,7 +70,7 @@ pub struct Shares {
 }
 
 /// Scans since the session began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct CellTotals {
     /// All.
     pub scans: u64,
@@ -86,7 +87,7 @@ pub struct CellTotals {
 }
 
 /// One cell: the last second, and what there was since the session began.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct CellHealth {
     /// Its number.
     pub cell: usize,
@@ -114,7 +115,7 @@ pub struct CellHealth {
 }
 
 /// What is wrong.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
     /// A cell, as its verdict says.
@@ -133,7 +134,7 @@ pub enum Fault {
 }
 
 /// Something to tell.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Finding {
     /// What.
     pub fault: Fault,
@@ -142,7 +143,7 @@ pub struct Finding {
 }
 
 /// A head over the last second.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct HeadHealth {
     /// Share of scans that the scene does not explain: a misfit, no pose, or a cell left out as a liar.
     pub unexplained: f64,

@@ -8,6 +8,7 @@
 mod board;
 mod electronics;
 mod hardware;
+mod reversals;
 mod trajectory;
 
 pub use board::{SimulatedBoard, SimulatorError};

@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use slitpose_model::{Pose, Twist};
 use thiserror::Error;
 
+use super::reversals::Reversals;
 use crate::table::{PoseColumns, TableError, TableReader};
 
 /// Greatest speeds of a smooth motion.
@@ -21,13 +22,6 @@ const AMPLITUDE_RAD: f64 = 0.17;
 
 /// A fast motion is a smooth one at this many times the speed.
 const FAST: f64 = 4.0;
-
-/// Legs of a contact-like motion: the tool flies straight and reverses abruptly.
-const LEG_S: std::ops::Range<f64> = 5e-3..25e-3;
-
-/// Half sides of the box whose walls a contact-like motion hits.
-const CONTACT_M: f64 = 2.5e-3;
-const CONTACT_RAD: f64 = 0.12;
 
 /// Motions that need no file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -53,6 +47,7 @@ enum Motion {
     Sines([(f64, f64, f64); 6]),
     /// Knots in time, constant twist between them, at rest before and after.
     Path(Vec<(f64, Pose)>),
+    Reversals(Box<Reversals>),
 }
 
 /// Why a table is not a path.
@@ -74,15 +69,15 @@ pub enum PathError {
 }
 
 impl Trajectory {
-    /// A motion of a kind, as `seed` makes it. `duration_s` bounds what contact-like motions plan
-    /// ahead; after it they rest.
+    /// A motion of a kind, as `seed` makes it. After `duration_s`, which may be infinite, contact-like
+    /// motions rest.
     pub fn of_kind(kind: TrajectoryKind, seed: u64, duration_s: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         Self(match kind {
             TrajectoryKind::Still => Motion::Still,
             TrajectoryKind::Smooth => Motion::Sines(sines(&mut rng, 1.0)),
             TrajectoryKind::Fast => Motion::Sines(sines(&mut rng, FAST)),
-            TrajectoryKind::Contact => Motion::Path(reversals(&mut rng, duration_s)),
+            TrajectoryKind::Contact => Motion::Reversals(Box::new(Reversals::new(rng, duration_s))),
         })
     }
 
@@ -112,7 +107,7 @@ impl Trajectory {
     /// rests.
     pub fn covers(&self, time_s: f64) -> bool {
         match &self.0 {
-            Motion::Still | Motion::Sines(_) => true,
+            Motion::Still | Motion::Sines(_) | Motion::Reversals(_) => true,
             Motion::Path(knots) => {
                 knots.first().is_some_and(|first| time_s >= first.0)
                     && knots.last().is_some_and(|last| time_s <= last.0)
@@ -129,11 +124,12 @@ impl Trajectory {
                 Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
             }
             Motion::Path(knots) => on_path(knots, time_s),
+            Motion::Reversals(reversals) => reversals.pose(time_s),
         }
     }
 }
 
-fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
+pub(super) fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
     let after = knots.partition_point(|&(knot_s, _)| knot_s <= time_s);
     match (after.checked_sub(1).map(|before| knots[before]), knots.get(after)) {
         (Some((start_s, start)), Some(&(end_s, end))) => {
@@ -168,18 +164,6 @@ fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
     out
 }
 
-/// Straight legs between random points of a box.
-fn reversals(rng: &mut ChaCha8Rng, duration_s: f64) -> Vec<(f64, Pose)> {
-    let mut knots = vec![(0.0, Pose::HOME)];
-    let mut time_s = 0.0;
-    while time_s < duration_s {
-        time_s += rng.random_range(LEG_S);
-        let mut vector = |half: f64| DVec3::from([0; 3].map(|_| rng.random_range(-half..half)));
-        knots.push((time_s, Pose::from_vectors(vector(CONTACT_M), vector(CONTACT_RAD))));
-    }
-    knots
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -200,16 +184,5 @@ mod tests {
             assert!((0.45..=0.5001).contains(&linear), "seed {seed}: {linear} m/s");
             assert!((4.0..=5.001).contains(&angular), "seed {seed}: {angular} rad/s");
         }
-    }
-
-    #[test]
-    fn contact_stays_in_its_box_and_reverses() {
-        let trajectory = Trajectory::of_kind(TrajectoryKind::Contact, 1, 2.0);
-        for i in 0..2000 {
-            let pose = trajectory.pose(f64::from(i) * 1e-3);
-            assert!(pose.translation_m.abs().max_element() <= CONTACT_M);
-        }
-        assert_eq!(trajectory.pose(0.0), Pose::HOME);
-        assert_eq!(trajectory.pose(10.0), trajectory.pose(11.0));
     }
 }

@@ -1,6 +1,7 @@
 //! How long things take, as percentiles.
 
 use hdrhistogram::Histogram;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// What is told apart: 1 µs to 100 s, to a per cent. Some 30 KiB.
@@ -11,7 +12,7 @@ const DIGITS: u8 = 2;
 const QUANTILES: [f64; 4] = [0.5, 0.9, 0.99, 0.999];
 
 /// Durations as percentiles, seconds; zeros of none at all.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Percentiles {
     /// Half of all take no longer.
     pub p50_s: f64,
@@ -38,7 +39,7 @@ impl Percentiles {
 }
 
 /// Percentiles since the start, and of the last interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Latency {
     /// Since the start.
     pub total: Percentiles,

@@ -3,6 +3,8 @@
 //! Counters count since the daemon, or the following of that board, began, and only rise. All else is
 //! of the moment, or of the last interval where it says so.
 
+use schemars::JsonSchema;
+use schemars::generate::SchemaSettings;
 use serde::Serialize;
 
 use super::latency::Latency;
@@ -12,7 +14,7 @@ use crate::device::DeviceId;
 use crate::health::HeadHealth;
 
 /// Everything a daemon has to say.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct DaemonReport {
     /// Name of the program.
     pub program: &'static str,
@@ -32,8 +34,14 @@ pub struct DaemonReport {
     pub datagrams: Option<DatagramCounts>,
 }
 
+/// The JSON schema of a [`DaemonReport`], and within it that of a [`BoardReport`].
+pub fn report_schema() -> String {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    settings.into_generator().into_root_schema_for::<DaemonReport>().as_value().to_string()
+}
+
 /// What the system says of the daemon.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct ProcessReport {
     /// Memory in RAM, bytes.
     pub resident_bytes: u64,
@@ -42,7 +50,7 @@ pub struct ProcessReport {
 }
 
 /// One board.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct BoardReport {
     /// What the user calls it: a port, or `sim`.
     pub name: String,
@@ -89,7 +97,7 @@ pub struct BoardReport {
 }
 
 /// Whether there is a board, and what it does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkState {
     /// It is looked for.
@@ -129,7 +137,7 @@ impl LinkState {
 }
 
 /// The link to a board.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct LinkReport {
     /// Its state.
     pub state: LinkState,
@@ -144,7 +152,7 @@ pub struct LinkReport {
 }
 
 /// Scans a second, of the last interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Rates {
     /// By the board's clock; `None` if no scan came.
     pub device_hz: Option<f64>,
@@ -155,7 +163,7 @@ pub struct Rates {
 }
 
 /// What is missing, by place.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Losses {
     /// On the board.
     pub board: BoardLosses,
@@ -166,7 +174,7 @@ pub struct Losses {
 }
 
 /// What the board says it has lost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct BoardLosses {
     /// Scans it dropped, as the link did not take them in time.
     pub scans_dropped: u64,
@@ -177,7 +185,7 @@ pub struct BoardLosses {
 }
 
 /// What was lost on the way.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct LinkLosses {
     /// Scans missing in the numbering that the board does not account for. Known when its next status
     /// has come.
@@ -195,7 +203,7 @@ pub struct LinkLosses {
 }
 
 /// What the host had and did not keep.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct HostLosses {
     /// Bytes of the link that the recorder had no room for.
     pub bytes_unrecorded: u64,
@@ -235,7 +243,7 @@ impl Losses {
 }
 
 /// Solutions by what the solver says.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Outcomes {
     /// A pose from all cells.
     pub converged: u64,
@@ -275,7 +283,7 @@ impl Outcomes {
 }
 
 /// How old poses are. The instant of the sample is known to the clock's uncertainty.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Latencies {
     /// From the instant that a pose refers to until the host had read it: board and link.
     pub link: Latency,
@@ -286,7 +294,7 @@ pub struct Latencies {
 }
 
 /// How far solving is behind what comes, in the last moments.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct LagReport {
     /// Control loops get the newest scan only: the solver takes longer than the board.
     #[serde(rename = "behind")]
@@ -305,7 +313,7 @@ pub struct LagReport {
 }
 
 /// The board's clock by the host's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct ClockReport {
     /// The instants of scans are right to this by the host's clock, either way, seconds; `None` while
     /// they are not known.
@@ -315,7 +323,7 @@ pub struct ClockReport {
 }
 
 /// What a board says of itself.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Vitals {
     /// Why it last started.
     pub reset_cause: String,
@@ -336,7 +344,7 @@ pub struct Vitals {
 }
 
 /// Something a board reported.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Complaint {
     /// Whether it can still do its job.
     pub is_error: bool,
@@ -347,7 +355,7 @@ pub struct Complaint {
 }
 
 /// Whether scans are recorded.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecorderState {
     /// Nobody asked for it.
@@ -374,7 +382,7 @@ impl RecorderState {
 }
 
 /// The capture that a daemon writes.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct RecorderReport {
     /// Whether it does.
     pub state: RecorderState,

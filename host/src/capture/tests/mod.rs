@@ -1,6 +1,7 @@
 //! Captures as a whole: written, cut, damaged, split, and read again.
 
 mod damage;
+mod foreign;
 mod series;
 mod size;
 
@@ -12,16 +13,18 @@ use std::time::Duration;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
+use slitpose_protocol::{
+    Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, Schedule, encode,
+};
 
-use super::file::CaptureFile;
+use super::file::{CaptureFile, Channels};
 use super::medium::Medium;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
 use crate::front_end;
 use crate::pipeline::{Asked, Following, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
-use crate::scene_file::{SceneFile, WIDE};
+use crate::scene_file::{BENCH, SceneFile, WIDE};
 use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
 const FIRST: DeviceId = DeviceId(*b"first board.");
@@ -91,7 +94,7 @@ fn bytes(segment: &Segment) -> Vec<(u8, Option<HostInstant>)> {
     segment.chunks().flat_map(|(bytes, at)| bytes.iter().map(move |byte| (*byte, at))).collect()
 }
 
-fn read_all<R: io::Read>(mut reader: CaptureReader<R>) -> (Content, End) {
+fn read_all<R: io::Read + io::Seek>(mut reader: CaptureReader<R>) -> (Content, End) {
     let (mut content, mut segment) = (Content::default(), Segment::default());
     while let Some(entry) = reader.next(&mut segment).unwrap() {
         match entry {
@@ -108,7 +111,7 @@ fn read_file(path: &Path) -> (Content, End) {
 }
 
 fn read(bytes: &[u8]) -> (Content, End) {
-    read_all(CaptureReader::new(Path::new("memory"), bytes).unwrap())
+    read_all(CaptureReader::new(Path::new("memory"), io::Cursor::new(bytes)).unwrap())
 }
 
 fn segments(content: Content) -> Vec<Segment> {
@@ -264,8 +267,8 @@ fn poses_and_reports_are_there_for_other_programs() {
     let mut record = Record { device: FIRST, ..records[20] };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("poses.mcap");
-    let about = About { report_schema: r#"{"type":"object","properties":{"well":{"type":"boolean"}}}"# };
-    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, about).unwrap();
+    let about = About { report_schema: r#"{"type":"object","properties":{"well":{"type":"boolean"}}}"#.to_owned() };
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, about.clone()).unwrap();
     series.add_device(setup(FIRST), None, 1).unwrap();
     series.pose(&record, 2).unwrap();
     let at = HostTime { monotonic_ns: 7, utc_ns: BEGIN.utc_ns, uncertainty_ns: 8 };
@@ -285,25 +288,32 @@ fn poses_and_reports_are_there_for_other_programs() {
             (topic, schema.name.as_str(), message.channel.message_encoding.as_str(), message.log_time)
         })
         .collect();
-    let pose = ("/slitpose/ID/pose".to_owned(), "geometry_msgs/msg/PoseWithCovarianceStamped", "cdr");
-    let twist = ("/slitpose/ID/twist".to_owned(), "geometry_msgs/msg/TwistWithCovarianceStamped", "cdr");
-    let with = |(topic, schema, encoding): &(String, _, _), log_ns| (topic.clone(), *schema, *encoding, log_ns);
-    assert_eq!(
-        told,
+    let of_pose = |log_ns| {
         [
-            with(&pose, 2),
-            with(&twist, 2),
-            with(&pose, 3),
-            with(&twist, 3),
-            ("/slitpose/ID/report".to_owned(), "slitpose.Report", "json", 4),
-            ("/slitpose/report".to_owned(), "slitpose.Report", "json", 5),
+            ("/slitpose/ID/pose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+            ("/slitpose/ID/pose_stamped", "geometry_msgs/msg/PoseStamped"),
+            ("/tf", "tf2_msgs/msg/TFMessage"),
+            ("/slitpose/ID/twist", "geometry_msgs/msg/TwistWithCovarianceStamped"),
         ]
-    );
+        .map(|(topic, schema)| (topic.to_owned(), schema, "cdr", log_ns))
+    };
+    let report = |topic: &str, log_ns| (topic.to_owned(), "std_msgs/msg/String", "cdr", log_ns);
+    let reports = [report("/slitpose/ID/report", 4), report("/slitpose/report", 5)];
+    assert_eq!(told, [&of_pose(2)[..], &of_pose(3), &reports].concat());
     assert_eq!(messages[0].sequence, 20);
-    assert_eq!((messages[0].publish_time, messages[2].publish_time), (2, BEGIN.utc_ns));
+    assert_eq!((messages[0].publish_time, messages[4].publish_time), (2, BEGIN.utc_ns));
     // Stamps: device time while the host's is not known.
-    let stamp_s = |message: &mcap::Message<'_>| u32::from_le_bytes(message.data[4..8].try_into().unwrap());
-    assert_eq!((stamp_s(&messages[0]), stamp_s(&messages[2])), (0, 1_750_000_000));
-    assert_eq!(*messages[4].data, *br#"{"well":true}"#);
-    assert_eq!(*messages[4].channel.schema.as_ref().unwrap().data, *about.report_schema.as_bytes());
+    let stamp_s =
+        |message: &mcap::Message<'_>, at: usize| u32::from_le_bytes(message.data[at..at + 4].try_into().unwrap());
+    for index in 0..4 {
+        // A list of transforms begins with their number.
+        let at = if index == 2 { 8 } else { 4 };
+        let stamps = (stamp_s(&messages[index], at), stamp_s(&messages[index + 4], at));
+        assert_eq!(stamps, (0, 1_750_000_000), "message {index}");
+    }
+    assert_eq!(*messages[8].data, *b"\x00\x01\x00\x00\x0e\x00\x00\x00{\"well\":true}\x00");
+    let schema = mcap::read::Summary::read(&bytes).unwrap().unwrap().attachment_indexes;
+    let schema = schema.iter().find(|attachment| attachment.name == "report.schema.json").unwrap();
+    let schema = mcap::read::attachment(&bytes, schema).unwrap();
+    assert_eq!((&*schema.data, &*schema.media_type), (about.report_schema.as_bytes(), "application/schema+json"));
 }

@@ -12,7 +12,7 @@ fn growth_bytes(frames: &[Vec<u8>]) -> u64 {
     let mut random = ChaCha8Rng::seed_from_u64(16);
     let disk = Disk { bytes: Vec::new(), room: usize::MAX };
     let mut file = CaptureFile::create(disk, &About::default()).unwrap();
-    let channels = file.add_device(&setup(FIRST), 0).unwrap();
+    let channels = file.add_device(&setup(FIRST), &[], 0).unwrap();
     file.flush().unwrap();
     let begin = file.bytes();
     let mut at = BEGIN;
@@ -33,10 +33,12 @@ fn growth_bytes(frames: &[Vec<u8>]) -> u64 {
     file.bytes() - begin
 }
 
+/// CAPTURES.md promises 90 bytes, and says what is measured: 44, and 66 more with truths. Another tenth either
+/// way is another format, or another noise.
 #[test]
-fn a_scan_takes_ninety_bytes_at_most() {
+fn a_scan_takes_as_many_bytes_as_is_said() {
     let scene = WIDE.read().unwrap();
-    for (truths, limit) in [(false, 90.0), (true, f64::INFINITY)] {
+    for (truths, said) in [(false, 44.0), (true, 110.0)] {
         let frames = stream(&scene, 4000, truths);
         let link: usize = frames.iter().map(Vec::len).sum();
         let per_scan = growth_bytes(&frames) as f64 / 4000.0;
@@ -44,7 +46,6 @@ fn a_scan_takes_ninety_bytes_at_most() {
             "six cells, batches of 4 scans, truths {truths}: {per_scan:.1} bytes a scan of {:.1} on the link",
             link as f64 / 4000.0
         );
-        assert!(per_scan <= limit, "{per_scan}");
-        assert!(per_scan >= 24.0, "two words a cell cannot be pressed into {per_scan}");
+        assert!((0.9 * said..=1.1 * said).contains(&per_scan), "truths {truths}: {per_scan}");
     }
 }
