@@ -20,7 +20,13 @@ from mcap_ros2.decoder import DecoderFactory
 LINK = "slitpose_msgs/msg/LinkBytes"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
-SCHEMAS = {"link": LINK, "hello": LINK, "pose": POSE, "twist": TWIST, "report": "slitpose.Report"}
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+REPORT = "std_msgs/msg/String"
+SCHEMAS = {
+    "link": LINK, "hello": LINK, "pose": POSE, "pose_stamped": POSE_STAMPED, "tf": TRANSFORMS, "twist": TWIST,
+    "report": REPORT,
+}
 NO_TIME = 2**64 - 1
 
 
@@ -43,6 +49,16 @@ def check_covariance(covariance):
         check(covariance[7 * i] >= 0.0, "a negative variance")
 
 
+def settings_hash(device):
+    """FNV-1a of all other entries in the order of their keys: key, 0, value, 0."""
+    state = 0xCBF29CE484222325
+    for key in sorted(device):
+        if key != "settings_hash":
+            for byte in f"{key}\0{device[key]}\0".encode():
+                state = (state ^ byte) * 0x100000001B3 % 2**64
+    return f"{state:016x}"
+
+
 def vector(message):
     return [message.x, message.y, message.z]
 
@@ -55,15 +71,22 @@ class Contents:
         self.raw_bytes = 0
         self.timed_reads = 0
         self.positions_m = []
+        self.reports = []
+        self.report_schema = None
         self.scenes, self.devices, self.schemas, self.channels, self.topics = {}, [], {}, {}, {}
         self._ros = DecoderFactory()
 
     def take(self, record):
         if isinstance(record, Header):
             check(record.profile == "ros2" and record.library.startswith("slitpose "), f"header {record}")
+        elif isinstance(record, Attachment) and record.name == "report.schema.json":
+            check(record.media_type == "application/schema+json", "a schema of another kind")
+            self.report_schema = json.loads(record.data)
         elif isinstance(record, Attachment):
             check(record.media_type == "application/toml" and record.data, "a scene without text")
-            self.scenes[record.name] = record
+            # Copies further on are for files whose beginning is damaged.
+            known = self.scenes.setdefault(record.name, record)
+            check(known.data == record.data, "two scenes of one name")
         elif isinstance(record, Metadata) and record.name == "slitpose.device":
             self._take_device(record.metadata)
         elif isinstance(record, Schema):
@@ -79,25 +102,33 @@ class Contents:
     def _take_device(self, device):
         check(device["scene"] in self.scenes, "a board without scene")
         check(device["tier"] in ("paper", "exact"), "a board without tier")
-        self.devices.append(device)
+        check(device["settings_hash"] == settings_hash(device), "settings are not what was written")
+        if device not in self.devices:
+            self.devices.append(device)
 
     def _take_message(self, record):
         channel = self.channels[record.channel_id]
         schema = self.schemas[channel.schema_id]
         topic = self.topics.setdefault(channel.topic, {"messages": 0, "schema": schema.name})
         topic["messages"] += 1
-        if channel.message_encoding == "json":
-            json.loads(record.data)
+        check(channel.message_encoding == "cdr", "a message that ROS does not know")
+        message = self._ros.decoder_for(channel.message_encoding, schema)(record.data)
+        if schema.name == REPORT:
+            self.reports.append((channel.topic, json.loads(message.data)))
             return
         check(self.devices, "a message before its board")
-        message = self._ros.decoder_for(channel.message_encoding, schema)(record.data)
         if schema.name == LINK:
             check_link(message)
             if channel.topic.endswith("/link"):
                 self.raw_bytes += len(message.data)
                 self.timed_reads += sum(time != NO_TIME for time in message.read_monotonic_ns)
             return
+        if schema.name == TRANSFORMS:
+            (message,) = message.transforms
+            check(message.child_frame_id == "tool", "a transform of another frame")
         check(message.header.frame_id == "base", "a pose or velocity in another frame")
+        if schema.name in (POSE_STAMPED, TRANSFORMS):
+            return
         if schema.name == POSE:
             check_covariance(message.pose.covariance)
             q = message.pose.pose.orientation
@@ -139,7 +170,8 @@ def check_index(path, contents):
         messages = sum(topic["messages"] for topic in contents.topics.values())
         check(summary.statistics.message_count == messages, "the summary counts other messages")
         check(sum(1 for _ in reader.iter_messages()) == messages, "the index leads to other messages")
-        check({scene.name for scene in reader.iter_attachments()} == set(contents.scenes), "scenes without an index")
+        names = {attachment.name for attachment in reader.iter_attachments()} - {"report.schema.json"}
+        check(names == set(contents.scenes), "scenes without an index")
 
 
 def main():

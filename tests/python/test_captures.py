@@ -6,6 +6,10 @@ import os
 import subprocess
 import tempfile
 import unittest
+from pathlib import Path
+
+import jsonschema
+from rosbags.highlevel import AnyReader
 
 from read_capture import read
 
@@ -68,6 +72,45 @@ class Captures(unittest.TestCase):
     @staticmethod
     def _is_same(a, b):
         return all(abs(x - y) < 1e-12 for x, y in zip(a, b))
+
+    def test_ros_tools_read_every_topic(self):
+        with AnyReader([Path(self.followed)]) as reader:
+            found = {}
+            for connection, _, data in reader.messages():
+                message = reader.deserialize(data, connection.msgtype)
+                found.setdefault(connection.topic.rsplit("/", 1)[1], []).append(message)
+        self.assertEqual(set(found), {"link", "hello", "pose", "pose_stamped", "tf", "twist", "report"})
+        self.assertEqual(len(found["pose"]), 2 * POSES_HZ)
+        self.assertEqual({len(found[kind]) for kind in ("pose_stamped", "tf")}, {2 * POSES_HZ})
+        for pose, stamped, transforms in zip(found["pose"], found["pose_stamped"], found["tf"]):
+            (transform,) = transforms.transforms
+            self.assertEqual((stamped.header, transform.header), (pose.header, pose.header))
+            self.assertEqual((transform.header.frame_id, transform.child_frame_id), ("base", "tool"))
+            self.assertEqual(stamped.pose, pose.pose.pose)
+            self.assertEqual(self._numbers(transform.transform.rotation), self._numbers(stamped.pose.orientation))
+            self.assertEqual(self._numbers(transform.transform.translation), self._numbers(stamped.pose.position)[:3])
+
+    @staticmethod
+    def _numbers(message):
+        return [getattr(message, axis) for axis in "xyzw" if hasattr(message, axis)]
+
+    def test_reports_are_what_their_schema_says(self):
+        contents = read(self.followed)
+        schema = contents.report_schema
+        boards = {"$defs": schema["$defs"], "$ref": "#/$defs/BoardReport"}
+        of_boards = [report for topic, report in contents.reports if topic != "/slitpose/report"]
+        of_program = [report for topic, report in contents.reports if topic == "/slitpose/report"]
+        self.assertGreater(min(len(of_boards), len(of_program)), 0)
+        for reports, of in ((of_boards, boards), (of_program, schema)):
+            validator = jsonschema.Draft202012Validator(of)
+            for report in reports:
+                validator.validate(report)
+        # A schema that takes anything would say nothing.
+        for key in ("scans", "losses", "link"):
+            broken = {**of_boards[-1], key: "none"}
+            self.assertFalse(jsonschema.Draft202012Validator(boards).is_valid(broken), key)
+            del broken[key]
+            self.assertFalse(jsonschema.Draft202012Validator(boards).is_valid(broken), key)
 
     def test_a_pose_for_every_scan(self):
         contents = read(self.whole)
