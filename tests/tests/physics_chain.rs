@@ -188,7 +188,11 @@ fn heads_of_other_sizes() {
     assert_eq!((records.len(), counts.has_loss()), (1000, false));
     println!("three cells: {:?}", counts.outcomes);
     for Record { solution, .. } in &records {
-        let words = matches!(solution.outcome, Outcome::Converged | Outcome::Ambiguous | Outcome::Unobservable(_));
+        // While a search that is spread over scans goes on, there is nothing to tell yet.
+        let words = matches!(
+            solution.outcome,
+            Outcome::Converged | Outcome::Ambiguous | Outcome::Unobservable(_) | Outcome::Diverged
+        );
         assert!(words && solution.cells_used.count() == 3 && solution.redundancy == 0, "{solution:?}");
     }
     let worst: Vec<f64> = errors(&records).iter().map(|(error, covariance)| worst_axis(error, covariance)).collect();
@@ -204,7 +208,7 @@ fn a_converter_at_its_limit_is_left_out() {
     let bytes = capture(&file, smooth(68), STREAM, 68, 2000);
     let (records, counts) = solve(&file, STREAM, &bytes);
     println!("{:?}", counts.outcomes);
-    let mut masked = [0; 7];
+    let (mut masked, mut lost) = ([0; 7], 0);
     for (record, scan) in records.iter().zip(decode(&bytes).scans) {
         let solution = &record.solution;
         let mut usable = 0;
@@ -222,10 +226,15 @@ fn a_converter_at_its_limit_is_left_out() {
         masked[6 - usable] += 1;
         match usable {
             6 => assert_eq!(solution.outcome, Outcome::Converged),
+            4 | 5 if solution.estimate.is_none() => lost += 1,
             4 | 5 => assert_eq!(solution.outcome, Outcome::Degraded(Weakness::FewerCells), "scan {}", scan.sequence),
             _ => {}
         }
     }
+    // Where three cells were left the track may have ended at a fold; the search for the tool is then spread
+    // over scans: at most a cold solve's 1000 evaluations, 26 a scan, after each of the few times.
+    println!("{lost} scans of four or five cells without a pose");
+    assert!(lost <= 2 * 1000 / 26, "{lost}");
     println!("scans by cells left out: {masked:?}");
     assert!(masked[0] > 50 && masked[1] > 200 && masked[2] > 200, "the motion must meet the limit: {masked:?}");
     let errors = errors(&records);
