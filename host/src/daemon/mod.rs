@@ -37,7 +37,6 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
 pub use board::{Admit, BoardPlan};
 pub use error::BoardError;
@@ -50,11 +49,12 @@ use crate::datagram::DatagramServer;
 use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
-use crate::threads::{join, lock};
+use crate::threads::lock;
 use board::BoardThreads;
 use circuit::circuit;
 use claims::Claims;
 use consumers::{OUTBOX_POSES, Outbox};
+use printer::PrinterThread;
 use recorder::RecorderThread;
 use slot::BoardSlot;
 
@@ -83,7 +83,7 @@ pub struct Daemon {
     started: HostInstant,
     slots: Vec<Arc<BoardSlot>>,
     boards: Mutex<Vec<BoardThreads>>,
-    printer: Mutex<Option<JoinHandle<io::Result<()>>>>,
+    printer: Mutex<Option<PrinterThread>>,
     recorder: Option<RecorderThread>,
     datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
@@ -128,8 +128,8 @@ impl Daemon {
                     let recorder = recorder.as_ref().map(|report| report()).unwrap_or_default();
                     Account { recorder: with_unrecorded(recorder, &boards), boards }
                 };
-                let print = move || printer::print(&drainer, sink, &accounts, &stop);
-                (Some(spawn("printer".to_owned(), print)?), Some(filler))
+                let printer = PrinterThread::start(drainer, sink, Box::new(accounts), stop)?;
+                (Some(printer), Some(filler))
             }
             None => (None, None),
         };
@@ -199,33 +199,9 @@ impl Daemon {
         let boards = threads.into_iter().map(BoardThreads::end).collect();
         self.record_report();
         let printer = lock(&self.printer).take();
-        let printed = printer.map_or(Ok(()), |printer| self.end_printer(printer));
+        let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));
         let recorder = self.recorder.as_ref().map(RecorderThread::end);
         Ended { boards, printed, capture: with_unrecorded(recorder.unwrap_or_default(), &self.boards_report()) }
-    }
-}
-
-/// Interrupted, a daemon does not wait longer than this for whoever reads its standard output.
-const PRINTS_FOR: Duration = Duration::from_millis(500);
-
-/// The end of a thread is looked for so often.
-const MOMENT: Duration = Duration::from_millis(5);
-
-impl Daemon {
-    /// Waits until all is printed or, after an interrupt, nobody reads it.
-    fn end_printer(&self, printer: JoinHandle<io::Result<()>>) -> io::Result<()> {
-        let mut interrupted_at = None;
-        while !printer.is_finished() {
-            let is_interrupted = self.stop.load(Ordering::Relaxed);
-            let since = interrupted_at.get_or_insert_with(Instant::now);
-            if !is_interrupted {
-                interrupted_at = None;
-            } else if since.elapsed() >= PRINTS_FOR {
-                return Err(io::Error::new(io::ErrorKind::TimedOut, "nobody reads what is printed"));
-            }
-            std::thread::sleep(MOMENT);
-        }
-        join(printer)
     }
 }
 

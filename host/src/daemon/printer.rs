@@ -3,12 +3,16 @@
 
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::circuit::{Drainer, Dry};
 use super::consumers::{OUTBOX_POSES, Outbox, Outgoing};
+use super::error::BoardError;
+use super::spawn;
 use crate::sink::{Account, Sink};
+use crate::threads::join;
 
 /// Without a pose to print it looks about so often.
 const IDLE: Duration = Duration::from_millis(50);
@@ -19,13 +23,58 @@ const TICK_AFTER: Duration = Duration::from_millis(200);
 /// Gives the account of boards and recorder.
 pub(super) type Accounts = dyn Fn() -> Account + Send;
 
+/// Interrupted, a program does not wait any longer for somebody who has read nothing for so long.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// The end of the thread is looked for so often.
+const MOMENT: Duration = Duration::from_millis(5);
+
+/// The printer's thread.
+pub(super) struct PrinterThread {
+    thread: JoinHandle<io::Result<()>>,
+    /// Outboxes printed so far.
+    printed: Arc<AtomicU64>,
+}
+
+impl PrinterThread {
+    /// Starts it. When the sink fails it tells everybody to `stop`.
+    pub(super) fn start(
+        outboxes: Drainer<Outbox>,
+        sink: Box<dyn Sink + Send>,
+        accounts: Box<Accounts>,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, BoardError> {
+        let printed = Arc::<AtomicU64>::default();
+        let progress = Arc::clone(&printed);
+        let run = move || print(&outboxes, sink, &*accounts, &stop, &progress);
+        Ok(Self { thread: spawn("printer".to_owned(), run)?, printed })
+    }
+
+    /// Waits until all is printed; all solvers must have ended. If it was told to `stop`, and nobody reads,
+    /// what is left is given up.
+    pub(super) fn end(self, stop: &AtomicBool) -> io::Result<()> {
+        let (mut before, mut since) = (0, Instant::now());
+        while !self.thread.is_finished() {
+            let printed = self.printed.load(Ordering::Relaxed);
+            if printed != before || !stop.load(Ordering::Relaxed) {
+                (before, since) = (printed, Instant::now());
+            } else if since.elapsed() >= PATIENCE {
+                return Err(io::Error::new(io::ErrorKind::TimedOut, "nobody reads what is printed"));
+            }
+            std::thread::sleep(MOMENT);
+        }
+        join(self.thread)
+    }
+}
+
 /// Prints what the solvers hand over until they have ended. When the sink fails it tells everybody to
 /// `stop`, and what still comes is dropped.
-pub(super) fn print(
+fn print(
     outboxes: &Drainer<Outbox>,
     mut sink: Box<dyn Sink + Send>,
     accounts: &Accounts,
-    stop: &Arc<AtomicBool>,
+    stop: &AtomicBool,
+    printed: &AtomicU64,
 ) -> io::Result<()> {
     let mut failed = None;
     let mut ticked_at = Instant::now();
@@ -37,6 +86,7 @@ pub(super) fn print(
                 // A stall has made it longer, and there are many.
                 outbox.shrink_to(OUTBOX_POSES);
                 outboxes.give_back(outbox);
+                printed.fetch_add(1, Ordering::Relaxed);
                 (taken, false)
             }
             Err(Dry::Yet) => (Ok(()), false),
