@@ -14,7 +14,7 @@ mod travel;
 mod warning;
 
 use serde::{Serialize, Serializer};
-use slitpose_model::{Plan, Pose, SceneError, Tier};
+use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
 
 use crate::scene_file::{SceneFile, Workspace};
 
@@ -29,6 +29,9 @@ pub use warning::Warning;
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
+
+/// The same where poses are solved for: that of `solve` and `run`.
+const SOLVING_TOLERANCE: f64 = 1e-6;
 
 /// Everything `slitpose scene check` tells.
 #[derive(Debug, Serialize)]
@@ -53,6 +56,10 @@ pub struct Survey {
     pub crosstalk: Vec<SlotCrosstalk>,
     /// Duration of slots and frame; `None` without front end.
     pub timing: Option<Timing>,
+    /// Coordinates that the currents leave free at home, joined by `;`; empty if there are none.
+    pub free_at_home: String,
+    /// Whether poses have mirror images with nearly the same currents although all cells see light.
+    pub mirror_images: bool,
     /// What a designer should look at.
     pub warnings: Vec<Warning>,
 }
@@ -72,6 +79,7 @@ impl Survey {
     pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut()) -> Result<Self, SceneError> {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = Plan::<f64>::compile(&file.scene, tier)?;
+        let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
         let mut survey = Self {
             name: file.name.clone(),
@@ -84,6 +92,8 @@ impl Survey {
             cost: cost::of_cells(file, samples)?,
             crosstalk: crosstalk::of_slots(file, &plan, samples, &mut progress),
             timing: Timing::of(file),
+            free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
+            mirror_images: solver.has_mirror_images(),
             warnings: Vec::new(),
         };
         survey.warnings = warning::find(file, &survey);

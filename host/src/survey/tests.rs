@@ -94,3 +94,29 @@ fn the_sample_fills_the_box_evenly() {
     // Random points would leave 0.01 (one standard deviation).
     assert!(mean.iter().all(|mean| mean.abs() < 5e-3), "{mean:?}");
 }
+
+#[test]
+fn heads_with_mirror_images_or_nothing_to_tell_at_home_are_named() {
+    // Rolls of 0 ± `roll` in turn: at home, by the geometry of a ring, rolls of 0 leave heights and tilts
+    // free, and mirror every pose in its plane.
+    let ring = |roll: f64| {
+        let head = WIDE.text.split("[[cell]]").next().unwrap().replace("six cells, rolled 45 degrees", "mirror");
+        (0..6).fold(head, |text, k| {
+            let (sin, cos) = (std::f64::consts::FRAC_PI_3 * f64::from(k)).sin_cos();
+            let (rise, along) = if k % 2 == 0 { roll } else { -roll }.sin_cos();
+            text + &format!(
+                "[[cell]]\ndetector_mm = [{:?}, {:?}, 0.0]\nx_axis = [{:?}, {:?}, {rise:?}]\nnormal = [{:?}, {:?}, 0.0]\n\
+                 emitter_mm = [{:?}, {:?}, 0.0]\nemitter_axis = [{cos:?}, {sin:?}, 0.0]\n",
+                25.0 * cos, 25.0 * sin, -sin * along, cos * along, -cos, -sin, 10.0 * cos, 10.0 * sin,
+            )
+        })
+    };
+    assert!(warnings(&ring(0.0)).contains("leave tz;rx;ry free"), "{}", warnings(&ring(0.0)));
+    for roll in [0.0, 1e-3] {
+        assert!(warnings(&ring(roll)).contains("head `mirror` have mirror images"), "{}", warnings(&ring(roll)));
+    }
+    for ordinary in [ring(std::f64::consts::FRAC_PI_4), WIDE.text.to_owned(), BASE.text.to_owned()] {
+        let warnings = warnings(&ordinary);
+        assert!(!warnings.contains("mirror images") && !warnings.contains("free:"), "{warnings}");
+    }
+}

@@ -143,6 +143,25 @@ pub enum Warning {
         /// What is reached.
         cost: CellCost,
     },
+    /// A pose that the head cannot tell.
+    #[error(
+        "at home the currents leave {directions} free: poses there are `unobservable`; \
+         turn every other detector about its normal, by 90° against its neighbours"
+    )]
+    SingularAtHome {
+        /// Names of the coordinates, joined by `;`.
+        directions: String,
+    },
+    /// Other poses with nearly the same currents.
+    #[error(
+        "poses of the head `{name}` have mirror images with nearly the same currents: a start from nothing is slow \
+         and says `ambiguous` where two fit alike; turn every other detector about its normal, by 90° against its \
+         neighbours"
+    )]
+    MirrorImages {
+        /// The scene's name.
+        name: String,
+    },
     /// Nothing to subtract ambient light with.
     #[error("no lighting slot is dark, so ambient light and offsets stay in the currents; add [] to lighting.slots")]
     NoDarkSlot,
@@ -177,6 +196,12 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Warning> {
         .collect();
     if warnings.is_empty() {
         warnings.extend(short_travels(survey));
+    }
+    if !survey.free_at_home.is_empty() {
+        warnings.push(Warning::SingularAtHome { directions: survey.free_at_home.clone() });
+    }
+    if survey.mirror_images {
+        warnings.push(Warning::MirrorImages { name: survey.name.clone() });
     }
     let cells = survey.home.len();
     let share = survey.coverage.at_least_lit[cells];
