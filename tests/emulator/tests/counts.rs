@@ -148,9 +148,9 @@ fn ten_seconds_of_words_are_those_of_the_model() {
     assert!(chain.scans.len() >= count && chain.damaged == 0, "{} scans", chain.scans.len());
     assert_eq!(chain.schedule.as_ref(), Some(&default_configuration().schedule));
 
-    let model = Model::new(&file, trajectory());
     let first_tick = chain.scans[0].1.tick;
     let check = |scans: &[(Ticks, RawScan)], first: usize| {
+        let model = Model::new(&file, trajectory());
         let (mut worst, mut kept) = (0.0_f64, Vec::new());
         for (sequence, (_, scan)) in (first as u64..).zip(scans) {
             assert_eq!((scan.sequence, scan.tick), (sequence, first_tick + sequence * FRAME_TICKS));
