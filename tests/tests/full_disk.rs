@@ -75,3 +75,15 @@ fn poses_go_on_when_the_disk_was_full_before() {
     assert!(finished.stderr.contains("/dev/full") && finished.stderr.contains("No space left"), "{}", finished.stderr);
     assert_eq!(ndjson::parse(&String::from_utf8(finished.stdout).expect("UTF-8")).len(), 800);
 }
+
+#[test]
+fn a_run_without_a_board_replaces_no_capture() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("precious.mcap");
+    std::fs::write(&path, "of last night").expect("written");
+    let record = ["--duration", "1s", "--overwrite", "--record", path.to_str().expect("UTF-8")];
+    let finished = slitpose!().run(["run", "--device", "/dev/slitpose-no-such-port"].iter().chain(&record));
+    finished.assert_refused(1, &["there is no /dev/slitpose-no-such-port"]);
+    assert_eq!(std::fs::read(&path).expect("still there"), b"of last night");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1, "something is left behind");
+}

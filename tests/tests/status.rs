@@ -18,9 +18,9 @@ const WIDTH: usize = 100;
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A board followed in real time, and where the daemon tells how it does.
-fn start(device: &str) -> (Child, String) {
+fn start(device: &str, more: &[&str]) -> (Child, String) {
     let arguments = ["run", "--config", "none", "--device", device, "--format", "none", "--status", "127.0.0.1:0"];
-    let mut daemon = slitpose!().command(arguments).spawn().expect("slitpose starts");
+    let mut daemon = slitpose!().command(arguments.iter().chain(more)).spawn().expect("slitpose starts");
     let mut line = String::new();
     // Nothing more is said that could be lost with this reader.
     BufReader::new(daemon.stderr.as_mut().expect("piped")).read_line(&mut line).expect("UTF-8");
@@ -57,7 +57,7 @@ fn sample(metrics: &str, start: &str) -> Option<f64> {
 
 #[test]
 fn a_daemon_tells_how_it_does() {
-    let (daemon, address) = start("sim");
+    let (daemon, address) = start("sim", &[]);
     let since = Instant::now();
     while status(&address)["boards"][0]["scans"].as_u64() < Some(4000) {
         assert!(since.elapsed() < PATIENCE, "no scans: {}", status(&address));
@@ -108,7 +108,7 @@ fn a_daemon_tells_how_it_does() {
 
 #[test]
 fn a_daemon_without_its_board_is_not_healthy() {
-    let (daemon, address) = start("/dev/slitpose-no-such-port");
+    let (daemon, address) = start("/dev/slitpose-no-such-port", &[]);
     let since = Instant::now();
     loop {
         let (code, health) = get(&address, "/health");
@@ -122,6 +122,29 @@ fn a_daemon_without_its_board_is_not_healthy() {
     interrupt(&daemon);
     let finished = Finished::from(daemon.wait_with_output().expect("ends"));
     assert_eq!(finished.code, 0, "{}", finished.stderr);
+}
+
+#[test]
+fn a_recording_that_is_taken_away_is_told() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("run.mcap");
+    let (daemon, address) = start("sim", &["--record", path.to_str().expect("UTF-8")]);
+    let since = Instant::now();
+    let until = |wanted: &dyn Fn(&str) -> bool| loop {
+        let (_, health) = get(&address, "/health");
+        if wanted(&health) {
+            break;
+        }
+        assert!(since.elapsed() < PATIENCE, "{health}");
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    until(&|health| health == "ok\n");
+    std::fs::remove_file(&path).expect("was there");
+    until(&|health| health.contains("was deleted, or replaced"));
+    interrupt(&daemon);
+    let finished = Finished::from(daemon.wait_with_output().expect("ends"));
+    assert_eq!(finished.code, 3, "{}", finished.stderr);
+    assert!(finished.stderr.contains("was deleted, or replaced"), "{}", finished.stderr);
 }
 
 #[test]

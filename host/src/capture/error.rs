@@ -16,6 +16,22 @@ pub enum CaptureError {
         /// The file.
         path: PathBuf,
     },
+    /// Another program writes a capture there.
+    #[error("{} is being recorded by another program; give another name, or end that program", path.display())]
+    InUse {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Somebody has taken the file away while it was written.
+    #[error(
+        "recording to {} has ended: the file was deleted, or replaced by another one, while it was recorded; what was \
+         in it is lost; record to another file",
+        path.display()
+    )]
+    Lost {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file cannot be made.
     #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
     Create {

@@ -23,6 +23,7 @@ mod link_bytes;
 mod medium;
 mod naming;
 mod packets;
+mod place;
 mod reader;
 mod records;
 mod schemas;

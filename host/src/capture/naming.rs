@@ -36,9 +36,14 @@ pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
         Existing::Kept => File::create_new(path),
         Existing::Replaced => File::create(path),
     }?;
+    sync_folder(path);
+    Ok(file)
+}
+
+/// Lets the names in the folder of `path` survive a power cut.
+pub(super) fn sync_folder(path: &Path) {
     // Some file systems cannot; the file itself is there.
     let _ = File::open(folder(path)).and_then(|folder| folder.sync_all());
-    Ok(file)
 }
 
 fn folder(path: &Path) -> &Path {

@@ -10,8 +10,9 @@ use mcap::McapError;
 use serde::Serialize;
 
 use super::file::{CaptureFile, Channels, io_error, report_text};
-use super::naming::{Existing, create, next_number, numbered};
+use super::naming::{Existing, next_number, numbered};
 use super::packets::{Packets, last_hello};
+use super::place::Place;
 use super::{About, CaptureError, Setup};
 use crate::device::DeviceId;
 use crate::pipeline::{Record, Segment};
@@ -63,6 +64,8 @@ struct DeviceStream {
 /// The file of the moment.
 struct Output {
     file: Option<CaptureFile<File>>,
+    /// Where it stands; `None` of one that others have opened.
+    place: Option<Place>,
     path: PathBuf,
     /// The series goes on with this number; `None`: there is one file.
     next: Option<(PathBuf, u64)>,
@@ -155,6 +158,7 @@ impl CaptureSeries {
             }
             Ok(())
         })?;
+        self.output.settle()?;
         self.tick()
     }
 
@@ -218,6 +222,7 @@ impl CaptureSeries {
     pub fn flush(&mut self) -> Result<(), CaptureError> {
         self.output.flushed = Instant::now();
         self.output.attempt(0, CaptureFile::flush)?;
+        self.output.check()?;
         self.output.flushes += 1;
         Ok(())
     }
@@ -299,7 +304,16 @@ impl DeviceStream {
 impl Output {
     fn new(path: PathBuf, next: Option<(PathBuf, u64)>) -> Self {
         let now = Instant::now();
-        Self { file: None, path, next, opened: now, flushed: now, flushes: 0, recorded: Recorded::default() }
+        Self {
+            file: None,
+            place: None,
+            path,
+            next,
+            opened: now,
+            flushed: now,
+            flushes: 0,
+            recorded: Recorded::default(),
+        }
     }
 
     /// Begins the next file.
@@ -313,12 +327,15 @@ impl Output {
             None => existing,
         };
         let path = self.path.clone();
-        let file = create(&path, existing).map_err(|source| match source.kind() {
+        let (file, place) = Place::create(&path, existing).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => CaptureError::Exists { path: path.clone() },
+            io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
             io::ErrorKind::Interrupted => CaptureError::Interrupted { path: path.clone() },
             _ => CaptureError::Create { path: path.clone(), source },
         })?;
-        self.begin(file, about)
+        self.begin(file, about)?;
+        self.place = Some(place);
+        Ok(())
     }
 
     fn begin(&mut self, file: File, about: &About) -> Result<(), CaptureError> {
@@ -347,10 +364,35 @@ impl Output {
         Err(CaptureError::Write { path: self.path.clone(), kept_bytes, source: io_error(error) })
     }
 
+    /// Puts the file that holds something now into its place.
+    fn settle(&mut self) -> Result<(), CaptureError> {
+        let path = &self.path;
+        match self.place.as_mut().map_or(Ok(()), Place::settle) {
+            Ok(()) => Ok(()),
+            Err(source) => {
+                self.recorded.dropped_bytes += self.file.take().map_or(0, |file| file.unflushed_link_bytes());
+                Err(match source.kind() {
+                    io::ErrorKind::WouldBlock => CaptureError::InUse { path: path.clone() },
+                    _ => CaptureError::Create { path: path.clone(), source },
+                })
+            }
+        }
+    }
+
+    /// Ends recording if the file has been deleted or replaced.
+    fn check(&mut self) -> Result<(), CaptureError> {
+        if self.file.is_none() || !self.place.as_ref().is_some_and(Place::is_lost) {
+            return Ok(());
+        }
+        self.file = None;
+        Err(CaptureError::Lost { path: self.path.clone() })
+    }
+
     /// Ends the file of the moment.
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
-        self.file = None;
+        self.check()?;
+        (self.file, self.place) = (None, None);
         Ok(())
     }
 }

@@ -20,7 +20,7 @@ pub(super) struct RecordOptions {
     /// same poses again
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Replace a capture that is there already
+    /// Replace a capture that is there already, as soon as something has come to be recorded
     #[arg(long)]
     overwrite: bool,
     /// Begin another file (FILE-0001, FILE-0002, …) when one is this long, such as 500MB or 2GiB

@@ -56,12 +56,42 @@ fn an_earlier_capture_is_not_lost() {
     let error = create(Existing::Kept).err().unwrap();
     assert!(matches!(&error, CaptureError::Exists { path: of } if *of == path), "{error}");
     assert_eq!(std::fs::read(&path).unwrap(), b"of last night");
+    // Nor replaced by nothing.
     create(Existing::Replaced).unwrap().finish().unwrap();
+    assert_eq!(std::fs::read(&path).unwrap(), b"of last night");
+    let mut series = create(Existing::Replaced).unwrap();
+    series.add_device(setup(FIRST), None, 0).unwrap();
+    assert_eq!(std::fs::read(&path).unwrap(), b"of last night");
+    series.segment(FIRST, &three_bytes(), 0).unwrap();
+    let error = create(Existing::Replaced).err().unwrap();
+    assert!(matches!(&error, CaptureError::InUse { path: of } if *of == path), "{error}");
+    series.finish().unwrap();
     assert!(read_file(&path).1.finished);
     let missing = folder.path().join("no/such/folder.mcap");
     for limits in [Limits::default(), Limits { max_bytes: Some(1), max_age: None }] {
         let error = CaptureSeries::create(&missing, limits, Existing::Kept, About::default()).err().unwrap();
         assert!(matches!(error, CaptureError::Create { .. }), "{error}");
+    }
+}
+
+fn three_bytes() -> Segment {
+    let mut segment = Segment::default();
+    segment.push(&[1, 2, 0], None);
+    segment
+}
+
+#[test]
+fn a_capture_that_is_taken_away_is_missed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    for at_the_end in [false, true] {
+        let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+        series.add_device(setup(FIRST), None, 0).unwrap();
+        series.segment(FIRST, &three_bytes(), 0).unwrap();
+        series.flush().unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let error = if at_the_end { series.finish().unwrap_err() } else { series.flush().unwrap_err() };
+        assert!(matches!(&error, CaptureError::Lost { path: of } if *of == path), "{error}");
     }
 }
 

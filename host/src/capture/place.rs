@@ -1,0 +1,133 @@
+//! Where a file stands while it is recorded: nobody else records there, a file that it replaces stays until there is
+//! something in its place, and its loss is noticed.
+
+use std::fs::{self, File, Permissions};
+use std::io;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use nix::errno::Errno;
+use nix::fcntl::{Flock, FlockArg};
+use tempfile::TempPath;
+
+use super::naming::{self, Existing};
+
+/// What a new file may be used for, before the user's umask.
+const MODE: u32 = 0o666;
+
+/// The place of a file that is being recorded.
+#[derive(Debug)]
+pub(super) struct Place {
+    path: PathBuf,
+    /// The file under this name takes the place once it [holds something](Self::settle); dropped, it is removed.
+    pending: Option<TempPath>,
+    /// Keeps others from recording there; `None` of what is no regular file, or cannot be locked.
+    lock: Option<Flock<File>>,
+}
+
+impl Place {
+    /// Makes a file for `path`.
+    ///
+    /// # Errors
+    /// Those of the system; [`io::ErrorKind::WouldBlock`] if another program records there.
+    pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
+        let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
+        let (file, path, pending) = if replaces {
+            // What a link leads to is replaced, and not the link.
+            let path = fs::canonicalize(path)?;
+            lock(File::open(&path)?)?;
+            let folder = path.parent().unwrap_or(Path::new("/"));
+            let mut name = tempfile::Builder::new();
+            name.prefix(".slitpose-").suffix(".part").permissions(Permissions::from_mode(MODE));
+            let (file, pending) = name.tempfile_in(folder)?.into_parts();
+            (file, path, Some(pending))
+        } else {
+            (naming::create(path, existing)?, path.to_owned(), None)
+        };
+        let lock = if file.metadata()?.is_file() { lock(file.try_clone()?)? } else { None };
+        Ok((file, Self { path, pending, lock }))
+    }
+
+    /// Puts the file into its place, in that of the one it replaces. To be called when it holds something.
+    ///
+    /// # Errors
+    /// As for [`create`](Self::create).
+    pub(super) fn settle(&mut self) -> io::Result<()> {
+        if self.pending.is_none() {
+            return Ok(());
+        }
+        // Somebody may have begun to record there since.
+        if let Ok(found) = File::open(&self.path) {
+            lock(found)?;
+        }
+        if let Some(pending) = self.pending.take() {
+            pending.persist(&self.path).map_err(|error| error.error)?;
+            naming::sync_folder(&self.path);
+        }
+        Ok(())
+    }
+
+    /// Whether somebody has deleted the file, or put another one into its place: what is written is lost.
+    pub(super) fn is_lost(&self) -> bool {
+        self.lock.as_ref().is_some_and(|file| file.metadata().is_ok_and(|found| found.nlink() == 0))
+    }
+}
+
+/// Locks a file for this program alone, until that is dropped; `None` where files cannot be locked.
+fn lock(file: File) -> io::Result<Option<Flock<File>>> {
+    match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
+        Ok(lock) => Ok(Some(lock)),
+        Err((_, Errno::EWOULDBLOCK)) => Err(io::ErrorKind::WouldBlock.into()),
+        Err(_) => Ok(None),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    #[test]
+    fn what_is_replaced_stays_until_there_is_something_in_its_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("d.mcap");
+        let names = || fs::read_dir(folder.path()).unwrap().count();
+        fs::write(&path, "precious").unwrap();
+        // Nothing comes: the old file is as it was, and nothing else is left.
+        let (file, place) = Place::create(&path, Existing::Replaced).unwrap();
+        assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("precious", 2));
+        drop((file, place));
+        assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("precious", 1));
+        let (mut file, mut place) = Place::create(&path, Existing::Replaced).unwrap();
+        file.write_all(b"new").unwrap();
+        place.settle().unwrap();
+        assert!(!place.is_lost());
+        drop((file, place));
+        assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("new", 1));
+        assert_eq!(Place::create(&path, Existing::Kept).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+    }
+
+    #[test]
+    fn a_file_is_recorded_by_one_and_its_loss_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("d.mcap");
+        let (_file, place) = Place::create(&path, Existing::Kept).unwrap();
+        let refused = Place::create(&path, Existing::Replaced).unwrap_err();
+        assert_eq!(refused.kind(), io::ErrorKind::WouldBlock);
+        // Moved away it is still whole.
+        let elsewhere = folder.path().join("elsewhere");
+        fs::rename(&path, &elsewhere).unwrap();
+        assert!(!place.is_lost());
+        // Two that have begun to replace one: the second finds the first in the place.
+        fs::write(&path, "older").unwrap();
+        let [(_, mut one), (_, mut other)] = [0, 1].map(|_| Place::create(&path, Existing::Replaced).unwrap());
+        other.settle().unwrap();
+        assert_eq!(one.settle().unwrap_err().kind(), io::ErrorKind::WouldBlock);
+        assert!(!other.is_lost());
+        fs::rename(&elsewhere, &path).unwrap();
+        assert!(other.is_lost() && !place.is_lost(), "another file has taken its place");
+        fs::remove_file(&path).unwrap();
+        assert!(place.is_lost());
+    }
+}
