@@ -47,7 +47,7 @@ pub fn single_cell_scene(row: &Row<'_>) -> Scene {
             length_m: row.number("slit_length_mm") * MM,
             offset_m: DVec2::new(row.number("slit_x_mm"), row.number("slit_y_mm")) * MM,
             tilt_rad: DVec3::ZERO,
-            thickness_m: if row.text("slit_is_thick") == "1" { row.number("slit_thickness_mm") * MM } else { 0.0 },
+            thickness_m: row.number("slit_thickness_mm") * MM,
         },
         emitter: Emitter {
             position_tool_m: vector_m(row, ["ex_mm", "ey_mm", "ez_mm"]),
@@ -61,10 +61,9 @@ pub fn single_cell_scene(row: &Row<'_>) -> Scene {
 
 /// The same as a scene file.
 pub fn single_cell_scene_file(row: &Row<'_>) -> String {
-    let thickness = if row.text("slit_is_thick") == "1" {
-        format!("thickness_mm = {}\n", row.text("slit_thickness_mm"))
-    } else {
-        String::new()
+    let thickness = match row.number("slit_thickness_mm") {
+        0.0 => String::new(),
+        thickness => format!("thickness_mm = {thickness:?}\n"),
     };
     let value = |column: &str| format!("{:?}", row.number(column));
     format!(
