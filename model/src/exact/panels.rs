@@ -33,8 +33,8 @@ struct Panel<S> {
 /// polynomial for half a spot or a quarter of one.
 const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
 
-/// Four of each slab.
-const MAX_PARTS: usize = 4 * MAX_CORNERS;
+/// Four of each slab of all but the oddest spots, whose panels are then divided as they need it.
+const MAX_PARTS: usize = 2 * MAX_CORNERS;
 
 /// Numbers of nodes along s and t, and what stands for the profile.
 type Rule<S> = ((usize, usize), Option<Series<S>>);
@@ -61,29 +61,43 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
     let tolerance = integrand.orders.tolerance();
-    let mut sums = Sums::default();
-    let mut evaluations = 0;
-    let whole = |slab: usize| Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t };
     for parts in if E::NEEDS_SERIES { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
-        let panels = || (0..slabs.len()).flat_map(|slab| whole(slab).parts(*parts));
+        let panels = || (0..slabs.len()).flat_map(|slab| whole(slabs, slab).parts(*parts));
         let rules: Vec<Rule<S>, MAX_PARTS> =
-            panels().map_while(|panel| integrand.rule(&slabs[panel.slab], &panel)).collect();
+            panels().take(MAX_PARTS).map_while(|panel| integrand.rule(&slabs[panel.slab], &panel)).collect();
         if rules.len() < panels().count() {
             continue;
         }
+        let (mut sums, mut evaluations) = (Sums::default(), 0);
         for (panel, (nodes, series)) in panels().zip(&rules) {
             evaluations += nodes.0 * nodes.1;
             integrand.add_panel::<GRADIENT>(&slabs[panel.slab], &panel, *nodes, series.as_ref(), &mut sums);
         }
         return (sums, Integration { evaluations, relative_error: tolerance });
     }
+    divide::<S, E, GRADIENT>(integrand, slabs)
+}
 
+/// A slab in one piece.
+fn whole<S: Scalar>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
+    Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t }
+}
+
+/// The same where no rule is known beforehand to suffice: the panel with the largest error is halved until
+/// all errors together are small. Its panels take kilobytes of stack, which the others do not pay.
+#[inline(never)]
+fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    integrand: &Integrand<'_, S, E>,
+    slabs: &Vec<Slab<S>, MAX_CORNERS>,
+) -> (Sums<S>, Integration<S>) {
+    let tolerance = integrand.orders.tolerance();
+    let mut sums = Sums::default();
     let mut panels: Vec<Measured<S>, MAX_PANELS> = Vec::new();
     for (i, slab) in slabs.iter().enumerate() {
         // A slab per corner at most.
-        let _ = panels.push(integrand.measure(slab, whole(i)));
+        let _ = panels.push(integrand.measure(slab, whole(slabs, i)));
     }
-    evaluations = panels.iter().map(|panel| panel.evaluations).sum();
+    let mut evaluations: usize = panels.iter().map(|panel| panel.evaluations).sum();
     let allowed = (S::of(SHARE) * tolerance).max(integrand.orders.rounding());
     let (mut total, mut error);
     loop {

@@ -9,9 +9,9 @@ use crate::scalar::Scalar;
 use super::table::Table;
 use super::{Falloff, MAX_TERMS, Series};
 
-/// Number of windows from the axis to where the light ends: 3.2° each for light up to 90°. A plan has room
+/// Number of windows from the axis to where the light ends: 4.5° each for light up to 90°. A plan has room
 /// for 16 tables, and the board 96 KiB for it and its scene.
-const WINDOWS: usize = 28;
+const WINDOWS: usize = 20;
 
 /// Degree of the polynomials: those of a table in steps of 5° then stand for it to 1e-6 over 8° to 16°.
 const DEGREE: usize = MAX_TERMS;
