@@ -235,7 +235,8 @@ fn stiff(table: &Table) {
         let case = format!("rolls ±1.0e−8°, {start}");
         let row = rows(table, &[("study", "near-parallel layout"), ("case", &case)])[0];
         assert_eq!(row.text("f64_outcome"), "converged", "{start}");
-        assert!(matches!(row.text("f32_outcome"), "unobservable" | "ambiguous"), "{start}");
+        let single = row.text("f32_outcome");
+        assert!(single.ends_with("ambiguous") || single.contains("unobservable"), "{start}: {single}");
         assert!(row.number("condition") > 1e9 && row.number("f64_error") < 10.0);
     }
 }

@@ -211,23 +211,34 @@ fn another_head_by_the_serial_port() {
     let lines = poses(emulator.run(&["--duration", "1s", "--scene", scene]), TrajectoryKind::Smooth, 24);
     assert_complete(&lines, 0, 2_000, 2000.0);
     let honest = honesty(&lines);
-    // On its way the tool leaves one of these cells in the dark now and then; when, in this second,
-    // depends on when the host came. Where it is tells which scans those are: all but those near the
-    // limit to what is faint.
+    // On its way the tool leaves one of these cells in the dark now and then, or comes so near to one that
+    // its converter is at its limit; when, in this second, depends on when the host came. Where it is tells
+    // which scans those are: all but those near the limits.
     let file = SceneFile::open(scene).expect("valid");
     let plan: Plan<f64> = Plan::compile(&file.scene, WORLD_TIER).expect("valid");
-    let mut in_the_dark = 0;
+    let full_scale_a = file.front_end.expect("added above").full_scale_a;
+    let (mut masked, mut without_pose) = (0, 0);
     for line in &lines {
         let pose = line.truth.expect("set above");
-        let light_a = |cell: usize| plan.respond(cell, &pose).i_o_a / file.scene.cells[cell].detector.faint_a;
-        let faintest = (0..6).map(light_a).fold(f64::INFINITY, f64::min);
-        let found = (line.status.as_str(), line.cells_used);
-        in_the_dark += usize::from(faintest < 0.5);
-        assert!(faintest < 2.0 || found == ("converged", 6), "{faintest}: {line:?}");
-        assert!(faintest > 0.5 || found == ("degraded", 5), "{faintest}: {line:?}");
-        assert!(line.estimate.is_some(), "{faintest}: {line:?}");
+        let responses: [_; 6] = std::array::from_fn(|cell| plan.respond(cell, &pose));
+        let faint_a = |cell: usize| file.scene.cells[cell].detector.faint_a;
+        let faintest = (0..6).map(|cell| responses[cell].i_o_a / faint_a(cell)).fold(f64::INFINITY, f64::min);
+        let electrodes = responses.iter().flat_map(|response| [response.currents.i_x1_a, response.currents.i_x2_a]);
+        let brightest = electrodes.fold(0.0, f64::max) / full_scale_a;
+        if line.estimate.is_none() {
+            without_pose += 1;
+            continue;
+        }
+        let is_masked = faintest < 0.5 || brightest > 1.05;
+        let is_whole = faintest > 2.0 && brightest < 0.95;
+        masked += usize::from(is_masked);
+        assert!(!is_whole || (line.status.as_str(), line.cells_used) == ("converged", 6), "{brightest}: {line:?}");
+        assert!(!is_masked || line.status == "degraded" && line.cells_used < 6, "{faintest}, {brightest}: {line:?}");
     }
-    println!("{in_the_dark} scans with a cell in the dark");
+    println!("{masked} scans with a cell that cannot be used, {without_pose} without a pose");
+    // Where a spot's end crosses that of its detector a refinement may not end: 2 of 40 000 scans of a
+    // simulated board; more than two of 2 000 then come once in some thousand runs.
+    assert!(without_pose <= 2);
     assert!(honest.beyond_five_sigma <= 3);
     assert!((4.5..6.5).contains(&honest.median_nees));
     emulator.close();
