@@ -11,7 +11,7 @@ use nix::unistd::Pid;
 use slitpose::scene_file::{BASE, SceneFile};
 use slitpose::simulator::{Trajectory, TrajectoryKind};
 use slitpose_emulator::rig::WORLD_TIER;
-use slitpose_model::Plan;
+use slitpose_model::{Plan, Status};
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use slitpose_tests::consistency::{nees, worst_axis};
 use slitpose_tests::ndjson::{self, Line};
@@ -217,7 +217,7 @@ fn another_head_by_the_serial_port() {
     let file = SceneFile::open(scene).expect("valid");
     let plan: Plan<f64> = Plan::compile(&file.scene, WORLD_TIER).expect("valid");
     let full_scale_a = file.front_end.expect("added above").full_scale_a;
-    let (mut masked, mut without_pose) = (0, 0);
+    let (mut masked, mut at_a_kink) = (0, 0);
     for line in &lines {
         let pose = line.truth.expect("set above");
         let responses: [_; 6] = std::array::from_fn(|cell| plan.respond(cell, &pose));
@@ -225,20 +225,22 @@ fn another_head_by_the_serial_port() {
         let faintest = (0..6).map(|cell| responses[cell].i_o_a / faint_a(cell)).fold(f64::INFINITY, f64::min);
         let electrodes = responses.iter().flat_map(|response| [response.currents.i_x1_a, response.currents.i_x2_a]);
         let brightest = electrodes.fold(0.0, f64::max) / full_scale_a;
-        if line.estimate.is_none() {
-            without_pose += 1;
-            continue;
-        }
         let is_masked = faintest < 0.5 || brightest > 1.05;
         let is_whole = faintest > 2.0 && brightest < 0.95;
         masked += usize::from(is_masked);
-        assert!(!is_whole || (line.status.as_str(), line.cells_used) == ("converged", 6), "{brightest}: {line:?}");
-        assert!(!is_masked || line.status == "degraded" && line.cells_used < 6, "{faintest}, {brightest}: {line:?}");
+        if is_whole && (line.status.as_str(), line.cells_used) != ("converged", 6) {
+            let is_clipped = responses.iter().any(|response| response.status == Status::Clipped);
+            assert!(is_clipped, "{faintest}, {brightest}: {line:?}");
+            at_a_kink += 1;
+        }
+        assert!(!is_masked || line.cells_used < 6, "{faintest}, {brightest}: {line:?}");
     }
-    println!("{masked} scans with a cell that cannot be used, {without_pose} without a pose");
-    // Where a spot's end crosses that of its detector a refinement may not end: 2 of 40 000 scans of a
-    // simulated board; more than two of 2 000 then come once in some thousand runs.
-    assert!(without_pose <= 2);
+    println!(
+        "{masked} scans with a cell that cannot be used, {at_a_kink} that a spot cut by its detector's end misled"
+    );
+    // A refinement astride the end of a detector may end without a pose, or take the cell for an outlier:
+    // 2 of 40 000 scans of a simulated board, one in four seconds here.
+    assert!(at_a_kink <= 3);
     assert!(honest.beyond_five_sigma <= 3);
     assert!((4.5..6.5).contains(&honest.median_nees));
     emulator.close();
