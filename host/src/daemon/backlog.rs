@@ -6,7 +6,7 @@
 //! run of a given duration) they wait and are solved in the time between; where nobody wants them they are
 //! skipped, and counted. A capture has their bytes in either case.
 //!
-//! So no control loop gets a pose later than [`LATE_NS`] + [`GRACE_NS`] and two solutions after its scan had
+//! So no control loop gets a pose later than [`LATE_NS`] + [`GRACE_NS`] and three solutions after its scan had
 //! arrived, however long a solution takes.
 
 use crate::pipeline::Queue;

@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn the_end_that_empties_is_woken_for_each_container_and_for_the_end() {
         const EACH: u64 = 20_000;
-        // Whoever is not woken sleeps for longer than any test may take.
+        // An end that is not woken sleeps for longer than any test may take.
         const LONG: Duration = Duration::from_secs(3600);
         let (filler, drainer) = circuit(2, || (0, 0));
         let received = thread::scope(|scope| {

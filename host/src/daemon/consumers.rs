@@ -15,7 +15,7 @@ use crate::pipeline::{Item, Record, Segment};
 use crate::sink::Note;
 use crate::telemetry::BoardStatistics;
 
-/// Something for whoever prints.
+/// Something for the printer.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "a box would be allocated for each pose")]
 pub(super) enum Outgoing {

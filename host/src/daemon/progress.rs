@@ -1,4 +1,4 @@
-//! Whether scans come over the link of the moment, whatever else does.
+//! Whether scans come over the present link, whatever other messages do.
 
 use std::time::Duration;
 

@@ -218,7 +218,7 @@ impl SolverThread {
         state.now = HostInstant::now();
     }
 
-    /// Whoever interrupts a program does not wait for what is still to be solved.
+    /// After an interrupt the program does not wait for scans that are still to be solved.
     fn give_up_in_time(&mut self, state: &mut State) {
         if !self.stop.load(Ordering::Relaxed) {
             return;
