@@ -4,9 +4,11 @@
 //! `cargo run --release -p slitpose-tests --example latency -- [--seconds 30] [--unrecorded] [-- OPTIONS OF run]`
 //!
 //! The board is virtual and runs in this process, on a pseudo-terminal. The daemon is this program
-//! once more: cargo builds no other for an example, and `slitpose` is what its arguments make of it.
+//! once more: cargo builds no other for an example, and `slitpose` is what its arguments make of it. With
+//! `--against PROGRAM`, another build of `slitpose`, both are measured by turns, and compared.
 
 use std::ffi::OsStr;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread::available_parallelism;
 
@@ -33,6 +35,9 @@ struct Options {
     /// Without a recorder
     #[arg(long)]
     unrecorded: bool,
+    /// Another `slitpose`, to compare with
+    #[arg(long, value_name = "PROGRAM")]
+    against: Option<PathBuf>,
     /// More options of `slitpose run`
     #[arg(last = true)]
     options: Vec<String>,
@@ -57,13 +62,42 @@ fn main() -> ExitCode {
         options: options.options,
     };
     print_conditions(&plan);
-    let measurement = measure(Slitpose::at(own.leak()), &plan);
+    let slitpose = Slitpose::at(own.leak());
+    if let Some(other) = options.against {
+        compare(slitpose, Slitpose::given_or_beside(Some(other)), &plan);
+        return ExitCode::SUCCESS;
+    }
+    let measurement = measure(slitpose, &plan);
     let total = print(&measurement);
     let (median_us, p99_us) = (total.quantile_us(0.5), total.quantile_us(0.99));
     let is_met = median_us <= MOST_MEDIAN_US && p99_us <= MOST_P99_US;
     let verdict = if is_met { "met" } else { "NOT MET" };
     println!("bounds of written to received: median {MOST_MEDIAN_US} us, 99 % {MOST_P99_US} us: {verdict}");
     ExitCode::from(u8::from(!is_met))
+}
+
+/// Poses that each of two programs is given at a turn.
+const TURN: usize = 24_000;
+
+/// Prints how both do.
+fn compare(slitpose: Slitpose, other: Slitpose, plan: &Plan) {
+    let turns = plan.poses.div_ceil(TURN);
+    let plan = Plan { poses: TURN, ..plan.clone() };
+    let (mut times_ns, mut shares) = ([Vec::new(), Vec::new()], [0.0; 2]);
+    for _ in 0..turns {
+        for (which, program) in [slitpose, other].into_iter().enumerate() {
+            let Measurement { ways, processor_share, .. } = measure(program, &plan);
+            times_ns[which].extend(ways.iter().map(|way| way.received.received_ns - way.written_ns));
+            shares[which] += processor_share / turns as f64;
+        }
+    }
+    println!("{turns} turns of {TURN} poses each\n\n{:<34}{}  us of a processor a scan", "us", Distribution::HEADING);
+    let scan_us = shares.map(|share| share / FRAME_RATE_HZ * 1e6);
+    for (which, name) in ["this", "the other"].into_iter().enumerate() {
+        let times = Distribution::of(times_ns[which].iter().copied());
+        println!("{name:<34}{times}{:>12.2}", scan_us[which]);
+    }
+    println!("\nthis takes {:.2} of the other's processor time", scan_us[0] / scan_us[1]);
 }
 
 fn print_conditions(plan: &Plan) {

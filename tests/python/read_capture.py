@@ -9,6 +9,7 @@ its end, as that of a recorder that was cut off: then the line says what could b
 
 import json
 import math
+import struct
 import sys
 
 from mcap.exceptions import EndOfFile
@@ -153,7 +154,8 @@ def read(path):
         try:
             for record in StreamReader(file, validate_crcs=True).records:
                 contents.take(record)
-        except EndOfFile:
+        except (EndOfFile, struct.error):
+            # The latter where the file ends within a record that the reader unpacks as it reads: an index.
             contents.finished = False
     if contents.finished:
         check_index(path, contents)

@@ -26,6 +26,18 @@ def slitpose(*arguments):
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
+# Record kinds of MCAP, and how long its magic is: https://mcap.dev/spec.
+CHUNK, MESSAGE_INDEX, MAGIC_BYTES = 6, 7, 8
+
+
+def record_from(content, start, kind):
+    """Where the first record of this kind behind `start` begins."""
+    at = MAGIC_BYTES
+    while at < start or content[at] != kind:
+        at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+    return at
+
+
 class Captures(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
@@ -38,9 +50,6 @@ class Captures(unittest.TestCase):
         run = ("run", "--config", "none", "--device", "sim", "--speed", "max", "--format", "csv")
         cls.printed = slitpose(*run, "--duration", "2s", "--record", cls.followed)
         slitpose(*run, "--duration", "2s", "--record", cls.whole, "--record-poses", "0")
-        with open(cls.whole, "rb") as whole, open(cls.cut, "wb") as cut:
-            content = whole.read()
-            cut.write(content[: len(content) * 6 // 10])
 
     def test_bytes_alone(self):
         contents = read(self.simulated)
@@ -117,7 +126,18 @@ class Captures(unittest.TestCase):
         self.assertEqual(contents.counts()["pose"], 2 * FRAME_RATE_HZ)
 
     def test_a_capture_that_was_cut_off(self):
-        whole, cut = read(self.whole), read(self.cut)
+        whole = read(self.whole)
+        with open(self.whole, "rb") as file:
+            content = file.read()
+        # Within a chunk, and within each kind of record that follows one.
+        start = len(content) * 6 // 10
+        for kind in (CHUNK, MESSAGE_INDEX):
+            self.cut_off(content, record_from(content, start, kind) + 12, whole)
+
+    def cut_off(self, content, length, whole):
+        with open(self.cut, "wb") as cut:
+            cut.write(content[:length])
+        cut = read(self.cut)
         self.assertFalse(cut.finished)
         print("\ncut:", cut.counts(), "of", whole.counts())
         self.assertEqual(cut.positions_m, whole.positions_m[: len(cut.positions_m)])

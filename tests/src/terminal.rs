@@ -132,9 +132,13 @@ fn serve(master: &OwnedFd, mut device: impl Device, opened: &OnceLock<Instant>, 
     let mut log = Log::default();
     let mut received = Vec::new();
     let mut pending = Vec::new();
+    let mut due = Instant::now();
     loop {
+        // What the device takes to act is not on top; what it takes beyond is not made up for.
+        due = (due + Duration::from_millis(1)).max(Instant::now());
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
         let mut fds = [PollFd::new(master.as_fd(), PollFlags::POLLIN)];
-        poll(&mut fds, PollTimeout::from(1_u8)).expect("poll");
+        poll(&mut fds, PollTimeout::ZERO).expect("poll");
         let events = fds[0].revents().unwrap_or(PollFlags::empty());
         received.clear();
         if events.contains(PollFlags::POLLIN) {

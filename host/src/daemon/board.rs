@@ -13,6 +13,7 @@ use super::backlog::Backlog;
 use super::circuit::{Filler, circuit};
 use super::claims::Claims;
 use super::consumers::{Consumers, Outbox};
+use super::desk::desk;
 use super::error::BoardError;
 use super::inlet::{CaptureInlet, Overflow, Parcel};
 use super::link::Link;
@@ -21,7 +22,7 @@ use super::progress::Progress;
 use super::reader::Reader;
 use super::real_time;
 use super::slot::BoardSlot;
-use super::solver::SolverThread;
+use super::solver::{Solver, State};
 use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
@@ -100,7 +101,6 @@ impl BoardThreads {
         stop: &Arc<AtomicBool>,
     ) -> Result<Self, BoardError> {
         let name = plan.opener.name();
-        let (filler, drainer) = circuit(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
         let (tell, verdicts) = bounded(VERDICTS);
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = outlets.prints_each || plan.until_s.is_some();
@@ -109,10 +109,9 @@ impl BoardThreads {
             .until(plan.until_s)
             .following(plan.following)
             .watched();
-        let solver = SolverThread {
+        let solver = Solver {
             name: name.clone(),
             pipeline,
-            segments: drainer,
             verdicts: tell,
             progress: Progress::new(Duration::from_secs_f64(plan.configuration.schedule.frame_rate_hz().recip())),
             consumers: Consumers::new(
@@ -125,13 +124,17 @@ impl BoardThreads {
             backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
+            state: State::default(),
         };
+        // A simulated board is quicker if two threads share it.
+        let segments = circuit(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
+        let (desk, bench) = desk(solver, segments, plan.keeps_time);
         let reader = Reader {
             opener: plan.opener,
             configuration: plan.configuration,
             admit: plan.admit,
             patience: plan.patience,
-            segments: filler,
+            desk,
             verdicts,
             connection: 0,
             has_scans: false,
@@ -146,7 +149,7 @@ impl BoardThreads {
             if let Some(remedy) = priority.and_then(|priority| real_time::claim(priority).err()) {
                 talk_slot.link.say(format_args!("{remedy}"));
             }
-            solver.run()
+            Solver::run(&bench)
         };
         let read = move || {
             // The solver says it if that may not be.

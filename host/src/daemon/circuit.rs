@@ -31,6 +31,8 @@ pub(super) fn circuit<T>(count: usize, make: impl Fn() -> T) -> (Filler<T>, Drai
 struct Sleeper {
     thread: OnceLock<Thread>,
     is_asleep: AtomicBool,
+    /// It is to look about although nothing was handed over.
+    is_called: AtomicBool,
 }
 
 impl Sleeper {
@@ -43,6 +45,12 @@ impl Sleeper {
         {
             thread.unpark();
         }
+    }
+
+    /// Wakes it, or keeps it from falling asleep once.
+    fn call(&self) {
+        self.is_called.store(true, Ordering::Relaxed);
+        self.wake();
     }
 
     /// Sleeps until it is woken, `timeout` has passed, or for no reason; not if `has_come`. Always on the same
@@ -64,7 +72,7 @@ struct Alarm(Arc<Sleeper>);
 
 impl Drop for Alarm {
     fn drop(&mut self) {
-        self.0.wake();
+        self.0.call();
     }
 }
 
@@ -116,6 +124,16 @@ impl<T> Filler<T> {
         self.empty.recv_timeout(timeout).ok()
     }
 
+    /// Whether all that was handed over has been taken.
+    pub(super) fn is_empty(&self) -> bool {
+        self.full.is_empty()
+    }
+
+    /// Makes the other end look about.
+    pub(super) fn call(&self) {
+        self.alarm.0.call();
+    }
+
     /// Hands a full container over. It is dropped if the other end has gone.
     pub(super) fn hand_over(&self, container: T) {
         match self.full.try_send(container) {
@@ -145,6 +163,13 @@ impl<T> Drainer<T> {
             }
         }
         next
+    }
+
+    /// Waits until there is a full container, the other end calls or has gone, `timeout` has passed, or for no
+    /// reason.
+    pub(super) fn wait(&self, timeout: Duration) {
+        let is_called = || self.sleeper.is_called.swap(false, Ordering::Relaxed);
+        self.sleeper.sleep(timeout, || is_called() || !self.full.is_empty());
     }
 
     /// The next full container if there is one at once.

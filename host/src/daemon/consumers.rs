@@ -23,6 +23,11 @@ pub(super) enum Outgoing {
     Note(Note),
 }
 
+/// Poses that go out together at most, and for how long the first may wait for the others: a client that is
+/// woken for each of them costs more than it would cost to solve them.
+const TOGETHER: usize = 8;
+const TOGETHER_NS: u64 = 50_000;
+
 /// Poses in a full outbox: some milliseconds of a board at 4 kHz.
 pub(super) const OUTBOX_POSES: usize = 16;
 
@@ -39,6 +44,9 @@ pub(super) struct Consumers {
     pub(super) prints_all: bool,
     pub(super) capture: Option<CaptureInlet>,
     outbox: Option<Outbox>,
+    /// Poses that are about to be published, and when the first was there.
+    fresh: Vec<Record>,
+    fresh_since_ns: u64,
     /// Notes that wait for the scans ahead of them: how many these are, from the start.
     notes: VecDeque<(u64, Note)>,
     arrived: u64,
@@ -66,6 +74,8 @@ impl Consumers {
             prints_all,
             capture,
             outbox: None,
+            fresh: Vec::with_capacity(TOGETHER),
+            fresh_since_ns: 0,
             notes: VecDeque::new(),
             arrived: 0,
             taken: 0,
@@ -93,6 +103,7 @@ impl Consumers {
             Item::Hello(hello) => {
                 let device = DeviceId(hello.device_id);
                 if self.device.replace(device) != Some(device) {
+                    self.send();
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
                 if let Some(capture) = &mut self.capture {
@@ -125,16 +136,36 @@ impl Consumers {
         }
     }
 
-    /// Gives a pose that is newer than all before to those who want new ones.
+    /// Gives a pose that is newer than all before to those who want new ones, at once or with the next few.
     pub(super) fn publish(&mut self, record: &Record, now: HostInstant, is_behind: bool) {
+        if self.fresh.is_empty() {
+            self.fresh_since_ns = now.monotonic_ns;
+        }
+        self.fresh.push(*record);
         if let Some(publisher) = &mut self.publisher {
             publisher.set_behind(is_behind);
-            publisher.publish(record, now);
         }
-        self.statistics.take(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
-        if let Some(capture) = &mut self.capture {
-            capture.pose(record);
+        if self.fresh.len() >= TOGETHER || now.monotonic_ns.saturating_sub(self.fresh_since_ns) >= TOGETHER_NS {
+            self.send();
         }
+    }
+
+    /// Gives away what [`publish`](Self::publish) has kept.
+    pub(super) fn send(&mut self) {
+        if self.fresh.is_empty() {
+            return;
+        }
+        let now = HostInstant::now();
+        if let Some(publisher) = &mut self.publisher {
+            self.fresh.iter().for_each(|record| publisher.publish(record, now));
+        }
+        for record in &self.fresh {
+            self.statistics.take(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
+            if let Some(capture) = &mut self.capture {
+                capture.pose(record);
+            }
+        }
+        self.fresh.clear();
     }
 
     /// Whether a pose can be handed to the printer now.
@@ -201,6 +232,13 @@ impl Consumers {
     pub(super) fn hand_over_capture(&mut self) {
         if let Some(capture) = &mut self.capture {
             capture.hand_over();
+        }
+    }
+
+    /// The same, if it was kept for long.
+    pub(super) fn hand_over_old_capture(&mut self) {
+        if let Some(capture) = &mut self.capture {
+            capture.hand_over_old();
         }
     }
 }

@@ -171,6 +171,13 @@ impl CaptureInlet {
         }
     }
 
+    /// Hands over what is under way, if it is as long as a piece may be.
+    pub(super) fn hand_over_old(&mut self) {
+        if self.begun.elapsed() >= PIECE {
+            self.hand_over();
+        }
+    }
+
     /// Hands over what is under way.
     pub(super) fn hand_over(&mut self) {
         self.is_full = false;

@@ -8,19 +8,20 @@
 //!                 └──────────────────┘
 //! ```
 //!
-//! Each board has a reader and a solver, all share one recorder and one printer; each is a thread. What
-//! goes between them goes in containers of which there is a fixed number (see `circuit`), so that
-//! nothing is allocated per scan and no queue grows. A solver takes in what comes at once. If it cannot
-//! solve as fast, or hand on to the printer, scans wait with it, or are skipped where nobody wants them;
-//! control loops get the newest in any case (see `backlog`). Only if a minute of scans waits its reader
-//! does, then bytes wait in the operating system, and at last on the board, which gives up its oldest
-//! scans; their numbers show it.
+//! Each board has two threads, all share one recorder and one printer, which have one each. What goes
+//! between threads goes in containers of which there is a fixed number (see `circuit`), so that nothing is
+//! allocated per scan and no queue grows. A board's solver takes in what comes at once, on the thread that
+//! has read it as long as that is quick, else on the other one (see `desk`). If it cannot solve as fast, or
+//! hand on to the printer, scans wait with it, or are skipped where nobody wants them; control loops get the
+//! newest in any case (see `backlog`). Only if a minute of scans waits the reader does, then bytes wait in the
+//! operating system, and at last on the board, which gives up its oldest scans; their numbers show it.
 
 mod backlog;
 mod board;
 mod circuit;
 mod claims;
 mod consumers;
+mod desk;
 mod error;
 mod inlet;
 mod link;

@@ -9,13 +9,13 @@ use crossbeam_channel::Receiver;
 use slitpose_protocol::Configuration;
 
 use super::board::Admit;
-use super::circuit::Filler;
 use super::claims::Claims;
+use super::desk::Desk;
 use super::error::BoardError;
 use super::opener::Opener;
 use super::slot::BoardSlot;
+use super::solver::Solver;
 use crate::device::{Conversation, DeviceError, DeviceId, Keep, Scanless};
-use crate::pipeline::Segment;
 
 /// Between two looks for a board that was there a moment ago: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);
@@ -54,7 +54,7 @@ pub(super) struct Reader {
     pub(super) admit: Admit,
     /// How long to go without a usable scan before giving up; `None`: for ever.
     pub(super) patience: Option<Duration>,
-    pub(super) segments: Filler<Segment>,
+    pub(super) desk: Desk<Solver>,
     pub(super) verdicts: Receiver<(u64, Verdict)>,
     /// Number of the connection, from 1; a verdict carries that of its own.
     pub(super) connection: u64,
@@ -210,16 +210,16 @@ impl Reader {
         Ok(stopped?)
     }
 
-    /// Hands on what was received last. Waits if the solver is behind: bytes then wait in the
+    /// Solves what was received last, or hands it on. Waits if the solver is far behind: bytes then wait in the
     /// operating system and on the board. `false` if the solver has ended, and takes no more.
     fn pass_on(&mut self, board: &mut Conversation, opened: bool) -> bool {
-        let Some(mut segment) = self.segments.spare() else {
+        let Some(segment) = self.desk.piece() else {
             return false;
         };
         segment.clear();
         segment.opened = opened;
-        board.fill(&mut segment);
-        self.segments.hand_over(segment);
+        board.fill(segment);
+        self.desk.pass_on();
         true
     }
 }

@@ -17,9 +17,7 @@ use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::signal::{Signal, kill};
-use nix::sys::time::TimeValLike;
 use nix::unistd::Pid;
 use tempfile::TempDir;
 
@@ -27,6 +25,7 @@ pub use client::Received;
 pub use distribution::Distribution;
 pub use timed::{Timed, Written};
 
+use crate::acceptance::usage::Usage;
 use crate::process::{Finished, Slitpose};
 use crate::terminal::{Board, Terminal};
 
@@ -64,7 +63,7 @@ pub struct Measurement {
     pub ways: Vec<Way>,
     /// When the board wrote, ns.
     pub writes_ns: Vec<u64>,
-    /// Processor time of the daemon for a second of device time, s.
+    /// Share of a processor that the daemon takes from when it is up.
     pub processor_share: f64,
     /// How the daemon ended.
     pub daemon: Finished,
@@ -92,26 +91,26 @@ pub fn measure(slitpose: Slitpose, plan: &Plan) -> Measurement {
     }
     arguments.extend(plan.options.iter().map(String::as_str));
     let mut daemon = slitpose.command(arguments).spawn().expect("slitpose starts");
-    let received = match await_file(&socket, &mut daemon) {
+    let is_up = await_file(&socket, &mut daemon);
+    let (since, begun_s) = (Instant::now(), processor_s(&daemon));
+    let received = match is_up {
         true => client::follow(&client, &publish, plan, folder.path()),
         false => Err("it has nobody to follow".to_owned()),
     };
+    let processor_share = (processor_s(&daemon) - begun_s) / since.elapsed().as_secs_f64();
 
     // Fails if it has ended already.
     let _ = kill(Pid::from_raw(i32::try_from(daemon.id()).expect("an id")), Signal::SIGINT);
-    let before_s = processor_s();
     let daemon = Finished::from(daemon.wait_with_output().expect("ends"));
-    let spent_s = processor_s() - before_s;
     let received = received.unwrap_or_else(|error| panic!("the client: {error}; slitpose: {}", daemon.stderr));
     terminal.closed();
 
     let written = written.take();
-    let device_s = written.scans.len() as f64 / crate::terminal::FRAME_RATE_HZ;
     let ways = received.into_iter().map(|received| written.way_of(received)).collect();
     Measurement {
         ways,
         writes_ns: written.writes_ns,
-        processor_share: spent_s / device_s,
+        processor_share,
         daemon,
         capture_bytes: std::fs::metadata(&capture).map_or(0, |metadata| metadata.len()),
     }
@@ -129,10 +128,9 @@ fn await_file(path: &Path, daemon: &mut Child) -> bool {
     true
 }
 
-/// Processor time of all children that have ended.
-fn processor_s() -> f64 {
-    let usage = getrusage(UsageWho::RUSAGE_CHILDREN).expect("usage");
-    (usage.user_time() + usage.system_time()).num_microseconds() as f64 * 1e-6
+/// Processor time that a process has taken; 0 of one that has ended.
+fn processor_s(process: &Child) -> f64 {
+    Usage::of(process.id()).map_or(0.0, |usage| usage.cpu_s)
 }
 
 /// A file of the repository.

@@ -14,11 +14,12 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use slitpose::front_end::Stage;
+use slitpose::pipeline::{Pipeline, PipelineError, SceneMatch};
 use slitpose::scene_file::SceneFile;
 use slitpose::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Outcome, Pair, Plan, Pose, Solver, Tier, Tracker, Verified};
 
-use crate::capture::{Decoded, STREAM, capture, decode};
+use crate::capture::{Decoded, STREAM, capture, decode, packets};
 use crate::consistency::{error, worst_axis};
 use crate::monte_carlo::data::{Disturbance, lit_count, measured, pairs};
 use crate::monte_carlo::trials::Trials;
@@ -184,6 +185,32 @@ impl<'a> Rig<'a> {
             .skip(healthy_scans)
             .collect()
     }
+}
+
+/// What a scan costs besides its tracker, µs: decoding, scaling, the health of the cells, and a record. The
+/// median and what 99 % do not exceed, by packets of some scans each.
+///
+/// # Panics
+/// If no board can run the scene.
+pub fn intake_us(file: &SceneFile, seed: u64) -> [f64; 2] {
+    const SCANS: usize = 4000;
+    let bytes = capture(file, Trajectory::of_kind(TrajectoryKind::Smooth, seed, 1.0), Tier::Paper, seed, SCANS);
+    // A tracker for which all of this light is too faint returns at once.
+    let mut blind = file.clone();
+    blind.scene.cells.iter_mut().for_each(|cell| cell.detector.faint_a = f64::MAX);
+    let mut pipeline = Pipeline::new(blind, STREAM, SceneMatch::Waived).watched();
+    let mut costs_ns: Vec<f64> = Vec::new();
+    for packet in packets(&bytes) {
+        let start_ns = processor_ns();
+        pipeline.push(&bytes[packet.bytes], |_| Ok::<_, PipelineError>(())).unwrap_or_else(|error| panic!("{error}"));
+        let cost_ns = processor_ns() - start_ns;
+        if !packet.scans.is_empty() {
+            costs_ns.push(cost_ns as f64 / packet.scans.count() as f64);
+        }
+    }
+    assert_eq!(pipeline.counts().scans, SCANS as u64);
+    costs_ns.sort_unstable_by(f64::total_cmp);
+    [0.5, 0.99].map(|share| costs_ns[((costs_ns.len() - 1) as f64 * share) as usize] * 1e-3)
 }
 
 /// Time that this thread has had of a processor.

@@ -13,11 +13,18 @@ pub struct Report {
     conditions: Conditions,
     runs: Vec<Vec<Scan>>,
     period_s: f64,
+    besides_us: f64,
 }
 
 impl Report {
     pub(super) fn of(conditions: &Conditions, period_s: f64, runs: Vec<Vec<Scan>>) -> Self {
-        Self { conditions: conditions.clone(), runs, period_s }
+        Self { conditions: conditions.clone(), runs, period_s, besides_us: 0.0 }
+    }
+
+    /// With what each scan costs besides its tracker, µs.
+    #[must_use]
+    pub fn with_besides(self, besides_us: f64) -> Self {
+        Self { besides_us, ..self }
     }
 
     fn scans(&self) -> impl Iterator<Item = &Scan> {
@@ -53,14 +60,14 @@ impl Report {
 
     /// Time that `share` of the scans after the first do not exceed, µs.
     pub fn cost_us(&self, share: f64) -> f64 {
-        self.quantile(share, |scan| scan.cost_ns) as f64 * 1e-3
+        self.quantile(share, |scan| scan.cost_ns) as f64 * 1e-3 + self.besides_us
     }
 
     /// The longest time from a scan's arrival to its pose after the first, were this computer's solver fed
     /// at the head's rate, µs.
     pub fn most_lag_us(&self) -> f64 {
-        let costs =
-            |run: &Vec<Scan>| Self::later(run).iter().map(|scan| scan.cost_ns as f64 * 1e-9).collect::<Vec<_>>();
+        let cost_s = |scan: &Scan| scan.cost_ns as f64 * 1e-9 + self.besides_us * 1e-6;
+        let costs = |run: &Vec<Scan>| Self::later(run).iter().map(cost_s).collect::<Vec<_>>();
         self.runs.iter().map(|run| most_lag_s(self.period_s, costs(run))).fold(0.0, f64::max) * 1e6
     }
 
