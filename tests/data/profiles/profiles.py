@@ -5,17 +5,25 @@ Independent of the Rust program: the spot is clipped in long double (80 bits), c
 integrated by collapsed 16x16 Gauss rules; each triangle is divided in four until the sum over all
 triangles changes by less than 1e-13 of the current. Tables are interpolated as README.md says
 ("Two tiers"): parabolas through the points in v = 1 - cos(gamma), blended by a quintic step.
-Needs numpy. Run: python3 profiles.py > profiles.csv      (some minutes; the seed is below)
+
+    python3 profiles.py            writes the table beside this file; minutes of one core, on all there are
+    python3 profiles.py --check    computes it again and compares
+
+Needs numpy, and a processor whose long double has 80 bits. The seed is below.
 
 Cell frame: detector in the plane z = 0, centred, x along its length. Lengths in mm, angles in degrees.
 """
+import argparse
+import concurrent.futures
 import heapq
+import pathlib
 import sys
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 L = np.longdouble
+TABLE = pathlib.Path(__file__).with_suffix(".csv")
 SEED = 20180718
 TOLERANCE = 1e-13
 S_A_PER_W, I_E_W_PER_SR = L("0.54"), L("0.00316")
@@ -214,23 +222,50 @@ def number(value):
     return f"{np.float64(value):.17g}"
 
 
+COLUMNS = "ex ey ez ux uy uz length width slit_x slit_y slit_distance slit_width slit_length slit_thickness".split()
+GIVEN = ["id", *COLUMNS, "tilt_x", "tilt_y", "tilt_z", "profile"]
+CURRENTS = ["i_o_a", "i_x1_a", "i_x2_a"]
+
+
+def row(numbered):
+    """A row of the table, or none of a spot that no light reaches or that takes too many triangles."""
+    index, (profile, case) = numbered
+    # What the file holds is what is computed.
+    for key in ("e", "u"):
+        case[key] = case[key].astype(np.float64).astype(L)
+    falloff = Table(profile) if isinstance(profile, list) else Power(profile)
+    sums = integrals(case, falloff)
+    if sums is None:
+        return None
+    i_o, moment = S_A_PER_W * I_E_W_PER_SR * sums
+    text = " ".join(f"{a}:{b}" for a, b in profile) if isinstance(profile, list) else str(profile)
+    given = [*case["e"], *case["u"], *(case[key] for key in COLUMNS[6:]), *case["tilt"]]
+    return [str(index), *map(number, given), text, *map(number, [i_o, i_o / 2 - moment, i_o / 2 + moment])]
+
+
+def is_same(computed, written):
+    """What is given, character by character; currents within the tolerance of each of the two."""
+    now, then = [[float(value) for value in values[len(GIVEN) :]] for values in (computed, written)]
+    near = all(abs(a - b) <= 2 * TOLERANCE * then[0] for a, b in zip(now, then))
+    return computed[: len(GIVEN)] == written[: len(GIVEN)] and len(now) == len(then) and near
+
+
 def main():
-    columns = "ex ey ez ux uy uz length width slit_x slit_y slit_distance slit_width slit_length slit_thickness".split()
-    print(",".join(["id", *columns, "tilt_x", "tilt_y", "tilt_z", "profile", "i_o_a", "i_x1_a", "i_x2_a"]))
-    for index, (profile, case) in enumerate(cases()):
-        # What the file holds is what is computed.
-        for key in ("e", "u"):
-            case[key] = case[key].astype(np.float64).astype(L)
-        falloff = Table(profile) if isinstance(profile, list) else Power(profile)
-        sums = integrals(case, falloff)
-        if sums is None:
-            print(f"case {index} left out", file=sys.stderr)
-            continue
-        i_o, moment = S_A_PER_W * I_E_W_PER_SR * sums
-        text = " ".join(f"{a}:{b}" for a, b in profile) if isinstance(profile, list) else str(profile)
-        row = [*case["e"], *case["u"], *(case[key] for key in columns[6:]), *case["tilt"]]
-        currents = [i_o, i_o / 2 - moment, i_o / 2 + moment]
-        print(",".join([str(index), *map(number, row), text, *map(number, currents)]), flush=True)
+    parser = argparse.ArgumentParser(description="Currents of narrow, steep and tabulated profiles.")
+    parser.add_argument("--check", action="store_true", help="compare with the table instead of writing it")
+    check = parser.parse_args().check
+    with concurrent.futures.ProcessPoolExecutor() as pool:
+        rows = [GIVEN + CURRENTS, *filter(None, pool.map(row, enumerate(cases())))]
+    if not check:
+        TABLE.write_text("".join(",".join(values) + "\n" for values in rows))
+        return
+    written = [line.split(",") for line in TABLE.read_text().splitlines()]
+    if rows[0] != written[0] or len(rows) != len(written):
+        sys.exit(f"{TABLE.name} has other rows or columns than what is computed")
+    differing = [now[0] for now, then in zip(rows[1:], written[1:]) if not is_same(now, then)]
+    if differing:
+        sys.exit(f"{TABLE.name} differs from what is computed in rows {', '.join(differing)}")
 
 
-main()
+if __name__ == "__main__":
+    main()
