@@ -77,7 +77,9 @@ struct Cosines<S> {
 }
 
 impl<S: Scalar> Cosines<S> {
-    /// From the rays to the patch's corners: those of the cone around the middle ray.
+    /// From the rays to the patch's corners: those of the cone around the middle ray; and those of u·d, which is
+    /// linear over the patch, by the nearest and the farthest point. Next to the horizon the cone of a patch along it
+    /// reaches far behind.
     fn of<const N: usize>(corners: [S::Vec3; N], axis: S::Vec3) -> Self {
         let units = corners.map(|corner| corner * corner.length().recip());
         let sum = units.into_iter().fold(S::Vec3::default(), |sum, unit| sum + unit);
@@ -85,10 +87,15 @@ impl<S: Scalar> Cosines<S> {
         let angle = |a: S::Vec3, b: S::Vec3| a.cross(b).length().angle_from(a.dot(b));
         let radius = units.into_iter().fold(S::zero(), |radius, unit| radius.max(angle(unit, middle)));
         let gamma = angle(axis, middle);
+        let least = |of: &dyn Fn(S::Vec3) -> S| corners.into_iter().map(of).fold(S::infinity(), S::min);
+        let (behind, front) = (least(&|ray| axis.dot(ray)), -least(&|ray| -axis.dot(ray)));
+        let (nearest, farthest) = (least(&|ray| middle.dot(ray)), -least(&|ray| -ray.length()));
+        let lower = (gamma + radius).min(S::PI()).cosine();
+        let upper = (gamma - radius).max(S::zero()).cosine();
         Self {
-            lower: (gamma + radius).min(S::PI()).cosine(),
+            lower: if behind > S::zero() { lower.max(behind / farthest) } else { lower },
             middle: axis.dot(middle),
-            upper: (gamma - radius).max(S::zero()).cosine(),
+            upper: if nearest > S::zero() { upper.min(front / nearest) } else { upper },
         }
     }
 

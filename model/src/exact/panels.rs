@@ -225,7 +225,7 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
             moment: S::zero(),
             error: S::zero(),
             is_rough: false,
-            across_t: length_t > length_s,
+            across_t: self.is_wider_along_t(corners, [length_s, length_t]),
             evaluations: 0,
         };
         if cosines.upper <= S::zero() {
@@ -250,6 +250,19 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
             measured.error = greatest * length_s * length_t * self.height / (nearest * nearest * nearest);
         }
         measured
+    }
+
+    /// Whether a panel of these lengths that is too wide is to be divided along t: where it is longer; next to the
+    /// horizon where γ changes more. cos γ changes by tan γ·δ + δ²/2 where a side appears under δ.
+    fn is_wider_along_t(&self, corners: [S::Vec3; 4], lengths: [S; 2]) -> bool {
+        if !self.across_horizon {
+            return lengths[1] > lengths[0];
+        }
+        let cosines = corners.map(|ray| self.axis.dot(ray) / ray.length());
+        let [by_s, by_t] = [[0, 1, 3, 2], [0, 3, 1, 2]]
+            .map(|[a, b, c, d]: [usize; 4]| (cosines[a] - cosines[b]).abs().max((cosines[c] - cosines[d]).abs()));
+        let [bend_s, bend_t] = lengths.map(|length| S::half() * length * length / corners[0].dot(corners[0]));
+        by_t + bend_t > by_s + bend_s
     }
 
     /// Integrates by the rule whose error can be estimated: from the sums along either direction.

@@ -135,6 +135,9 @@ impl<S: Scalar> Plan<S> {
     /// The photocurrents of cell `cell` above its dark current, I_X − I_D/2 for each electrode:
     /// what is left when a dark sample is subtracted. Zero without spot.
     ///
+    /// They keep all their digits while current per responsivity and axial intensity (steradians) is a normal number,
+    /// 2·10⁻³⁰⁸ in `f64` and 1·10⁻³⁸ in `f32`; below that, those that a subnormal number holds.
+    ///
     /// # Panics
     /// If there is no such cell.
     pub fn photocurrents(&self, cell: usize, pose: &Pose) -> Pair<S> {
