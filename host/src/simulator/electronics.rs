@@ -48,27 +48,14 @@ pub enum Electrode {
     X2,
 }
 
-/// What the filtered noise of one cell is at an instant, in units of its standard deviation.
-/// Standing still at zero it is absent.
+/// The filtered noise of one cell at an instant. Zero it is absent.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CellNoise {
+    /// In units of its standard deviation.
     johnson: f64,
+    /// Of both electrodes together, amperes, and its variance over 2qB, amperes.
     shot: f64,
-}
-
-impl CellNoise {
-    /// As noise is found that nothing is known of. `draw` gives standard normal numbers.
-    pub fn unknown(mut draw: impl FnMut() -> f64) -> Self {
-        Self { johnson: draw(), shot: draw() }
-    }
-
-    /// What becomes of it while `keep` = exp(−t/τ) of it is left: filtered noise is correlated from
-    /// one conversion to the next, exactly like this.
-    pub fn pass(&mut self, keep: f64, mut draw: impl FnMut() -> f64) {
-        let renew = (1.0 - keep * keep).sqrt();
-        self.johnson = keep * self.johnson + renew * draw();
-        self.shot = keep * self.shot + renew * draw();
-    }
+    shot_of: f64,
 }
 
 /// One cell's pair of electrodes.
@@ -79,7 +66,9 @@ struct Channel {
     dark_a: f64,
     /// Standard deviation of the filtered Johnson current.
     johnson_a: f64,
-    /// Variance of the filtered shot noise per ampere.
+    /// The current whose shot noise, filtered, is there: see [`Electronics::pass`].
+    shot_of: f64,
+    /// Variance of the filtered shot noise per ampere, 2qB.
     shot_a: f64,
 }
 
@@ -107,6 +96,7 @@ impl Electronics {
                 half_dark_a,
                 dark_a: cell.detector.dark_current_a,
                 johnson_a: johnson.sqrt(),
+                shot_of: cell.detector.dark_current_a,
                 shot_a: 2.0 * ELEMENTARY_CHARGE_C * bandwidth_hz,
             }
         });
@@ -134,6 +124,10 @@ impl Electronics {
     /// The low-pass τ·y' = u − y has for u = u₀ + s·t the exact solution
     /// y = u − s·τ + (y₀ − u₀ + s·τ)·exp(−t/τ), stable for any ratio of duration and τ.
     ///
+    /// An electron that passed the detector t ago shows in the output as exp(−t/τ)/τ, and in the variance of its
+    /// shot noise (Campbell's theorem) as the square: what counts is the current behind a low-pass of τ/2. After light
+    /// is switched on for x, the output is 1 − exp(−x/τ) of what it settles to, the variance 1 − exp(−2x/τ).
+    ///
     /// # Panics
     /// If there is no such cell.
     pub fn pass(&mut self, cell: usize, duration_s: f64, from: Pair<f64>, to: Pair<f64>) {
@@ -141,10 +135,31 @@ impl Electronics {
         let channel = &mut self.cells[cell];
         let rest = decay(duration_s, tau);
         let slope = if duration_s > 0.0 { tau / duration_s } else { 0.0 };
-        for (state, (from, to)) in channel.state.iter_mut().zip([(from.i_x1_a, to.i_x1_a), (from.i_x2_a, to.i_x2_a)]) {
+        let low_pass = |state: &mut f64, from: f64, to: f64, slope: f64, rest: f64| {
             let lag = (to - from) * slope;
-            let settled = to + channel.half_dark_a - lag;
-            *state = settled + (*state - from - channel.half_dark_a + lag) * rest;
+            *state = to - lag + (*state - from + lag) * rest;
+        };
+        let half = channel.half_dark_a;
+        low_pass(&mut channel.state[0], from.i_x1_a + half, to.i_x1_a + half, slope, rest);
+        low_pass(&mut channel.state[1], from.i_x2_a + half, to.i_x2_a + half, slope, rest);
+        let [from, to] = [from, to].map(|light| light.total_a() + channel.dark_a);
+        low_pass(&mut channel.shot_of, from, to, 0.5 * slope, rest * rest);
+    }
+
+    /// The noise of `cell` now, where `keep` = exp(−t/τ) is left of that of t ago: filtered noise is correlated from
+    /// one conversion to the next, exactly like this. `before` of which nothing is left may be any. `draw` gives
+    /// standard normal numbers.
+    ///
+    /// # Panics
+    /// If there is no such cell.
+    pub fn noise(&self, cell: usize, before: &CellNoise, keep: f64, mut draw: impl FnMut() -> f64) -> CellNoise {
+        let Channel { shot_of, shot_a, .. } = self.cells[cell];
+        let kept = keep * keep;
+        let fresh = shot_a * (shot_of - kept * before.shot_of).max(0.0);
+        CellNoise {
+            johnson: keep * before.johnson + (1.0 - kept).sqrt() * draw(),
+            shot: keep * before.shot + fresh.sqrt() * draw(),
+            shot_of,
         }
     }
 
@@ -157,13 +172,12 @@ impl Electronics {
         let channel = &self.cells[cell];
         let total = (channel.state[0] + channel.state[1]).max(channel.dark_a).max(f64::MIN_POSITIVE);
         // Shot noise of a point-like spot divides between the electrodes like the current.
-        let shot_a = noise.shot * (channel.shot_a * total).sqrt();
         // Johnson current flows from one electrode to the other.
         let (current, sign) = match electrode {
             Electrode::X1 => (channel.state[0], 1.0),
             Electrode::X2 => (channel.state[1], -1.0),
         };
-        let noisy = current + shot_a * current / total + sign * noise.johnson * channel.johnson_a;
+        let noisy = current + noise.shot * current / total + sign * noise.johnson * channel.johnson_a;
         let code = self.scaling.zero_code
             + noisy / self.scaling.amperes_per_code
             + self.front_end.raw_noise_lsb * converter_noise;
@@ -174,12 +188,13 @@ impl Electronics {
     /// the front end is at the last conversion.
     pub(super) fn sample(&mut self, cell: usize, light: impl Fn(u32) -> Pair<f64>, rng: &mut ChaCha8Rng) -> WordPair {
         let mut draw = || -> f64 { StandardNormal.sample(rng) };
-        let mut noise = CellNoise::unknown(&mut draw);
+        // That of the last word has long gone.
+        let mut noise = self.noise(cell, &CellNoise::default(), 0.0, &mut draw);
         let mut sums = [0_u32; 2];
         for conversion in 0..self.front_end.oversampling {
             if conversion > 0 {
                 self.pass(cell, self.front_end.conversion_s, light(conversion - 1), light(conversion));
-                noise.pass(self.conversion_decay, &mut draw);
+                noise = self.noise(cell, &noise, self.conversion_decay, &mut draw);
             }
             for (sum, electrode) in sums.iter_mut().zip([Electrode::X1, Electrode::X2]) {
                 *sum += u32::from(self.convert(cell, electrode, &noise, draw()));
@@ -193,4 +208,51 @@ impl Electronics {
 /// exp(−t/τ); nothing is left without a low-pass.
 fn decay(duration_s: f64, time_constant_s: f64) -> f64 {
     if time_constant_s > 0.0 { (-duration_s / time_constant_s).exp() } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::scene_file::WIDE;
+
+    /// Against q·∫I(x − s)·h(s)·h(s + d) ds for the impulse response h = exp(−s/τ)/τ of the low-pass (Campbell's
+    /// theorem; Rice 1944, section 1.5).
+    #[test]
+    fn shot_noise_of_light_that_has_not_settled_has_the_variance_of_the_electrons_that_came() {
+        let file = WIDE.read().unwrap();
+        let front_end = file.front_end.unwrap();
+        let tau = front_end.time_constant_s;
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let light = Pair { i_x1_a: 1e-6, i_x2_a: 3e-6 };
+        let settled = ELEMENTARY_CHARGE_C * light.total_a() / (2.0 * tau);
+        let (on_s, apart_s) = (0.9 * tau, 0.4 * tau);
+        let mut electronics = Electronics::new(&file.scene, &front_end);
+        electronics.pass(0, on_s, light, light);
+        let mut later = electronics.clone();
+        later.pass(0, apart_s, light, light);
+        let mut off = electronics.clone();
+        off.pass(0, apart_s, Pair::default(), Pair::default());
+
+        let count = 100_000;
+        let (mut sums, mut draw) = ([0.0; 4], || StandardNormal.sample(&mut rng));
+        for _ in 0..count {
+            let first = electronics.noise(0, &CellNoise::default(), 0.0, &mut draw);
+            let second = later.noise(0, &first, later.decay(apart_s), &mut draw);
+            let dark = off.noise(0, &first, off.decay(apart_s), &mut draw);
+            let products = [first.shot * first.shot, second.shot * second.shot, first.shot * second.shot];
+            for (sum, product) in sums.iter_mut().zip(products.into_iter().chain([dark.shot * dark.shot])) {
+                *sum += product / f64::from(count);
+            }
+        }
+        let [on, apart] = [on_s, apart_s].map(|time_s| (-time_s / tau).exp());
+        let rise = 1.0 - on * on;
+        let expected = [rise, 1.0 - on * on * apart * apart, apart * rise, apart * apart * rise];
+        for (sum, expected) in sums.into_iter().zip(expected.map(|share| share * settled)) {
+            println!("{sum:e} A², {expected:e} expected");
+            // Six standard deviations of the mean of so many squares, 0.45 % each.
+            assert!((sum / expected - 1.0).abs() < 0.027, "seed 9: {sum:e}, not {expected:e}");
+        }
+    }
 }

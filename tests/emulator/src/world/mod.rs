@@ -207,14 +207,12 @@ impl Noise {
     fn at(&mut self, cell: usize, now: Ticks, electronics: &Electronics) -> CellNoise {
         let Self { rng, cells } = self;
         let draw = || StandardNormal.sample(rng);
-        let noise = match cells[cell] {
+        let (before, keep) = match cells[cell] {
             Some((then, noise)) if then == now => return noise,
-            Some((then, mut noise)) => {
-                noise.pass(electronics.decay(seconds(now - then)), draw);
-                noise
-            }
-            None => CellNoise::unknown(draw),
+            Some((then, noise)) => (noise, electronics.decay(seconds(now - then))),
+            None => (CellNoise::default(), 0.0),
         };
+        let noise = electronics.noise(cell, &before, keep, draw);
         cells[cell] = Some((now, noise));
         noise
     }
