@@ -197,7 +197,7 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
             let exposed = |cell: usize| motion.twist.advance(pose, offsets_s[cell]);
             Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &exposed(cell))))
         };
-        let readings = poses.iter().map(|pose| noise.disturb(&variant.scene, &reading(pose))).collect();
+        let readings = poses.iter().map(|pose| noise.disturb(&variant.scene, &plan, pose, &reading(pose))).collect();
         let priors = poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
         benches.push(Bench { solver, motion: *motion, readings, priors, plan });
     }

@@ -78,11 +78,6 @@ impl<'a> Head<'a> {
         Ok(Self { file, scene, frame, poses, truth, truth_tier })
     }
 
-    /// The true photocurrents at each of the poses.
-    pub(super) fn currents(&self) -> Vec<Photocurrents> {
-        self.poses.iter().map(|pose| currents(&self.truth, pose)).collect()
-    }
-
     /// The scene without any noise: what is left is arithmetic.
     pub(super) fn silent(&self) -> Scene {
         Scene { noise: None, ..self.scene.clone() }

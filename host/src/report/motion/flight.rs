@@ -78,8 +78,8 @@ fn flight(
             cells.map(|(cell, offset_s)| head.truth.photocurrents(cell, &pose_at(time_s + offset_s))),
         )
     };
-    Flight {
-        readings: instants.iter().map(|&time_s| noise.disturb(&head.scene, &clean(time_s))).collect(),
-        poses: instants.iter().map(|&time_s| pose_at(time_s)).collect(),
-    }
+    let poses: Vec<Pose> = instants.iter().map(|&time_s| pose_at(time_s)).collect();
+    let disturbed = instants.iter().zip(&poses);
+    let disturbed = disturbed.map(|(&time_s, pose)| noise.disturb(&head.scene, &head.truth, pose, &clean(time_s)));
+    Flight { readings: disturbed.collect(), poses }
 }

@@ -168,13 +168,15 @@ fn runs(head: &Head<'_>) -> Vec<Run> {
 
 fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
     let mut noise = NoiseSource::seeded(settings.seed);
-    let mut data = |clean: Vec<Photocurrents>| Data {
-        noisy: clean.iter().map(|clean| noise.disturb(&head.scene, clean)).collect(),
-        clean,
+    let mut data = |plan: &Plan<f64>| {
+        let clean: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(plan, pose)).collect();
+        let disturbed =
+            clean.iter().zip(&head.poses).map(|(clean, pose)| noise.disturb(&head.scene, plan, pose, clean));
+        Data { noisy: disturbed.collect(), clean }
     };
-    let exact = data(head.currents());
+    let exact = data(&head.truth);
     let paper_plan = Plan::<f64>::compile(&head.scene, Tier::Paper)?;
-    let paper = data(head.poses.iter().map(|pose| currents(&paper_plan, pose)).collect());
+    let paper = data(&paper_plan);
     let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR_M, PRIOR_RAD)).collect();
     let of = |light| if light == Light::Exact { &exact } else { &paper };
 

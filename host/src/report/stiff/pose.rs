@@ -177,8 +177,12 @@ pub(super) fn noises(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, 
         let scene = Scene { noise: Some(noise), ..head.arithmetic() };
         let mut trial = Trial::around(scene, &Pose::HOME, settings.seed)?;
         let mut noise = NoiseSource::seeded(settings.seed);
-        let disturbed: Vec<Photocurrents> =
-            trial.readings.iter().map(|clean| noise.disturb(&trial.scene, clean)).collect();
+        let disturbed: Vec<Photocurrents> = trial
+            .poses
+            .iter()
+            .zip(&trial.readings)
+            .map(|(pose, clean)| noise.disturb(&trial.scene, &trial.plan, pose, clean))
+            .collect();
         trial.readings = disturbed;
         let (rounding, arm_m) = (trial.attainable(|_| true), trial.scene.arm_m());
         let solvers = Precision::BOTH.map(|precision| Solver::<f64>::new(&trial.scene, precision.tightest_tier()));

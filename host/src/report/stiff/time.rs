@@ -2,7 +2,7 @@
 //! jump.
 
 use glam::DVec3;
-use slitpose_model::{Photocurrents, Pose, Scalar, SceneError, Solver, Tracker};
+use slitpose_model::{Pose, Scalar, SceneError, Solver, Tracker};
 use slitpose_protocol::Schedule;
 
 use super::case::{Case, Expected, Reached};
@@ -108,7 +108,7 @@ fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Resul
     let bound = bound_m.hypot(arm_m * bound_rad);
     let mut tracker = Tracker::new(solver, period_s);
     let mut noise = NoiseSource::seeded(settings.seed);
-    let mut readings = |pose: &Pose| -> Photocurrents { noise.disturb(&head.scene, &currents(&head.truth, pose)) };
+    let mut readings = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
     for frame in 0..BEFORE {
         tracker.track(frame, &readings(&Pose::HOME));
     }
