@@ -2,6 +2,7 @@
 #![cfg(target_os = "linux")]
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -129,6 +130,31 @@ fn an_interrupted_simulation_leaves_nothing() {
     wait_until(&mut child, grows);
     interrupted(child).assert_refused(1, &["interrupted", text(&capture)]);
     assert!(names(folder.path()).is_empty(), "{:?}", names(folder.path()));
+}
+
+#[test]
+fn a_table_or_text_that_is_interrupted_leaves_nothing() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let output = folder.path().join("result");
+    fs::write(&output, "older").expect("written");
+    let poses = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\nhome,0,0,0,0,0,0\n".to_owned();
+    let names_of = |k: usize| format!(",i_x1_{k}_a,i_x2_{k}_a");
+    let currents = format!("id{}\ndark{}\n", (0..6).map(names_of).collect::<String>(), ",0".repeat(12));
+    for (command, rows) in [
+        (&["model", "wide", "--poses", "-", "--output"][..], poses),
+        (&["solve", "wide", "--currents", "-", "--output"], currents),
+        (&["scene", "check", "wide", "--samples", "4000000000", "--output"], String::new()),
+    ] {
+        let mut command = slitpose!().command(command.iter().chain(&[text(&output)]));
+        let mut child = command.stdin(Stdio::piped()).spawn().expect("starts");
+        // No other row ever follows.
+        let mut input = child.stdin.take().expect("piped");
+        input.write_all(rows.as_bytes()).expect("written");
+        wait_until(&mut child, || names(folder.path()).iter().any(|name| name.ends_with(".part")));
+        interrupted(child).assert_refused(1, &["interrupted", text(&output)]);
+        assert_eq!(names(folder.path()), ["result"], "{command:?}");
+        assert_eq!(fs::read_to_string(&output).expect("older"), "older");
+    }
 }
 
 #[test]

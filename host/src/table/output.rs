@@ -10,7 +10,7 @@ use tempfile::NamedTempFile;
 use thiserror::Error;
 
 use crate::foreign::printable_lines;
-use crate::special_file;
+use crate::{interrupt, special_file};
 
 /// What a result may take the place of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,6 +128,7 @@ impl Output {
 
     fn file_sink(path: &Path, replace: Replace) -> io::Result<Sink> {
         // A link keeps pointing where it did: its target is replaced, not the link.
+        let given = path;
         let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         let existing = fs::metadata(&path).ok();
         if existing.as_ref().is_some_and(fs::Metadata::is_dir) {
@@ -152,7 +153,7 @@ impl Output {
         builder.prefix(".slitpose-").suffix(".part");
         #[cfg(unix)]
         builder.permissions(ordinary_permissions(existing.as_ref()));
-        let file = builder.tempfile_in(folder)?;
+        let file = interrupt::removing(given, || builder.tempfile_in(folder))?;
         Ok(Sink::Pending(BufWriter::new(file), path, replace))
     }
 

@@ -18,7 +18,7 @@ use std::sync::{Mutex, PoisonError};
 use console::Term;
 
 pub use line::{Line, Tone, WIDTH, layout};
-pub use progress::{Amount, Progress};
+pub use progress::{Amount, Progress, hide as hide_progress};
 
 use crate::foreign::printable;
 use block::{Block, Size};

@@ -75,10 +75,15 @@ impl Progress {
     }
 }
 
+/// Takes the progress line away.
+pub fn hide() {
+    screen().progress(None);
+}
+
 impl Drop for Progress {
     fn drop(&mut self) {
         if self.shown.is_some() {
-            screen().progress(None);
+            hide();
         }
     }
 }
