@@ -27,20 +27,30 @@ pub struct CellCost {
     pub relative_error: f64,
 }
 
-/// The costs of all cells over up to `samples` poses of the workspace.
-pub(super) fn of_cells(file: &SceneFile, samples: usize) -> Result<Vec<CellCost>, SceneError> {
+/// How many poses are looked at, of `samples` of the workspace.
+pub(super) fn poses_of(samples: usize) -> usize {
+    samples.min(MOST_SAMPLES)
+}
+
+/// The costs of all cells over so many of `samples` poses of the workspace; `progress` is told of each.
+pub(super) fn of_cells(
+    file: &SceneFile,
+    samples: usize,
+    mut progress: impl FnMut(),
+) -> Result<Vec<CellCost>, SceneError> {
     let tolerance = TOLERANCE;
     let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
     let mut costs: Vec<CellCost> = (0..plan.cell_count())
         .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
         .collect();
-    for pose in workspace_poses(&file.workspace, samples.min(MOST_SAMPLES)) {
+    for pose in workspace_poses(&file.workspace, poses_of(samples)) {
         for cost in &mut costs {
             if let Some(integration) = plan.integration(cost.cell, &pose) {
                 cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
                 cost.relative_error = cost.relative_error.max(integration.relative_error);
             }
         }
+        progress();
     }
     Ok(costs)
 }

@@ -74,8 +74,8 @@ pub struct WorkspaceFacts {
 }
 
 impl Survey {
-    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is told of each pose: there
-    /// are twice as many.
+    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is told of each pose that was
+    /// evaluated, [`Self::poses_of`] in all.
     pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut()) -> Result<Self, SceneError> {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = Plan::<f64>::compile(&file.scene, tier)?;
@@ -89,7 +89,7 @@ impl Survey {
             home: home::at_home(&file.scene, &plan),
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
             travel: travel::along_axes(&plan),
-            cost: cost::of_cells(file, samples)?,
+            cost: cost::of_cells(file, samples, &mut progress)?,
             crosstalk: crosstalk::of_slots(file, &plan, samples, &mut progress),
             timing: Timing::of(file),
             free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
@@ -98,6 +98,12 @@ impl Survey {
         };
         survey.warnings = warning::find(file, &survey);
         Ok(survey)
+    }
+
+    /// How many poses a survey with `samples` poses evaluates: all of them for coverage and for cross-talk, some for
+    /// the cost.
+    pub fn poses_of(samples: usize) -> usize {
+        2 * samples + cost::poses_of(samples)
     }
 
     /// The survey as a text for people, in millimetres, degrees and microamperes.

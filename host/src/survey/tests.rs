@@ -23,6 +23,15 @@ fn shares_of_the_shipped_scenes_are_those_of_an_independent_program() {
 }
 
 #[test]
+fn each_pose_that_is_evaluated_counts_as_progress() {
+    for samples in [30, 300] {
+        let mut told = 0;
+        Survey::of(&SceneFile::parse("scene.toml", BENCH.text).unwrap(), samples, || told += 1).unwrap();
+        assert_eq!(told, Survey::poses_of(samples));
+    }
+}
+
+#[test]
 fn shares_add_up() {
     let survey = survey_of(BASE.text);
     for cell in &survey.coverage.cells {

@@ -41,9 +41,10 @@ enum Format {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let file = SceneFile::open(&args.scene)?;
     let output = Output::open(args.output.as_deref())?;
-    let mut progress = Progress::new("check", 2 * u64::from(args.samples), Amount::Of("poses"));
+    let samples = args.samples as usize;
+    let mut progress = Progress::new("check", Survey::poses_of(samples) as u64, Amount::Of("poses"));
     let mut done = 0;
-    let survey = Survey::of(&file, args.samples as usize, || {
+    let survey = Survey::of(&file, samples, || {
         done += 1;
         progress.at(done);
     })?;
