@@ -91,7 +91,7 @@ fn a_daemon_tells_how_it_does() {
     let ask = |format: &str| slitpose!().run(["status", "--address", &address, "--format", format]).done();
     let text = ask("text");
     println!("{text}");
-    for part in ["board", "SIMULATED", "rate", "recorder", "off"] {
+    for part in ["board", "SIMULATED", "rate", "last reset: power on", "recorder", "off"] {
         assert!(text.contains(part), "`{part}` is not in:\n{text}");
     }
     assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");

@@ -148,7 +148,7 @@ pub fn lines(report: &BoardReport) -> Vec<Line> {
                 vitals.supply_v,
                 vitals.temperature_k - KELVIN_AT_0_CELSIUS,
                 100.0 * vitals.cpu_load,
-                vitals.reset_cause
+                in_words(&vitals.reset_cause)
             ),
         )
         .rank(3);
@@ -166,6 +166,15 @@ pub fn lines(report: &BoardReport) -> Vec<Line> {
         }
     }
     lines
+}
+
+/// `PowerOn` as a person writes it.
+fn in_words(name: &str) -> String {
+    let letters = name.char_indices().flat_map(|(i, letter)| {
+        let space = (i > 0 && letter.is_uppercase()).then_some(' ');
+        space.into_iter().chain(letter.to_lowercase())
+    });
+    letters.collect()
 }
 
 /// A cell in a word.
