@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use crate::exact::Integration;
 use crate::scalar::Scalar;
 
 /// Geometry of a cell's spot, and nothing else.
@@ -107,4 +108,6 @@ pub struct Response<S> {
     pub i_o_a: S,
     /// I_X1 and I_X2, dark current included.
     pub currents: Pair<S>,
+    /// What the integrals took, and how good they are; `None` in the paper tier, and where nothing is to integrate.
+    pub integration: Option<Integration<S>>,
 }

@@ -87,7 +87,7 @@ fn both_currents_keep_the_tolerance() {
                 assert!(jacobian.as_flattened().iter().all(|slope| slope.is_finite()), "{}: {jacobian:?}", row.id);
                 continue;
             }
-            let integration = plan.integration(0, &Pose::HOME).expect("light");
+            let integration = plan.respond(0, &Pose::HOME).integration.expect("light");
             let errors = [pair.i_x1_a, pair.i_x2_a, pair.total_a()].into_iter().zip([
                 row.electrodes_a[0],
                 row.electrodes_a[1],

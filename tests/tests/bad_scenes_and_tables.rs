@@ -1,7 +1,7 @@
 //! Scene files, tables and command lines that are wrong: refused with a message that says where, what
 //! stands there and what to do, with nothing on standard output.
 
-use slitpose::scene_file::WIDE;
+use slitpose::scene_file::{BENCH, WIDE};
 use slitpose_tests::scenes::wide_with;
 use slitpose_tests::slitpose;
 
@@ -171,6 +171,35 @@ fn paths_that_do_not_advance() {
     slitpose!().run(run).assert_refused(1, &[name, "time 0 s follows 0 s", "sort"]);
     std::fs::write(&path, "tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0\n").expect("table");
     slitpose!().run(run).assert_refused(1, &[name, "`time_s` is missing"]);
+}
+
+#[test]
+fn integrals_that_meet_the_limit_of_work_are_told() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("scene.toml");
+    let path = path.to_str().expect("UTF-8 path");
+    let text = BENCH.text.replace("distance_mm = 7.5", "distance_mm = 1.0").replace("width_mm = 0.4", "width_mm = 4.0");
+    let text = text.replace("width_mm = 1.0", "width_mm = 5.0");
+    let text = text.replace("[0.0, 0.0, -15.0]", "[0.0, 0.0, -2.262242254704235]");
+    // Light and dark in turns of 3° over a spot of 130°; a needle of a quarter of a degree that passes the spot by.
+    let saw: String = (0..29).map(|i| format!("[{}.0, {}.0], ", 3 * i, (i + 1) % 2)).collect();
+    let aside = "emitter_axis = [-0.008644273012421485, -0.7924553743397872, -0.6098686384985497]";
+    for (profile, axis, said) in [
+        (format!("profile = [{saw}]"), "emitter_axis = [0.0, 0.0, -1.0]", "1 rows are good to "),
+        ("profile_exponent = 62729.50675134393".to_owned(), aside, "1 rows are not good to the tolerance"),
+    ] {
+        let text = text.replace("emitter_axis = [0.0, 0.0, -1.0]", axis);
+        std::fs::write(path, text.replace("half_angle_deg = 55.0", &profile)).expect("written");
+        let model = |tier| {
+            let poses = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\nhome,0,0,0,0,0,0\n";
+            slitpose!().run_with_input(["model", path, "--poses", "-", "--tier", tier], poses)
+        };
+        let run = model("exact");
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        assert!(run.stderr.contains(said) && run.stderr.contains("51200 values"), "{profile}: {}", run.stderr);
+        let paper = model("paper");
+        assert_eq!((paper.code, paper.stderr.as_str()), (0, ""));
+    }
 }
 
 #[test]

@@ -49,8 +49,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         table.text(columns.id(&row))?;
         let mut reached = 0.0_f64;
         for cell in 0..plan.cell_count() {
-            write_response(&mut table, &plan.respond(cell, &pose))?;
-            if let Some(integration) = plan.integration(cell, &pose) {
+            let response = plan.respond(cell, &pose);
+            write_response(&mut table, &response)?;
+            if let Some(integration) = response.integration {
                 reached = reached.max(integration.relative_error);
             }
         }
@@ -63,11 +64,17 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         }
     }
     table.finish()?;
-    if inexact_rows > 0 {
+    let most = Plan::<f64>::MAX_EVALUATIONS;
+    if worst.is_infinite() {
         talk(format_args!(
-            "{inexact_rows} rows are good to {worst:.1e} of I_O only: the exact tier met its limit of {} values of a \
-             profile for a cell, or of rounding; --tolerance {worst:.0e} takes less time",
-            Plan::<f64>::MAX_EVALUATIONS
+            "{inexact_rows} rows are not good to the tolerance: the exact tier met its limit of {most} values of a \
+             profile for a cell, in some before it found light where there may be some; a smaller spot or a wider \
+             profile takes fewer"
+        ));
+    } else if inexact_rows > 0 {
+        talk(format_args!(
+            "{inexact_rows} rows are good to {worst:.1e} of I_O only: the exact tier met its limit of {most} values of a \
+             profile for a cell, or of rounding; --tolerance {worst:.0e} takes less time"
         ));
     }
     Ok(Outcome::Done)

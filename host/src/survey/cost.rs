@@ -23,7 +23,8 @@ pub struct CellCost {
     pub tolerance: f64,
     /// Most values of the emission profile for one pair of currents.
     pub most_evaluations: usize,
-    /// The greatest error reached: the tolerance, unless the limit of work came first.
+    /// The greatest error reached: the tolerance, unless the limit of work came first; infinite, in JSON null, if no
+    /// light was found by then where there may be some.
     pub relative_error: f64,
 }
 
@@ -45,7 +46,7 @@ pub(super) fn of_cells(
         .collect();
     for pose in workspace_poses(&file.workspace, poses_of(samples)) {
         for cost in &mut costs {
-            if let Some(integration) = plan.integration(cost.cell, &pose) {
+            if let Some(integration) = plan.respond(cost.cell, &pose).integration {
                 cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
                 cost.relative_error = cost.relative_error.max(integration.relative_error);
             }

@@ -90,6 +90,19 @@ fn warnings_carry_the_number_and_a_remedy() {
 }
 
 #[test]
+fn a_profile_that_meets_the_limit_of_work_is_named() {
+    // Light and dark in turns of 3° over a spot of 130°.
+    let saw: String = (0..29).map(|i| format!("[{}.0, {}.0], ", 3 * i, (i + 1) % 2)).collect();
+    let wide = BENCH.text.replace("distance_mm = 7.5", "distance_mm = 1.0").replace("width_mm = 0.4", "width_mm = 4.0");
+    let wide = wide.replace("width_mm = 1.0", "width_mm = 5.0").replace("[0.0, 0.0, -15.0]", "[0.0, 0.0, -2.3]");
+    let file =
+        SceneFile::parse("saw.toml", &wide.replace("half_angle_deg = 55.0", &format!("profile = [{saw}]"))).unwrap();
+    let warnings = Survey::of(&file, 20, || {}).unwrap().warnings;
+    let warnings: String = warnings.iter().map(|warning| format!("{warning}\n")).collect();
+    assert!(warnings.contains("the limit, do not suffice; give the profile fewer bends"), "{warnings}");
+}
+
+#[test]
 fn the_sample_fills_the_box_evenly() {
     let workspace = Workspace::default();
     let mut mean = [0.0; 6];

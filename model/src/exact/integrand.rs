@@ -12,6 +12,7 @@ use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::profile::{Emission, Falloff, Series};
 use crate::scalar::{Linear3, Scalar};
 
+use super::lobe::Cone;
 use super::order::{MAX_NODES, Orders, Rules};
 use super::{Cosines, Integration, panels, sides};
 
@@ -46,6 +47,8 @@ pub(super) struct Integrand<'a, S: Scalar, E> {
     pub(super) across_horizon: bool,
     /// What cos γ is multiplied with before the profile is asked; see [`Emission::rescaling`].
     pub(super) unit: S,
+    /// Beyond it a narrow lobe has faded; s and t are its directions in the plane.
+    pub(super) cone: Option<Cone<S>>,
     /// x of the reference point.
     pub(super) reference: S,
     /// Greatest distance of a corner from the first one.
@@ -74,29 +77,29 @@ impl<S: Scalar> Slab<S> {
 }
 
 /// Power and centroid (relative to the emitter's foot) of the light on a polygon.
-pub(crate) struct PolygonLight<S: Scalar> {
-    pub(crate) power: EmitterGradient<S>,
-    pub(crate) centroid: EmitterGradient<S>,
-    pub(crate) integration: Integration<S>,
-}
+pub(crate) type PolygonLight<S> = (EmitterGradient<S>, EmitterGradient<S>);
 
-/// The light on `polygon`, with derivatives by the emitter; `None` if there is none.
+/// The light on `polygon`, with derivatives by the emitter, `None` if none is found; and what that took.
 pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     mut polygon: Polygon<S>,
     axis: S::Vec3,
     emission: &E,
     orders: &Orders<S>,
     rules: &Rules<S>,
-) -> Option<PolygonLight<S>> {
+) -> (Option<PolygonLight<S>>, Integration<S>) {
     if !polygon.clip_horizon(axis) {
-        return None;
+        return (None, Integration { evaluations: 0, relative_error: orders.tolerance() });
     }
     let (divisor, factor) = emission.rescaling(|| polygon.greatest_cosine(axis), corner_cosine(&polygon, axis));
+    if factor == S::zero() {
+        // No number is as small.
+        return (None, Integration { evaluations: 0, relative_error: orders.tolerance() });
+    }
     let integrand = Integrand::new(&polygon, axis, emission, orders, rules, divisor.recip());
     let (mut sums, integration) = panels::add_all::<S, E, GRADIENT>(&integrand, &integrand.slabs(&polygon));
     let total = sums.power.value;
-    if total.is_nan() || total <= S::zero() || factor == S::zero() {
-        return None;
+    if total.is_nan() || total <= S::zero() {
+        return (None, integration);
     }
     if GRADIENT {
         for (line, a, b) in polygon.edges() {
@@ -117,7 +120,7 @@ pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         by_position: power.by_position * factor,
         by_axis: power.by_axis * factor,
     };
-    Some(PolygonLight { power, centroid, integration })
+    (Some((power, centroid)), integration)
 }
 
 /// cos γ at the brightest corner.
@@ -152,7 +155,14 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
             if across_horizon { [axis.x() / inclination, axis.y() / inclination] } else { [S::zero(), S::one()] };
         let [x0, y0] = polygon.corners()[0];
         let size = polygon.corners().iter().fold(S::zero(), |size, &[x, y]| size.max(S::norm(x - x0, y - y0)));
-        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, reference: x0, size }
+        let [tx, ty] = along_t;
+        let (ux, uy, uz) = (axis.x(), axis.y(), axis.z());
+        let cone = orders.is_narrow().then(|| Cone {
+            axis: [ux * ty - uy * tx, ux * tx + uy * ty, uz],
+            height,
+            cosine: orders.faded(polygon.greatest_cosine(axis)),
+        });
+        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, cone, reference: x0, size }
     }
 
     fn xy(&self, s: S, t: S) -> [S; 2] {
@@ -206,17 +216,17 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         Cosines { lower: lower * self.unit, middle: middle * self.unit, upper: upper * self.unit }
     }
 
-    /// The nodes that suffice along lines with these reaches (see [`Orders`]), and what stands for the
-    /// profile; `None` if that cannot be told beforehand.
+    /// The nodes that suffice along lines with these reaches to emitter and horizon (see [`Orders`]) between the ends
+    /// of which cos γ differs by so much, and what stands for the profile; `None` if that cannot be told beforehand.
     pub(super) fn foreseen<const N: usize>(
         &self,
         corners: [S::Vec3; N],
-        along: impl Iterator<Item = (S, S)>,
+        along: impl Iterator<Item = (S, S, S)>,
     ) -> Option<(Vec<usize, 2>, Option<Series<S>>)> {
         let mut nodes: Vec<usize, 2> = Vec::new();
-        let mut reaches: Vec<S, 2> = Vec::new();
-        for (reach, horizon) in along {
-            let _ = (nodes.push(self.orders.nodes(reach, horizon)?), reaches.push(reach));
+        let mut lines: Vec<[S; 2], 2> = Vec::new();
+        for (reach, horizon, difference) in along {
+            let _ = (nodes.push(self.orders.nodes(reach, horizon)?), lines.push([reach, difference]));
         }
         if !E::NEEDS_SERIES && !self.orders.is_narrow() {
             return Some((nodes, None));
@@ -226,8 +236,10 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
             return None;
         }
         let series = if E::NEEDS_SERIES { Some(self.emission.near(cosines.middle, cosines.spread())?) } else { None };
-        for (count, &reach) in nodes.iter_mut().zip(&reaches) {
-            let lobe = self.orders.lobe_nodes(cosines.tangent2(), reach)?;
+        for (count, &[reach, difference]) in nodes.iter_mut().zip(&lines) {
+            // The line appears under 2/reach.
+            let slope = S::half() * difference * reach / cosines.middle;
+            let lobe = self.orders.lobe_nodes(cosines.tangent2(), slope, reach)?;
             *count = (*count).max(lobe);
             *count = series.map_or(*count, |series| series.nodes_with(*count));
             if *count > MAX_NODES {

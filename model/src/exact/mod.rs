@@ -5,6 +5,7 @@
 //! is divided ([`integrand`], [`panels`], [`sides`]). The work is bounded: see [`MAX_EVALUATIONS`].
 
 mod integrand;
+mod lobe;
 mod order;
 mod panels;
 mod rectangle;
@@ -20,13 +21,14 @@ use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::scalar::{Linear3, Scalar};
 
-/// What an integral has taken, and how good it is.
+/// What the integrals over a spot have taken, and how good it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Integration<S> {
     /// Values of the profile that were needed for one cell's currents.
     pub evaluations: usize,
     /// Greatest error of each electrode's photocurrent, as a share of both together: the plan's
-    /// tolerance, unless the limit of work or rounding came first.
+    /// tolerance, unless the limit of work or rounding came first; infinite if no light was found by then where
+    /// there may be some.
     pub relative_error: S,
 }
 

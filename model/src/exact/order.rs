@@ -29,6 +29,13 @@ const NARROW_LOBE: f64 = 4.0;
 /// Share of the tolerance that the estimate for a lobe must keep: it looks at the spot's middle only.
 const LOBE_SHARE: f64 = 0.1;
 
+/// Where a narrow lobe has fallen below this share of the tolerance, relative to its brightest ray in the spot, it is
+/// left out, if that is little enough in the end: see [`Orders::may_leave_out`].
+const FADED_SHARE: f64 = 1e-4;
+
+/// Share of the tolerance for what is left out.
+const LEFT_OUT_SHARE: f64 = 0.1;
+
 /// What stands for the exponent of a profile that is a [`Series`](crate::profile::Series) within a
 /// spot: what it adds to the emitter's own singularity. Its own nodes it counts itself.
 pub(crate) const SERIES_EXPONENT: f64 = 1.5;
@@ -42,6 +49,8 @@ pub(crate) struct Orders<S> {
     both: [S; MAX_NODES],
     /// The greatest λ² + 2Nκ/e, for narrow lobes.
     lobe: Option<[S; MAX_NODES]>,
+    /// By what cos γ falls where a narrow lobe has faded; one without.
+    faded: S,
     exponent: S,
     tolerance: S,
 }
@@ -71,24 +80,26 @@ impl<S: Scalar> Orders<S> {
             horizon: table(&|n| if narrow { ellipse(n) } else { least(exponent, n) }),
             both: table(&|n| if narrow { least(-6.0, n).max(ellipse(n)) } else { least(-(2.0 * exponent + 3.0), n) }),
             lobe: narrow.then(|| table(&lobe)),
+            faded: S::of(if narrow { libm::pow(FADED_SHARE * tolerance, exponent.recip()) } else { 1.0 }),
             exponent: S::of(exponent),
             tolerance: S::of(tolerance),
         }
     }
 
     /// Number of nodes for a narrow lobe along an interval that appears under 2/`reach` radians, at an
-    /// angle of tangent `tangent2`^½ to the axis; `None` if even the longest rule errs too much.
+    /// angle γ of tangent `tangent2`^½ to the axis, while ln cos γ changes by `slope` a radian; `None` if even the
+    /// longest rule errs too much.
     ///
-    /// ln cosⁿγ has the derivatives −n·tan γ and −n/cos²γ by γ; the distance to the emitter adds three
-    /// powers more.
+    /// Along the interval ln cosⁿγ has the derivatives n·`slope`, towards the axis n·tan γ, and −n/cos²γ; the
+    /// distance to the emitter adds three powers more.
     #[inline(always)]
-    pub(crate) fn lobe_nodes(&self, tangent2: S, reach: S) -> Option<usize> {
+    pub(crate) fn lobe_nodes(&self, tangent2: S, slope: S, reach: S) -> Option<usize> {
         let Some(limits) = &self.lobe else {
             return Some(1);
         };
         let delta2 = (reach * reach).recip();
         let n = self.exponent + S::of(3.0);
-        let lambda2 = n * n * tangent2 * delta2;
+        let lambda2 = n * n * slope * slope * delta2;
         let kappa = n * (S::one() + tangent2) * delta2;
         (1..=MAX_NODES).find(|&count| lambda2 + S::of(BEND_SHARE * count as f64) * kappa <= limits[count - 1])
     }
@@ -108,6 +119,18 @@ impl<S: Scalar> Orders<S> {
             }
         };
         (0..MAX_NODES).find(enough).map(|i| i + 1)
+    }
+
+    /// cos γ where a narrow lobe has faded that is brightest at `cosine`.
+    pub(crate) fn faded(&self, cosine: S) -> S {
+        self.faded * cosine
+    }
+
+    /// Whether all light beyond cos γ = `cosine`, where I_rel is `relative`, is little beside `power`: of a lobe
+    /// cosⁿγ, 2π·∫cⁿ dc over 0…`cosine`.
+    pub(crate) fn may_leave_out(&self, cosine: S, relative: S, power: S) -> bool {
+        let beyond = S::two() * S::PI() * relative * cosine / (self.exponent + S::one());
+        beyond <= S::of(LEFT_OUT_SHARE) * self.tolerance * power
     }
 
     pub(crate) fn tolerance(&self) -> S {

@@ -61,8 +61,9 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
     let tolerance = integrand.orders.tolerance();
-    for parts in if E::NEEDS_SERIES { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
-        let panels = || (0..slabs.len()).flat_map(|slab| whole(slabs, slab).parts(*parts));
+    let is_narrow = integrand.orders.is_narrow();
+    for parts in if E::NEEDS_SERIES || is_narrow { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
+        let panels = || (0..slabs.len()).flat_map(|slab| integrand.lit(whole(slabs, slab), slabs).parts(*parts));
         let rules: Vec<Rule<S>, MAX_PARTS> =
             panels().take(MAX_PARTS).map_while(|panel| integrand.rule(&slabs[panel.slab], &panel)).collect();
         if rules.len() < panels().count() {
@@ -72,6 +73,9 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         for (panel, (nodes, series)) in panels().zip(&rules) {
             evaluations += nodes.0 * nodes.1;
             integrand.add_panel::<GRADIENT>(&slabs[panel.slab], &panel, *nodes, series.as_ref(), &mut sums);
+        }
+        if is_narrow && !integrand.may_leave_out(sums.power.value) {
+            break;
         }
         return (sums, Integration { evaluations, relative_error: tolerance });
     }
@@ -143,7 +147,13 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     // The same with and without derivatives.
     sums.power.value = total;
     sums.moment.value = panels.iter().fold(S::zero(), |sum, panel| sum + panel.moment);
-    let relative_error = if error <= allowed * total { tolerance } else { error / total };
+    let relative_error = if error <= allowed * total {
+        tolerance
+    } else if total > S::zero() {
+        error / total
+    } else {
+        S::infinity()
+    };
     (sums, Integration { evaluations, relative_error })
 }
 
@@ -175,6 +185,33 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         [[c0, t0], [c1, t0], [c1, t1], [c0, t1]].map(|[share, t]| self.ray(slab.s(share, t), t))
     }
 
+    /// The part of a whole slab that a narrow lobe lights.
+    fn lit(&self, panel: Panel<S>, slabs: &[Slab<S>]) -> Panel<S> {
+        let Some(cone) = &self.cone else {
+            return panel;
+        };
+        let slab = &slabs[panel.slab];
+        let [[left0, right0], [left1, right1]] = panel.t.map(|t| slab.sides(t));
+        let [s, t] = cone.within([[left0.min(left1), right0.max(right1)], panel.t]);
+        // As shares of the widths at both ends of the range of t.
+        let share = |s: S, end: fn(S, S) -> S| {
+            let [one, other] = t.map(|t| {
+                let [left, right] = slab.sides(t);
+                if right > left { (s - left) / (right - left) } else { S::half() }
+            });
+            end(one, other).max(S::zero()).min(S::one())
+        };
+        let share = [share(s[0], S::min), share(s[1], S::max)];
+        if share[0] < share[1] { Panel { share, t, ..panel } } else { panel }
+    }
+
+    /// Whether the light that [`Self::lit`] leaves out is little beside `power`.
+    fn may_leave_out(&self, power: S) -> bool {
+        self.cone.as_ref().is_none_or(|cone| {
+            self.orders.may_leave_out(cone.cosine, self.emission.relative(cone.cosine * self.unit), power)
+        })
+    }
+
     /// The rule that suffices for a panel, if that can be told beforehand.
     fn rule(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<S>> {
         let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
@@ -204,7 +241,8 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
             .fold(S::infinity(), S::min);
         let horizon_s = if self.across_horizon { S::infinity() } else { horizon(f00, f10).min(horizon(f01, f11)) };
         let horizon_t = horizon(f00, f01).min(horizon(f10, f11));
-        let along = [(reach_s, horizon_s), (reach_t, horizon_t)];
+        let [by_s, by_t] = self.differences(corners);
+        let along = [(reach_s, horizon_s, by_s), (reach_t, horizon_t, by_t)];
         let (nodes, series) = self.foreseen(corners, along.into_iter())?;
         Some((of_slab(&nodes), series))
     }
@@ -252,15 +290,20 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         measured
     }
 
+    /// By how much cos γ differs between the ends of the sides along s and along t.
+    fn differences(&self, corners: [S::Vec3; 4]) -> [S; 2] {
+        let cosines = corners.map(|ray| self.axis.dot(ray) / ray.length());
+        [[0, 1, 3, 2], [0, 3, 1, 2]]
+            .map(|[a, b, c, d]: [usize; 4]| (cosines[a] - cosines[b]).abs().max((cosines[c] - cosines[d]).abs()))
+    }
+
     /// Whether a panel of these lengths that is too wide is to be divided along t: where it is longer; next to the
     /// horizon where γ changes more. cos γ changes by tan γ·δ + δ²/2 where a side appears under δ.
     fn is_wider_along_t(&self, corners: [S::Vec3; 4], lengths: [S; 2]) -> bool {
         if !self.across_horizon {
             return lengths[1] > lengths[0];
         }
-        let cosines = corners.map(|ray| self.axis.dot(ray) / ray.length());
-        let [by_s, by_t] = [[0, 1, 3, 2], [0, 3, 1, 2]]
-            .map(|[a, b, c, d]: [usize; 4]| (cosines[a] - cosines[b]).abs().max((cosines[c] - cosines[d]).abs()));
+        let [by_s, by_t] = self.differences(corners);
         let [bend_s, bend_t] = lengths.map(|length| S::half() * length * length / corners[0].dot(corners[0]));
         by_t + bend_t > by_s + bend_s
     }

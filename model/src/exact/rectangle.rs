@@ -51,8 +51,12 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
     let angle2 = (reach_x * reach_x).recip() + (reach_y * reach_y).recip();
     let tangent2 = (S::one() - cosine * cosine) / (cosine * cosine);
     let spread = (tangent2 * angle2).sqrt() + S::half() * angle2;
-    let lobe = |reach: S| orders.lobe_nodes(tangent2, reach);
-    let nodes = (nodes.0.max(lobe(reach_x)?), nodes.1.max(lobe(reach_y)?));
+    // ∂ln c = u/(u·d) − d/r², along either side, by the angle.
+    let slope = |along: S, at: S| along * distance / middle - at / distance;
+    let lobe = |slope: S, reach: S| orders.lobe_nodes(tangent2, slope, reach);
+    let along_x = lobe(slope(axis.x(), x.middle), reach_x)?;
+    let along_y = lobe(slope(axis.y(), y.middle), reach_y)?;
+    let nodes = (nodes.0.max(along_x), nodes.1.max(along_y));
     Some(Needs { nodes, cosine, spread })
 }
 

@@ -77,7 +77,9 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
             let nodes = integrand.orders.nodes(reach, S::infinity());
             return self.add_nodes([low, high], nodes.or(must.then_some(MAX_NODES)), sums, |_| self.at_horizon);
         }
-        if let Some((nodes, series)) = integrand.foreseen([p, q], core::iter::once((reach, horizon))) {
+        if let Some((nodes, series)) =
+            integrand.foreseen([p, q], core::iter::once((reach, horizon, fp / p.length() - fq / q.length())))
+        {
             let nodes = nodes.first().copied();
             return match series {
                 Some(series) => self.add_nodes([low, high], nodes, sums, |c| in_front(&series, c)),

@@ -3,7 +3,7 @@
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::exact::{self, Integration, PolygonLight};
+use crate::exact::{self, Integration, Orders, PolygonLight};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::pose::Transform;
@@ -41,7 +41,7 @@ enum Spot<S: Scalar> {
     Polygon(Polygon<S>),
 }
 
-/// The light of a spot; `None` if the emitter faces away from all of it.
+/// The light of a spot, `None` if there is none, and what its integrals took, `None` without integrals.
 #[inline(always)]
 fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
@@ -50,38 +50,44 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     emission: &E,
     seen: &Seen<S>,
     spot: &Spot<S>,
-) -> Option<Light<S>> {
+) -> (Option<Light<S>>, Option<Integration<S>>) {
     let axis = seen.axis;
     if let Spot::Rectangle(rectangle) = spot
         && emitter.orders.is_some()
         && exact::faces_away(rectangle, axis)
     {
-        return None;
+        return (None, None);
     }
-    let (power, centroid) = match (&emitter.orders, &plan.rules, spot) {
+    let ((power, centroid), integration) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
             match exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission, orders, rules) {
-                Some((light, _)) => return Some(of_sides::<S, GRADIENT>(&light, rectangle, true)),
-                None => {
-                    let light = divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen)?;
-                    (light.power, light.centroid)
+                Some((light, evaluations)) => {
+                    let integration = Integration { evaluations, relative_error: orders.tolerance() };
+                    return (Some(of_sides::<S, GRADIENT>(&light, rectangle, true)), Some(integration));
                 }
+                None => match divided::<S, E, GRADIENT>(plan, cell, emitter, emission, seen) {
+                    Some((Some(light), integration)) => (light, Some(integration)),
+                    Some((None, integration)) => return (None, Some(integration)),
+                    None => return (None, None),
+                },
             }
         }
         (Some(orders), Some(rules), Spot::Polygon(polygon)) => {
-            let light = exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, emission, orders, rules)?;
-            (light.power, light.centroid)
+            match exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, emission, orders, rules) {
+                (Some(light), integration) => (light, Some(integration)),
+                (None, integration) => return (None, Some(integration)),
+            }
         }
         (_, _, Spot::Rectangle(rectangle)) => {
             let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
-            return Some(of_sides::<S, GRADIENT>(&light, rectangle, false));
+            return (Some(of_sides::<S, GRADIENT>(&light, rectangle, false)), None);
         }
         (_, _, Spot::Polygon(polygon)) => {
-            paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission, cell.aperture.skew())
+            (paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission, cell.aperture.skew()), None)
         }
     };
     let x_a = EmitterGradient { value: seen.position.x() + centroid.value, ..centroid };
-    Some(Light { power, x_a: Place::Weighted(x_a) })
+    (Some(Light { power, x_a: Place::Weighted(x_a) }), integration)
 }
 
 /// The exact light of a rectangular spot that one tensor rule cannot do.
@@ -92,51 +98,10 @@ fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     emitter: &CompiledEmitter<S>,
     emission: &E,
     seen: &Seen<S>,
-) -> Option<PolygonLight<S>> {
+) -> Option<(Option<PolygonLight<S>>, Integration<S>)> {
     let (polygon, _) = Polygon::of_beam(&cell.aperture, seen.position, cell.receiver.half).ok()?;
     let (orders, rules) = (emitter.orders.as_ref()?, plan.rules.as_ref()?);
-    exact::polygon_light::<S, E, GRADIENT>(polygon, seen.axis, emission, orders, rules)
-}
-
-/// What the integrals over a spot take.
-fn integration<S: Scalar, E: Emission<S>>(
-    plan: &Plan<S>,
-    cell: &CompiledCell<S>,
-    emission: &E,
-    seen: &Seen<S>,
-    spot: &Spot<S>,
-) -> Option<Integration<S>> {
-    let (orders, rules) = (cell.emitter.orders.as_ref()?, plan.rules.as_ref()?);
-    match spot {
-        Spot::Rectangle(rectangle) => {
-            match exact::rectangle_light::<S, E, false>(rectangle, seen.axis, emission, orders, rules) {
-                Some((_, evaluations)) => Some(Integration { evaluations, relative_error: orders.tolerance() }),
-                None => {
-                    divided::<S, E, false>(plan, cell, &cell.emitter, emission, seen).map(|light| light.integration)
-                }
-            }
-        }
-        Spot::Polygon(polygon) => {
-            exact::polygon_light::<S, E, false>(polygon.clone(), seen.axis, emission, orders, rules)
-                .map(|light| light.integration)
-        }
-    }
-}
-
-pub(super) fn integration_of<S: Scalar>(
-    plan: &Plan<S>,
-    cell: usize,
-    base_from_tool: &Transform<S>,
-) -> Option<Integration<S>> {
-    let cell = &plan.cells[cell];
-    let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
-    let (spot, ..) = cell.spot(&seen).ok()?;
-    let Integration { evaluations, relative_error } = match &cell.emitter.profile {
-        CompiledProfile::Cosine(cosine) => integration(plan, cell, cosine, &seen, &spot),
-        CompiledProfile::Table(table) => integration(plan, cell, table, &seen, &spot),
-    }?;
-    let rounding = cell.emitter.orders.as_ref()?.rounding();
-    Some(Integration { evaluations, relative_error: relative_error.max(rounding) })
+    Some(exact::polygon_light::<S, E, GRADIENT>(polygon, seen.axis, emission, orders, rules))
 }
 
 impl<S: Scalar> CompiledEmitter<S> {
@@ -147,7 +112,7 @@ impl<S: Scalar> CompiledEmitter<S> {
         cell: &CompiledCell<S>,
         seen: &Seen<S>,
         spot: &Spot<S>,
-    ) -> Option<Light<S>> {
+    ) -> (Option<Light<S>>, Option<Integration<S>>) {
         match &self.profile {
             CompiledProfile::Cosine(cosine) => light::<S, _, GRADIENT>(plan, cell, self, cosine, seen, spot),
             CompiledProfile::Table(table) => light::<S, _, GRADIENT>(plan, cell, self, table, seen, spot),
@@ -180,7 +145,7 @@ fn photocurrents_of<S: Scalar>(
     let Ok((spot, ..)) = cell.spot(&seen) else {
         return Pair::default();
     };
-    match emitter.light_on::<false>(plan, cell, &seen, &spot) {
+    match emitter.light_on::<false>(plan, cell, &seen, &spot).0 {
         Some(light) => {
             let photocurrent = cell.receiver.responsivity * emitter.source.intensity * light.power.value;
             plan.above_dark(&cell.receiver, photocurrent, light.x_a.value())
@@ -197,7 +162,7 @@ pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
         Ok(spot) => spot,
         Err(status) => return CellTerms::dark(status),
     };
-    let Some(light) = cell.emitter.light_on::<true>(plan, cell, &seen, &spot) else {
+    let Some(light) = cell.emitter.light_on::<true>(plan, cell, &seen, &spot).0 else {
         return CellTerms::dark(status);
     };
     let (pair, jacobian) = cell.receiver.linearise(&cell.emitter.source, &light, &seen, plan.rules.is_none());
@@ -220,6 +185,7 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
                 solid_angle_sr: S::zero(),
                 i_o_a: receiver.dark,
                 currents: Pair { i_x1_a: half_dark, i_x2_a: half_dark },
+                integration: None,
             };
         }
     };
@@ -227,7 +193,8 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
         Spot::Rectangle(rectangle) => paper::rectangle_beam(rectangle, seen.axis),
         Spot::Polygon(polygon) => paper::polygon_beam(polygon, seen.axis, cell.aperture.skew()),
     };
-    let light = emitter.light_on::<false>(plan, cell, &seen, &spot);
+    let (light, integration) = emitter.light_on::<false>(plan, cell, &seen, &spot);
+    let rounding = emitter.orders.as_ref().map_or(S::zero(), Orders::rounding);
     let power = light.as_ref().map_or(S::zero(), |light| light.power.value);
     let photocurrent = receiver.responsivity * emitter.source.intensity * power;
     let x_a = light.as_ref().map(|light| light.x_a.value());
@@ -245,6 +212,8 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
         solid_angle_sr: if plan.rules.is_some() { exact_solid_angle(&spot) } else { beam.solid_angle },
         i_o_a: i_o,
         currents: Pair { i_x1_a: above_dark.i_x1_a + half_dark, i_x2_a: above_dark.i_x2_a + half_dark },
+        integration: integration
+            .map(|reached| Integration { relative_error: reached.relative_error.max(rounding), ..reached }),
     }
 }
 

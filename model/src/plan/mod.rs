@@ -8,7 +8,7 @@ mod pack;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::exact::{Integration, MAX_EVALUATIONS, Orders, Rules};
+use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
@@ -186,15 +186,6 @@ impl<S: Scalar> Plan<S> {
             let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
             sink(cell, [pair.i_x1_a, pair.i_x2_a]);
         }
-    }
-
-    /// What the integrals of cell `cell` take with the tool at `pose`, and how good they are; `None` in the
-    /// paper tier, and where there is no light.
-    ///
-    /// # Panics
-    /// If there is no such cell.
-    pub fn integration(&self, cell: usize, pose: &Pose) -> Option<Integration<S>> {
-        evaluate::integration_of(self, cell, &Transform::of(pose))
     }
 
     /// Corners of the spot of cell `cell`, in order around it, in the cell's x and y (metres).
