@@ -2,7 +2,8 @@
 //! centroid of the light.
 //!
 //! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]); whatever else
-//! is divided ([`integrand`], [`panels`], [`sides`]). The work is bounded: see [`MAX_EVALUATIONS`].
+//! is divided ([`integrand`], [`panels`], [`sides`]), of a narrow lobe the part that it lights
+//! ([`lobe`]). The work is bounded: see [`MAX_EVALUATIONS`].
 
 mod integrand;
 mod lobe;
