@@ -6,7 +6,9 @@ use common::{base, generator, pose_in_box, six_cells, uniform, vector, wide};
 use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Tier, Weakness};
+use slitpose_model::{
+    Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver, Tier, Weakness,
+};
 
 const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
 
@@ -150,6 +152,50 @@ fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
         });
         let found = found.count();
         assert!(found > 15, "{roll_deg}°: {found} of 20");
+    }
+}
+
+/// What a solver makes of noise-free light at home, expected there to 3 µm and 0.3 mrad, or anywhere.
+fn found_at_home<S: Scalar>(scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng) -> Vec<Solution> {
+    let light = Plan::<f64>::compile(scene, Tier::Exact { tolerance: 1e-15 }).expect("scene");
+    let readings = Photocurrents::of_pairs((0..6).map(|cell| light.photocurrents(cell, &Pose::HOME)));
+    let solver = Solver::<S>::new(scene, tier).expect("scene");
+    let mut solve = |_| {
+        let prior = Pose::from_vectors(vector(rng, 3e-6), vector(rng, 3e-4));
+        solver.solve_near(&readings, &prior, &Default::default()).widened()
+    };
+    (0..20).map(&mut solve).chain([solver.solve(&readings).widened()]).collect()
+}
+
+#[test]
+fn equal_rolls_at_home_are_not_observable_wherever_the_search_begins() {
+    let mut rng = generator();
+    for roll_rad in [0.0, 1e-10, 1e-7, 1e-4] {
+        let scene = Scene { noise: None, ..rolled(0.0, roll_rad) };
+        let mut found = found_at_home::<f32>(&scene, Tier::Exact { tolerance: 1e-6 }, &mut rng);
+        if roll_rad == 0.0 {
+            found.extend(found_at_home::<f64>(&scene, Tier::Exact { tolerance: 1e-15 }, &mut rng));
+        }
+        for Solution { outcome, .. } in found {
+            assert!(matches!(outcome, Outcome::Unobservable(_)), "±{roll_rad}: {outcome:?}");
+        }
+    }
+}
+
+#[test]
+fn a_way_that_ends_damped_leaves_the_covariance_as_it_is() {
+    let mut rng = generator();
+    for roll_rad in [1e-8, 1e-9, 1e-10] {
+        let scene = Scene { noise: None, ..rolled(0.0, roll_rad) };
+        for solution in found_at_home::<f64>(&scene, Tier::Exact { tolerance: 1e-15 }, &mut rng) {
+            let estimate = solution.estimate.expect("pose");
+            let (dt, dr) = estimate.pose.displacement_from(&Pose::HOME);
+            let errors = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+            let worst = errors.iter().zip(estimate.sigma()).map(|(error, sigma)| error.abs() / sigma);
+            // Currents count as rounded sixteen times; damping by 1e-10 of the information makes tens of σ of that.
+            let worst = worst.fold(0.0, f64::max);
+            assert!(worst < 3.0, "±{roll_rad}: {worst} σ");
+        }
     }
 }
 

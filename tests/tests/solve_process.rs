@@ -66,8 +66,11 @@ fn round_trip(scene: &str, tier: &str, seed: u64, least_converged: usize) {
     let (mut converged, mut elsewhere, mut largest) = (0, 0, 0_f64);
     for (i, (row, truth)) in table.rows().zip(&truths).enumerate() {
         assert_eq!(row.text("id"), format!("p{i}"));
-        if row.text("status") == "ambiguous" {
-            assert_no_pose(&row, "ambiguous");
+        // Three cells have images, so near that the two are one where a pose lies at a fold.
+        let no_pose = ["ambiguous", "unobservable"].into_iter().find(|status| *status == row.text("status"));
+        if let Some(status) = no_pose {
+            assert_no_pose(&row, status);
+            assert!(status == "ambiguous" || row.number("cells_used") == 3.0, "p{i} {truth:?}: {status}");
             continue;
         }
         let cells_used = row.number("cells_used");
@@ -271,4 +274,15 @@ fn accuracy_is_that_of_the_lower_bound_with_and_without_known_gains() {
         assert!((0.8..1.2).contains(&(translation / translation_um)), "{translation} um");
         assert!((0.8..1.2).contains(&(rotation / rotation_urad)), "{rotation} urad");
     }
+}
+
+#[test]
+fn a_fit_that_noise_seldom_makes_is_looked_for_on_the_other_side_of_a_detectors_end() {
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/data/one_sided.toml");
+    let pose = [0.8369077938, 0.4577038260, 0.8687382795, 0.4449495674, -0.1426100927, -0.0467356552];
+    let solved = solve(scene, "exact", &currents(scene, "exact", &[pose]));
+    let row = solved.rows().next().expect("one pose");
+    let worst = errors_in_sigma(&row, &pose).iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
+    // The minimum on the wrong side is 4 σ off, with a χ² of 53.
+    assert!(worst < BACK, "{worst} σ, χ² {}", row.text("chi2"));
 }

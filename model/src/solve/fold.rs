@@ -19,6 +19,10 @@ use super::{DISTINCT_SIGMAS, Fit, MotionPrior, Solver, observability};
 /// How far the currents are probed along the direction they hold least, in σ of the pose there.
 const PROBE_SIGMAS: f64 = 2.0;
 
+/// The furthest that is, in radians or its equivalent in translation: of a fold σ is as large as you like, and
+/// beyond some hundredths the currents bend by more than a square.
+const LONGEST_PROBE: f64 = 0.01;
+
 /// A twin further than this, in σ of the pose along that direction, is told apart by any motion.
 const FAR_SIGMAS: f64 = 60.0;
 
@@ -62,7 +66,7 @@ impl<S: Scalar> Solver<S> {
         let whiteners = problem.whiteners();
         let here = problem.whitened(&pose, &whiteners, room);
         let along = |share: S| loose.map(|value| value * (share * sigma));
-        let probe = S::of(PROBE_SIGMAS);
+        let probe = S::of(PROBE_SIGMAS).min(S::of(LONGEST_PROBE) / sigma);
         let [there, back] =
             [probe, -probe].map(|share| problem.whitened(&problem.moved(&pose, &along(share)), &whiteners, room));
         // (j·probe)² and j·c·probe³, both by what one σ along v does.

@@ -9,6 +9,7 @@
 mod algebra;
 mod fold;
 mod images;
+mod kink;
 mod normal;
 mod observability;
 mod outcome;
@@ -319,12 +320,7 @@ impl<S: Scalar> Solver<S> {
         let mut refined = outlier::quickly(&problem, &whiteners, start, room);
         let fit = self.fit(sorted, &problem, &refined);
         if fit != Fit::None {
-            let solution = self.conclude(sorted, &problem, &refined, room, fit);
-            return if self.has_images {
-                self.unless_soft(solution, &problem, &whiteners, &refined, room)
-            } else {
-                solution
-            };
+            return self.conclude_near(sorted, &problem, &whiteners, &refined, room, fit);
         }
         let mut iterations = refined.iterations;
         if let Some(mut solution) = self.without_outlier_near(sorted, motion, start, room) {
@@ -343,7 +339,7 @@ impl<S: Scalar> Solver<S> {
         }
         // The last expansion may be of other cells.
         problem.expand(&refined.pose, &whiteners, room);
-        Solution { iterations, ..self.conclude(sorted, &problem, &refined, room, fit) }
+        Solution { iterations, ..self.conclude_near(sorted, &problem, &whiteners, &refined, room, fit) }
     }
 
     /// A displacement in σ of a solution's pose, squared; infinite without a pose.

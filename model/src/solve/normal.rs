@@ -207,6 +207,21 @@ impl<S: Scalar> Expansion<S> {
     pub(super) fn steepness(&self) -> S {
         (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).square_root()
     }
+
+    /// The information times a step.
+    pub(super) fn times(&self, step: &Vector6<S>) -> Vector6<S> {
+        self.information.map(|row| dot(&row, step))
+    }
+
+    /// χ² after a step if derivatives stay.
+    pub(super) fn chi2_after(&self, step: &Vector6<S>) -> S {
+        self.chi2 - S::two() * dot(&self.descent, step) + self.along(step)
+    }
+
+    /// The length of a step in σ, squared.
+    pub(super) fn along(&self, step: &Vector6<S>) -> S {
+        dot(step, &self.times(step))
+    }
 }
 
 impl<S: Scalar> Elimination<S> {
@@ -499,7 +514,7 @@ impl<S: Scalar> Problem<'_, S> {
         }
     }
 
-    /// The same from the rows themselves: slow, but right for any condition number that the number
+    /// The step from the rows themselves: slow, but right for any condition number that the number
     /// type resolves.
     #[cold]
     fn step_by_rows(&self, room: &Workspace<S>) -> Step<S> {
@@ -528,9 +543,16 @@ impl<S: Scalar> Problem<'_, S> {
         Step { step: factor.backward(&half_way), gain: square(&half_way), factor, by_rows: true }
     }
 
-    /// Whether `step` moves no spot of the last expansion so far that derivatives jump.
-    pub(super) fn is_smooth(&self, step: &Vector6<S>, room: &Workspace<S>) -> bool {
-        room.slack_m > S::of(MOST_MAGNIFICATION) * square(step).square_root() * self.arm
+    /// The factor of an expansion alone.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn factor(&self, at: &Expansion<S>, room: &Workspace<S>) -> Option<Factor<S>> {
+        self.step(at, S::zero(), room).map(|next| next.factor)
+    }
+
+    /// Whether a step of this `length` moves no spot of the last expansion so far that derivatives jump.
+    pub(super) fn is_smooth(&self, length: S, room: &Workspace<S>) -> bool {
+        room.slack_m > S::of(MOST_MAGNIFICATION) * length * self.arm
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over

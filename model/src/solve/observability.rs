@@ -51,6 +51,13 @@ pub(super) fn free_directions<S: Scalar>(factor: &Factor<S>) -> Option<Direction
     (!free.is_empty()).then(|| Directions::of_free(&free))
 }
 
+/// Whether the σ of a direction with this singular value has no end, or none that an expansion reaches.
+pub(super) fn is_free<S: Scalar>(value: S) -> bool {
+    // Written so that NaN is.
+    let is_held = value > S::of(LARGEST_SIGMA.recip());
+    !is_held
+}
+
 /// The displacement between two poses, in σ of the data of `factor`.
 pub(super) fn sigmas_between<S: Scalar>(factor: &Factor<S>, a: &Transform<S>, b: &Transform<S>, arm: S) -> S {
     let (dt, dr) = b.to_pose().displacement_from(&a.to_pose());

@@ -179,19 +179,20 @@ impl<S: Scalar> Solver<S> {
         }
         let others = sorted.without(index);
         let problem = self.problem(&others, motion);
-        let refined = quickly(&problem, &problem.whiteners(), start, room);
+        let whiteners = problem.whiteners();
+        let refined = quickly(&problem, &whiteners, start, room);
         let fit = self.fit(&others, &problem, &refined);
         if fit == Fit::None {
             return None;
         }
-        let mut solution = self.conclude(&others, &problem, &refined, room, fit);
+        let mut solution = self.conclude_near(&others, &problem, &whiteners, &refined, room, fit);
         let all = self.problem(sorted, motion);
         let whiteners = all.whiteners();
         if self.may_agree(sorted, &all, &whiteners, refined.pose, room) {
             let together = quickly(&all, &whiteners, refined.pose, room);
             let fit = self.fit(sorted, &all, &together);
             if fit != Fit::None {
-                solution = self.conclude(sorted, &all, &together, room, fit);
+                solution = self.conclude_near(sorted, &all, &whiteners, &together, room, fit);
                 solution.iterations += refined.iterations;
                 return Some(solution);
             }
@@ -230,12 +231,13 @@ impl<S: Scalar> Solver<S> {
             if fit == Fit::None || !is_convicted {
                 return None;
             }
-            problem.expand(&found.pose, &problem.whiteners(), room);
-            let mut solution = self.conclude(&others, &problem, found, room, fit);
+            let whiteners = problem.whiteners();
+            problem.expand(&found.pose, &whiteners, room);
+            let mut solution = self.conclude_near(&others, &problem, &whiteners, found, room, fit);
             exclude(&mut solution, sorted.usable[index].cell);
             solution
         } else {
-            self.conclude(sorted, &all, &together, room, fit)
+            self.conclude_near(sorted, &all, &whiteners, &together, room, fit)
         };
         solution.iterations = iterations;
         Some(solution)

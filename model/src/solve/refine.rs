@@ -7,6 +7,7 @@ use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar};
 
 use super::algebra::{Factor, Vector6, square};
+use super::kink::{Astride, NEAR};
 use super::normal::{Expansion, Problem, Step, Whiteners, Workspace};
 use super::planes::PlaneCell;
 
@@ -83,6 +84,7 @@ impl<S: Scalar> Problem<'_, S> {
         let mut bare = false;
         let raise = |damping: S| (damping * S::of(10.0)).max(S::of(FIRST_DAMPING));
         let ended = |pose, chi2, factor, iterations| Refined { pose, chi2, factor, iterations, converged: true };
+        let mut converged = false;
         while iterations < ending.max_iterations && damping < S::of(STUCK) && room.work > 0 {
             let next = self.step(&at, damping, room).filter(|next| is_finite(&next.step));
             let Some(Step { factor, step, gain, by_rows }) = next else {
@@ -102,18 +104,24 @@ impl<S: Scalar> Problem<'_, S> {
             let left = change * if on_floor { gain.square_root() } else { length * at.steepness() };
             let trial = self.moved(&pose, &step);
             let is_tiny = change * change <= self.bend * S::epsilon();
-            let is_last = left <= ending.leftover && self.is_smooth(&step, room);
+            let is_last = left <= ending.leftover && self.is_smooth(length, room);
             if damping > S::zero() && damping <= S::of(FIRST_DAMPING) && (is_tiny || is_last) && !bare {
                 // A damped step stops short of the minimum: the last one is tried without.
                 bare = true;
                 damping = S::zero();
                 continue;
             }
-            let undamped = damping <= S::of(FIRST_DAMPING);
-            if undamped && (is_tiny || is_last) {
-                return ended(trial, (at.chi2 - gain).max(S::zero()), Some(factor), iterations);
+            let is_free = damping <= S::of(FIRST_DAMPING);
+            if is_free && (is_tiny || is_last) {
+                let chi2 = (at.chi2 - gain).max(S::zero());
+                if damping > S::zero() {
+                    (pose, at.chi2, converged) = (trial, chi2, true);
+                    break;
+                }
+                return ended(trial, chi2, Some(factor), iterations);
             }
-            if undamped && !by_rows && change <= S::of(KEEP) && iterations < ending.max_iterations {
+            let may_keep = is_free && !by_rows && change <= S::of(KEEP) && self.is_smooth(length, room);
+            if may_keep && iterations < ending.max_iterations {
                 iterations += 1;
                 let (chi2, descent) = self.revisit(&trial, whiteners, room);
                 let half_way = factor.forward(&descent);
@@ -123,7 +131,12 @@ impl<S: Scalar> Problem<'_, S> {
                     let end = self.moved(&trial, &second);
                     let left = change * square(&second).square_root() * at.steepness();
                     if left.max(ratio * second_gain.square_root()) <= ending.leftover {
-                        return ended(end, (chi2 - second_gain).max(S::zero()), Some(factor), iterations);
+                        let chi2 = (chi2 - second_gain).max(S::zero());
+                        if damping > S::zero() {
+                            (pose, at.chi2, converged) = (end, chi2, true);
+                            break;
+                        }
+                        return ended(end, chi2, Some(factor), iterations);
                     }
                     pose = end;
                     at = self.expand(&pose, whiteners, room);
@@ -139,14 +152,29 @@ impl<S: Scalar> Problem<'_, S> {
                 || step.iter().all(|value| value.abs() < S::of(8.0) * S::epsilon())
             {
                 // Rounding, not the landscape, stands in the way.
+                if damping > S::zero() {
+                    converged = true;
+                    break;
+                }
                 return ended(pose, at.chi2, Some(factor), iterations);
             } else {
+                if damping == S::zero() && gain <= S::of(NEAR) && !self.is_smooth(length, room) {
+                    match self.astride(&pose, &at, &there, &step, whiteners, room) {
+                        Astride::Least(factor) => return ended(pose, at.chi2, factor, iterations),
+                        Astride::Lower(nearer, expansion) => {
+                            (pose, at) = (nearer, expansion);
+                            continue;
+                        }
+                        Astride::Nothing => {}
+                    }
+                }
                 damping = raise(damping);
                 at = self.expand(&pose, whiteners, room);
             }
         }
-        let factor = self.step(&at, S::zero(), room).map(|next| next.factor);
-        Refined { pose, chi2: at.chi2, factor, iterations, converged: false }
+        // Damping is no information: of directions that the data hardly hold it would be most.
+        let factor = self.factor(&at, room);
+        Refined { pose, chi2: at.chi2, factor, iterations, converged }
     }
 
     /// The factor of the information at `pose`.
@@ -157,7 +185,7 @@ impl<S: Scalar> Problem<'_, S> {
         room: &mut Workspace<S>,
     ) -> Option<Factor<S>> {
         let at: Expansion<S> = self.expand(pose, whiteners, room);
-        self.step(&at, S::zero(), room).map(|next| next.factor)
+        self.factor(&at, room)
     }
 }
 

@@ -1,0 +1,121 @@
+//! Where derivatives jump: a spot reaches the end of its detector.
+//!
+//! Either side of such a kink has its own expansion of χ², and a step by the one may lead into the other.
+//! Where both say that χ² falls towards the other side its minimum lies on the kink; where both say that it
+//! falls away from there each side has a minimum of its own.
+
+use crate::pose::Transform;
+use crate::scalar::Scalar;
+
+use super::algebra::{Factor, Matrix6, Vector6, square};
+use super::normal::{Expansion, Problem, Whiteners, Workspace};
+use super::refine::Refined;
+use super::search::closing;
+use super::{DISTINCT_SIGMAS, observability};
+
+/// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
+pub(super) const NEAR: f64 = 400.0;
+
+/// χ² that is not worth a step on a kink, where derivatives change with the side: a tenth of σ, squared.
+const LITTLE: f64 = 1e-2;
+
+/// How exactly two sides of a kink are weighed: what is left of the way is left to the next step.
+const HALVINGS: usize = 12;
+
+/// What there is on a kink between two poses.
+pub(super) enum Astride<S: Scalar> {
+    /// The first of them is the least of χ². The factor of the side that tells less: the truth may lie there.
+    Least(Option<Factor<S>>),
+    /// A pose with less χ², and its expansion.
+    Lower(Transform<S>, Expansion<S>),
+    /// Nothing better.
+    Nothing,
+}
+
+/// Where the derivatives jump between `at` and `there`, a `step` away, and either side says that χ² falls
+/// towards the other: the step from `at` to the least of the larger of both expansions, and that.
+///
+/// It is the least of λ times the one and 1 − λ times the other for the λ at which both are equal.
+fn on_kink<S: Scalar>(at: &Expansion<S>, there: &Expansion<S>, step: &Vector6<S>) -> Option<(Vector6<S>, S)> {
+    let (mut low, mut high) = (S::zero(), S::one());
+    let beyond = there.times(step);
+    let mut least = None;
+    for _ in 0..HALVINGS {
+        let share = S::half() * (low + high);
+        let mix = |a: S, b: S| share * a + (S::one() - share) * b;
+        let information: Matrix6<S> =
+            core::array::from_fn(|i| core::array::from_fn(|j| mix(at.information[i][j], there.information[i][j])));
+        let descent: Vector6<S> = core::array::from_fn(|i| mix(at.descent[i], there.descent[i] + beyond[i]));
+        let between = Factor::of_matrix(&information, S::zero(), S::zero())?.solve(&descent);
+        let rest: Vector6<S> = core::array::from_fn(|i| between[i] - step[i]);
+        let (own, other) = (at.chi2_after(&between), there.chi2_after(&rest));
+        if own > other {
+            low = share;
+        } else {
+            high = share;
+        }
+        least = Some((between, own.max(other)));
+    }
+    least
+}
+
+impl<S: Scalar> Problem<'_, S> {
+    /// What is to be found between `pose`, where χ² expands as `at`, and where a `step` leads, `there`.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn astride(
+        &self,
+        pose: &Transform<S>,
+        at: &Expansion<S>,
+        there: &Expansion<S>,
+        step: &Vector6<S>,
+        whiteners: &Whiteners<S>,
+        room: &mut Workspace<S>,
+    ) -> Astride<S> {
+        let Some((between, promised)) = on_kink(at, there, step) else { return Astride::Nothing };
+        if at.chi2 - promised <= S::of(LITTLE) {
+            if at.along(step) >= there.along(step) {
+                return Astride::Least(self.factor(there, room));
+            }
+            let at = self.expand(pose, whiteners, room);
+            return Astride::Least(self.factor(&at, room));
+        }
+        let nearer = self.moved(pose, &between);
+        let expansion = self.expand(&nearer, whiteners, room);
+        if expansion.chi2 < at.chi2 { Astride::Lower(nearer, expansion) } else { Astride::Nothing }
+    }
+
+    /// `refined`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
+    /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
+    /// last expansion is at what is given.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn beyond_kink(
+        &self,
+        refined: Refined<S>,
+        whiteners: &Whiteners<S>,
+        doubted: S,
+        room: &mut Workspace<S>,
+    ) -> Refined<S> {
+        let Some(factor) = refined.factor.filter(|_| refined.chi2 > doubted) else { return refined };
+        let mut best = refined;
+        let mut iterations = refined.iterations;
+        let axes = factor.singular();
+        for sigmas in [DISTINCT_SIGMAS, -DISTINCT_SIGMAS] {
+            for (value, direction) in axes {
+                let far = direction.map(|element| element * (S::of(sigmas) / value));
+                let may_cross = !observability::is_free(value) && !self.is_smooth(square(&far).square_root(), room);
+                if !may_cross || best.chi2 <= doubted || room.work == 0 {
+                    continue;
+                }
+                let other = self.refine(self.moved(&refined.pose, &far), whiteners, closing(), room);
+                iterations += other.iterations;
+                if other.converged && other.chi2 < best.chi2 {
+                    best = other;
+                }
+                self.expand(&best.pose, whiteners, room);
+            }
+        }
+        Refined { iterations, ..best }
+    }
+}
