@@ -3,10 +3,10 @@
 use slitpose_model::Pose;
 
 use crate::pipeline::Record;
-use crate::simulator::{PathError, Trajectory};
 use crate::sink::Accuracy;
-use crate::table::{Column, PoseColumns, TableError, TableReader};
 use crate::terminal::{WIDTH, layout};
+use slitpose_head::simulator::{PathError, Trajectory};
+use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
 
 /// Names of the axes and units of a millionth along them.
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];

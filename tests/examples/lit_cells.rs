@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use slitpose::scene_file::SceneFile;
+use slitpose_head::scene_file::SceneFile;
 use slitpose_tests::lit_cells::{Report, cases, intake_us, study, table};
 use slitpose_tests::monte_carlo::trials::Trials;
 

@@ -6,8 +6,8 @@
 use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
-use slitpose::scene_file::{BASE, Shipped, WIDE};
-use slitpose::simulator::TrajectoryKind;
+use slitpose_head::scene_file::{BASE, Shipped, WIDE};
+use slitpose_head::simulator::TrajectoryKind;
 use slitpose_model::{Scene, Tier, Uncertainty};
 use slitpose_tests::monte_carlo::lies::Conduct;
 use slitpose_tests::monte_carlo::trials::Trials;

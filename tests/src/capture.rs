@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use glam::{DQuat, DVec3};
-use slitpose::front_end;
 use slitpose::pipeline::{Counts, Item, Pipeline, PipelineError, Record, SceneMatch};
-use slitpose::scene_file::SceneFile;
-use slitpose::simulator::{SimulatedBoard, Trajectory};
+use slitpose_head::front_end;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{SimulatedBoard, Trajectory};
 use slitpose_model::{Pose, Tier};
 use slitpose_protocol::{
     AdcScaling, Command, DELIMITER, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, RawScan, Request, Schedule,

@@ -1,6 +1,6 @@
 //! Scene files for tests: the shipped default with a line changed, or a ring of any number of cells.
 
-use slitpose::scene_file::{SceneFile, WIDE};
+use slitpose_head::scene_file::{SceneFile, WIDE};
 
 /// The shipped default scene with each `(old, new)` of `changes` replaced.
 ///

@@ -11,8 +11,8 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::pty::{PtyMaster, openpty, posix_openpt};
 use nix::sys::termios::{SetArg, cfmakeraw, tcgetattr, tcsetattr};
 use nix::unistd::{read, ttyname, write};
-use slitpose::scene_file::{SceneFile, WIDE};
-use slitpose::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Reply, Request, encode};
 
@@ -225,7 +225,7 @@ impl Board {
     pub fn numbered(number: u8, file: &SceneFile, tier: Tier, seed: u64) -> Self {
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, seed, 10.0);
         let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed).expect("can be simulated");
-        let schedule = slitpose::front_end::configuration(file).expect("has a schedule").schedule;
+        let schedule = slitpose_head::front_end::configuration(file).expect("has a schedule").schedule;
         Self { board, frame_s: schedule.frame_rate_hz().recip(), frames: 0, said: Vec::new() }
     }
 

@@ -1,7 +1,7 @@
 //! Scene files, tables and command lines that are wrong: refused with a message that says where, what
 //! stands there and what to do, with nothing on standard output.
 
-use slitpose::scene_file::{BENCH, WIDE};
+use slitpose_head::scene_file::{BENCH, WIDE};
 use slitpose_tests::scenes::wide_with;
 use slitpose_tests::slitpose;
 

@@ -4,8 +4,8 @@
 
 use rand::RngExt;
 use slitpose::pipeline::{Counts, PipelineError, Record};
-use slitpose::scene_file::{SceneFile, WIDE};
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::Tier;
 use slitpose_protocol::{
     Batch, DELIMITER, Decoder, Event, Hello, Level, MAX_MESSAGE_BYTES, Message, Severity, Truth, encode,

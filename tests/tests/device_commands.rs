@@ -9,7 +9,7 @@ use std::path::Path;
 use nix::fcntl::OFlag;
 use serde_json::Value;
 use slitpose::device::{DeviceId, SerialDevice};
-use slitpose::scene_file::{SceneFile, WIDE};
+use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Message, Request, ResetCause};
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
@@ -195,7 +195,7 @@ fn a_board_keeps_the_scene_it_is_given() {
     for part in [FIRST, &path, &scene.name, &format!("{:016x}", scene.hash)] {
         assert!(text.contains(part), "{text}");
     }
-    let wanted = slitpose::front_end::configuration(&scene).expect("schedule");
+    let wanted = slitpose_head::front_end::configuration(&scene).expect("schedule");
     let stored = Hashes { scene: Some(scene.hash), calibration: None };
     let expected = [Command::Hello, Command::Configure(wanted), Command::Store(stored), Command::Hello];
     assert_eq!(log.commands(), expected);

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::process::Command;
 
 use slitpose::device::SerialDevice;
-use slitpose::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::Message;
 use slitpose_tests::process::Finished;
 use slitpose_tests::scenes::changed;

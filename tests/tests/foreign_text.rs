@@ -4,8 +4,8 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 
-use slitpose::scene_file::WIDE;
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose_head::scene_file::WIDE;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Event, Message, Severity};
 use slitpose_tests::capture::{STREAM, capture, packets};
 use slitpose_tests::process::Finished;

@@ -2,10 +2,10 @@
 
 use std::io::Write;
 
-use slitpose::front_end::Stage;
 use slitpose::health::{Exchange, Fault, Finding, HeadHealth, Health, Verdict};
-use slitpose::scene_file::{SceneFile, WIDE};
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Solver, Tier, Tracker};
 use slitpose_protocol::RawScan;
 use slitpose_tests::capture::{capture, decode};

@@ -1,6 +1,6 @@
 //! No scan costs a tracker more than its budget, whatever the head sees, and what it says stays true.
 
-use slitpose::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 use slitpose_tests::lit_cells::{Motion, Sight, cases, study};
 use slitpose_tests::monte_carlo::trials::Trials;
 

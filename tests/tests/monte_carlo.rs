@@ -3,8 +3,8 @@
 //! Bounds follow from the counts. Where a normal deviate is bounded it is at 4.5 σ: of the some
 //! fifty compared here one seed in 3000 has one outside.
 
-use slitpose::scene_file::{BASE, SceneFile, Shipped, WIDE};
-use slitpose::simulator::TrajectoryKind;
+use slitpose_head::scene_file::{BASE, SceneFile, Shipped, WIDE};
+use slitpose_head::simulator::TrajectoryKind;
 use slitpose_model::{Tier, Uncertainty};
 use slitpose_tests::monte_carlo::lies::Conduct;
 use slitpose_tests::monte_carlo::trials::Trials;

@@ -1,10 +1,10 @@
 //! The physics of time and noise through simulator, wire, front-end stage and solver: each effect
 //! that the chain accounts for is shown to be there, and accounted for.
 
-use slitpose::front_end::Stage;
 use slitpose::pipeline::Record;
-use slitpose::scene_file::{SceneFile, WIDE};
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Estimate, Outcome, Pose, Solver, Tracker, Weakness};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
 use slitpose_tests::consistency::{error, nees, sigma, whiten, worst_axis};

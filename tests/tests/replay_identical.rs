@@ -136,7 +136,7 @@ fn the_scene_of_a_capture_is_looked_after() {
     let simulate = ["simulate", "--raw", "--duration", "20ms", "--scene", text(&scene), "--output", text(&bytes)];
     assert_eq!(slitpose!().run(simulate).code, 0);
     let refused = slitpose!().run(["replay", text(&bytes)]);
-    let wide = slitpose::scene_file::WIDE.read().expect("shipped").hash;
+    let wide = slitpose_head::scene_file::WIDE.read().expect("shipped").hash;
     let own = slitpose_tests::scenes::parse(&std::fs::read_to_string(&scene).expect("scene")).hash;
     refused.assert_refused(1, &[&format!("{wide:016x}"), &format!("{own:016x}"), "--scene"]);
 

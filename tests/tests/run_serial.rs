@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use slitpose::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 use slitpose_protocol::{
     BoardKind, Command, DELIMITER, Decoder, HardwareFault, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, Request,
 };
@@ -67,7 +67,7 @@ fn two_seconds_through_a_terminal() {
     assert!(replayed.stdout == finished.stdout, "replay differs from run");
 
     assert_eq!(log.received[0], 0, "half a packet is ended first");
-    let wanted = slitpose::front_end::configuration(&WIDE.read().expect("shipped")).expect("schedule");
+    let wanted = slitpose_head::front_end::configuration(&WIDE.read().expect("shipped")).expect("schedule");
     let commands = log.commands();
     let [Command::Hello, Command::Configure(configuration), Command::Start, pings @ .., Command::Stop] = &commands[..]
     else {

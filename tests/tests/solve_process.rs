@@ -128,7 +128,7 @@ fn base_round_trip_exact() {
 fn dark_current_is_taken_off_as_each_tier_puts_it_on() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("dark.toml");
-    let text = changed(slitpose::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
+    let text = changed(slitpose_head::scene_file::WIDE.text, &[("dark_current_a = 0.0", "dark_current_a = 200e-9")]);
     std::fs::write(&path, text).expect("scene");
     let scene = path.to_str().expect("UTF-8 path");
     let truths = poses::in_box(&mut poses::generator(17), WORKSPACE.0, WORKSPACE.1, 50);
@@ -217,7 +217,7 @@ fn a_saturated_detector_is_flagged_and_left_out() {
     // At home each detector of `wide` carries 6.8 µA, cell 0 at 2 mm towards it 9.8 µA.
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("dim.toml");
-    let text = changed(slitpose::scene_file::WIDE.text, &[("saturation_a = 100e-6", "saturation_a = 9e-6")]);
+    let text = changed(slitpose_head::scene_file::WIDE.text, &[("saturation_a = 100e-6", "saturation_a = 9e-6")]);
     std::fs::write(&path, text).expect("scene");
     let scene = path.to_str().expect("UTF-8 path");
     let truth = [2.0, 0.0, 0.0, 0.0, 0.0, 0.0];
@@ -263,7 +263,7 @@ fn accuracy_is_that_of_the_lower_bound_with_and_without_known_gains() {
     // gains, and from positions alone. It drew other poses and took medians over them first: 20 %.
     for (gain, translation_um, rotation_urad) in [(0.0, 0.71, 96.0), (1.0, 2.2, 253.0)] {
         let uncertainty = format!("\n[uncertainty]\nemitter_gain_relative = {gain:?}\n");
-        std::fs::write(&path, slitpose::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
+        std::fs::write(&path, slitpose_head::scene_file::WIDE.text.to_owned() + &uncertainty).expect("scene");
         let table = solve(scene, "exact", &currents(scene, "exact", &truths));
         let of_axes = |axes: std::ops::Range<usize>| {
             let sigmas = table.rows().filter(|row| row.text("status") == "converged");

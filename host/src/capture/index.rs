@@ -10,7 +10,7 @@ use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError};
 use crate::device::DeviceId;
 use crate::pipeline::Segment;
-use crate::scene_file::fnv1a_64;
+use slitpose_head::scene_file::fnv1a_64;
 
 /// A scene is some kilobytes of text. Longer attachments are not ours.
 const MAX_SCENE_BYTES: usize = 1 << 20;

@@ -7,9 +7,9 @@ use slitpose_model::Tier;
 use thiserror::Error;
 
 use crate::device::DeviceId;
-use crate::foreign::printable;
 use crate::pipeline::Following;
-use crate::scene_file::{SceneFile, SceneFileError, fnv1a_64};
+use slitpose_head::foreign::printable;
+use slitpose_head::scene_file::{SceneFile, SceneFileError, fnv1a_64};
 
 /// Name of the metadata records that hold a [`Setup`].
 pub(super) const METADATA: &str = "slitpose.device";
@@ -238,7 +238,7 @@ pub enum SetupError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene_file::WIDE;
+    use slitpose_head::scene_file::WIDE;
 
     #[test]
     fn setups_come_back_as_they_were() {

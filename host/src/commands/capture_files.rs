@@ -7,7 +7,7 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 use super::{Outcome, talk};
 use crate::capture::{CaptureError, CaptureReader, End, Entry};
 use crate::pipeline::{SceneMatch, Segment};
-use crate::scene_file::SceneFile;
+use slitpose_head::scene_file::SceneFile;
 
 /// Says that another scene is used than the capture was made with.
 pub(super) fn tell_of_scene(file: &SceneFile, hash: Option<u64>, scene_match: SceneMatch) {

@@ -3,7 +3,7 @@
 use clap_complete::Shell;
 
 use super::{CommandError, Outcome, command, names};
-use crate::table::Output;
+use slitpose_head::table::Output;
 
 /// Prints the script that teaches a shell to complete this command.
 #[derive(Debug, clap::Args)]

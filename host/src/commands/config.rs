@@ -18,8 +18,8 @@ use toml::Value;
 use toml::de::{DeTable, DeValue};
 
 use super::defaults;
-use crate::foreign::printable;
-use crate::scene_file::{FilePlace, nearest};
+use slitpose_head::foreign::printable;
+use slitpose_head::scene_file::{FilePlace, nearest};
 
 /// The verb that is configured.
 const VERB: &str = "run";

@@ -8,9 +8,9 @@ use super::poses::parse_duration;
 use super::{CommandError, Outcome};
 use super::{names, talk};
 use crate::doctor::{Bundle, Subject, Verdict, examine};
-use crate::scene_file::SceneFile;
-use crate::table::{Output, OutputError};
 use crate::terminal::{self, Tone};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{Output, OutputError};
 
 /// Looks at everything between a board and its poses, and says what to do about what is wrong.
 ///

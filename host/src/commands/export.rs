@@ -6,10 +6,10 @@ use std::sync::atomic::Ordering;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome, interrupt};
-use crate::pace::Speed;
 use crate::sink::{self, Format};
-use crate::special_file;
-use crate::table::{Output, OutputError, refuse_twice};
+use slitpose_head::pace::Speed;
+use slitpose_head::special_file;
+use slitpose_head::table::{Output, OutputError, refuse_twice};
 
 /// Writes a pose for every scan of captures to a file.
 ///

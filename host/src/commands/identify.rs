@@ -6,9 +6,9 @@ use clap::ValueEnum;
 use slitpose_model::{Plan, Tier};
 
 use super::{CommandError, Outcome, names};
-use crate::identification::{Identified, ProfileError, identify, profile_table};
-use crate::scene_file::SceneFile;
-use crate::table::{CurrentColumns, Output, PoseColumns, TableReader, TableWriter};
+use slitpose_design::identification::{Identified, ProfileError, identify, profile_table};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{CurrentColumns, Output, PoseColumns, TableReader, TableWriter};
 
 /// Finds an emitter's profile from measured currents.
 ///

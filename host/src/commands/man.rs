@@ -7,7 +7,7 @@ use clap::{Arg, ArgAction, Command};
 use clap_mangen::Man;
 
 use super::{CommandError, Outcome};
-use crate::table::{Output, OutputError};
+use slitpose_head::table::{Output, OutputError};
 
 /// Writes the manual pages: one for the program, and one for each verb.
 #[derive(Debug, clap::Args)]

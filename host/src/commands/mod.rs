@@ -48,13 +48,13 @@ use crate::capture::CaptureError;
 use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
-use crate::front_end::TimingError;
-use crate::plot::PlotError;
-use crate::report::ReportError;
-use crate::scene_file::SceneFileError;
-use crate::simulator::{PathError, SimulatorError};
-use crate::table::{Output, OutputError, TableError};
 use crate::telemetry::{FetchError, StatusError};
+use slitpose_design::plot::PlotError;
+use slitpose_design::report::ReportError;
+use slitpose_head::front_end::TimingError;
+use slitpose_head::scene_file::SceneFileError;
+use slitpose_head::simulator::{PathError, SimulatorError};
+use slitpose_head::table::{Output, OutputError, TableError};
 use talk::{interrupt, talk};
 
 /// Six slits, six light spots, one pose: tools for a contactless 6-DoF tracker.

@@ -7,8 +7,8 @@ use slitpose_model::{Plan, Response, Tier};
 use super::options::TierOptions;
 use super::talk::talk;
 use super::{CommandError, Outcome, names};
-use crate::scene_file::SceneFile;
-use crate::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
 
 /// Tables are made once and kept, so they get nearly all the digits there are.
 pub(super) const DEFAULT_TOLERANCE: f64 = 1e-10;

@@ -5,8 +5,8 @@ use std::ffi::OsStr;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command, ValueEnum};
 
-use crate::scene_file::SHIPPED;
-use crate::simulator::TrajectoryKind;
+use slitpose_head::scene_file::SHIPPED;
+use slitpose_head::simulator::TrajectoryKind;
 
 /// Takes any text, and has shells complete some names.
 #[derive(Clone)]

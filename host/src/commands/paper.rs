@@ -5,9 +5,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::{CommandError, Outcome};
-use crate::paper::{Experiment, Point, Study, figures};
-use crate::scene_file::BENCH;
-use crate::table::{Output, OutputError, TableWriter};
+use slitpose_design::paper::{Experiment, Point, Study, figures};
+use slitpose_head::scene_file::BENCH;
+use slitpose_head::table::{Output, OutputError, TableWriter};
 
 /// Calculates the experiments of De La Cruz et al. 2018 with the shipped scene `bench`.
 ///

@@ -17,13 +17,13 @@ use crate::capture::{CaptureReader, Entry, Setup};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::device::DeviceId;
-use crate::pace::{Pace, Speed};
 use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch, Segment};
-use crate::scene_file::{SceneFile, Shipped, WIDE};
 use crate::sink::{Account, Format, Note, Sink};
-use crate::table::OutputError;
 use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState, RecorderReport};
 use crate::terminal::{Amount, Progress};
+use slitpose_head::pace::{Pace, Speed};
+use slitpose_head::scene_file::{SceneFile, Shipped, WIDE};
+use slitpose_head::table::OutputError;
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;

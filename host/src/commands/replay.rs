@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
-use crate::pace::Speed;
 use crate::sink;
 use crate::terminal;
+use slitpose_head::pace::Speed;
 
 /// Solves captures again, through the same pipeline as live boards.
 ///

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use super::{CommandError, Outcome, names, talk};
-use crate::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
-use crate::scene_file::{SceneFile, WIDE};
 use crate::terminal::{Amount, Progress};
+use slitpose_design::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
+use slitpose_head::scene_file::{SceneFile, WIDE};
 
 /// Measures how exact and how fast everything is, for one scene, and makes a page of it.
 ///

@@ -16,15 +16,15 @@ use crate::clock::HostInstant;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
 use crate::device::{DeviceId, Search, Selector};
-use crate::front_end;
-use crate::pace::Speed;
 use crate::pipeline::{self, PipelineError, SceneMatch};
-use crate::scene_file::SceneFile;
 use crate::service::{self, Service};
 use crate::sink;
 use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::terminal;
 use crate::threads::lock;
+use slitpose_head::front_end;
+use slitpose_head::pace::Speed;
+use slitpose_head::scene_file::SceneFile;
 
 /// The ends of boards are looked for, and housekeeping is done, so often.
 const MOMENT: Duration = Duration::from_millis(20);

@@ -13,13 +13,13 @@ use super::tool::ToolOptions;
 use super::{CommandError, Outcome, interrupt, names};
 use crate::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
 use crate::device::{Conversation, DeviceError, DeviceId, Keep};
-use crate::front_end;
-use crate::pace::Speed;
 use crate::pipeline::{Following, Segment};
-use crate::scene_file::SceneFile;
-use crate::simulator::Trajectory;
-use crate::table::{Output, OutputError, POSE_COLUMNS, Replace, TableWriter, refuse_twice};
 use crate::telemetry::report_schema;
+use slitpose_head::front_end;
+use slitpose_head::pace::Speed;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::Trajectory;
+use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, Replace, TableWriter, refuse_twice};
 
 /// Writes what a simulated board would send: a capture for `replay`.
 ///

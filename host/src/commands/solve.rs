@@ -6,8 +6,8 @@ use slitpose_model::{Pair, Photocurrents, Solver};
 
 use super::options::TierOptions;
 use super::{CommandError, Outcome, names};
-use crate::scene_file::SceneFile;
-use crate::table::{CurrentColumns, Output, SOLUTION_COLUMNS, SolutionRow, TableReader, TableWriter};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{CurrentColumns, Output, SOLUTION_COLUMNS, SolutionRow, TableReader, TableWriter};
 
 /// A measured current is worth no more digits.
 pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;

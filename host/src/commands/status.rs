@@ -5,10 +5,10 @@ use std::io::Write;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::foreign::printable_lines;
-use crate::table::{Output, OutputError};
 use crate::telemetry::{DEFAULT_STATUS_ADDRESS, StatusAddress, fetch};
 use crate::terminal::{self, Tone};
+use slitpose_head::foreign::printable_lines;
+use slitpose_head::table::{Output, OutputError};
 
 /// Shows the state of a running daemon, its boards and their cells.
 ///

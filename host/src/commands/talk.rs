@@ -12,9 +12,9 @@ pub(super) fn talk(text: fmt::Arguments<'_>) {
     terminal::say(text);
 }
 
-/// What is set when the user interrupts: see [`flag`](crate::interrupt::flag).
+/// What is set when the user interrupts: see [`flag`](slitpose_head::interrupt::flag).
 pub(super) fn interrupt() -> Result<Arc<AtomicBool>, CommandError> {
-    crate::interrupt::flag().map_err(CommandError::Interrupt)
+    slitpose_head::interrupt::flag().map_err(CommandError::Interrupt)
 }
 
 /// Lets a file that must not grow any more be an error of writing to it, as a full disk is, and not the

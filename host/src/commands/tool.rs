@@ -4,10 +4,10 @@ use slitpose_model::Tier;
 
 use super::{CommandError, names};
 use crate::device::SimulatedDevice;
-use crate::front_end;
-use crate::pace::Speed;
-use crate::scene_file::SceneFile;
-use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::front_end;
+use slitpose_head::pace::Speed;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
 /// The tool in front of a simulated board.
 #[derive(clap::Args, Debug)]

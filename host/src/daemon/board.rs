@@ -27,9 +27,9 @@ use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch, Segment};
-use crate::scene_file::SceneFile;
 use crate::telemetry::BoardStatistics;
 use crate::threads::join;
+use slitpose_head::scene_file::SceneFile;
 
 /// Reads on their way to the solver: at a read a millisecond a quarter of a second.
 const SEGMENTS: usize = 256;

@@ -14,9 +14,9 @@ use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
 use crate::device::DeviceId;
-use crate::scene_file::SceneFile;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use crate::threads::{join, lock};
+use slitpose_head::scene_file::SceneFile;
 
 /// Pieces of captures on their way to the disk: 5 s of one board.
 const PARCELS_A_BOARD: usize = 256;

@@ -381,9 +381,9 @@ mod tests {
     use std::io;
 
     use super::*;
-    use crate::front_end;
-    use crate::scene_file::WIDE;
-    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+    use slitpose_head::front_end;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
     /// A simulated board over a line that hands over a few bytes at a time, in the midst of
     /// acquisition when the host comes.

@@ -95,9 +95,9 @@ mod tests {
 
     use super::*;
     use crate::device::SimulatedDevice;
-    use crate::pace::Speed;
-    use crate::scene_file::WIDE;
-    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+    use slitpose_head::pace::Speed;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
     #[test]
     fn a_board_does_as_it_is_told() {

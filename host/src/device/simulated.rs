@@ -5,10 +5,10 @@ use std::io;
 use slitpose_model::Tier;
 
 use super::Device;
-use crate::front_end;
-use crate::pace::{Pace, Speed};
-use crate::scene_file::SceneFile;
-use crate::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
+use slitpose_head::front_end;
+use slitpose_head::pace::{Pace, Speed};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
 
 /// Device time that passes between two waits.
 const WAIT_EVERY_S: f64 = 2e-3;

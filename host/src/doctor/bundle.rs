@@ -93,7 +93,7 @@ mod tests {
     use flate2::read::GzDecoder;
 
     use super::*;
-    use crate::scene_file::WIDE;
+    use slitpose_head::scene_file::WIDE;
 
     fn unpacked(examination: &Examination) -> BTreeMap<String, Vec<u8>> {
         let packed = Bundle::of(examination).unwrap().write(Vec::new()).unwrap();

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::foreign::printable;
+use slitpose_head::foreign::printable;
 
 /// A finding that a board makes longer is cut.
 const LONGEST_FINDING: usize = 800;

@@ -3,8 +3,8 @@
 use super::check::Check;
 use super::default_scene;
 use crate::device::BoardInfo;
-use crate::front_end::is_full_scale_of;
-use crate::scene_file::{SceneFile, Shipped};
+use slitpose_head::front_end::is_full_scale_of;
+use slitpose_head::scene_file::{SceneFile, Shipped};
 
 /// The scene to measure by: the one given, the shipped one that the board belongs to, or the default one.
 /// `None` if that contradicts what is stored on the board.
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
     use crate::device::{Conversation, SimulatedDevice};
     use crate::doctor::Verdict;
-    use crate::scene_file::WIDE;
+    use slitpose_head::scene_file::WIDE;
 
     fn info() -> BoardInfo {
         let device = SimulatedDevice::live(&WIDE.read().unwrap()).unwrap();

@@ -8,9 +8,9 @@ use thiserror::Error;
 
 use super::check::Check;
 use crate::device::{Conversation, DeviceError, Keep};
-use crate::front_end::{self, TimingError};
 use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch, Segment};
-use crate::scene_file::SceneFile;
+use slitpose_head::front_end::{self, TimingError};
+use slitpose_head::scene_file::SceneFile;
 
 /// As streams are solved.
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
@@ -251,7 +251,7 @@ mod tests {
     use super::*;
     use crate::device::SimulatedDevice;
     use crate::doctor::Verdict::{self, Failed, Ok, Warning};
-    use crate::scene_file::WIDE;
+    use slitpose_head::scene_file::WIDE;
 
     fn measured() -> (Measurement, Vec<u8>) {
         let scene = WIDE.read().unwrap();

@@ -18,7 +18,7 @@ pub use bundle::Bundle;
 pub use check::{Check, Verdict};
 
 use crate::device::{BoardInfo, Search, Selector};
-use crate::scene_file::{SceneFile, WIDE};
+use slitpose_head::scene_file::{SceneFile, WIDE};
 
 /// What a board sends a second until it has been measured: 4 000 scans of 60 bytes.
 const USUAL_BYTES_PER_S: f64 = 240e3;

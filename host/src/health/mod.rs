@@ -21,9 +21,9 @@ use slitpose_protocol::{AdcScaling, RawScan, Schedule};
 pub use exchange::Exchange;
 pub use finding::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
 
-use crate::front_end::{self, Settling, Stage};
-use crate::scene_file::SceneFile;
 use exchange::Search;
+use slitpose_head::front_end::{self, Settling, Stage};
+use slitpose_head::scene_file::SceneFile;
 use window::{Bucket, Turn, Window};
 
 /// Looks a second, at most, at what the pose says of the cells: the optics of a cell cost more than

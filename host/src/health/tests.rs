@@ -10,8 +10,8 @@ use slitpose_protocol::{
 
 use super::window::CellSums;
 use super::*;
-use crate::scene_file::WIDE;
-use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::scene_file::WIDE;
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
 /// Frames a second: a quarter of the shipped rate, and so a quarter of the work.
 const FRAME_RATE: usize = 1000;

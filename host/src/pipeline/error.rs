@@ -6,7 +6,7 @@ use slitpose_protocol::{ScalingError, ScheduleError};
 use thiserror::Error;
 
 use crate::device::Versions;
-use crate::foreign::printable;
+use slitpose_head::foreign::printable;
 
 /// Why the pipeline cannot go on.
 #[derive(Debug, Error)]

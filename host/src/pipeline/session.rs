@@ -5,9 +5,9 @@ use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::{Following, PipelineError, SceneMatch};
 use crate::device::{DeviceId, Versions};
-use crate::front_end::Stage;
 use crate::health::{HeadHealth, Health};
-use crate::scene_file::SceneFile;
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::SceneFile;
 
 /// What a hello opens.
 #[derive(Debug)]

@@ -92,11 +92,11 @@ pub(super) mod tests {
     use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
 
     use crate::clock::HostInstant;
-    use crate::front_end;
     use crate::pipeline::{Asked, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
-    use crate::scene_file::{SceneFile, WIDE};
-    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
     use crate::sink::{self, Account, Format};
+    use slitpose_head::front_end;
+    use slitpose_head::scene_file::{SceneFile, WIDE};
+    use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
     const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
 

@@ -194,7 +194,9 @@ mod tests {
         second.tell(3, Command::Stop);
         second.tell(
             4,
-            Command::Configure(crate::front_end::configuration(&crate::scene_file::WIDE.read().unwrap()).unwrap()),
+            Command::Configure(
+                slitpose_head::front_end::configuration(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap(),
+            ),
         );
         second.tell(5, Command::Start);
         let late = second.segment(20, 1);

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use super::{Accounts, Note, Sink};
 use crate::pipeline::Record;
-use crate::table::SOLUTION_COLUMNS;
+use slitpose_head::table::SOLUTION_COLUMNS;
 
 /// The host's time of the instant that the pose refers to is empty while not known.
 const STREAM_COLUMNS: [&str; 5] = ["simulated", "device", "host_monotonic_ns", "host_utc_ns", "host_uncertainty_ns"];
@@ -52,7 +52,7 @@ impl<W: Write> Csv<W> {
     fn write(&mut self, record: &Record) -> io::Result<()> {
         self.text(record.sequence)?;
         self.number(Some(record.device_time_s))?;
-        let row = crate::table::SolutionRow::of(&record.solution);
+        let row = slitpose_head::table::SolutionRow::of(&record.solution);
         self.writer.write_field(row.status)?;
         for value in row.numbers {
             self.number(value)?;

@@ -8,10 +8,10 @@ use slitpose_protocol::Severity;
 
 use super::{Account, Accounts, Note, Sink};
 use crate::device::DeviceId;
-use crate::foreign::printable;
 use crate::pipeline::Record;
 use crate::telemetry::view;
 use crate::terminal::{self, Line, Tone, WIDTH, layout};
+use slitpose_head::foreign::printable;
 
 /// A person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);

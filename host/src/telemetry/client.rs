@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use super::StatusAddress;
-use crate::foreign::printable;
+use slitpose_head::foreign::printable;
 
 /// A daemon answers within milliseconds.
 const WITHIN: Duration = Duration::from_secs(2);

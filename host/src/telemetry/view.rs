@@ -5,10 +5,10 @@ use std::time::Duration;
 use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::clock::HostInstant;
-use crate::foreign::printable;
 use crate::health::{CellHealth, Verdict};
 use crate::pipeline::OUTCOMES;
 use crate::terminal::{Line, Tone, WIDTH, layout};
+use slitpose_head::foreign::printable;
 
 /// A name of a board, or of its firmware, that is longer is cut.
 const LONGEST_NAME: usize = 60;

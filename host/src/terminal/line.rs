@@ -2,7 +2,7 @@
 
 use console::measure_text_width;
 
-use crate::foreign::printable;
+use slitpose_head::foreign::printable;
 
 /// Pages without a window of their own are laid out for this many columns; no line is longer.
 pub const WIDTH: usize = 100;

@@ -20,8 +20,8 @@ use console::Term;
 pub use line::{Line, Tone, WIDTH, layout};
 pub use progress::{Amount, Progress, hide as hide_progress};
 
-use crate::foreign::printable;
 use block::{Block, Size};
+use slitpose_head::foreign::printable;
 
 /// No message of ours is longer, however long the texts of others in it.
 const LONGEST_MESSAGE: usize = 4000;

@@ -9,9 +9,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::{Parser, ValueEnum};
-use slitpose::pace::{Pace, Speed};
-use slitpose::scene_file::{SceneFile, SceneFileError};
-use slitpose::simulator::{PathError, Trajectory, TrajectoryKind};
 use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -19,6 +16,9 @@ use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
 use slitpose_emulator::talk::{ended, talk};
 use slitpose_emulator::terminal::{Terminal, TerminalError};
 use slitpose_emulator::world::{NoiseSource, WorldError};
+use slitpose_head::pace::{Pace, Speed};
+use slitpose_head::scene_file::{SceneFile, SceneFileError};
+use slitpose_head::simulator::{PathError, Trajectory, TrajectoryKind};
 use thiserror::Error;
 
 /// Device time between two looks at the terminal: half a USB frame.

@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use slitpose::scene_file::SceneFile;
-use slitpose::simulator::Trajectory;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::Trajectory;
 use slitpose_model::Tier;
 use slitpose_protocol::{Command, DELIMITER, MAX_REQUEST_BYTES, Request, encode};
 use thiserror::Error;

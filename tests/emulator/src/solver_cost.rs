@@ -4,7 +4,7 @@
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose::scene_file::SceneFile;
+use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Estimate, MotionPrior, Outcome, Photocurrents, Plan, Pose, SceneError, Solver, Tier};
 use slitpose_stopwatch::Solved;
 use thiserror::Error;

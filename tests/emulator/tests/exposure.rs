@@ -5,12 +5,12 @@ mod common;
 use std::fs;
 
 use common::light::{Bench, level_code, light_on};
-use slitpose::front_end::Stage;
-use slitpose::simulator::Trajectory;
 use slitpose_emulator::rig::WORLD_TIER;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::default_configuration;
 use slitpose_firmware::wiring::highest_level;
+use slitpose_head::front_end::Stage;
+use slitpose_head::simulator::Trajectory;
 use slitpose_model::{Plan, Reading};
 use slitpose_protocol::{Command, Configuration, Exposure, Level, RawScan};
 

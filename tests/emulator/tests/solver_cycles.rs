@@ -2,11 +2,11 @@
 
 use std::process::Command;
 
-use slitpose::scene_file::WIDE;
 use slitpose_emulator::memory::RAM_BYTES;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::solver_cost::{Cost, Start, Trial, measure};
 use slitpose_emulator::stopwatch::{Stopwatch, open_stopwatch_image};
+use slitpose_head::scene_file::WIDE;
 use slitpose_model::Tier;
 use slitpose_stopwatch::MAILBOX_SYMBOL;
 

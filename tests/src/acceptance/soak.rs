@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use slitpose::datagram::{Mode, Request};
-use slitpose::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 use slitpose_model::Tier;
 
 use super::daemon::{Daemon, Ended, boards, name_in, scans};

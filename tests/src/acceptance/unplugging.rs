@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 use slitpose_model::Tier;
 use slitpose_protocol::{Command, Decoder, MAX_REQUEST_BYTES, Request};
 

@@ -13,10 +13,10 @@ use nix::time::{ClockId, clock_gettime};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use slitpose::front_end::Stage;
 use slitpose::pipeline::{Pipeline, PipelineError, SceneMatch};
-use slitpose::scene_file::SceneFile;
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Outcome, Pair, Plan, Pose, Solver, Tier, Tracker, Verified};
 
 use crate::capture::{Decoded, STREAM, capture, decode, packets};

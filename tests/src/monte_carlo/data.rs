@@ -132,7 +132,7 @@ pub fn measured(disturbance: &Disturbance, pairs: &[Pair<f64>], rng: &mut ChaCha
 mod tests {
     use super::*;
     use crate::monte_carlo::trials::Trials;
-    use slitpose::scene_file::WIDE;
+    use slitpose_head::scene_file::WIDE;
     use slitpose_model::Uncertainty;
 
     #[test]

@@ -3,9 +3,9 @@
 
 use std::fmt;
 
-use slitpose::front_end::Stage;
-use slitpose::scene_file::SceneFile;
-use slitpose::simulator::{Trajectory, TrajectoryKind};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{AXES, MotionPrior, Outcome, Pose, Solution, Solver, Tracker, Twist};
 
 use super::layout::Table;

@@ -22,10 +22,10 @@ use super::medium::Medium;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
-use crate::front_end;
 use crate::pipeline::{Asked, Following, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
-use crate::scene_file::{BENCH, SceneFile, WIDE};
-use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::front_end;
+use slitpose_head::scene_file::{BENCH, SceneFile, WIDE};
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
 const FIRST: DeviceId = DeviceId(*b"first board.");
 const SECOND: DeviceId = DeviceId(*b"second board");
@@ -316,4 +316,9 @@ fn poses_and_reports_are_there_for_other_programs() {
     let schema = schema.iter().find(|attachment| attachment.name == "report.schema.json").unwrap();
     let schema = mcap::read::attachment(&bytes, schema).unwrap();
     assert_eq!((&*schema.data, &*schema.media_type), (about.report_schema.as_bytes(), "application/schema+json"));
+}
+
+#[test]
+fn results_never_take_the_place_of_what_begins_as_the_library_writes_it() {
+    assert_eq!(slitpose_head::table::CAPTURE_MAGIC, mcap::MAGIC);
 }

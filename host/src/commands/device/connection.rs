@@ -11,7 +11,7 @@ use crate::device::{
     find, holders,
 };
 use crate::pipeline::PipelineError;
-use crate::scene_file::SceneFile;
+use slitpose_head::scene_file::SceneFile;
 
 /// As long as a board needs that has been asked by its other port just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);

@@ -3,7 +3,7 @@
 use super::BoardOptions;
 use crate::commands::talk;
 use crate::commands::{CommandError, Outcome};
-use crate::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 
 /// Blinks a board's indicator light, to find it among several.
 #[derive(Debug, clap::Args)]

@@ -7,9 +7,9 @@ use slitpose_protocol::{PROTOCOL, Schedule, Status};
 use super::{BoardOptions, Connection};
 use crate::commands::{CommandError, Outcome};
 use crate::device::{BoardInfo, UsbId, Versions};
-use crate::foreign::printable;
-use crate::scene_file::{Shipped, WIDE};
-use crate::table::Output;
+use slitpose_head::foreign::printable;
+use slitpose_head::scene_file::{Shipped, WIDE};
+use slitpose_head::table::Output;
 
 /// Shows all that a board reports: versions, schedule, scaling, what it stores, its counters.
 #[derive(Debug, clap::Args)]

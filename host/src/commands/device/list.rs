@@ -6,8 +6,8 @@ use serde::Serialize;
 use crate::commands::talk;
 use crate::commands::{CommandError, Outcome};
 use crate::device::{DeviceId, Listed, PortState, Search, UsbId, list};
-use crate::foreign::printable;
-use crate::table::Output;
+use slitpose_head::foreign::printable;
+use slitpose_head::table::Output;
 
 /// Lists the boards there are, and the ports that might have one.
 ///

@@ -9,7 +9,7 @@ use super::{BoardOptions, Connection};
 use crate::commands::talk;
 use crate::commands::{CommandError, Outcome};
 use crate::device::{BoardInfo, Conversation, DeviceError, SerialDevice, locate};
-use crate::scene_file::WIDE;
+use slitpose_head::scene_file::WIDE;
 
 /// A board restarts 0.2 s after its reply at the latest; until then the old one might answer.
 const GONE_WITHIN: Duration = Duration::from_millis(300);

@@ -7,9 +7,9 @@ use slitpose_protocol::Hashes;
 use super::{BoardOptions, Connection};
 use crate::commands::{CommandError, Outcome, names};
 use crate::device::DeviceError;
-use crate::front_end;
-use crate::scene_file::{SceneFile, WIDE};
-use crate::table::Output;
+use slitpose_head::front_end;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::table::Output;
 
 /// A board that has just replied answers at once.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);

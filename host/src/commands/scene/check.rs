@@ -6,10 +6,10 @@ use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::scene_file::SceneFile;
-use crate::survey::Survey;
-use crate::table::Output;
 use crate::terminal::{Amount, Progress};
+use slitpose_design::survey::Survey;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::Output;
 
 /// Shows what a scene can do, and warns of what it cannot.
 ///

@@ -7,9 +7,9 @@ use slitpose_model::{Plan, Pose, Tier};
 use super::{CommandError, Outcome};
 use crate::commands::names;
 use crate::commands::options::parse_pose;
-use crate::plot::{cell_picture, scene_picture};
-use crate::scene_file::SceneFile;
-use crate::table::Output;
+use slitpose_design::plot::{cell_picture, scene_picture};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::Output;
 
 /// More than a picture can show.
 const TOLERANCE: f64 = 1e-6;

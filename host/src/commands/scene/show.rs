@@ -3,8 +3,8 @@
 use clap::builder::PossibleValuesParser;
 
 use super::{CommandError, Outcome};
-use crate::scene_file::{SHIPPED, Shipped};
-use crate::table::Output;
+use slitpose_head::scene_file::{SHIPPED, Shipped};
+use slitpose_head::table::Output;
 
 /// Prints the scene file of a shipped scene: the place to start one's own from.
 #[derive(Debug, clap::Args)]

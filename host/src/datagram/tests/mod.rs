@@ -13,10 +13,10 @@ use tempfile::TempDir;
 use super::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
 use crate::clock::{HostInstant, HostTime};
 use crate::device::DeviceId;
-use crate::front_end;
 use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
-use crate::scene_file::WIDE;
-use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::front_end;
+use slitpose_head::scene_file::WIDE;
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
 const DEVICE: DeviceId = DeviceId(*b"simulated\0\0\0");
 const OTHER: DeviceId = DeviceId(*b"another one\0");

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use slitpose::scene_file::{SceneFile, SceneFileError};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::memory::RAM_BYTES;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -13,6 +12,7 @@ use slitpose_emulator::profile::Profile;
 use slitpose_emulator::solver_cost::{CostError, Start, Trial, measure};
 use slitpose_emulator::stopwatch::{Stopwatch, StopwatchError, open_stopwatch_image};
 use slitpose_emulator::talk::{ended, talk};
+use slitpose_head::scene_file::{SceneFile, SceneFileError};
 use slitpose_model::Tier;
 use thiserror::Error;
 

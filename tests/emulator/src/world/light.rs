@@ -3,7 +3,7 @@
 //! Time is cut into stretches. At both ends of a stretch the optics are evaluated, between them
 //! light is linear in time; each switching of an emitter begins a new stretch, so edges stay sharp.
 
-use slitpose::simulator::Trajectory;
+use slitpose_head::simulator::Trajectory;
 use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
 
 use super::BOARD_CELLS;

@@ -1,6 +1,6 @@
 use super::*;
-use slitpose::scene_file::Shipped;
-use slitpose::simulator::TrajectoryKind;
+use slitpose_head::scene_file::Shipped;
+use slitpose_head::simulator::TrajectoryKind;
 use slitpose_model::{Pair, Plan};
 
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };

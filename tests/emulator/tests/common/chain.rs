@@ -2,11 +2,11 @@
 
 #![allow(dead_code, reason = "each program uses its part")]
 
-use slitpose::scene_file::SceneFile;
-use slitpose::simulator::Trajectory;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::world::NoiseSource;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::Trajectory;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule, Status};
 
 /// A board with somebody at its open port, and what it has said.

@@ -3,15 +3,15 @@
 
 #![allow(dead_code, reason = "each test program uses a part")]
 
-use slitpose::front_end::Stage;
-use slitpose::scene_file::{SceneFile, Shipped};
-use slitpose::simulator::{Trajectory, TrajectoryKind};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
 use slitpose_firmware::wiring::{LEVEL_LINES, level_line};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::{SceneFile, Shipped};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Pair, Plan, Pose, Reading};
 use slitpose_protocol::{
     AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, Message, RawScan, Rejection, ResetCause,

@@ -5,12 +5,12 @@
 // Each test binary uses its part of this.
 #![allow(dead_code)]
 
-use slitpose::scene_file::Shipped;
-use slitpose::simulator::Trajectory;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image};
 use slitpose_emulator::world::NoiseSource;
+use slitpose_head::scene_file::Shipped;
+use slitpose_head::simulator::Trajectory;
 use slitpose_protocol::{
     Batch, Command, Decoder, Hashes, MAX_MESSAGE_BYTES, Message, Pong, RawScan, Rejection, Reply, ResetCause, Schedule,
     Severity, Status,

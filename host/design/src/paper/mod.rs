@@ -1,0 +1,157 @@
+//! The experiments of De La Cruz, Gosselin, Bachta, Morel 2018 (section V), calculated.
+//!
+//! Experiment 1 moves the emitter along the detector, experiment 2 turns it about the vertical
+//! axis. The paper publishes its measurements as figures, without numbers; nothing here is
+//! measured, and where a current stands in for a measured one it is called simulated.
+
+mod figures;
+
+use glam::DVec3;
+use slitpose_model::{Plan, Pose, Profile, Response, SceneError, Tier};
+
+use crate::identification::{Identified, identify};
+use slitpose_head::scene_file::SceneFile;
+
+pub use figures::figures;
+
+/// Relative error of the exact tier's integrals: far below anything a figure shows.
+const TOLERANCE: f64 = 1e-10;
+
+/// One of the paper's two experiments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Experiment {
+    /// Experiment 1: the emitter moves along x_PSD from −5.5 to 5.5 mm in steps of 0.5 mm.
+    Translation,
+    /// Experiment 2: the emitter turns from −65° to 65° in steps of 5°, clockwise from above.
+    Rotation,
+}
+
+impl Experiment {
+    /// Its number in the paper.
+    pub fn number(self) -> u32 {
+        match self {
+            Self::Translation => 1,
+            Self::Rotation => 2,
+        }
+    }
+
+    /// Positions in millimetres, or angles in degrees.
+    pub fn amounts(self) -> impl Iterator<Item = f64> {
+        let (steps, step) = match self {
+            Self::Translation => (11, 0.5),
+            Self::Rotation => (13, 5.0),
+        };
+        (-steps..=steps).map(move |index| f64::from(index) * step)
+    }
+
+    /// The tool's pose in the `bench` scene: its x is that of the detector, its y is vertical, and
+    /// the tool frame sits on the emitter.
+    pub fn pose(self, amount: f64) -> Pose {
+        match self {
+            Self::Translation => Pose::from_vectors(DVec3::X * amount * 1e-3, DVec3::ZERO),
+            Self::Rotation => Pose::from_vectors(DVec3::ZERO, -DVec3::Y * amount.to_radians()),
+        }
+    }
+}
+
+/// One position or angle of an experiment, in both tiers.
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    /// Position in millimetres, or angle in degrees.
+    pub amount: f64,
+    /// Equations as printed.
+    pub paper: Response<f64>,
+    /// Integrated over the spot.
+    pub exact: Response<f64>,
+}
+
+/// Both experiments, and what the second tells about the first.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// Experiment 1.
+    pub translation: Vec<Point>,
+    /// Experiment 2.
+    pub rotation: Vec<Point>,
+    /// The profile by equation (6) from the exact tier's currents of experiment 2, one entry for
+    /// each of its angles: the paper's procedure, on simulated instead of measured currents.
+    pub identified: Vec<Identified>,
+    /// Experiment 1 calculated as printed, with that profile instead of the emitter's.
+    pub with_identified: Vec<Response<f64>>,
+}
+
+impl Study {
+    /// Calculates everything for the first cell of the `bench` scene.
+    pub fn of(bench: &SceneFile) -> Result<Self, SceneError> {
+        let scene = &bench.scene;
+        let paper = Plan::<f64>::compile(scene, Tier::Paper)?;
+        let exact = Plan::<f64>::compile(scene, Tier::Exact { tolerance: TOLERANCE })?;
+        let run = |experiment: Experiment| -> Vec<Point> {
+            let point = |amount| {
+                let pose = experiment.pose(amount);
+                Point { amount, paper: paper.respond(0, &pose), exact: exact.respond(0, &pose) }
+            };
+            experiment.amounts().map(point).collect()
+        };
+        let (translation, rotation) = (run(Experiment::Translation), run(Experiment::Rotation));
+        let from_current = |point: &Point| {
+            let pose = Experiment::Rotation.pose(point.amount);
+            identify(&scene.cells[0], &paper, 0, &pose, point.exact.i_o_a)
+        };
+        let identified: Vec<_> = rotation.iter().filter_map(from_current).collect();
+
+        let mut refit = scene.clone();
+        refit.cells[0].emitter.profile = Profile::Table(mean_of_both_sides(&identified));
+        let refit = Plan::<f64>::compile(&refit, Tier::Paper)?;
+        let with_identified =
+            Experiment::Translation.amounts().map(|amount| refit.respond(0, &Experiment::Translation.pose(amount)));
+        Ok(Self { translation, rotation, identified, with_identified: with_identified.collect() })
+    }
+}
+
+/// Angles left and right of the axis give the same γ twice: their mean, from the axis outward.
+fn mean_of_both_sides<const N: usize>(identified: &[Identified]) -> heapless::Vec<(f64, f64), N> {
+    let axis = identified.len() / 2;
+    let (left, right) = (identified[..=axis].iter().rev(), &identified[axis..]);
+    let mean = |(a, b): (&Identified, &Identified)| {
+        (0.5 * (a.gamma_rad + b.gamma_rad), 0.5 * (a.relative_intensity + b.relative_intensity))
+    };
+    left.zip(right).map(mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slitpose_head::scene_file::BENCH;
+
+    #[test]
+    fn the_experiments_are_those_of_the_paper() {
+        let study = Study::of(&BENCH.read().unwrap()).unwrap();
+        assert_eq!((study.translation.len(), study.rotation.len()), (23, 27));
+        for point in &study.translation {
+            // d_A = 2·d_B mirrors the emitter's position onto the detector.
+            let x_a_mm = point.paper.x_a_m.unwrap() * 1e3;
+            assert!((x_a_mm + point.amount).abs() < 1e-12, "{}: {x_a_mm}", point.amount);
+        }
+        // Ω·I_e·S at the centre, with Ω of a plate of 0.8 mm × 1 mm seen from 15 mm (equation 3).
+        let centre = study.translation[11].paper.i_o_a;
+        assert!((centre - 6.061_678_056_413e-6).abs() < 1e-17, "{centre}");
+        for point in &study.rotation {
+            assert!((point.paper.gamma_rad.unwrap().to_degrees() - point.amount.abs()).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_identified_profile_is_that_of_the_emitter() {
+        let study = Study::of(&BENCH.read().unwrap()).unwrap();
+        let exponent = -std::f64::consts::LN_2 / 55f64.to_radians().cos().ln();
+        for point in &study.identified {
+            let cosine = point.gamma_rad.cos().powf(exponent);
+            // One γ for the whole beam leaves less than a thousandth (equation 5's assumption).
+            let error = (point.relative_intensity - cosine).abs();
+            assert!(error < 1e-3 && error > 1e-6, "γ = {}: {error}", point.gamma_rad.to_degrees());
+        }
+        for (point, refit) in study.translation.iter().zip(&study.with_identified) {
+            assert!((refit.i_o_a / point.exact.i_o_a - 1.0).abs() < 2e-3, "{}", point.amount);
+        }
+    }
+}

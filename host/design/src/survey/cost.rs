@@ -1,0 +1,57 @@
+//! What the exact tier takes for a solver: narrow and tabulated profiles over wide spots take more
+//! values of the profile than others, and may meet the limit of work.
+
+use serde::Serialize;
+use slitpose_model::{Plan, SceneError, Tier};
+
+use slitpose_head::scene_file::SceneFile;
+
+use super::sample::workspace_poses;
+
+/// What `solve`, `run`, `replay` and `simulate` ask for unless told otherwise.
+const TOLERANCE: f64 = 1e-6;
+
+/// The dearest pose of a cell is not far from the dearest of so many.
+const MOST_SAMPLES: usize = 200;
+
+/// One cell's integrals at the tolerance of solving.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct CellCost {
+    /// Number of the cell.
+    pub cell: usize,
+    /// The tolerance.
+    pub tolerance: f64,
+    /// Most values of the emission profile for one pair of currents.
+    pub most_evaluations: usize,
+    /// The greatest error reached: the tolerance, unless the limit of work came first; infinite, in JSON null, if no
+    /// light was found by then where there may be some.
+    pub relative_error: f64,
+}
+
+/// How many poses are looked at, of `samples` of the workspace.
+pub(super) fn poses_of(samples: usize) -> usize {
+    samples.min(MOST_SAMPLES)
+}
+
+/// The costs of all cells over so many of `samples` poses of the workspace; `progress` is told of each.
+pub(super) fn of_cells(
+    file: &SceneFile,
+    samples: usize,
+    mut progress: impl FnMut(),
+) -> Result<Vec<CellCost>, SceneError> {
+    let tolerance = TOLERANCE;
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
+    let mut costs: Vec<CellCost> = (0..plan.cell_count())
+        .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
+        .collect();
+    for pose in workspace_poses(&file.workspace, poses_of(samples)) {
+        for cost in &mut costs {
+            if let Some(integration) = plan.respond(cost.cell, &pose).integration {
+                cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
+                cost.relative_error = cost.relative_error.max(integration.relative_error);
+            }
+        }
+        progress();
+    }
+    Ok(costs)
+}

@@ -1,0 +1,137 @@
+//! What a scene can do, before anything is built: the answers of `slitpose scene check`.
+//!
+//! [`Survey::of`] evaluates the optics at home, over a sample of the workspace and along the six
+//! axes, and derives [`Warning`]s. All numbers are SI and are serialised as they stand.
+
+mod cost;
+mod coverage;
+mod crosstalk;
+mod home;
+mod report;
+mod sample;
+mod timing;
+mod travel;
+mod warning;
+
+use serde::{Serialize, Serializer};
+use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
+
+use slitpose_head::scene_file::{SceneFile, Workspace};
+
+pub use cost::CellCost;
+pub use coverage::{CellCoverage, Coverage};
+pub use crosstalk::SlotCrosstalk;
+pub use home::CellAtHome;
+pub use sample::{AXES, axis_motion, workspace_poses};
+pub use timing::Timing;
+pub use travel::{End, Travel};
+pub use warning::Warning;
+
+/// Relative error of the integrals. A designer's decision turns on percents.
+const TOLERANCE: f64 = 1e-4;
+
+/// The same where poses are solved for: that of `solve` and `run`.
+const SOLVING_TOLERANCE: f64 = 1e-6;
+
+/// Everything `slitpose scene check` tells.
+#[derive(Debug, Serialize)]
+pub struct Survey {
+    /// The scene's name.
+    pub name: String,
+    /// Path or shipped name it came from.
+    pub origin: String,
+    /// Hash of the scene file, 16 hexadecimal digits.
+    pub hash: String,
+    /// The box that was sampled.
+    pub workspace: WorkspaceFacts,
+    /// Each cell with the tool at home.
+    pub home: Vec<CellAtHome>,
+    /// The sampled workspace.
+    pub coverage: Coverage,
+    /// How far the tool moves along each axis with every cell lit and not faint.
+    pub travel: Vec<Travel>,
+    /// What each cell's integrals take for a solver, over some of the workspace.
+    pub cost: Vec<CellCost>,
+    /// Cross-talk of every lighting slot with more than one emitter.
+    pub crosstalk: Vec<SlotCrosstalk>,
+    /// Duration of slots and frame; `None` without front end.
+    pub timing: Option<Timing>,
+    /// Coordinates that the currents leave free at home, joined by `;`; empty if there are none.
+    pub free_at_home: String,
+    /// Whether poses have mirror images with nearly the same currents although all cells see light.
+    pub mirror_images: bool,
+    /// What a designer should look at.
+    pub warnings: Vec<Warning>,
+}
+
+/// A workspace with its units in the names.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct WorkspaceFacts {
+    /// Half extents of the translation.
+    pub half_extent_m: [f64; 3],
+    /// Half extents of the rotation vector.
+    pub half_extent_rad: [f64; 3],
+}
+
+impl Survey {
+    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is told of each pose that was
+    /// evaluated, [`Self::poses_of`] in all.
+    pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut()) -> Result<Self, SceneError> {
+        let tier = Tier::Exact { tolerance: TOLERANCE };
+        let plan = Plan::<f64>::compile(&file.scene, tier)?;
+        let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
+        let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
+        let mut survey = Self {
+            name: file.name.clone(),
+            origin: file.origin.clone(),
+            hash: format!("{:016x}", file.hash),
+            workspace: file.workspace.into(),
+            home: home::at_home(&file.scene, &plan),
+            coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
+            travel: travel::along_axes(&plan),
+            cost: cost::of_cells(file, samples, &mut progress)?,
+            crosstalk: crosstalk::of_slots(file, &plan, samples, &mut progress),
+            timing: Timing::of(file),
+            free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
+            mirror_images: solver.has_mirror_images(),
+            warnings: Vec::new(),
+        };
+        survey.warnings = warning::find(file, &survey);
+        Ok(survey)
+    }
+
+    /// How many poses a survey with `samples` poses evaluates: all of them for coverage and for cross-talk, some for
+    /// the cost.
+    pub fn poses_of(samples: usize) -> usize {
+        2 * samples + cost::poses_of(samples)
+    }
+
+    /// The survey as a text for people, in millimetres, degrees and microamperes.
+    pub fn report(&self) -> String {
+        report::write(self)
+    }
+}
+
+impl From<Workspace> for WorkspaceFacts {
+    fn from(workspace: Workspace) -> Self {
+        Self {
+            half_extent_m: workspace.half_extent_m.to_array(),
+            half_extent_rad: workspace.half_extent_rad.to_array(),
+        }
+    }
+}
+
+/// A pose as `translation_m` and `rotation_rad` (rotation vector).
+fn serialize_pose<S: Serializer>(pose: &Pose, serializer: S) -> Result<S::Ok, S::Error> {
+    #[derive(Serialize)]
+    struct Vectors {
+        translation_m: [f64; 3],
+        rotation_rad: [f64; 3],
+    }
+    let vectors =
+        Vectors { translation_m: pose.translation_m.to_array(), rotation_rad: pose.rotation_rad().to_array() };
+    vectors.serialize(serializer)
+}
+
+#[cfg(test)]
+mod tests;

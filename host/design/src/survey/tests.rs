@@ -1,0 +1,144 @@
+use super::*;
+use slitpose_head::scene_file::{BASE, BENCH, WIDE};
+
+/// Enough for shares to a percent, few enough for a fast test.
+const SAMPLES: usize = 3000;
+
+fn survey_of(text: &str) -> Survey {
+    Survey::of(&SceneFile::parse("scene.toml", text).unwrap(), SAMPLES, || {}).unwrap()
+}
+
+fn warnings(text: &str) -> String {
+    survey_of(text).warnings.iter().map(|warning| format!("{warning}\n")).collect()
+}
+
+#[test]
+fn shares_of_the_shipped_scenes_are_those_of_an_independent_program() {
+    // 99.9 % and 66 % of ±4 mm / ±15° in its random samples; theirs and ours tell a share of two
+    // thirds to about one percent each.
+    let wide = survey_of(WIDE.text);
+    assert!((wide.coverage.at_least_lit[6] - 0.999).abs() < 0.002, "{:?}", wide.coverage.at_least_lit);
+    let base = survey_of(BASE.text);
+    assert!((base.coverage.at_least_lit[6] - 0.66).abs() < 0.03, "{:?}", base.coverage.at_least_lit);
+}
+
+#[test]
+fn each_pose_that_is_evaluated_counts_as_progress() {
+    for samples in [30, 300] {
+        let mut told = 0;
+        Survey::of(&SceneFile::parse("scene.toml", BENCH.text).unwrap(), samples, || told += 1).unwrap();
+        assert_eq!(told, Survey::poses_of(samples));
+    }
+}
+
+#[test]
+fn shares_add_up() {
+    let survey = survey_of(BASE.text);
+    for cell in &survey.coverage.cells {
+        let sum = cell.lit + cell.clipped + cell.dark + cell.behind;
+        assert!((sum - 1.0).abs() < 1e-9, "cell {}: {sum}", cell.cell);
+    }
+    assert!(survey.coverage.at_least_lit.is_sorted_by(|a, b| a >= b));
+}
+
+#[test]
+fn the_bench_travels_as_far_as_its_geometry_says() {
+    // With d_A = 2 d_B the spot is 2w = 0.8 mm wide and moves as far as the emitter, so it
+    // touches the end of the active area at 6 − 0.4 = 5.6 mm.
+    let survey = survey_of(BENCH.text);
+    let tx = &survey.travel[0];
+    assert!((tx.positive.at - 5.6e-3).abs() < 1e-9 && (tx.negative.at + 5.6e-3).abs() < 1e-9, "{tx:?}");
+    assert_eq!((tx.positive.cell, tx.positive.becomes), (Some(0), Some("clipped")));
+}
+
+#[test]
+fn warnings_carry_the_number_and_a_remedy() {
+    let wide = WIDE.text;
+    let cases = [
+        (
+            wide.replace("full_scale_a = 10e-6", "full_scale_a = 5e-6"),
+            "front_end.full_scale_a = 5.00 µA",
+            "raise the full scale",
+        ),
+        (wide.replace("saturation_a = 100e-6", "saturation_a = 8e-6"), "saturates in", "narrow the slit"),
+        (wide.replace("3.16e-3", "3.16e-5"), "is faint in", "widen the slit"),
+        (wide.replace("[2, 5], []]", "[2, 5]]"), "no lighting slot is dark", "add []"),
+        (wide.replace("half_angle_deg = 55.0", "half_angle_deg = 0.2"), "at tolerance 1e-6", "--tolerance 1e-4"),
+        (
+            wide.replace("[[0, 3], [1, 4], [2, 5], []]", "[[0, 1, 2, 3, 4, 5], []]"),
+            "% of its own signal",
+            "different slots",
+        ),
+        // 12 mm/4 · 1 % · √2.
+        (
+            wide.to_owned() + "\n[uncertainty]\nemitter_gain_relative = 0.01\n",
+            "moves a spot by up to 42 µm",
+            "set electrode_gain_relative",
+        ),
+        (wide.replace("frame_rate_hz = 4000", "frame_rate_hz = 9000"), "frame period is 111.1 µs", "frame_rate_hz"),
+        (wide.replace("[4.0, 4.0, 4.0]", "[4.0, 9.0, 4.0]"), "beyond ty", "shrink the workspace"),
+        (
+            wide.replace("emitter_mm = [10.0, 0.0, 0.0]", "emitter_mm = [30.0, 0.0, 0.0]"),
+            "cell 0 is behind at home",
+            "into line",
+        ),
+    ];
+    for (text, finding, remedy) in cases {
+        let warnings = warnings(&text);
+        assert!(warnings.contains(finding) && warnings.contains(remedy), "`{finding}` is not in:\n{warnings}");
+    }
+}
+
+#[test]
+fn a_profile_that_meets_the_limit_of_work_is_named() {
+    // Light and dark in turns of 3° over a spot of 130°.
+    let saw: String = (0..29).map(|i| format!("[{}.0, {}.0], ", 3 * i, (i + 1) % 2)).collect();
+    let wide = BENCH.text.replace("distance_mm = 7.5", "distance_mm = 1.0").replace("width_mm = 0.4", "width_mm = 4.0");
+    let wide = wide.replace("width_mm = 1.0", "width_mm = 5.0").replace("[0.0, 0.0, -15.0]", "[0.0, 0.0, -2.3]");
+    let file =
+        SceneFile::parse("saw.toml", &wide.replace("half_angle_deg = 55.0", &format!("profile = [{saw}]"))).unwrap();
+    let warnings = Survey::of(&file, 20, || {}).unwrap().warnings;
+    let warnings: String = warnings.iter().map(|warning| format!("{warning}\n")).collect();
+    assert!(warnings.contains("the limit, do not suffice; give the profile fewer bends"), "{warnings}");
+}
+
+#[test]
+fn the_sample_fills_the_box_evenly() {
+    let workspace = Workspace::default();
+    let mut mean = [0.0; 6];
+    for pose in workspace_poses(&workspace, SAMPLES) {
+        let (t, r) = (pose.translation_m / workspace.half_extent_m, pose.rotation_rad() / workspace.half_extent_rad);
+        for (sum, component) in mean.iter_mut().zip([t.x, t.y, t.z, r.x, r.y, r.z]) {
+            assert!(component.abs() <= 1.0 + 1e-12);
+            *sum += component / SAMPLES as f64;
+        }
+    }
+    // Random points would leave 0.01 (one standard deviation).
+    assert!(mean.iter().all(|mean| mean.abs() < 5e-3), "{mean:?}");
+}
+
+#[test]
+fn heads_with_mirror_images_or_nothing_to_tell_at_home_are_named() {
+    // Rolls of 0 ± `roll` in turn: at home, by the geometry of a ring, rolls of 0 leave heights and tilts
+    // free, and mirror every pose in its plane.
+    let ring = |roll: f64| {
+        let head = WIDE.text.split("[[cell]]").next().unwrap().replace("six cells, rolled 45 degrees", "mirror");
+        (0..6).fold(head, |text, k| {
+            let (sin, cos) = (std::f64::consts::FRAC_PI_3 * f64::from(k)).sin_cos();
+            let (rise, along) = if k % 2 == 0 { roll } else { -roll }.sin_cos();
+            text + &format!(
+                "[[cell]]\ndetector_mm = [{:?}, {:?}, 0.0]\nx_axis = [{:?}, {:?}, {rise:?}]\nnormal = [{:?}, {:?}, 0.0]\n\
+                 emitter_mm = [{:?}, {:?}, 0.0]\nemitter_axis = [{cos:?}, {sin:?}, 0.0]\n",
+                25.0 * cos, 25.0 * sin, -sin * along, cos * along, -cos, -sin, 10.0 * cos, 10.0 * sin,
+            )
+        })
+    };
+    assert!(warnings(&ring(0.0)).contains("leave tz;rx;ry free"), "{}", warnings(&ring(0.0)));
+    for roll in [0.0, 1e-3] {
+        assert!(warnings(&ring(roll)).contains("head `mirror` have mirror images"), "{}", warnings(&ring(roll)));
+    }
+    for ordinary in [ring(std::f64::consts::FRAC_PI_4), WIDE.text.to_owned(), BASE.text.to_owned()] {
+        let warnings = warnings(&ordinary);
+        assert!(!warnings.contains("mirror images") && !warnings.contains("free:"), "{warnings}");
+    }
+}

@@ -1,0 +1,290 @@
+//! The parsed text of a scene file: every value with its place.
+//!
+//! One look-up rule serves reading and error messages alike: a key of a cell is sought in the
+//! cell's own table of that section, then in the section of defaults.
+
+use std::ops::Range;
+
+use slitpose_model::{Fault, SceneError};
+use toml::Spanned;
+use toml::de::{DeArray, DeInteger, DeTable, DeValue};
+
+use super::error::{ContentFault, FilePlace, KeyPath, SceneFileError};
+use super::schema;
+use crate::foreign::printable;
+
+type Entry<'a> = Spanned<DeValue<'a>>;
+
+/// A value longer than this, in characters, is cut in messages.
+const LONGEST_QUOTE: usize = 60;
+
+/// A scene file's text and tree.
+pub(super) struct Document<'a> {
+    origin: &'a str,
+    text: &'a str,
+    root: DeTable<'a>,
+}
+
+impl<'a> Document<'a> {
+    /// Parses the text and refuses unknown keys and sections that are no tables.
+    pub(super) fn parse(origin: &'a str, text: &'a str) -> Result<Self, SceneFileError> {
+        let root = DeTable::parse(text).map_err(|error| {
+            let offset = error.span().map_or(0, |span| span.start);
+            let message = error.message().replace('\n', ", ");
+            SceneFileError::content(FilePlace::of(origin, text, offset), ContentFault::Syntax { message })
+        })?;
+        let document = Self { origin, text, root: root.into_inner() };
+        document.check_keys()?;
+        Ok(document)
+    }
+
+    fn check_keys(&self) -> Result<(), SceneFileError> {
+        self.check_table(&self.root, "the scene file", schema::TOP)?;
+        for (section, known) in schema::sections() {
+            if let Some(entry) = self.root.get(section) {
+                let table = self.as_table(KeyPath::top(section), entry)?;
+                self.check_table(table, &format!("[{section}]"), known)?;
+            }
+        }
+        for (number, entry) in self.cell_entries()?.iter().enumerate() {
+            let cell = self.as_table(KeyPath::top("cell"), entry)?;
+            self.check_table(cell, &format!("[[cell]] number {number}"), schema::CELL)?;
+            for (section, known) in schema::sections().filter(|(name, _)| schema::PER_CELL.contains(name)) {
+                if let Some(entry) = cell.get(section) {
+                    let table = self.as_table(KeyPath::of_cell(number, "cell", section), entry)?;
+                    self.check_table(table, &format!("`{section}` of cell {number}"), known)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_table(
+        &self,
+        table: &DeTable<'_>,
+        section: &str,
+        known: &'static [&'static str],
+    ) -> Result<(), SceneFileError> {
+        let unknown =
+            table.keys().filter(|key| !known.contains(&key.get_ref().as_ref())).min_by_key(|key| key.span().start);
+        let Some(key) = unknown else {
+            return Ok(());
+        };
+        Err(self.error_at(
+            key.span(),
+            ContentFault::UnknownKey {
+                section: section.to_owned(),
+                key: key.get_ref().to_string(),
+                nearest: nearest(key.get_ref(), known),
+                known,
+            },
+        ))
+    }
+
+    /// How many cells there are.
+    pub(super) fn cell_count(&self) -> Result<usize, SceneFileError> {
+        Ok(self.cell_entries()?.len())
+    }
+
+    fn cell_entries(&self) -> Result<&[Entry<'a>], SceneFileError> {
+        let Some(entry) = self.root.get("cell") else {
+            return Ok(&[]);
+        };
+        match entry.get_ref() {
+            DeValue::Array(cells) => Ok(cells),
+            _ => Err(self.wrong_type(KeyPath::top("cell"), entry, "cells as [[cell]] sections")),
+        }
+    }
+
+    /// The value of a key, by the look-up rule at the head of this file.
+    pub(super) fn find(&self, path: KeyPath) -> Option<&Entry<'a>> {
+        let own = path.cell.and_then(|cell| self.find_own(cell, path.section, path.key));
+        own.or_else(|| match path.section {
+            "" => self.root.get(path.key),
+            section => table_of(self.root.get(section)?)?.get(path.key),
+        })
+    }
+
+    /// The value of a key if it stands in the cell itself, not in the defaults.
+    pub(super) fn find_own(&self, cell: usize, section: &str, key: &str) -> Option<&Entry<'a>> {
+        let cell = table_of(self.cell_entries().ok()?.get(cell)?)?;
+        match section {
+            "cell" => cell.get(key),
+            section => table_of(cell.get(section)?)?.get(key),
+        }
+    }
+
+    /// Whether a section is in the file.
+    pub(super) fn has_section(&self, section: &str) -> bool {
+        self.root.contains_key(section)
+    }
+
+    /// A text, if the key is there.
+    pub(super) fn text(&self, path: KeyPath) -> Result<Option<String>, SceneFileError> {
+        let Some(entry) = self.find(path) else {
+            return Ok(None);
+        };
+        match entry.get_ref() {
+            DeValue::String(text) => Ok(Some(text.to_string())),
+            _ => Err(self.wrong_type(path, entry, "a text in quotes")),
+        }
+    }
+
+    /// A finite number, if the key is there.
+    pub(super) fn number(&self, path: KeyPath) -> Result<Option<f64>, SceneFileError> {
+        self.find(path).map(|entry| self.as_number(path, entry)).transpose()
+    }
+
+    /// A finite number that must be there.
+    pub(super) fn required(&self, path: KeyPath) -> Result<f64, SceneFileError> {
+        self.number(path)?.ok_or_else(|| self.missing(path))
+    }
+
+    /// A vector of `N` finite numbers, if the key is there.
+    pub(super) fn vector<const N: usize>(
+        &self,
+        path: KeyPath,
+        expected: &'static str,
+    ) -> Result<Option<[f64; N]>, SceneFileError> {
+        self.find(path).map(|entry| self.as_vector(path, entry, expected)).transpose()
+    }
+
+    /// Reads an entry as an array.
+    pub(super) fn as_array<'s>(
+        &'s self,
+        path: KeyPath,
+        entry: &'s Entry<'a>,
+        expected: &'static str,
+    ) -> Result<&'s DeArray<'a>, SceneFileError> {
+        match entry.get_ref() {
+            DeValue::Array(array) => Ok(array),
+            _ => Err(self.wrong_type(path, entry, expected)),
+        }
+    }
+
+    /// Reads an entry as a whole number.
+    pub(super) fn as_integer(&self, path: KeyPath, entry: &Entry<'_>) -> Result<i64, SceneFileError> {
+        let expected = "a whole number";
+        match entry.get_ref() {
+            DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix())
+                .map_err(|_| self.wrong_type(path, entry, expected)),
+            _ => Err(self.wrong_type(path, entry, expected)),
+        }
+    }
+
+    /// Reads an entry as `N` finite numbers.
+    pub(super) fn as_vector<const N: usize>(
+        &self,
+        path: KeyPath,
+        entry: &Entry<'_>,
+        expected: &'static str,
+    ) -> Result<[f64; N], SceneFileError> {
+        let DeValue::Array(array) = entry.get_ref() else {
+            return Err(self.wrong_type(path, entry, expected));
+        };
+        if array.len() != N {
+            return Err(self.wrong_type(path, entry, expected));
+        }
+        let mut vector = [0.0; N];
+        for (component, entry) in vector.iter_mut().zip(array.iter()) {
+            *component = self.as_number(path, entry)?;
+        }
+        Ok(vector)
+    }
+
+    fn as_number(&self, path: KeyPath, entry: &Entry<'_>) -> Result<f64, SceneFileError> {
+        let value = match entry.get_ref() {
+            DeValue::Integer(integer) => number_of(integer),
+            DeValue::Float(float) => float.as_str().parse().ok(),
+            _ => None,
+        };
+        match value {
+            Some(value) if value.is_finite() => Ok(value),
+            Some(_) => Err(self.out_of_range(path, entry, "a finite number")),
+            None => Err(self.wrong_type(path, entry, "a number")),
+        }
+    }
+
+    fn as_table<'s>(&self, path: KeyPath, entry: &'s Entry<'a>) -> Result<&'s DeTable<'a>, SceneFileError> {
+        table_of(entry).ok_or_else(|| self.wrong_type(path, entry, "a table"))
+    }
+
+    /// The error of a fault at a key; at the key's section or cell, if the key is not written.
+    pub(super) fn error(&self, path: KeyPath, fault: ContentFault) -> SceneFileError {
+        let section = || self.root.get(path.section).filter(|_| path.section != "cell");
+        let cell = || self.cell_entries().ok()?.get(path.cell?);
+        let place = self.find(path).or_else(section).or_else(cell);
+        self.error_at(place.map_or(0..0, Spanned::span), fault)
+    }
+
+    /// The error of a fault at a span of the text.
+    pub(super) fn error_at(&self, span: Range<usize>, fault: ContentFault) -> SceneFileError {
+        SceneFileError::content(FilePlace::of(self.origin, self.text, span.start), fault)
+    }
+
+    pub(super) fn missing(&self, path: KeyPath) -> SceneFileError {
+        self.error(path, ContentFault::MissingKey { path })
+    }
+
+    pub(super) fn wrong_type(&self, path: KeyPath, entry: &Entry<'_>, expected: &'static str) -> SceneFileError {
+        let fault =
+            ContentFault::WrongType { path, text: self.quote(entry.span()), found: kind_of(entry.get_ref()), expected };
+        self.error_at(entry.span(), fault)
+    }
+
+    pub(super) fn out_of_range(&self, path: KeyPath, entry: &Entry<'_>, allowed: &'static str) -> SceneFileError {
+        let text = self.quote(entry.span());
+        self.error_at(entry.span(), ContentFault::OutOfRange { path, text, allowed })
+    }
+
+    /// What the model says of a value, at the place of that value, in the file's own unit.
+    pub(super) fn optics_error(&self, error: SceneError) -> SceneFileError {
+        let path = KeyPath::from(error.place);
+        let entry = self.find(path);
+        let written = entry.and_then(|entry| self.as_number(path, entry).ok());
+        let fault = match (error.fault, written) {
+            (Fault::NotFinite(_), Some(value)) => Fault::NotFinite(value),
+            (Fault::Negative(_), Some(value)) => Fault::Negative(value),
+            (Fault::TooLarge(_), Some(value)) => Fault::TooLarge(value),
+            (Fault::NotPositive(_), Some(value)) => Fault::NotPositive(value),
+            (fault, _) => fault,
+        };
+        let text = entry.map(|entry| self.quote(entry.span()));
+        self.error(path, ContentFault::Optics { path, text, fault })
+    }
+
+    /// The text of a span, on one line and not too long.
+    pub(super) fn quote(&self, span: Range<usize>) -> String {
+        let line = self.text.get(span).unwrap_or_default().split_whitespace();
+        printable(&line.collect::<Vec<_>>().join(" ")).at_most(LONGEST_QUOTE).to_string()
+    }
+}
+
+fn table_of<'s, 'a>(entry: &'s Entry<'a>) -> Option<&'s DeTable<'a>> {
+    entry.get_ref().as_table()
+}
+
+fn number_of(integer: &DeInteger<'_>) -> Option<f64> {
+    match integer.radix() {
+        10 => integer.as_str().parse().ok(),
+        radix => i64::from_str_radix(integer.as_str(), radix).ok().map(|value| value as f64),
+    }
+}
+
+fn kind_of(value: &DeValue<'_>) -> &'static str {
+    match value {
+        DeValue::String(_) => "a text",
+        DeValue::Integer(_) | DeValue::Float(_) => "a number",
+        DeValue::Boolean(_) => "true or false",
+        DeValue::Datetime(_) => "a date",
+        DeValue::Array(_) => "an array",
+        DeValue::Table(_) => "a table",
+    }
+}
+
+/// The known key that is spelled almost like `key`: two letters in five may differ.
+pub fn nearest<'a>(key: &str, known: &[&'a str]) -> Option<&'a str> {
+    let distance = |candidate: &str| strsim::damerau_levenshtein(key, candidate);
+    let best = known.iter().copied().min_by_key(|candidate| distance(candidate))?;
+    (5 * distance(best) <= 2 * best.chars().count()).then_some(best)
+}

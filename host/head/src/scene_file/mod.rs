@@ -1,0 +1,130 @@
+//! The scene file: one TOML text that describes a sensor head.
+//!
+//! Read in this order: `document` parses the text and knows every key's place in it, `optics`
+//! builds the model's [`Scene`], `electronics`, `lighting` and `workspace` the rest, `shipped` holds
+//! the scenes compiled into the program.
+//! The file speaks millimetres and degrees; everything that leaves this module is SI.
+
+mod document;
+mod electronics;
+mod error;
+mod lighting;
+mod optics;
+mod schema;
+mod shipped;
+mod workspace;
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::Path;
+
+use slitpose_model::{Plan, Scene, Tier};
+
+pub use document::nearest;
+pub use electronics::FrontEnd;
+pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
+pub use lighting::Lighting;
+pub use shipped::{BASE, BENCH, SHIPPED, Shipped, WIDE};
+pub use workspace::Workspace;
+
+use crate::foreign::printable;
+use document::Document;
+
+/// A scene file, read and checked.
+#[derive(Clone, Debug)]
+pub struct SceneFile {
+    /// The scene's name, as it is shown; the file's stem if the file gives none.
+    pub name: String,
+    /// The path or the shipped scene's name, for messages.
+    pub origin: String,
+    /// The text of the file, to be stored with whatever was made from it.
+    pub source: String,
+    /// FNV-1a, 64 bits, of the file's bytes: tells scenes apart in captures and on boards.
+    pub hash: u64,
+    /// The optics.
+    pub scene: Scene,
+    /// The electronics; `None`: ideal.
+    pub front_end: Option<FrontEnd>,
+    /// Which emitters are lit together, and in which order.
+    pub lighting: Lighting,
+    /// The box of poses the head is meant for.
+    pub workspace: Workspace,
+}
+
+impl SceneFile {
+    /// Reads the file at `argument`; if there is none, the shipped scene of that name.
+    pub fn open(argument: &str) -> Result<Self, SceneFileError> {
+        match fs::read(Path::new(argument)) {
+            Ok(bytes) => Self::from_bytes(argument, &bytes),
+            Err(source) => match (Shipped::named(argument), source.kind()) {
+                (Some(shipped), ErrorKind::NotFound | ErrorKind::IsADirectory) => shipped.read(),
+                _ => Err(SceneFileError::Read { argument: argument.to_owned(), source }),
+            },
+        }
+    }
+
+    /// Reads a scene from the bytes of a file; `origin` names it in messages.
+    pub fn from_bytes(origin: &str, bytes: &[u8]) -> Result<Self, SceneFileError> {
+        match std::str::from_utf8(bytes) {
+            Ok(text) => Self::parse(origin, text),
+            Err(error) => {
+                let valid = String::from_utf8_lossy(&bytes[..error.valid_up_to()]);
+                let place = FilePlace::of(origin, &valid, valid.len());
+                let byte = bytes[error.valid_up_to()];
+                Err(SceneFileError::content(place, ContentFault::NotText { byte }))
+            }
+        }
+    }
+
+    /// Reads a scene from the text of a file; `origin` names it in messages.
+    pub fn parse(origin: &str, text: &str) -> Result<Self, SceneFileError> {
+        let document = Document::parse(origin, text)?;
+        let scene = optics::read(&document)?;
+        // Every rule about optical values stands in the model; compiling applies them all.
+        Plan::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
+        let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
+        let name: String = document.text(KeyPath::top("name"))?.or_else(|| stem.map(Into::into)).unwrap_or_default();
+        Ok(Self {
+            // For people only: pages, pictures and terminals show it.
+            name: printable(&name).to_string(),
+            origin: origin.to_owned(),
+            source: text.to_owned(),
+            hash: fnv1a_64(text.as_bytes()),
+            front_end: electronics::read(&document)?,
+            lighting: lighting::read(&document, scene.cells.len())?,
+            workspace: workspace::read(&document)?,
+            scene,
+        })
+    }
+
+    /// Refuses a schedule that takes longer than the frame period of the front end.
+    ///
+    /// The model and the solver can use such a scene; a board cannot.
+    pub fn require_slots_fit(&self) -> Result<(), SceneFileError> {
+        let Some(front_end) = &self.front_end else {
+            return Ok(());
+        };
+        let slot_s = front_end.slot_duration_s(self.scene.cells.len());
+        let period_s = front_end.frame_period_s();
+        if self.lighting.slots.len() as f64 * slot_s <= period_s {
+            return Ok(());
+        }
+        let document = Document::parse(&self.origin, &self.source)?;
+        Err(document.error(
+            KeyPath::section("lighting", "slots"),
+            ContentFault::Lighting(LightingFault::DoNotFit {
+                slots: self.lighting.slots.len(),
+                slot_us: slot_s * 1e6,
+                period_us: period_s * 1e6,
+            }),
+        ))
+    }
+}
+
+/// FNV-1a with 64 bits (Fowler, Noll, Vo; offset basis and prime of the reference text).
+pub fn fnv1a_64(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests;

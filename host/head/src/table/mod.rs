@@ -1,0 +1,19 @@
+//! Tables in and out: CSV with a header row, columns found by name.
+//!
+//! Reading ignores column order and extra columns; every complaint names file, row, column,
+//! the text that stands there and what to do. Numbers are written so that they read back to the
+//! same bits. [`Output`] is where every command's result goes.
+
+mod current_columns;
+mod output;
+mod pose_columns;
+mod reader;
+mod solution_columns;
+mod writer;
+
+pub use current_columns::CurrentColumns;
+pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, refuse_twice};
+pub use pose_columns::{POSE_COLUMNS, PoseColumns};
+pub use reader::{Column, Row, TableError, TableReader};
+pub use solution_columns::{SOLUTION_COLUMNS, SolutionRow};
+pub use writer::TableWriter;

@@ -1,0 +1,357 @@
+//! Where a command's result goes: standard output, or a file that appears only when complete.
+
+use std::fs::{self, File, Permissions};
+use std::io::{self, BufWriter, IsTerminal, Read, Stdout, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+use thiserror::Error;
+
+use crate::foreign::printable_lines;
+use crate::{interrupt, special_file};
+
+/// What a capture begins with: MCAP, <https://mcap.dev/spec#magic>.
+pub const CAPTURE_MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+/// What a result may take the place of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Replace {
+    /// Any file.
+    Anything,
+    /// Any file that is no capture: what was measured is not lost to a slip of a name.
+    NoCapture,
+    /// No file.
+    Nothing,
+}
+
+/// Why a result cannot be written.
+#[derive(Debug, Error)]
+pub enum OutputError {
+    /// A file that is to be kept.
+    #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Something measured that would be lost.
+    #[error("{} is a capture, which a result would replace; give another name, or delete it first", path.display())]
+    Capture {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The result would replace what it is made from, or another result.
+    #[error("{} is named twice, and would be replaced; give another name", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The user did not wait.
+    #[error("interrupted: {target} is not written")]
+    Interrupted {
+        /// The file, or standard output.
+        target: String,
+    },
+    /// The file cannot be made.
+    #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
+    Create {
+        /// The file asked for.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Writing failed on the way.
+    #[error("writing to {target} failed; make room there, or choose another --output")]
+    Write {
+        /// The file, or standard output.
+        target: String,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+impl OutputError {
+    /// Whether the reader of a pipe has gone: an ordinary end, not a failure.
+    pub fn is_broken_pipe(&self) -> bool {
+        match self {
+            Self::Create { source, .. } | Self::Write { source, .. } => source.kind() == io::ErrorKind::BrokenPipe,
+            _ => false,
+        }
+    }
+}
+
+/// A buffered destination. Call [`Self::finish`], or a file will not appear.
+#[derive(Debug)]
+pub struct Output {
+    sink: Sink,
+    target: String,
+}
+
+#[derive(Debug)]
+enum Sink {
+    Stdout(BufWriter<Stdout>),
+    /// A file that is written beside its final name and renamed at the end.
+    Pending(BufWriter<NamedTempFile>, PathBuf, Replace),
+    /// Something that is no regular file, such as a device or a named pipe.
+    Device(BufWriter<File>),
+}
+
+impl Output {
+    /// Standard output for `None` and `-`, else the file of that name.
+    pub fn open(path: Option<&Path>) -> Result<Self, OutputError> {
+        match path {
+            Some(path) => Self::replacing(path, Replace::NoCapture),
+            None => Ok(Self { sink: Sink::Stdout(BufWriter::new(io::stdout())), target: "standard output".to_owned() }),
+        }
+    }
+
+    /// Standard output for `-`, else the file of that name, in the place of what it may replace.
+    pub fn replacing(path: &Path, replace: Replace) -> Result<Self, OutputError> {
+        if path == Path::new("-") { Self::open(None) } else { Self::at(path, replace) }
+    }
+
+    /// The file of that name. It may exist, unless it is a capture; it is replaced as a whole at the end.
+    pub fn file(path: &Path) -> Result<Self, OutputError> {
+        Self::at(path, Replace::NoCapture)
+    }
+
+    fn at(path: &Path, replace: Replace) -> Result<Self, OutputError> {
+        let sink = Self::file_sink(path, replace).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists if replace == Replace::Nothing => {
+                OutputError::Exists { path: path.to_owned() }
+            }
+            io::ErrorKind::AlreadyExists => OutputError::Capture { path: path.to_owned() },
+            io::ErrorKind::Interrupted => OutputError::Interrupted { target: path.display().to_string() },
+            _ => OutputError::Create { path: path.to_owned(), source },
+        })?;
+        let target = path.display().to_string();
+        Ok(Self { sink, target })
+    }
+
+    fn file_sink(path: &Path, replace: Replace) -> io::Result<Sink> {
+        // A link keeps pointing where it did: its target is replaced, not the link.
+        let given = path;
+        let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let existing = fs::metadata(&path).ok();
+        if existing.as_ref().is_some_and(fs::Metadata::is_dir) {
+            return Err(io::ErrorKind::IsADirectory.into());
+        }
+        if special_file::is_special(&path) {
+            return Ok(Sink::Device(BufWriter::new(special_file::open(&path)?)));
+        }
+        let is_kept = match replace {
+            Replace::Anything => false,
+            Replace::NoCapture => is_capture(&path),
+            Replace::Nothing => existing.is_some(),
+        };
+        if is_kept {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        let folder = match path.parent() {
+            Some(folder) if folder != Path::new("") => folder,
+            _ => Path::new("."),
+        };
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".slitpose-").suffix(".part");
+        #[cfg(unix)]
+        builder.permissions(ordinary_permissions(existing.as_ref()));
+        let file = interrupt::removing(given, || builder.tempfile_in(folder))?;
+        Ok(Sink::Pending(BufWriter::new(file), path, replace))
+    }
+
+    /// The file itself, for something that writes it without this buffer.
+    pub fn as_file(&self) -> io::Result<File> {
+        let file = match &self.sink {
+            Sink::Stdout(stdout) => stdout.get_ref().as_fd(),
+            Sink::Pending(file, ..) => file.get_ref().as_file().as_fd(),
+            Sink::Device(file) => file.get_ref().as_fd(),
+        };
+        file.try_clone_to_owned().map(File::from)
+    }
+
+    /// Writes what is buffered and gives a file its final name.
+    pub fn finish(self) -> Result<(), OutputError> {
+        let Self { sink, target } = self;
+        let done = match sink {
+            Sink::Stdout(mut stdout) => stdout.flush(),
+            Sink::Device(mut file) => file.flush(),
+            Sink::Pending(file, path, replace) => file
+                .into_inner()
+                .map_err(io::IntoInnerError::into_error)
+                .and_then(|file| match replace {
+                    Replace::Nothing => file.persist_noclobber(path).map_err(io::Error::from),
+                    Replace::Anything | Replace::NoCapture => file.persist(path).map_err(io::Error::from),
+                })
+                .map(drop),
+        };
+        done.map_err(|source| OutputError::Write { target, source })
+    }
+
+    /// Writes a whole text and finishes.
+    pub fn write_text(mut self, text: &str) -> Result<(), OutputError> {
+        let text = if self.is_terminal() { printable_lines(text) } else { text.into() };
+        match self.write_all(text.as_bytes()) {
+            Ok(()) => self.finish(),
+            Err(source) => Err(self.error(source)),
+        }
+    }
+
+    /// Whether somebody looks at it as it comes.
+    pub fn is_terminal(&self) -> bool {
+        matches!(&self.sink, Sink::Stdout(stdout) if stdout.get_ref().is_terminal())
+    }
+
+    /// The file's name, or `standard output`.
+    pub fn target(&self) -> &str {
+        &self.target
+    }
+
+    /// The error of a failed write to this destination.
+    pub fn error(&self, source: io::Error) -> OutputError {
+        OutputError::Write { target: self.target.clone(), source }
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.sink {
+            Sink::Stdout(stdout) => stdout.write(bytes),
+            Sink::Pending(file, ..) => file.write(bytes),
+            Sink::Device(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.sink {
+            Sink::Stdout(stdout) => stdout.flush(),
+            Sink::Pending(file, ..) => file.flush(),
+            Sink::Device(file) => file.flush(),
+        }
+    }
+}
+
+/// Whether a file begins as captures do.
+fn is_capture(path: &Path) -> bool {
+    let mut begin = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(CAPTURE_MAGIC.len() as u64).read_to_end(&mut begin));
+    read.is_ok() && begin == CAPTURE_MAGIC
+}
+
+/// Refuses a result in the place of something the same command reads, or of another result.
+///
+/// # Errors
+/// If `output` and one of `others` are one file.
+pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path>) -> Result<(), OutputError> {
+    let is_same = |other: &Path| match (fs::metadata(output), fs::metadata(other)) {
+        (Ok(a), Ok(b)) => a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino()),
+        (Err(_), Err(_)) => is_one_name(output, other),
+        _ => false,
+    };
+    if others.into_iter().any(is_same) { Err(OutputError::Twice { path: output.to_owned() }) } else { Ok(()) }
+}
+
+/// Whether two files that are not there yet have one name in one folder.
+fn is_one_name(a: &Path, b: &Path) -> bool {
+    let folder = |path: &Path| path.parent().and_then(|folder| fs::canonicalize(Path::new(".").join(folder)).ok());
+    a.file_name() == b.file_name() && folder(a).is_some_and(|of_a| folder(b) == Some(of_a))
+}
+
+/// Those of the file that is replaced; for a new one what the user's mask leaves of 0666.
+/// Temporary files are private by default, results are not.
+#[cfg(unix)]
+fn ordinary_permissions(existing: Option<&fs::Metadata>) -> Permissions {
+    use std::os::unix::fs::PermissionsExt;
+    existing.map_or_else(|| Permissions::from_mode(0o666), fs::Metadata::permissions)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_appears_only_when_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        let mut output = Output::file(&path).unwrap();
+        output.write_all(b"half").unwrap();
+        output.flush().unwrap();
+        assert!(!path.exists(), "unfinished output stands under its final name");
+        drop(output);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "a part was left behind");
+
+        Output::file(&path).unwrap().write_text("whole").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "whole");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn an_unfinished_file_leaves_the_old_one_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        fs::write(&path, "old").unwrap();
+        let mut output = Output::file(&path).unwrap();
+        output.write_all(b"new").unwrap();
+        drop(output);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+    }
+
+    #[test]
+    fn an_impossible_place_is_refused_before_any_work() {
+        let folder = tempfile::tempdir().unwrap();
+        for path in [folder.path().to_owned(), folder.path().join("no/such/folder.csv")] {
+            let error = Output::file(&path).unwrap_err();
+            let message = error.to_string();
+            assert!(message.contains(&*path.to_string_lossy()) && message.contains("folder that exists"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_capture_gives_way_to_no_table() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("night.csv");
+        fs::write(&path, [CAPTURE_MAGIC, b"measured"].concat()).unwrap();
+        assert!(matches!(Output::file(&path), Err(OutputError::Capture { path: of }) if of == path));
+        assert!(
+            matches!(Output::replacing(&path, Replace::Nothing), Err(OutputError::Exists { path: of }) if of == path)
+        );
+        Output::replacing(&path, Replace::Anything).unwrap().write_text("new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+    }
+
+    #[test]
+    fn a_file_that_appears_meanwhile_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new.mcap");
+        let output = Output::replacing(&path, Replace::Nothing).unwrap();
+        fs::write(&path, "of another").unwrap();
+        assert!(output.write_text("ours").is_err());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "of another");
+    }
+
+    #[test]
+    fn one_file_under_two_names_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("old"), "old").unwrap();
+        std::os::unix::fs::symlink(path("old"), path("link")).unwrap();
+        fs::create_dir(path("in")).unwrap();
+        for (a, b, is_same) in [
+            ("old", "link", true),
+            ("old", "in/../old", true),
+            ("new", "in/../new", true),
+            ("new", "in/new", false),
+            ("old", "new", false),
+        ] {
+            assert_eq!(refuse_twice(&path(a), [&*path(b)]).is_err(), is_same, "{a} and {b}");
+        }
+        assert!(refuse_twice(Path::new("/dev/null"), [Path::new("/dev/null")]).is_ok());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_device_is_written_not_replaced() {
+        Output::file(Path::new("/dev/null")).unwrap().write_text("gone").unwrap();
+        assert!(!fs::metadata("/dev/null").unwrap().is_file());
+    }
+}

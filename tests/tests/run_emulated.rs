@@ -1,0 +1,348 @@
+//! The programs as a user runs them: `slitpose-emulator` with the image of `firmware/build`, and
+//! `slitpose run` on the terminal it names.
+//!
+//! The tool follows the board's clock, so where it was at the instant of a pose is known.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use slitpose_emulator::rig::WORLD_TIER;
+use slitpose_head::scene_file::{BASE, SceneFile};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_model::{Plan, Status};
+use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
+use slitpose_tests::consistency::{nees, worst_axis};
+use slitpose_tests::ndjson::{self, Line};
+use slitpose_tests::process::Finished;
+use slitpose_tests::scenes;
+use slitpose_tests::slitpose;
+use slitpose_tests::statistics::median;
+
+/// Device seconds for which the emulator plans its motions.
+const HORIZON_S: f64 = 3600.0;
+
+/// Frames a second of the default scene.
+const RATE_HZ: f64 = 4000.0;
+
+/// Root mean square error of all axes in smooth motion: within 15 % of what `run --device sim`
+/// gives with this scene, 2.34 µm and 285 µrad.
+const RMS_M: (f64, f64) = (2.0e-6, 2.7e-6);
+const RMS_RAD: (f64, f64) = (242e-6, 328e-6);
+
+/// The first line a run on a board without a stored scene prints: not an error.
+const NO_SCENE_STORED: &str = "has no scene stored";
+
+fn emulator(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_slitpose-emulator-under-test"));
+    command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// An emulator under way.
+struct Emulator {
+    child: Child,
+    stdin: ChildStdin,
+    stdout: BufReader<ChildStdout>,
+    /// What it printed first, without the end of the line.
+    path: String,
+}
+
+impl Emulator {
+    fn start(arguments: &[&str]) -> Self {
+        println!("slitpose-emulator {arguments:?}");
+        let mut child = emulator(arguments).spawn().expect("slitpose-emulator starts");
+        let stdin = child.stdin.take().expect("piped");
+        let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+        let mut path = String::new();
+        stdout.read_line(&mut path).expect("UTF-8");
+        let path = path.strip_suffix('\n').expect("a whole line").to_owned();
+        Self { child, stdin, stdout, path }
+    }
+
+    fn run(&self, arguments: &[&str]) -> Finished {
+        slitpose!().run(["run", "--device", &self.path].iter().chain(arguments))
+    }
+
+    /// Closes its standard input; gives what it said to standard error until its end. It must not
+    /// have printed anything but the path, nor found the program at fault.
+    fn close(mut self) -> String {
+        drop(self.stdin);
+        let mut rest = String::new();
+        self.stdout.read_to_string(&mut rest).expect("UTF-8");
+        assert_eq!(rest, "", "more than the path on standard output");
+        let finished = Finished::from(self.child.wait_with_output().expect("ends"));
+        assert_eq!(finished.code, 0, "{}", finished.stderr);
+        println!("{}", finished.stderr);
+        let ratio = finished.stderr.lines().next().unwrap_or_default();
+        assert!(ratio.contains("s of device time in") && ratio.contains("ratio"), "{ratio}");
+        assert_eq!(finished.stderr.lines().count(), 1, "the program is at fault: {}", finished.stderr);
+        finished.stderr
+    }
+}
+
+/// The poses of a run that has lost nothing, each with where the tool was.
+fn poses(finished: Finished, kind: TrajectoryKind, seed: u64) -> Vec<Line> {
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
+    let talk: Vec<&str> = finished.stderr.lines().collect();
+    assert!(talk.len() == 1 && talk[0].contains(NO_SCENE_STORED), "{talk:?}");
+    let mut lines = ndjson::parse_measured(&finished.done());
+    let trajectory = Trajectory::of_kind(kind, seed, HORIZON_S);
+    for line in &mut lines {
+        line.truth = Some(trajectory.pose(line.device_time_s));
+    }
+    lines
+}
+
+/// Asserts that scans follow each other from `first` on, one frame apart.
+fn assert_complete(lines: &[Line], first: u64, count: usize, rate_hz: f64) {
+    assert_eq!(lines.len(), count);
+    let start_s = lines[0].device_time_s;
+    for (i, line) in lines.iter().enumerate() {
+        assert_eq!(line.sequence, first + i as u64);
+        // Instants are exact in ticks of 6 ns.
+        assert!((line.device_time_s - start_s - i as f64 / rate_hz).abs() < 1e-9, "{line:?}");
+    }
+}
+
+#[derive(Debug)]
+struct Honesty {
+    converged: usize,
+    median_nees: f64,
+    beyond_five_sigma: usize,
+    /// Root mean square of all axes.
+    translation_m: f64,
+    rotation_rad: f64,
+    largest_m: f64,
+}
+
+fn honesty(lines: &[Line]) -> Honesty {
+    let errors: Vec<_> = lines.iter().filter_map(Line::error).collect();
+    let rms = |axes: std::ops::Range<usize>| {
+        let square = errors.iter().flat_map(|(error, _)| &error[axes.clone()]).map(|axis| axis * axis).sum::<f64>();
+        (square / (errors.len() * axes.len()) as f64).sqrt()
+    };
+    let honesty = Honesty {
+        converged: lines.iter().filter(|line| line.status == "converged").count(),
+        median_nees: median(errors.iter().map(|(error, covariance)| nees(error, covariance))),
+        beyond_five_sigma: errors.iter().filter(|(error, covariance)| worst_axis(error, covariance) > 5.0).count(),
+        translation_m: rms(0..3),
+        rotation_rad: rms(3..6),
+        largest_m: errors.iter().flat_map(|(error, _)| &error[..3]).fold(0.0, |largest, axis| largest.max(axis.abs())),
+    };
+    println!("{honesty:?}");
+    honesty
+}
+
+#[test]
+fn ten_seconds_of_the_image_behind_the_programs() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let record = folder.path().join("run.capture");
+    let record = record.to_str().expect("UTF-8");
+    let emulator = Emulator::start(&["wide", "--seed", "21", "--speed", "max"]);
+    let finished = emulator.run(&["--duration", "10s", "--record", record]);
+    let printed = finished.stdout.clone();
+    let lines = poses(finished, TrajectoryKind::Smooth, 21);
+    assert_complete(&lines, 0, 40_000, RATE_HZ);
+    let honest = honesty(&lines);
+    assert_eq!(honest.converged, 40_000);
+    // As for the simulated board: of 240 000 normal numbers 0.14 lie beyond 5 σ, and χ² of six
+    // degrees has the median 5.35.
+    assert!(honest.beyond_five_sigma <= 3);
+    assert!((4.5..6.5).contains(&honest.median_nees));
+    assert!((RMS_M.0..RMS_M.1).contains(&honest.translation_m));
+    assert!((RMS_RAD.0..RMS_RAD.1).contains(&honest.rotation_rad));
+    // Where the tool was a frame later would not do.
+    let late = lines.windows(2).map(|pair| Line { truth: pair[1].truth, ..pair[0].clone() }).collect::<Vec<_>>();
+    assert!(honesty(&late).median_nees > 6.5);
+
+    let replayed = slitpose!().run(["replay", record]);
+    assert_eq!(replayed.code, 0, "{}", replayed.stderr);
+    assert!(replayed.stdout == printed, "replay differs from run");
+
+    // The board is still there, dark, and goes on counting.
+    let again = poses(emulator.run(&["--duration", "200ms"]), TrajectoryKind::Smooth, 21);
+    assert!((40_000..41_000).contains(&again[0].sequence), "{}", again[0].sequence);
+    assert!(again[0].device_time_s > lines[39_999].device_time_s);
+    assert_complete(&again, again[0].sequence, 800, RATE_HZ);
+    assert!(honesty(&again).median_nees < 6.5);
+    emulator.close();
+}
+
+#[test]
+fn four_times_the_usual_speed_costs_no_pose() {
+    let emulator = Emulator::start(&["wide", "--trajectory", "fast", "--seed", "22", "--speed", "max"]);
+    let lines = poses(emulator.run(&["--duration", "2s"]), TrajectoryKind::Fast, 22);
+    assert_complete(&lines, 0, 8_000, RATE_HZ);
+    let honest = honesty(&lines);
+    assert!(honest.converged >= 7_992 && honest.beyond_five_sigma <= 3);
+    // A parabola through five frames misses part of such bends: a covariance a quarter too small.
+    assert!((4.5..7.1).contains(&honest.median_nees));
+    emulator.close();
+}
+
+#[test]
+fn abrupt_reversals_cost_no_pose() {
+    let emulator = Emulator::start(&["wide", "--trajectory", "contact", "--seed", "23", "--speed", "max"]);
+    let lines = poses(emulator.run(&["--duration", "2s"]), TrajectoryKind::Contact, 23);
+    assert_complete(&lines, 0, 8_000, RATE_HZ);
+    let honest = honesty(&lines);
+    assert!(honest.converged >= 7_992);
+    // A reversal in the middle of a frame can surprise it. Of the simulated board with the same motion
+    // (seeds 23 to 30) 0 to 3 frames of 2 s are, 1.25 on average; more than 8 come once in 100 000.
+    assert!(honest.beyond_five_sigma <= 8);
+    // The longest leg, 5 mm along each axis, in the shortest time, 5 ms, is 59 µm a slot of 34 µs.
+    assert!(honest.largest_m < 59e-6);
+    assert!((4.5..6.5).contains(&honest.median_nees));
+    emulator.close();
+}
+
+#[test]
+fn another_head_by_the_serial_port() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let scene = folder.path().join("head.toml");
+    std::fs::write(&scene, format!("{}\n{}", BASE.text, scenes::front_end(2000.0))).expect("scene");
+    let scene = scene.to_str().expect("UTF-8");
+    let emulator = Emulator::start(&[scene, "--seed", "24", "--speed", "max", "--link", "uart"]);
+    let lines = poses(emulator.run(&["--duration", "1s", "--scene", scene]), TrajectoryKind::Smooth, 24);
+    assert_complete(&lines, 0, 2_000, 2000.0);
+    let honest = honesty(&lines);
+    // On its way the tool leaves one of these cells in the dark now and then, or might bring one
+    // to its converter's limit; when, in this second, depends on when the host came. Where it is tells
+    // which scans those are: all but those near the limits.
+    let file = SceneFile::open(scene).expect("valid");
+    let plan: Plan<f64> = Plan::compile(&file.scene, WORLD_TIER).expect("valid");
+    let full_scale_a = file.front_end.expect("added above").full_scale_a;
+    let (mut masked, mut at_a_kink) = (0, 0);
+    for line in &lines {
+        let pose = line.truth.expect("set above");
+        let responses: [_; 6] = std::array::from_fn(|cell| plan.respond(cell, &pose));
+        let faint_a = |cell: usize| file.scene.cells[cell].detector.faint_a;
+        let faintest = (0..6).map(|cell| responses[cell].i_o_a / faint_a(cell)).fold(f64::INFINITY, f64::min);
+        let electrodes = responses.iter().flat_map(|response| [response.currents.i_x1_a, response.currents.i_x2_a]);
+        let brightest = electrodes.fold(0.0, f64::max) / full_scale_a;
+        let is_masked = faintest < 0.5 || brightest > 1.05;
+        let is_whole = faintest > 2.0 && brightest < 0.95;
+        masked += usize::from(is_masked);
+        if is_whole && (line.status.as_str(), line.cells_used) != ("converged", 6) {
+            let is_clipped = responses.iter().any(|response| response.status == Status::Clipped);
+            assert!(is_clipped, "{faintest}, {brightest}: {line:?}");
+            at_a_kink += 1;
+        }
+        assert!(!is_masked || line.cells_used < 6, "{faintest}, {brightest}: {line:?}");
+    }
+    println!(
+        "{masked} scans with a cell that cannot be used, {at_a_kink} that a spot cut by its detector's end misled"
+    );
+    // A refinement astride the end of a detector may end without a pose, or take the cell for an outlier:
+    // 2 of 40 000 scans of a simulated board, and 1 of some 18 000 here.
+    assert!(at_a_kink <= 3);
+    assert!(honest.beyond_five_sigma <= 3);
+    assert!((4.5..6.5).contains(&honest.median_nees));
+    emulator.close();
+}
+
+/// What a program that has opened `path` hears: two statuses, a second of the device, and what comes
+/// with them.
+fn listen(path: &str) -> Heard {
+    let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).expect("nobody else has it");
+    let mut heard = Heard::default();
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    while heard.acquiring.len() < 2 {
+        let mut chunk = [0; 4096];
+        let count = terminal.read(&mut chunk).expect("read");
+        let mut rest = &chunk[..count];
+        while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
+            match message {
+                Ok(Message::Batch(_)) => heard.batches += 1,
+                Ok(Message::Status(status)) => heard.acquiring.push(status.acquiring),
+                Ok(Message::Event(event)) => heard.events.push(event.text.to_owned()),
+                // What was under way when the port was closed may be cut.
+                _ => {}
+            }
+        }
+    }
+    heard
+}
+
+#[derive(Debug, Default)]
+struct Heard {
+    batches: usize,
+    acquiring: Vec<bool>,
+    events: Vec<String>,
+}
+
+#[test]
+fn an_interrupt_leaves_the_board_dark() {
+    // A quarter of the usual speed: half a second of the device is two of ours.
+    let emulator = Emulator::start(&["wide", "--speed", "0.25"]);
+    // A program that is killed cannot stop the board: it goes on for whoever comes within half a
+    // second, so silence is not for want of light.
+    for (signal, stops) in [(Signal::SIGKILL, false), (Signal::SIGINT, true)] {
+        let mut child = slitpose!().command(["run", "--device", &emulator.path]).spawn().expect("slitpose starts");
+        let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+        for _ in 0..400 {
+            stdout.read_line(&mut String::new()).expect("line");
+        }
+        kill(Pid::from_raw(child.id() as i32), signal).expect("running");
+        let mut rest = String::new();
+        stdout.read_to_string(&mut rest).expect("UTF-8");
+        let output = child.wait_with_output().expect("ends");
+        println!("{}", String::from_utf8_lossy(&output.stderr));
+        let code = output.status.code();
+        let heard = listen(&emulator.path);
+        println!("{signal}: {heard:?}");
+        assert!(heard.events.is_empty());
+        assert!(heard.acquiring.iter().all(|&acquiring| acquiring != stops));
+        assert_eq!(heard.batches == 0, stops);
+        assert_eq!(code, stops.then_some(0));
+    }
+    emulator.close();
+}
+
+/// What the emulator says when it cannot begin.
+fn refused(arguments: &[&str]) -> Finished {
+    emulator(arguments).stdin(Stdio::null()).output().expect("slitpose-emulator starts").into()
+}
+
+#[test]
+fn what_cannot_be_run_is_named() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    refused(&["wide", "--elf", &path("none")]).assert_refused(1, &[&path("none"), "firmware/build", "--elf"]);
+    std::fs::write(path("text"), "no program").expect("file");
+    refused(&["wide", "--elf", &path("text")]).assert_refused(1, &[&path("text"), "ELF"]);
+    // A head without electronics, one with more cells than the board has inputs, and finer
+    // converters than the board's.
+    refused(&["base"]).assert_refused(1, &["six cells, rolls 0 and 90", "[front_end]"]);
+    let rolls = [45.0, -45.0, 45.0, -45.0, 45.0, -45.0, 45.0, -45.0];
+    let lighting = "[lighting]\nslots = [[0], [1], [2], [3], [4], [5], [6], [7], []]\n";
+    let ring = format!("{}{lighting}{}", scenes::front_end(1000.0), scenes::ring(&rolls));
+    std::fs::write(path("ring.toml"), ring).expect("scene");
+    refused(&[&path("ring.toml")]).assert_refused(1, &["8 cells", "inputs for 6"]);
+    std::fs::write(path("fine.toml"), scenes::wide_with(&[("adc_bits = 12", "adc_bits = 16")])).expect("scene");
+    refused(&[&path("fine.toml")]).assert_refused(1, &["adc_bits = 16", "12"]);
+    refused(&["no-such-scene"]).assert_refused(1, &["no-such-scene"]);
+    refused(&["wide", "--trajectory", &path("none.csv")]).assert_refused(1, &[&path("none.csv")]);
+    refused(&["wide", "--speed", "0"]).assert_refused(2, &["--speed"]);
+}
+
+#[test]
+fn it_ends_with_its_standard_input_whoever_listens() {
+    let emulator = Emulator::start(&["wide", "--quiet", "--trajectory", "still"]);
+    assert!(std::path::Path::new(&emulator.path).exists(), "{}", emulator.path);
+    // What comes on standard input is not an end.
+    (&emulator.stdin).write_all(b"words\n").expect("read");
+    let mut child =
+        slitpose!().command(["run", "--patience", "0s", "--device", &emulator.path]).spawn().expect("slitpose starts");
+    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+    stdout.read_line(&mut String::new()).expect("line");
+    let path = emulator.path.clone();
+    emulator.close();
+    let mut rest = String::new();
+    stdout.read_to_string(&mut rest).expect("UTF-8");
+    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains(&path) && finished.stderr.contains("unplugged"), "{}", finished.stderr);
+}
