@@ -10,6 +10,7 @@
 //! * [`device`] carries bytes to boards and back, and speaks with them;
 //! * [`doctor`] says what may be wrong;
 //! * [`health`] watches the cells of a head;
+//! * [`link`] is what crosses between a link to a board and those who read it;
 //! * [`pipeline`] turns bytes into poses;
 //! * [`service`] tells a service manager how it goes;
 //! * [`sink`] is where poses go;
@@ -31,6 +32,7 @@ pub mod datagram;
 pub mod device;
 pub mod doctor;
 pub mod health;
+pub mod link;
 pub mod pipeline;
 pub mod service;
 pub mod sink;

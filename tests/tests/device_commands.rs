@@ -8,7 +8,8 @@ use std::path::Path;
 
 use nix::fcntl::OFlag;
 use serde_json::Value;
-use slitpose::device::{DeviceId, SerialDevice};
+use slitpose::device::SerialDevice;
+use slitpose::link::DeviceId;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Message, Request, ResetCause};
 use slitpose_tests::process::Finished;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 
 /// What went wrong with a capture.
 #[derive(Debug, Error)]

@@ -19,8 +19,8 @@ use super::medium::{Medium, Sink};
 use super::schemas::{LINK_BYTES, POSE, POSE_STAMPED, REPORT, REPORT_SCHEMA, RosType, TRANSFORMS, TWIST};
 use super::setup::{LinkChannels, METADATA, Setup};
 use super::{About, geometry, link_bytes};
-use crate::device::DeviceId;
-use crate::pipeline::{Record, Segment};
+use crate::link::{DeviceId, Segment};
+use crate::pipeline::Record;
 
 /// Level 3 makes captures 4 % shorter and takes twice as long (six cells at 4 kHz).
 const ZSTD_LEVEL: u32 = 1;

@@ -4,12 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use mcap::records::{Record, op};
 
+use super::entry::Entry;
 use super::link_bytes;
-use super::reader::Entry;
 use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError};
-use crate::device::DeviceId;
-use crate::pipeline::Segment;
+use crate::link::{DeviceId, Segment};
 use slitpose_head::scene_file::fnv1a_64;
 
 /// A scene is some kilobytes of text. Longer attachments are not ours.

@@ -2,7 +2,7 @@
 
 use super::cdr::{Decoder, Encoder};
 use crate::clock::HostInstant;
-use crate::pipeline::{Asked, Read, Segment};
+use crate::link::{Asked, Read, Segment};
 
 /// The clock of a read that has no time: no host runs for 584 years.
 const NO_TIME: u64 = u64::MAX;

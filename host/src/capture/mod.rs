@@ -15,6 +15,7 @@
 //! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
 
 mod cdr;
+mod entry;
 mod error;
 mod file;
 mod geometry;
@@ -33,9 +34,10 @@ mod setup;
 mod tests;
 mod window;
 
+pub use entry::Entry;
 pub use error::CaptureError;
 pub use naming::Existing;
-pub use reader::{CaptureReader, End, Entry};
+pub use reader::{CaptureReader, End};
 pub use series::{CaptureSeries, Limits, Recorded};
 pub use setup::{CapturedScene, Settings, Setup, SetupError};
 

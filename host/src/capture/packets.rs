@@ -2,7 +2,7 @@
 
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message};
 
-use crate::pipeline::{Read, Segment};
+use crate::link::{Read, Segment};
 
 /// Most bytes in a message.
 const MAX_LINK_BYTES: usize = 1 << 20;
@@ -87,7 +87,7 @@ fn is_hello(mut packet: &[u8]) -> bool {
 mod tests {
     use super::*;
     use crate::clock::HostInstant;
-    use crate::pipeline::Asked;
+    use crate::link::Asked;
 
     fn at(monotonic_ns: u64) -> HostInstant {
         HostInstant { monotonic_ns, utc_ns: 7 }

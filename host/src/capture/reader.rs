@@ -7,40 +7,18 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::op;
 
+use super::entry::Entry;
 use super::index::Index;
 use super::packets::last_hello;
 use super::records::{ChunkRecords, Next, Records, is_capture};
-use super::{CaptureError, Setup, SetupError};
-use crate::device::DeviceId;
-use crate::pipeline::{self, Segment};
+use super::{CaptureError, SetupError};
+use crate::link::{self, DeviceId, Segment};
 
 /// Bytes of a plain byte stream in a segment: some 20 ms of a board at 4 kHz.
 const RAW_BYTES: usize = 4096;
 
 /// Bytes among which a capture whose beginning is damaged shows itself: a scene and the metadata behind it.
 const BEGIN_BYTES: u64 = 1 << 16;
-
-/// What comes next in a capture.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Entry {
-    /// A board, ahead of what it says.
-    Setup(Box<Setup>),
-    /// The last hello of a board, said before what follows; the segment holds its packet.
-    Hello {
-        /// Which board.
-        device: DeviceId,
-        /// When it was written.
-        log_ns: u64,
-    },
-    /// The segment holds what the link of a board delivered.
-    Link {
-        /// Which board; `None` if the file is a plain byte stream.
-        device: Option<DeviceId>,
-        /// When: UTC of the first read, or what the recorder gave for it, in nanoseconds. 0 in a
-        /// plain byte stream.
-        log_ns: u64,
-    },
-}
 
 /// How a capture ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -220,7 +198,7 @@ fn next_raw(input: &mut impl Read, segment: &mut Segment, end: &mut End) -> io::
         end.finished = true;
         return Ok(None);
     }
-    segment.reads.push(pipeline::Read { bytes, at: None });
+    segment.reads.push(link::Read { bytes, at: None });
     end.whole_bytes += bytes as u64;
     Ok(Some(Entry::Link { device: None, log_ns: 0 }))
 }

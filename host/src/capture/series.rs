@@ -14,8 +14,8 @@ use super::naming::{Existing, next_number, numbered};
 use super::packets::{Packets, last_hello};
 use super::place::Place;
 use super::{About, CaptureError, Setup};
-use crate::device::DeviceId;
-use crate::pipeline::{Record, Segment};
+use crate::link::{DeviceId, Segment};
+use crate::pipeline::Record;
 
 /// A flush is promised each second; this leaves time for the next message to come and for the disk.
 const FLUSH_EVERY: Duration = Duration::from_millis(900);

@@ -6,7 +6,7 @@ use std::path::Path;
 use slitpose_model::Tier;
 use thiserror::Error;
 
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::pipeline::Following;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{SceneFile, SceneFileError, fnv1a_64};

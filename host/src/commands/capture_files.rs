@@ -6,7 +6,8 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
 use super::{Outcome, talk};
 use crate::capture::{CaptureError, CaptureReader, End, Entry};
-use crate::pipeline::{SceneMatch, Segment};
+use crate::link::Segment;
+use crate::pipeline::SceneMatch;
 use slitpose_head::scene_file::SceneFile;
 
 /// Says that another scene is used than the capture was made with.

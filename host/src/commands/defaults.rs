@@ -52,14 +52,14 @@ pub(super) fn in_help(command: Command) -> Command {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{command, model, poses, solve};
+    use super::super::{command, model, options, solve};
     use super::*;
 
     #[test]
     fn tolerances_are_those_in_use() {
         for (verb, tolerance) in [
-            ("run", poses::DEFAULT_TOLERANCE),
-            ("simulate", poses::DEFAULT_TOLERANCE),
+            ("run", options::DEFAULT_TOLERANCE),
+            ("simulate", options::DEFAULT_TOLERANCE),
             ("solve", solve::DEFAULT_TOLERANCE),
             ("model", model::DEFAULT_TOLERANCE),
         ] {

@@ -4,7 +4,8 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use slitpose_model::{Pose, Tier};
 
-use super::poses::DEFAULT_TOLERANCE;
+/// Streams are solved to what their noise is worth.
+pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
 const MOST: f64 = 1e9;

@@ -4,12 +4,9 @@ use std::time::Duration;
 
 use slitpose_model::Tier;
 
-use super::options::TierOptions;
+use super::options::{DEFAULT_TOLERANCE, TierOptions};
 use crate::pipeline::Following;
 use crate::sink::Format;
-
-/// Streams are solved to what their noise is worth.
-pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
 
 /// A duration such as `10s`, `500ms` or `2m`.
 pub(super) fn parse_duration(text: &str) -> Result<f64, String> {

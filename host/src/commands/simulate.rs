@@ -7,13 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
-use super::options::TierOptions;
-use super::poses::{DEFAULT_TOLERANCE, parse_duration};
+use super::options::{DEFAULT_TOLERANCE, TierOptions};
+use super::poses::parse_duration;
 use super::tool::ToolOptions;
 use super::{CommandError, Outcome, interrupt, names};
 use crate::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
-use crate::device::{Conversation, DeviceError, DeviceId, Keep};
-use crate::pipeline::{Following, Segment};
+use crate::device::{Conversation, DeviceError, Keep};
+use crate::link::{DeviceId, Segment};
+use crate::pipeline::Following;
 use crate::telemetry::report_schema;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use crossbeam_channel::bounded;
 use slitpose_model::Tier;
-use slitpose_protocol::{Configuration, Hello};
+use slitpose_protocol::Configuration;
 
 use super::backlog::Backlog;
 use super::circuit::{Filler, circuit};
@@ -17,7 +17,7 @@ use super::desk::desk;
 use super::error::BoardError;
 use super::inlet::{CaptureInlet, Overflow, Parcel};
 use super::link::Link;
-use super::opener::Opener;
+use super::opener::{Admit, Opener};
 use super::progress::Progress;
 use super::reader::Reader;
 use super::real_time;
@@ -26,7 +26,8 @@ use super::solver::{Solver, State};
 use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
-use crate::pipeline::{Counts, Following, Pipeline, PipelineError, SceneMatch, Segment};
+use crate::link::Segment;
+use crate::pipeline::{Counts, Following, Pipeline, SceneMatch};
 use crate::telemetry::BoardStatistics;
 use crate::threads::join;
 use slitpose_head::scene_file::SceneFile;
@@ -39,9 +40,6 @@ const SEGMENT_BYTES: usize = 4096;
 
 /// Verdicts that the reader has not looked at yet.
 const VERDICTS: usize = 4;
-
-/// Whether a board that says this can be followed.
-pub type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
 
 /// A board and what to do with it.
 pub struct BoardPlan {

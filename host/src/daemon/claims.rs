@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use super::error::BoardError;
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::threads::lock;
 
 /// The boards that are followed at the moment.

@@ -10,8 +10,8 @@ use super::circuit::Filler;
 use super::inlet::CaptureInlet;
 use crate::clock::HostInstant;
 use crate::datagram::{DatagramServer, Publisher};
-use crate::device::DeviceId;
-use crate::pipeline::{Item, Record, Segment};
+use crate::link::{DeviceId, Segment};
+use crate::pipeline::{Item, Record};
 use crate::sink::Note;
 use crate::telemetry::BoardStatistics;
 

@@ -3,7 +3,8 @@
 use slitpose_protocol::Rejection;
 use thiserror::Error;
 
-use crate::device::{DeviceError, DeviceId};
+use crate::device::DeviceError;
+use crate::link::DeviceId;
 use crate::pipeline::PipelineError;
 
 /// Why a board is followed no longer.

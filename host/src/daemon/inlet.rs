@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
 
 use super::circuit::Filler;
-use crate::device::DeviceId;
-use crate::pipeline::{Record, Segment};
+use crate::link::{DeviceId, Segment};
+use crate::pipeline::Record;
 
 /// What is read within this is one piece.
 const PIECE: Duration = Duration::from_millis(20);

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::error::{BoardError, with_causes};
 use crate::clock::HostInstant;
-use crate::device::{DeviceError, DeviceId};
+use crate::device::DeviceError;
+use crate::link::DeviceId;
 use crate::telemetry::{LinkReport, LinkState};
 use crate::threads::lock;
 

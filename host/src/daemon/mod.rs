@@ -33,16 +33,17 @@ mod real_time;
 mod recorder;
 mod slot;
 mod solver;
+mod verdict;
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-pub use board::{Admit, BoardPlan};
+pub use board::BoardPlan;
 pub use error::BoardError;
 pub use link::Talk;
-pub use opener::{Opener, PortOpener, SimulatedOpener};
+pub use opener::{Admit, Opener, PortOpener, SimulatedOpener};
 pub use recorder::CapturePlan;
 
 use crate::clock::HostInstant;

@@ -2,10 +2,15 @@
 
 use std::sync::{Mutex, MutexGuard};
 
-use crate::device::{
-    Device, DeviceError, DeviceId, Found, Search, Selector, SerialDevice, SimulatedDevice, find, locate,
-};
+use slitpose_protocol::Hello;
+
+use crate::device::{Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find, locate};
+use crate::link::DeviceId;
+use crate::pipeline::PipelineError;
 use crate::threads::lock;
+
+/// Whether a board that says this can be followed.
+pub type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
 
 /// Held while ports are asked for boards, and until the one that was found has answered: two that look
 /// at the same time would find each other's ports in use.

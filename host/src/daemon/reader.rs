@@ -8,14 +8,15 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::Receiver;
 use slitpose_protocol::Configuration;
 
-use super::board::Admit;
 use super::claims::Claims;
 use super::desk::Desk;
 use super::error::BoardError;
-use super::opener::Opener;
+use super::opener::{Admit, Opener};
 use super::slot::BoardSlot;
 use super::solver::Solver;
-use crate::device::{Conversation, DeviceError, DeviceId, Keep, Scanless};
+use super::verdict::Verdict;
+use crate::device::{Conversation, DeviceError, Keep};
+use crate::link::DeviceId;
 
 /// Between two looks for a board that was there a moment ago: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);
@@ -31,21 +32,6 @@ const DOUBLINGS: u32 = 6;
 
 /// An end is noticed within this.
 const MOMENT: Duration = Duration::from_millis(20);
-
-/// What the solver thread has found out.
-#[derive(Debug)]
-pub(super) enum Verdict {
-    /// The first scan of the connection has come.
-    Scans,
-    /// No scan has come for so many seconds; what came instead.
-    Scanless(f64, Scanless),
-    /// All scans asked for have come.
-    Complete,
-    /// The board has stopped by itself; what it said last.
-    Stopped(Option<String>),
-    /// What it sends cannot be used.
-    Unusable(BoardError),
-}
 
 /// Reads one board.
 pub(super) struct Reader {
@@ -232,6 +218,7 @@ fn pause_behind(error: &BoardError, attempts: u32) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::Scanless;
 
     #[test]
     fn what_somebody_must_mend_is_tried_ever_more_rarely_and_what_comes_by_itself_is_not() {

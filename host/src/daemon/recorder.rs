@@ -13,7 +13,7 @@ use super::inlet::Parcel;
 use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use crate::threads::{join, lock};
 use slitpose_head::scene_file::SceneFile;

@@ -18,10 +18,11 @@ use super::desk::{Bench, Worker};
 use super::error::BoardError;
 use super::inlet::CaptureInlet;
 use super::progress::{News, Progress};
-use super::reader::Verdict;
+use super::verdict::Verdict;
 use crate::clock::HostInstant;
 use crate::datagram::Publisher;
-use crate::pipeline::{Counts, Item, Pipeline, Queue, Segment};
+use crate::link::Segment;
+use crate::pipeline::{Counts, Item, Pipeline, Queue};
 use crate::telemetry::{HostLosses, LagReport};
 
 /// Without anything to solve it looks about so often.

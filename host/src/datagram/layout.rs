@@ -48,7 +48,7 @@
 //! 3. The request was served; use this cookie from now on, as the last one will soon be too old.
 
 use crate::clock::HostInstant;
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::pipeline::{Record, outcome_number};
 
 const POSE_MAGIC: [u8; 4] = *b"SLPP";

@@ -1,8 +1,8 @@
 //! Who follows which board: places are few, and shared evenly between users.
 
-use super::publisher::{MAX_FOLLOWERS, Subscription};
 use super::socket::Party;
-use crate::device::DeviceId;
+use super::subscription::{MAX_FOLLOWERS, Subscription};
+use crate::link::DeviceId;
 
 /// As many for each of four boards.
 const MAX_LEASES: usize = 4 * MAX_FOLLOWERS;

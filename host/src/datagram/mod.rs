@@ -16,16 +16,20 @@
 
 mod address;
 mod cookie;
+mod error;
 mod layout;
 mod leases;
 mod publisher;
 mod server;
+mod shared;
 mod slot;
 mod socket;
+mod subscription;
 #[cfg(test)]
 mod tests;
 
 pub use address::{Address, AddressError};
+pub use error::DatagramError;
 pub use layout::{Answer, Mode, PoseDatagram, Request};
 pub use publisher::Publisher;
-pub use server::{DatagramCounts, DatagramError, DatagramServer};
+pub use server::{DatagramCounts, DatagramServer};

@@ -1,10 +1,8 @@
 //! The asking side: requests in, answers out, clients that follow handed on to the publishers.
 
-use std::io;
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -13,51 +11,22 @@ use crossbeam_channel::Sender;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use schemars::JsonSchema;
 use serde::Serialize;
-use thiserror::Error;
 
 use super::cookie::{Cookies, Worth};
+use super::error::DatagramError;
 use super::leases::{Admission, Lease, Leases};
-use super::publisher::{MAX_FOLLOWERS, MAX_NEWS, Publisher, Subscription};
+use super::publisher::Publisher;
+use super::shared::{Counters, Shared};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, SocketFile};
-use super::{Address, AddressError, Answer, Mode, Request};
+use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, Subscription};
+use super::{Address, Answer, Mode, Request};
 use crate::clock::HostInstant;
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::threads::lock;
 
 /// How long a client is followed after it asked. Clients ask each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);
-
-/// Why datagrams cannot be served.
-#[derive(Debug, Error)]
-pub enum DatagramError {
-    /// Another daemon answers there.
-    #[error("{} is in use by another program that runs; give another path, or stop that program", path.display())]
-    InUse {
-        /// The socket.
-        path: PathBuf,
-    },
-    /// Something else lies there.
-    #[error("{} exists and is no socket; give another path", path.display())]
-    NotASocket {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The system does not want it.
-    #[error("cannot listen on {address}; check that its folder exists and may be written to, or that the port is free")]
-    Bind {
-        /// Where.
-        address: Address,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// Nothing to listen on.
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    /// No thread.
-    #[error("cannot start a thread for requests")]
-    Thread(#[source] io::Error),
-}
 
 /// What was sent and refused since the server started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
@@ -80,29 +49,6 @@ pub struct DatagramCounts {
     /// Datagrams for which a client's queue had no room, as far as the system tells: of UDP it does
     /// not.
     pub missed: u64,
-}
-
-#[derive(Debug, Default)]
-pub(super) struct Counters {
-    requests: AtomicU64,
-    places_refused: AtomicU64,
-    unproven: AtomicU64,
-    pub(super) refused: AtomicU64,
-    pub(super) sent: AtomicU64,
-    pub(super) missed: AtomicU64,
-}
-
-impl Counters {
-    pub(super) fn count(counter: &AtomicU64) {
-        counter.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-/// What server and publishers share.
-#[derive(Debug)]
-pub(super) struct Shared {
-    pub(super) sockets: Vec<Socket>,
-    pub(super) counters: Counters,
 }
 
 /// A board, as the server knows it; its publisher holds the other ends.

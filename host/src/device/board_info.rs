@@ -4,7 +4,7 @@ use serde::{Serialize, Serializer};
 use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{AdcScaling, BoardKind, Hashes, Hello, PROTOCOL, ProtocolVersion, ResetCause, Schedule};
 
-use super::DeviceId;
+use crate::link::DeviceId;
 
 /// A hello that owns its texts.
 #[derive(Clone, Debug, PartialEq)]

@@ -8,10 +8,9 @@ use slitpose_protocol::{
 };
 
 use super::keep_alive::{self, KeepAlive, ping};
-use super::version::Versions;
 use super::{Device, DeviceError};
 use crate::clock::HostInstant;
-use crate::pipeline::{Asked, Segment};
+use crate::link::{Asked, Segment, Versions};
 
 /// A board that has been asked by its other port is free again 2 s later; one that has just been plugged
 /// in needs less.

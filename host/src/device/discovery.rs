@@ -10,7 +10,8 @@
 
 use super::ports::{Port, Search, UsbId, ports};
 use super::probe::{Listed, PortState};
-use super::{DeviceError, DeviceId, Selector};
+use super::{DeviceError, Selector};
+use crate::link::DeviceId;
 
 /// The port of a simulated board.
 const SIM: &str = "sim";

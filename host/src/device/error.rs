@@ -5,9 +5,8 @@ use std::io;
 use slitpose_protocol::Rejection;
 use thiserror::Error;
 
-use super::DeviceId;
 use super::probe::Listed;
-use super::version::Versions;
+use crate::link::{DeviceId, Versions};
 
 /// What went wrong between host and board.
 #[derive(Debug, Error)]

@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
 
 use crate::clock::HostInstant;
-use crate::pipeline::Asked;
+use crate::link::Asked;
 
 /// A board on a link without modem lines goes dark after 2 s without a command: four of these.
 pub(super) const INTERVAL: Duration = Duration::from_millis(500);

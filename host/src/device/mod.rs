@@ -16,7 +16,6 @@ mod conversation;
 mod discovery;
 mod error;
 mod holder;
-mod id;
 mod keep_alive;
 mod orders;
 mod ports;
@@ -24,7 +23,6 @@ mod probe;
 mod selector;
 mod serial;
 mod simulated;
-mod version;
 
 use std::io;
 
@@ -33,14 +31,12 @@ pub use conversation::{Conversation, Keep};
 pub use discovery::{Found, find, list, locate};
 pub use error::{DeviceError, Scanless};
 pub use holder::{Holder, holders};
-pub use id::{DeviceId, DeviceIdError};
 pub use keep_alive::KeepAlive;
 pub use ports::{Port, Search, UsbId, ports};
 pub use probe::{Listed, PortState};
 pub use selector::Selector;
 pub use serial::SerialDevice;
 pub use simulated::SimulatedDevice;
-pub use version::Versions;
 
 /// A byte stream to a board and back.
 pub trait Device: Send {

@@ -7,7 +7,8 @@ use std::str::FromStr;
 use serde::Serialize;
 use serialport::{SerialPortInfo, SerialPortType};
 
-use super::{DeviceError, DeviceId};
+use super::DeviceError;
+use crate::link::DeviceId;
 
 /// What a board says of itself on USB. The number is one for tests, shared with others: the texts
 /// have to match, too.

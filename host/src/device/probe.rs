@@ -5,7 +5,8 @@ use std::time::Duration;
 use slitpose_protocol::ProtocolVersion;
 
 use super::ports::Port;
-use super::{BoardInfo, Conversation, DeviceError, DeviceId, SerialDevice};
+use super::{BoardInfo, Conversation, DeviceError, SerialDevice};
+use crate::link::DeviceId;
 
 /// A board that is up answers within milliseconds; the rest is for a busy host.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);

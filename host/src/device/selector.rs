@@ -4,8 +4,8 @@ use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
 use std::str::FromStr;
 
-use super::DeviceId;
 use super::error::DeviceError;
+use crate::link::DeviceId;
 
 /// Which board is meant.
 #[derive(Clone, Debug, PartialEq, Eq)]

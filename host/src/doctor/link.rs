@@ -9,9 +9,10 @@ use nix::unistd::{AccessFlags, Gid, Group, access};
 use super::check::Check;
 use super::{Subject, default_scene};
 use crate::device::{
-    BoardInfo, Conversation, Device, DeviceError, Found, Port, Selector, SerialDevice, SimulatedDevice, Versions, find,
-    holders, ports,
+    BoardInfo, Conversation, Device, DeviceError, Found, Port, Selector, SerialDevice, SimulatedDevice, find, holders,
+    ports,
 };
+use crate::link::Versions;
 
 /// As long as a board needs that has been asked by its other port just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);

@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use super::check::Check;
 use crate::device::{Conversation, DeviceError, Keep};
-use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch, Segment};
+use crate::link::Segment;
+use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch};
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
 

@@ -5,7 +5,7 @@ use slitpose_protocol::schema::SchemaMismatch;
 use slitpose_protocol::{ScalingError, ScheduleError};
 use thiserror::Error;
 
-use crate::device::Versions;
+use crate::link::Versions;
 use slitpose_head::foreign::printable;
 
 /// Why the pipeline cannot go on.

@@ -11,7 +11,6 @@
 mod counts;
 mod error;
 mod oddity;
-mod segment;
 mod session;
 mod span;
 mod timing;
@@ -28,13 +27,12 @@ use slitpose_protocol::{
 pub use counts::{Counts, OUTCOMES, outcome_number};
 pub use error::PipelineError;
 pub use oddity::Oddity;
-pub use segment::{Asked, Read, Segment};
 pub use session::check;
 pub use waiting::{Queue, Scan};
 
 use crate::clock::{HostInstant, HostTime};
-use crate::device::DeviceId;
 use crate::health::HeadHealth;
+use crate::link::{DeviceId, Segment};
 use oddity::ClockWatch;
 use session::Session;
 use slitpose_head::scene_file::SceneFile;

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 
 /// What a stream does that no sound board does. Poses go on.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]

@@ -4,8 +4,8 @@ use slitpose_model::{Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::{Following, PipelineError, SceneMatch};
-use crate::device::{DeviceId, Versions};
 use crate::health::{HeadHealth, Health};
+use crate::link::{DeviceId, Versions};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 

@@ -2,9 +2,9 @@
 
 use slitpose_protocol::Pong;
 
-use super::Asked;
 use crate::clock::{ClockFit, HostInstant, HostTime};
-use crate::device::DeviceId;
+use crate::link::Asked;
+use crate::link::DeviceId;
 
 /// Pings that may wait for their answers: four seconds of them.
 const PINGS: usize = 8;
@@ -92,7 +92,8 @@ pub(super) mod tests {
     use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
 
     use crate::clock::HostInstant;
-    use crate::pipeline::{Asked, Item, Pipeline, PipelineError, Record, SceneMatch, Segment};
+    use crate::link::{Asked, Segment};
+    use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
     use crate::sink::{self, Account, Format};
     use slitpose_head::front_end;
     use slitpose_head::scene_file::{SceneFile, WIDE};

@@ -94,8 +94,9 @@ impl Waiting {
 mod tests {
     use slitpose_protocol::Command;
 
+    use crate::link::Segment;
     use crate::pipeline::timing::tests::{Bench, feed};
-    use crate::pipeline::{Item, Pipeline, PipelineError, Record, Segment};
+    use crate::pipeline::{Item, Pipeline, PipelineError, Record};
 
     fn receive(pipeline: &mut Pipeline, segment: &Segment) -> Vec<u64> {
         let mut arrived = Vec::new();

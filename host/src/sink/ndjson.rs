@@ -6,7 +6,7 @@ use serde::Serialize;
 use slitpose_model::{Estimate, Outcome, Pose, Smoothed, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::pipeline::Record;
 
 /// A pose as JSON: SI units, frame base_from_tool, quaternion x, y, z, w.

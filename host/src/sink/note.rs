@@ -2,7 +2,7 @@
 
 use slitpose_protocol::{BoardKind, Hello, Severity};
 
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 
 /// What is not a pose.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,7 +7,7 @@ use slitpose_model::Estimate;
 use slitpose_protocol::Severity;
 
 use super::{Account, Accounts, Note, Sink};
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::pipeline::Record;
 use crate::telemetry::view;
 use crate::terminal::{self, Line, Tone, WIDTH, layout};

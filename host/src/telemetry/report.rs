@@ -10,8 +10,8 @@ use serde::Serialize;
 use super::latency::Latency;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramCounts;
-use crate::device::DeviceId;
 use crate::health::HeadHealth;
+use crate::link::DeviceId;
 
 /// Everything a daemon has to say.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]

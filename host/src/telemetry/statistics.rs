@@ -9,8 +9,8 @@ use super::report::{
     Rates, Vitals,
 };
 use crate::clock::HostInstant;
-use crate::device::DeviceId;
 use crate::health::HeadHealth;
+use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Record};
 
 /// What is called recent is the last full second.

@@ -13,8 +13,8 @@ use slitpose_protocol::{Severity, Status};
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;
-use crate::device::DeviceId;
 use crate::health::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
+use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Record};
 
 /// A name that has everything a label must not show as it is.

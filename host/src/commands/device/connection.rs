@@ -7,9 +7,9 @@ use clap::builder::TypedValueParser;
 use crate::commands::CommandError;
 use crate::commands::{names, talk};
 use crate::device::{
-    BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, Versions,
-    find, holders,
+    BoardInfo, Conversation, Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find, holders,
 };
+use crate::link::Versions;
 use crate::pipeline::PipelineError;
 use slitpose_head::scene_file::SceneFile;
 

@@ -6,7 +6,8 @@ use slitpose_protocol::{PROTOCOL, Schedule, Status};
 
 use super::{BoardOptions, Connection};
 use crate::commands::{CommandError, Outcome};
-use crate::device::{BoardInfo, UsbId, Versions};
+use crate::device::{BoardInfo, UsbId};
+use crate::link::Versions;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{Shipped, WIDE};
 use slitpose_head::table::Output;

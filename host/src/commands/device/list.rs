@@ -5,7 +5,8 @@ use serde::Serialize;
 
 use crate::commands::talk;
 use crate::commands::{CommandError, Outcome};
-use crate::device::{DeviceId, Listed, PortState, Search, UsbId, list};
+use crate::device::{Listed, PortState, Search, UsbId, list};
+use crate::link::DeviceId;
 use slitpose_head::foreign::printable;
 use slitpose_head::table::Output;
 

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 use super::{Address, Answer, DatagramServer, Mode, PoseDatagram, Request};
 use crate::clock::{HostInstant, HostTime};
-use crate::device::DeviceId;
+use crate::link::DeviceId;
 use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
 use slitpose_head::front_end;
 use slitpose_head::scene_file::WIDE;
