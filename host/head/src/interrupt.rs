@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::{fs, io, process};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -10,13 +10,20 @@ use signal_hook::iterator::Signals;
 use tempfile::NamedTempFile;
 
 use crate::table::OutputError;
-use crate::terminal::{complain, hide_progress};
-use crate::threads::lock;
 
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 /// Parts of results, and where the results are to be; `None` until there is one.
 static PARTS: Mutex<Option<Vec<(PathBuf, PathBuf)>>> = Mutex::new(None);
+
+/// Who is told of results that an interrupt leaves incomplete.
+static FAREWELL: OnceLock<fn(&OutputError)> = OnceLock::new();
+
+/// Has `farewell` told, instead of standard error, of each result that an interrupt leaves incomplete, before the
+/// program ends. The first one stays.
+pub fn say_by(farewell: fn(&OutputError)) {
+    FAREWELL.get_or_init(|| farewell);
+}
 
 /// What is set when the user interrupts, the service manager ends the program, or its terminal is closed. After
 /// that a SIGINT or SIGTERM ends the program at once, with exit code 1. Another SIGHUP does not: whoever closes a
@@ -46,7 +53,7 @@ pub fn is_asked() -> bool {
 /// command itself answers interrupts (see [`flag`]). A part that has gone meanwhile is no matter.
 pub(crate) fn removing(target: &Path, make: impl FnOnce() -> io::Result<NamedTempFile>) -> io::Result<NamedTempFile> {
     // Held until the part is known: an interrupt waits.
-    let mut parts = lock(&PARTS);
+    let mut parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
     if parts.is_none() {
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| !is_ignored(*signal)))?;
         std::thread::Builder::new().name("interrupt".to_owned()).spawn(move || {
@@ -64,11 +71,11 @@ pub(crate) fn removing(target: &Path, make: impl FnOnce() -> io::Result<NamedTem
 
 /// Removes what is not complete, says so, and ends the program.
 fn remove_parts() -> ! {
-    let parts = lock(&PARTS);
-    hide_progress();
+    let parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let say = FAREWELL.get_or_init(|| |error| eprintln!("{error}"));
     for (part, target) in parts.iter().flatten() {
         if fs::remove_file(part).is_ok() {
-            complain(format_args!("{}", OutputError::Interrupted { target: target.display().to_string() }));
+            say(&OutputError::Interrupted { target: target.display().to_string() });
         }
     }
     process::exit(1)

@@ -49,6 +49,7 @@ use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
 use crate::telemetry::{FetchError, StatusError};
+use crate::terminal::{complain, hide_progress};
 use slitpose_design::plot::PlotError;
 use slitpose_design::report::ReportError;
 use slitpose_head::front_end::TimingError;
@@ -254,6 +255,10 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<Outcome, Com
     let matches = configured.command.clone().get_matches_from(&arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     talk::outlive_file_limits()?;
+    slitpose_head::interrupt::say_by(|error| {
+        hide_progress();
+        complain(format_args!("{error}"));
+    });
     match cli.verb {
         Verb::Run(args) if args.print_config => {
             Ok(Output::open(None)?.write_text(&config::print(&configured, &matches)).map(|()| Outcome::Done)?)
