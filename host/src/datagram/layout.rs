@@ -10,7 +10,7 @@
 //! | 4 | u16 | version, 1: with another one everything behind may be different |
 //! | 6 | u16 | bytes in all; fields may be added at the end without a new version |
 //! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated, 32 behind: scans before this one were passed over, as the daemon could not solve or print each in time |
-//! | 12 | u16 | status, a number of [`OUTCOMES`](crate::pipeline::OUTCOMES) |
+//! | 12 | u16 | status: 0 converged, 1 degraded, 2 ambiguous, 3 unobservable, 4 too dark, 5 diverged |
 //! | 14 | u16 | cells that were used |
 //! | 16 | [u8; 12] | id of the board |
 //! | 28 | u16 | cells that contradict all others and were left out, one bit each |
@@ -47,9 +47,11 @@
 //!    each second.
 //! 3. The request was served; use this cookie from now on, as the last one will soon be too old.
 
+use slitpose_model::Outcome;
+
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
-use crate::pipeline::{Record, outcome_number};
+use crate::pipeline::Record;
 
 const POSE_MAGIC: [u8; 4] = *b"SLPP";
 const REQUEST_MAGIC: [u8; 4] = *b"SLPQ";
@@ -65,6 +67,18 @@ const IS_BEHIND: u32 = 32;
 
 const AT_FLAGS: usize = 8;
 const AT_MISSED: usize = 40;
+
+/// The number of an outcome in a datagram.
+fn status_of(outcome: &Outcome) -> u16 {
+    match outcome {
+        Outcome::Converged => 0,
+        Outcome::Degraded(_) => 1,
+        Outcome::Ambiguous => 2,
+        Outcome::Unobservable(_) => 3,
+        Outcome::TooDark => 4,
+        Outcome::Diverged => 5,
+    }
+}
 
 /// A pose as it is sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -92,7 +106,7 @@ impl PoseDatagram {
         writer.put(VERSION.to_le_bytes());
         writer.put((Self::BYTES as u16).to_le_bytes());
         writer.put(flags.to_le_bytes());
-        writer.put((outcome_number(&solution.outcome) as u16).to_le_bytes());
+        writer.put(status_of(&solution.outcome).to_le_bytes());
         writer.put((solution.cells_used.count() as u16).to_le_bytes());
         writer.put(record.device.0);
         writer.put(excluded.to_le_bytes());

@@ -9,7 +9,7 @@ use thiserror::Error;
 use super::check::Check;
 use crate::device::{Conversation, DeviceError, Keep};
 use crate::link::Segment;
-use crate::pipeline::{Counts, Item, OUTCOMES, Pipeline, PipelineError, SceneMatch};
+use crate::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
 
@@ -215,8 +215,7 @@ impl Measurement {
 
     fn poses(&self) -> Check {
         let counts = &self.counts;
-        let outcomes = OUTCOMES.iter().zip(counts.outcomes).filter(|(_, count)| *count > 0);
-        let finding = outcomes.map(|(name, count)| format!("{name} {count}")).collect::<Vec<_>>().join(", ");
+        let finding = counts.outcomes.words();
         if counts.scans > 0 && counts.poses() as f64 >= POSES * counts.scans as f64 {
             Check::ok("poses", finding)
         } else {
@@ -292,7 +291,7 @@ mod tests {
         });
         assert_eq!(dropped, [("board", Failed)]);
         assert_eq!(with(|it| it.after.adc_overruns += 1), [("board", Failed)]);
-        assert_eq!(with(|it| it.counts.outcomes = [0, 0, 0, 0, 400, 0]), [("poses", Warning)]);
+        assert_eq!(with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }), [("poses", Warning)]);
         let status = |it: &mut Measurement, change: fn(&mut Status)| change(it.counts.board_status.as_mut().unwrap());
         let mut sick = good.clone();
         sick.counts.board_status = Some(sick.after);

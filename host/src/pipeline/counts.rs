@@ -1,7 +1,8 @@
 //! What came through the pipeline and what did not.
 
-use slitpose_model::Outcome;
 use slitpose_protocol::{DecoderCounters, Status};
+
+use super::outcomes::Outcomes;
 
 /// Counters since the pipeline was made.
 #[derive(Clone, Copy, Debug, Default)]
@@ -14,8 +15,8 @@ pub struct Counts {
     pub scans_skipped: u64,
     /// Times the numbering began anew: the board restarted.
     pub restarts: u64,
-    /// Scans by outcome: converged, degraded, ambiguous, unobservable, too dark, diverged.
-    pub outcomes: [u64; 6],
+    /// Scans that were solved, by outcome.
+    pub outcomes: Outcomes,
     /// Batches that no hello explains.
     pub batches_without_hello: u64,
     /// Batches that do not fit their schedule.
@@ -27,21 +28,6 @@ pub struct Counts {
     /// The board's latest own account.
     pub board_status: Option<Status>,
     next_sequence: Option<u64>,
-}
-
-/// The words for [`Counts::outcomes`].
-pub const OUTCOMES: [&str; 6] = ["converged", "degraded", "ambiguous", "unobservable", "too_dark", "diverged"];
-
-/// Which of [`OUTCOMES`] it is.
-pub fn outcome_number(outcome: &Outcome) -> usize {
-    match outcome {
-        Outcome::Converged => 0,
-        Outcome::Degraded(_) => 1,
-        Outcome::Ambiguous => 2,
-        Outcome::Unobservable(_) => 3,
-        Outcome::TooDark => 4,
-        Outcome::Diverged => 5,
-    }
 }
 
 impl Counts {
@@ -60,13 +46,9 @@ impl Counts {
         self.next_sequence = None;
     }
 
-    pub(super) fn count_outcome(&mut self, outcome: &Outcome) {
-        self.outcomes[outcome_number(outcome)] += 1;
-    }
-
     /// Scans that gave a pose.
     pub fn poses(&self) -> u64 {
-        self.outcomes[0] + self.outcomes[1]
+        self.outcomes.poses()
     }
 
     /// Whether data were damaged or lost anywhere on the way, a cut-off end included.

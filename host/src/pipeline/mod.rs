@@ -11,6 +11,7 @@
 mod counts;
 mod error;
 mod oddity;
+mod outcomes;
 mod session;
 mod span;
 mod timing;
@@ -24,9 +25,10 @@ use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
 };
 
-pub use counts::{Counts, OUTCOMES, outcome_number};
+pub use counts::Counts;
 pub use error::PipelineError;
 pub use oddity::Oddity;
+pub use outcomes::Outcomes;
 pub use session::check;
 pub use waiting::{Queue, Scan};
 
@@ -477,7 +479,7 @@ impl Flow {
         // A newer one has told how the head is.
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
         let tracked = session.solve(&scan.raw, !is_passed);
-        self.counts.count_outcome(&tracked.solution.outcome);
+        self.counts.outcomes.count(&tracked.solution.outcome);
         Some(record(session, &scan, tracked))
     }
 

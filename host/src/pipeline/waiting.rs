@@ -179,7 +179,7 @@ mod tests {
         pipeline.skip(1);
         let counts = pipeline.counts();
         assert_eq!((counts.scans, counts.scans_skipped, counts.scans_lost), (100, 95, 0));
-        assert_eq!(counts.outcomes.iter().sum::<u64>(), 5);
+        assert_eq!(counts.outcomes.all(), 5);
     }
 
     #[test]

@@ -9,7 +9,6 @@ use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::CellHealth;
-use crate::pipeline::OUTCOMES;
 
 /// What to tell whoever asks.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -253,8 +252,7 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
         Some(board.losses.link.bytes_skipped as f64)
     });
     boards.by(("slitpose_solutions_total", "outcome"), counter, "Scans by what the solver says of them.", |board| {
-        let counts = board.outcomes.counts();
-        std::array::from_fn::<_, 6, _>(|i| (OUTCOMES[i], counts[i] as f64))
+        board.outcomes.by_name().map(|(name, count)| (name, count as f64))
     });
     boards.each("slitpose_behind", gauge, "1 if control loops get the newest scans only.", |board| {
         Some(f64::from(u8::from(board.lag.is_behind)))

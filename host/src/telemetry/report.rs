@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::latency::Latency;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramCounts;
+use crate::pipeline::Outcomes;
 use crate::health::HeadHealth;
 use crate::link::DeviceId;
 
@@ -239,46 +240,6 @@ impl Losses {
     /// Packets that were damaged on their way.
     pub fn damaged(&self) -> u64 {
         self.link.damaged()
-    }
-}
-
-/// Solutions by what the solver says.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct Outcomes {
-    /// A pose from all cells.
-    pub converged: u64,
-    /// A pose that deserves less trust.
-    pub degraded: u64,
-    /// Several poses fit.
-    pub ambiguous: u64,
-    /// The data leave directions free.
-    pub unobservable: u64,
-    /// Too little light.
-    pub too_dark: u64,
-    /// No pose fits.
-    pub diverged: u64,
-}
-
-impl Outcomes {
-    /// In the order of [`OUTCOMES`](crate::pipeline::OUTCOMES).
-    pub fn of(counts: [u64; 6]) -> Self {
-        let [converged, degraded, ambiguous, unobservable, too_dark, diverged] = counts;
-        Self { converged, degraded, ambiguous, unobservable, too_dark, diverged }
-    }
-
-    /// In the order of [`OUTCOMES`](crate::pipeline::OUTCOMES).
-    pub fn counts(&self) -> [u64; 6] {
-        [self.converged, self.degraded, self.ambiguous, self.unobservable, self.too_dark, self.diverged]
-    }
-
-    /// Those with a pose.
-    pub fn poses(&self) -> u64 {
-        self.converged + self.degraded
-    }
-
-    /// All.
-    pub fn all(&self) -> u64 {
-        self.counts().iter().sum()
     }
 }
 

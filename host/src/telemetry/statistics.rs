@@ -5,13 +5,13 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 use super::latency::LatencyHistogram;
 use super::losses::LossBook;
 use super::report::{
-    BoardReport, ClockReport, Complaint, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses, Outcomes,
+    BoardReport, ClockReport, Complaint, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses,
     Rates, Vitals,
 };
 use crate::clock::HostInstant;
 use crate::health::HeadHealth;
 use crate::link::DeviceId;
-use crate::pipeline::{Counts, Item, Record};
+use crate::pipeline::{Counts, Item, Outcomes, Record};
 
 /// What is called recent is the last full second.
 const INTERVAL_NS: u64 = 1_000_000_000;
@@ -48,7 +48,7 @@ pub struct BoardStatistics {
 struct Mark {
     at: HostInstant,
     scans: u64,
-    outcomes: [u64; 6],
+    outcomes: Outcomes,
     link: LinkLosses,
     device_s: Option<f64>,
 }
@@ -74,7 +74,7 @@ impl BoardStatistics {
             total_latency: LatencyHistogram::default(),
             last_device_s: None,
             last_read: None,
-            begun: Mark { at: now, scans: 0, outcomes: [0; 6], link: LinkLosses::default(), device_s: None },
+            begun: Mark { at: now, scans: 0, outcomes: Outcomes::default(), link: LinkLosses::default(), device_s: None },
             rates: Rates::default(),
             recent_outcomes: Outcomes::default(),
             recent_link_losses: LinkLosses::default(),
@@ -149,7 +149,7 @@ impl BoardStatistics {
             last_scan_age_s: self.last_read.map(age_s),
             rates: self.rates,
             losses: Losses { board: self.book.board(), link: self.link_losses(counts), host: self.host_losses },
-            outcomes: Outcomes::of(counts.outcomes),
+            outcomes: counts.outcomes,
             recent_outcomes: self.recent_outcomes,
             recent_link_losses: self.recent_link_losses,
             latencies: Latencies {
@@ -219,8 +219,7 @@ impl BoardStatistics {
             host_hz: scans as f64 / interval_s,
             interval_s,
         };
-        self.recent_outcomes =
-            Outcomes::of(std::array::from_fn(|i| counts.outcomes[i].saturating_sub(before.outcomes[i])));
+        self.recent_outcomes = counts.outcomes.since(&before.outcomes);
         let link = self.link_losses(counts);
         self.recent_link_losses = link.since(&before.link);
         for histogram in [&mut self.link_latency, &mut self.host_latency, &mut self.total_latency] {
@@ -258,7 +257,7 @@ mod tests {
         let mut counts = Counts::default();
         let mut report = |scans: u64, device_s: f64, now_ns: u64| {
             counts.scans = scans;
-            counts.outcomes = [scans, 0, 0, 0, 0, 0];
+            counts.outcomes.converged = scans;
             statistics.last_device_s = Some(device_s);
             statistics.report(&counts, None, at(now_ns))
         };

@@ -15,7 +15,7 @@ use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;
 use crate::health::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
 use crate::link::DeviceId;
-use crate::pipeline::{Counts, Item, Record};
+use crate::pipeline::{Counts, Item, Outcomes, Record};
 
 /// A name that has everything a label must not show as it is.
 const AWKWARD: &str = "a \"port\"\\with\nlines";
@@ -96,7 +96,7 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
     statistics.set_drift_ppm(Some(-12.0));
     let mut counts = Counts::default();
     counts.scans = 4000;
-    counts.outcomes = [3999, 1, 0, 0, 0, 0];
+    counts.outcomes = Outcomes { converged: 3999, degraded: 1, ..Outcomes::default() };
     let link = LinkReport { state: LinkState::Running, ..LinkReport::default() };
     BoardReport { link, ..statistics.report(&counts, head, now) }
 }

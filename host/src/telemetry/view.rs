@@ -6,7 +6,6 @@ use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::{CellHealth, Verdict};
-use crate::pipeline::OUTCOMES;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
 
@@ -120,11 +119,9 @@ pub fn lines(report: &BoardReport) -> Vec<Line> {
     )
     .tone(if *losses == Losses::default() { Tone::Plain } else { Tone::Careful })
     .rank(1);
-    let outcomes = OUTCOMES.iter().zip(report.outcomes.counts()).filter(|(_, count)| *count > 0);
-    let outcomes: Vec<String> = outcomes.map(|(name, count)| format!("{name} {count}")).collect();
     let recent = &report.recent_outcomes;
     let tone = if recent.all() > 0 && recent.poses() == 0 { Tone::Wrong } else { Tone::Plain };
-    put(&mut lines, "outcomes", &outcomes.join(", ")).tone(tone).rank(1);
+    put(&mut lines, "outcomes", &report.outcomes.words()).tone(tone).rank(1);
     let latencies = &report.latencies;
     for (name, latency) in [("link", &latencies.link), ("host", &latencies.host), ("total", &latencies.total)] {
         if latency.total.count > 0 {

@@ -1,0 +1,77 @@
+//! Solutions by what the solver says.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+use slitpose_model::Outcome;
+
+/// Solutions by what the solver says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
+pub struct Outcomes {
+    /// A pose from all cells.
+    pub converged: u64,
+    /// A pose that deserves less trust.
+    pub degraded: u64,
+    /// Several poses fit.
+    pub ambiguous: u64,
+    /// The data leave directions free.
+    pub unobservable: u64,
+    /// Too little light.
+    pub too_dark: u64,
+    /// No pose fits.
+    pub diverged: u64,
+}
+
+impl Outcomes {
+    /// Counts one.
+    pub fn count(&mut self, outcome: &Outcome) {
+        *match outcome {
+            Outcome::Converged => &mut self.converged,
+            Outcome::Degraded(_) => &mut self.degraded,
+            Outcome::Ambiguous => &mut self.ambiguous,
+            Outcome::Unobservable(_) => &mut self.unobservable,
+            Outcome::TooDark => &mut self.too_dark,
+            Outcome::Diverged => &mut self.diverged,
+        } += 1;
+    }
+
+    /// Each outcome by the word for it, in the order of their numbers in datagrams.
+    pub fn by_name(&self) -> [(&'static str, u64); 6] {
+        [
+            ("converged", self.converged),
+            ("degraded", self.degraded),
+            ("ambiguous", self.ambiguous),
+            ("unobservable", self.unobservable),
+            ("too_dark", self.too_dark),
+            ("diverged", self.diverged),
+        ]
+    }
+
+    /// Those that were counted since `before`.
+    #[must_use]
+    pub fn since(&self, before: &Self) -> Self {
+        Self {
+            converged: self.converged.saturating_sub(before.converged),
+            degraded: self.degraded.saturating_sub(before.degraded),
+            ambiguous: self.ambiguous.saturating_sub(before.ambiguous),
+            unobservable: self.unobservable.saturating_sub(before.unobservable),
+            too_dark: self.too_dark.saturating_sub(before.too_dark),
+            diverged: self.diverged.saturating_sub(before.diverged),
+        }
+    }
+
+    /// Those with a pose.
+    pub fn poses(&self) -> u64 {
+        self.converged + self.degraded
+    }
+
+    /// All.
+    pub fn all(&self) -> u64 {
+        self.by_name().iter().map(|(_, count)| count).sum()
+    }
+
+    /// Those that there are, with the words for them.
+    pub fn words(&self) -> String {
+        let there = self.by_name().into_iter().filter(|(_, count)| *count > 0);
+        there.map(|(name, count)| format!("{name} {count}")).collect::<Vec<_>>().join(", ")
+    }
+}
