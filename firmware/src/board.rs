@@ -10,10 +10,10 @@ use slitpose_protocol::{
 };
 
 use crate::collector::Collector;
-use crate::commands::check;
 use crate::exposure::AutomaticExposure;
 use crate::hardware::{Hardware, Health, Indicator};
 use crate::outbox::Outbox;
+use crate::validate::check;
 
 /// After this many milliseconds with its link closed a board stops and goes dark. Long
 /// enough for a program to close and reopen its port.

@@ -21,10 +21,9 @@ use slitpose_protocol::{
 };
 
 use crate::board::{Board, Emitters, Reboot, Storing};
-use crate::defaults::TICK_HZ;
 use crate::hardware::{Hardware, StorageError};
 use crate::settings::Settings;
-use crate::timing::FramePlan;
+use crate::validate::check;
 
 /// A reboot waits this long for its reply to be taken, and for settings to be stored.
 const REBOOT_MS: u64 = 200;
@@ -167,22 +166,4 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
 enum Done {
     Now,
     Later,
-}
-
-/// Whether the board of the image could run `configuration`.
-pub fn can_run(configuration: &Configuration) -> bool {
-    check(configuration, TICK_HZ).is_ok() && FramePlan::new(configuration).is_ok()
-}
-
-/// Whether a board of `board_hz` ticks a second could run `configuration`, hardware aside.
-pub(crate) fn check(configuration: &Configuration, board_hz: u32) -> Result<(), Rejection> {
-    let Configuration { schedule, levels, .. } = configuration;
-    schedule.validate().map_err(Rejection::Schedule)?;
-    if schedule.tick_hz != board_hz {
-        return Err(Rejection::TickRate { asked_hz: schedule.tick_hz, board_hz });
-    }
-    if levels.len() != usize::from(schedule.cells) {
-        return Err(Rejection::Levels { levels: levels.len() as u8, cells: schedule.cells });
-    }
-    Ok(())
 }

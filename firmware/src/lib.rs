@@ -43,6 +43,7 @@ mod outbox;
 mod queue;
 pub mod settings;
 pub mod timing;
+mod validate;
 pub mod wiring;
 
 #[cfg(test)]
@@ -50,6 +51,6 @@ extern crate std;
 
 pub use board::{Board, HOST_GONE_MS, Identity, Link, STATUS_MS, TRANSFER_BYTES, Transfer};
 pub use collector::{BATCH_SCANS, BATCH_SPAN_MS};
-pub use commands::can_run;
 pub use defaults::{DEFAULT_QUEUE_BYTES, TICK_HZ, default_configuration, default_scaling};
 pub use hardware::{Hardware, Health, Indicator, ScanError, StorageError};
+pub use validate::can_run;

@@ -251,6 +251,7 @@ mod tests {
     use super::*;
     use crate::device::SimulatedDevice;
     use crate::doctor::Verdict::{self, Failed, Ok, Warning};
+    use crate::pipeline::Outcomes;
     use slitpose_head::scene_file::WIDE;
 
     fn measured() -> (Measurement, Vec<u8>) {
@@ -291,7 +292,10 @@ mod tests {
         });
         assert_eq!(dropped, [("board", Failed)]);
         assert_eq!(with(|it| it.after.adc_overruns += 1), [("board", Failed)]);
-        assert_eq!(with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }), [("poses", Warning)]);
+        assert_eq!(
+            with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }),
+            [("poses", Warning)]
+        );
         let status = |it: &mut Measurement, change: fn(&mut Status)| change(it.counts.board_status.as_mut().unwrap());
         let mut sick = good.clone();
         sick.counts.board_status = Some(sick.after);

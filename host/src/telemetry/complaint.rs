@@ -114,8 +114,8 @@ impl BoardReport {
 #[cfg(test)]
 mod tests {
     use super::super::report::{LinkReport, RecorderReport};
-    use crate::pipeline::Outcomes;
     use super::*;
+    use crate::pipeline::Outcomes;
 
     const NOW: HostInstant = HostInstant { monotonic_ns: 100_000_000_000, utc_ns: 0 };
 

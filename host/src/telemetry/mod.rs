@@ -26,8 +26,7 @@ pub use client::{FetchError, fetch};
 pub use latency::{Latency, LatencyHistogram, Percentiles};
 pub use report::{
     BoardLosses, BoardReport, ClockReport, Complaint, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses,
-    LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, Vitals,
-    report_schema,
+    LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, Vitals, report_schema,
 };
 pub use server::{Reach, StatusError, StatusServer};
 pub use statistics::BoardStatistics;

@@ -10,9 +10,9 @@ use serde::Serialize;
 use super::latency::Latency;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramCounts;
-use crate::pipeline::Outcomes;
 use crate::health::HeadHealth;
 use crate::link::DeviceId;
+use crate::pipeline::Outcomes;
 
 /// Everything a daemon has to say.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]

@@ -5,8 +5,8 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 use super::latency::LatencyHistogram;
 use super::losses::LossBook;
 use super::report::{
-    BoardReport, ClockReport, Complaint, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses,
-    Rates, Vitals,
+    BoardReport, ClockReport, Complaint, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses, Rates,
+    Vitals,
 };
 use crate::clock::HostInstant;
 use crate::health::HeadHealth;
@@ -74,7 +74,13 @@ impl BoardStatistics {
             total_latency: LatencyHistogram::default(),
             last_device_s: None,
             last_read: None,
-            begun: Mark { at: now, scans: 0, outcomes: Outcomes::default(), link: LinkLosses::default(), device_s: None },
+            begun: Mark {
+                at: now,
+                scans: 0,
+                outcomes: Outcomes::default(),
+                link: LinkLosses::default(),
+                device_s: None,
+            },
             rates: Rates::default(),
             recent_outcomes: Outcomes::default(),
             recent_link_losses: LinkLosses::default(),

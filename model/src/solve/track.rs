@@ -51,16 +51,16 @@ const MOST_STRAIN: f64 = 10.0;
 /// What noise adds to the way that a tool can have made which hits something: back as fast as it came.
 const REACH_SIGMAS: f64 = 6.0;
 
-/// Evaluations of all cells that a frame may take: at some 2 µs each, exact tier and twist unknown, half
+/// Evaluations of all cells that a frame may take: at some 2.4 µs each, exact tier and twist unknown, half
 /// of the 100 µs that a frame may cost at 4 kHz, for refinements that have begun are ended. Following
 /// takes one to three.
-const FRAME_WORK: usize = 24;
+const FRAME_WORK: usize = 20;
 
 /// What a frame saves for a later search, and the most that is saved: with it a frame still takes no
 /// longer than the 250 µs to the next. The first search of all may take as much as a cold solve, so that
 /// a cold start has its pose at once; nothing waits for it yet.
 const SAVED_A_FRAME: usize = 2;
-const MOST_SAVED: usize = 64;
+const MOST_SAVED: usize = 56;
 
 /// Frames without a search after one in vain, while a misfit is followed.
 const PAUSE: u32 = 256;
