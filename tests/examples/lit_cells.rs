@@ -13,6 +13,9 @@ use slitpose_tests::monte_carlo::trials::Trials;
 /// What a scan may take, 99 % of all scans, µs.
 const MOST_P99_US: f64 = 100.0;
 
+/// A scan that waits for longer is late, µs, as `slitpose run` has it. The system may stop a thread for less.
+const LATE_US: f64 = 5000.0;
+
 #[derive(Parser)]
 #[command(about = "What each scan costs a tracker, whatever the head sees")]
 struct Options {
@@ -48,9 +51,8 @@ fn main() -> ExitCode {
     }
     println!("{} runs of {} scans each, seed {}", options.runs, options.scans, options.seed);
     print!("{}", table(&reports));
-    let is_late =
-        |report: &&Report| report.cost_us(0.99) > MOST_P99_US || report.most_lag_us() > 1e6 * report.period_s();
+    let is_late = |report: &&Report| report.cost_us(0.99) > MOST_P99_US || report.most_lag_us() > LATE_US;
     let (late, cases) = (reports.iter().filter(is_late).count(), reports.len());
-    println!("99 % within {MOST_P99_US} us, none later than the next scan: {} of {cases} cases", cases - late);
+    println!("99 % within {MOST_P99_US} us, none later than {LATE_US} us: {} of {cases} cases", cases - late);
     ExitCode::from(u8::from(late > 0))
 }
