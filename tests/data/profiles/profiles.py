@@ -3,7 +3,7 @@
 
 Independent of the Rust program: the spot is clipped in long double (80 bits), cut into triangles and
 integrated by collapsed 16x16 Gauss rules; each triangle is divided in four until the sum over all
-triangles changes by less than 1e-13 of the current. Tables are interpolated as README.md says
+triangles changes by less than 1e-13 of the current. Tables are interpolated as model/README.md says
 ("Two tiers"): parabolas through the points in v = 1 - cos(gamma), blended by a quintic step.
 
     python3 profiles.py            writes the table beside this file; minutes of one core, on all there are

@@ -71,11 +71,6 @@ impl Report {
         self.runs.iter().map(|run| most_lag_s(self.period_s, costs(run))).fold(0.0, f64::max) * 1e6
     }
 
-    /// Seconds from scan to scan.
-    pub fn period_s(&self) -> f64 {
-        self.period_s
-    }
-
     /// Share of scans of which `is` is true.
     pub fn share(&self, is: impl Fn(&Scan) -> bool) -> f64 {
         self.scans().filter(|scan| is(scan)).count() as f64 / self.scans().count() as f64
