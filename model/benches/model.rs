@@ -7,7 +7,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use glam::DVec3;
 use slitpose_model::{Photocurrents, Plan, Pose, Solver, Tier};
 
-#[path = "../tests/common/mod.rs"]
+#[path = "../tests/testsuite/common/mod.rs"]
 mod common;
 
 use common::wide;

@@ -7,7 +7,7 @@
 //! Device times follow from the emulator's cycle table; ratio and the host's share are of the
 //! machine this runs on.
 
-#[path = "../emulator/tests/common/chain.rs"]
+#[path = "../emulator/tests/testsuite/common/chain.rs"]
 mod chain;
 
 use std::time::Instant;

@@ -22,7 +22,7 @@ static FAREWELL: OnceLock<fn(&OutputError)> = OnceLock::new();
 /// Has `farewell` told, instead of standard error, of each result that an interrupt leaves incomplete, before the
 /// program ends. The first one stays.
 pub fn say_by(farewell: fn(&OutputError)) {
-    FAREWELL.get_or_init(|| farewell);
+    let _ = FAREWELL.set(farewell);
 }
 
 /// What is set when the user interrupts, the service manager ends the program, or its terminal is closed. After

@@ -148,21 +148,14 @@ impl<T> Drainer<T> {
     /// The next full container, after a wait of `timeout` at most.
     pub(super) fn next(&self, timeout: Duration) -> Result<T, Dry> {
         let until = Instant::now() + timeout;
-        let mut next = self.next_now();
-        while matches!(next, Err(Dry::Yet)) {
+        loop {
+            let next = self.next_now();
             let left = until.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                break;
+            if !matches!(next, Err(Dry::Yet)) || left.is_zero() {
+                return next;
             }
-            self.sleeper.sleep(left, || {
-                next = self.next_now();
-                !matches!(next, Err(Dry::Yet))
-            });
-            if matches!(next, Err(Dry::Yet)) {
-                next = self.next_now();
-            }
+            self.wait(left);
         }
-        next
     }
 
     /// Waits until there is a full container, the other end calls or has gone, `timeout` has passed, or for no

@@ -1,42 +1,42 @@
 //! Where the two threads of a board meet over its solver.
 //!
-//! The thread that reads works off what it has read itself, if nothing else is to be done and that is quick: to
-//! wake the other thread for it would cost more than the work. What takes longer, and what comes meanwhile, is
-//! left to the other thread, so that reading goes on. Whoever works holds the worker, and takes first what was
-//! handed over before: pieces are worked off in the order in which they came.
+//! The reading thread processes what it has read itself, as long as nothing else is waiting and processing is
+//! quick: waking the other thread would cost more than the work. Slow work, and whatever arrives during it, is
+//! left to the other thread, so that reading continues. A mutex around the worker lets one thread work at a time,
+//! and the reading thread works only while the queue is empty: pieces are processed in the order of their arrival.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use super::circuit::{Drainer, Filler};
 use crate::threads::lock;
 
-/// What pieces are worked off with.
+/// Processes pieces, one after another.
 pub(super) trait Worker {
     /// What comes.
     type Piece;
 
-    /// Works `piece` off, unless that takes long: `false` if something is left to be done.
+    /// Processes `piece`; `false` if that takes long and some of the work is left for the other thread.
     fn serve(&mut self, piece: &mut Self::Piece) -> bool;
 }
 
-/// The end of the thread that reads.
+/// The reading thread's end.
 pub(super) struct Desk<W: Worker> {
     worker: Arc<Mutex<W>>,
     pieces: Filler<W::Piece>,
     /// The container that is filled next.
     own: Option<W::Piece>,
-    /// Whether this end works, too.
+    /// Whether the reading thread processes pieces, too.
     serves: bool,
 }
 
-/// The end of the thread that does what takes long.
+/// The other thread's end.
 pub(super) struct Bench<W: Worker> {
     worker: Arc<Mutex<W>>,
     /// What was left to it.
     pub(super) pieces: Drainer<W::Piece>,
 }
 
-/// Both ends. What goes between them goes round in `circuit`; `serves` tells whether the one that reads works.
+/// Both ends, around a circuit of containers. `serves`: the reading thread processes pieces, too.
 pub(super) fn desk<W: Worker>(
     worker: W,
     (pieces, left): (Filler<W::Piece>, Drainer<W::Piece>),
@@ -55,7 +55,7 @@ impl<W: Worker> Desk<W> {
         self.own.as_mut()
     }
 
-    /// Works the filled container off, or leaves it to the other end.
+    /// Processes the filled container, or leaves it to the other end.
     pub(super) fn pass_on(&mut self) {
         let Some(mut piece) = self.own.take() else {
             return;
@@ -77,7 +77,7 @@ impl<W: Worker> Desk<W> {
 }
 
 impl<W: Worker> Bench<W> {
-    /// The worker, as soon as the other end does without. Pieces are taken while it is held, and not else.
+    /// The worker, once the other end does not use it. Take pieces only while holding it, or their order is lost.
     pub(super) fn worker(&self) -> MutexGuard<'_, W> {
         lock(&self.worker)
     }
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_are_worked_off_in_order_by_whichever_thread() {
+    fn pieces_are_processed_in_order_by_either_thread() {
         const PIECES: u64 = 4_000;
         let expected: Vec<u64> = (1..=PIECES).collect();
         let both = pass(true, PIECES);
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_left_comes_before_what_could_be_done_at_once() {
+    fn a_piece_in_the_queue_is_processed_before_a_new_one() {
         let (mut desk, bench) = desk(Clerk::default(), circuit(4, || 0), true);
         let mut pass_on = |number| {
             *desk.piece().unwrap() = number;

@@ -2,7 +2,7 @@
 //! problems, the same products, one thread, in one run. See `README.md`.
 
 mod chart;
-#[path = "../../../model/tests/common/mod.rs"]
+#[path = "../../../model/tests/testsuite/common/mod.rs"]
 mod common;
 mod contender;
 mod levenberg_marquardt;

@@ -1,0 +1,289 @@
+//! A scripted board: hardware that does as it is told, and a host that reads everything.
+
+use std::collections::VecDeque;
+
+use slitpose_firmware::settings::Settings;
+use slitpose_firmware::{Board, Hardware, Health, Identity, Indicator, Link, ScanError, StorageError, TRANSFER_BYTES};
+use slitpose_protocol::{
+    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault,
+    Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request, ResetCause,
+    Schedule, Severity, Status, encode,
+};
+
+/// Ticks per second of the scripted board.
+pub const TICK_HZ: u32 = 1_000_000;
+
+/// What the hardware will say next.
+#[derive(Debug, Clone)]
+pub enum Finished {
+    Scan(RawScan),
+    Overrun,
+    Fault(HardwareFault),
+}
+
+/// Hardware that does as it is told.
+#[derive(Debug, Default)]
+pub struct Fake {
+    pub now: u64,
+    /// What is lit and sampled; `None`: emitters off.
+    pub running: Option<Configuration>,
+    /// Frames sampled so far.
+    pub sampled: u64,
+    /// What the next attempt to light will fail with.
+    pub refuse_light: Option<HardwareFault>,
+    /// How many attempts to go dark will fail.
+    pub refuse_dark: u32,
+    /// The next attempt to stop goes dark, but the converters do not answer.
+    pub deaf_converters: bool,
+    /// How often the core asked for darkness.
+    pub asked_dark: u32,
+    pub indicator: Option<Indicator>,
+    /// What the sensors say: volts, kelvin, thousandths.
+    pub health: (f32, f32, u16),
+    pub finished: VecDeque<Finished>,
+    /// What is kept, and how many polls the next Store or Forget takes.
+    pub kept: Option<Settings>,
+    pub storing_polls: u32,
+    pub refuse_store: bool,
+    pub rebooted: Option<BootTarget>,
+}
+
+impl Fake {
+    /// Samples `count` frames, one frame apart, if anything is running.
+    pub fn sample(&mut self, count: u64) {
+        let Some(running) = &self.running else { return };
+        for _ in 0..count {
+            let mut scan = RawScan::new(running.schedule.cells.into(), running.schedule.dark_slot().is_some());
+            self.now += u64::from(running.schedule.frame_ticks);
+            scan.sequence = self.sampled;
+            scan.tick = self.now;
+            scan.levels_mut().copy_from_slice(&running.levels);
+            for (cell, pair) in scan.lit_mut().iter_mut().enumerate() {
+                *pair = words(self.sampled, cell);
+            }
+            self.sampled += 1;
+            self.finished.push_back(Finished::Scan(scan));
+        }
+    }
+
+    /// Samples `count` frames and overwrites them before anyone collects them.
+    pub fn overrun(&mut self, count: u64) {
+        let Some(running) = &self.running else { return };
+        self.now += count * u64::from(running.schedule.frame_ticks);
+        self.sampled += count;
+        self.finished.push_back(Finished::Overrun);
+    }
+
+    /// Drives the emitters at another level from the next frame on.
+    pub fn set_level(&mut self, level: Level) {
+        if let Some(running) = &mut self.running {
+            running.levels.fill(level);
+        }
+    }
+}
+
+/// Words that tell which scan and cell they are from.
+pub fn words(sequence: u64, cell: usize) -> [u16; 2] {
+    [sequence as u16, !(sequence as u16).rotate_left(cell as u32)]
+}
+
+impl Hardware for Fake {
+    fn now_ticks(&mut self) -> u64 {
+        self.now
+    }
+
+    fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
+        if configuration.schedule.oversampling == 3 {
+            return Err(HardwareFault::Oversampling { oversampling: 3 });
+        }
+        Ok(())
+    }
+
+    fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
+        if configuration.is_some() {
+            if let Some(fault) = self.refuse_light.take() {
+                // A board that fails half-way may well have switched something on.
+                self.running = configuration.cloned();
+                return Err(fault);
+            }
+        } else {
+            self.asked_dark += 1;
+            if self.refuse_dark > 0 {
+                self.refuse_dark -= 1;
+                return Err(HardwareFault::Emitters);
+            }
+            if std::mem::take(&mut self.deaf_converters) {
+                self.running = None;
+                return Err(HardwareFault::Converters);
+            }
+        }
+        self.finished.clear();
+        self.running = configuration.cloned();
+        Ok(())
+    }
+
+    fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
+        match self.finished.pop_front() {
+            Some(Finished::Scan(finished)) => {
+                *scan = finished;
+                Ok(true)
+            }
+            Some(Finished::Overrun) => Err(ScanError::Overrun),
+            Some(Finished::Fault(fault)) => Err(ScanError::Fault(fault)),
+            None => Ok(false),
+        }
+    }
+
+    fn housekeeping(&mut self, indicator: Indicator) -> Health {
+        self.indicator = Some(indicator);
+        let (supply_v, temperature_k, cpu_load_permille) = self.health;
+        Health { supply_v, temperature_k, cpu_load_permille }
+    }
+
+    fn store(&mut self, settings: Option<&Settings>) {
+        if !self.refuse_store {
+            self.kept = settings.cloned();
+        }
+    }
+
+    fn stored(&mut self) -> Option<Result<(), StorageError>> {
+        if self.storing_polls > 0 {
+            self.storing_polls -= 1;
+            return None;
+        }
+        Some(if std::mem::take(&mut self.refuse_store) { Err(StorageError) } else { Ok(()) })
+    }
+
+    fn reboot(&mut self, target: BootTarget) {
+        assert!(self.running.is_none(), "rebooted with emitters lit");
+        self.rebooted = Some(target);
+    }
+}
+
+/// Two cells and a dark slot at 4 kHz.
+pub fn configuration() -> Configuration {
+    Configuration {
+        schedule: Schedule {
+            tick_hz: TICK_HZ,
+            frame_ticks: 250,
+            slots: [EmitterSet::of(&[0]), EmitterSet::of(&[1]), EmitterSet::DARK].into_iter().collect(),
+            slot_ticks: 50,
+            settling_ticks: 13,
+            conversion_ticks: 1,
+            oversampling: 4,
+            cells: 2,
+        },
+        levels: [Level::NOMINAL; 2].into_iter().collect(),
+        exposure: Exposure::Fixed,
+    }
+}
+
+/// The same without the dark slot.
+pub fn without_dark() -> Configuration {
+    let mut configuration = configuration();
+    configuration.schedule.slots.pop();
+    configuration
+}
+
+/// Who the scripted board is.
+pub fn identity() -> Identity {
+    Identity {
+        device_id: *b"scripted 001",
+        kind: BoardKind::Simulated,
+        board: "scripted",
+        reset_cause: ResetCause::PowerOn,
+        hashes: Hashes::default(),
+        scaling: AdcScaling { zero_code: 0.0, amperes_per_code: 1e-9, bits: 12, saturation_code: 4_000 },
+    }
+}
+
+/// A board with room for some twenty batches, so that it fills soon.
+pub fn board(fake: Fake) -> Board<Fake, [u8; 2_048]> {
+    Board::new(fake, identity(), configuration(), [0; 2_048]).expect("the configuration is valid")
+}
+
+/// Bytes of a command.
+pub fn request(number: u16, command: Command) -> Vec<u8> {
+    let mut buffer = [0; MAX_REQUEST_BYTES];
+    encode(&Request { number, command }, &mut buffer).expect("every command fits").to_vec()
+}
+
+/// A message without its borrows.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Heard {
+    Hello { configuration: u16, schedule: Schedule, hashes: Hashes },
+    Scan { configuration: u16, scan: RawScan },
+    Status(Status),
+    Event { severity: Severity, text: String },
+    Reply(Reply),
+    Pong(Pong),
+}
+
+/// The other end of the link: reads scans by the last hello it has seen, as a player of
+/// recordings does.
+pub struct Listener {
+    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    configuration: u16,
+    schedule: Schedule,
+}
+
+impl Default for Listener {
+    fn default() -> Self {
+        Self { decoder: Decoder::new(), configuration: 0, schedule: configuration().schedule }
+    }
+}
+
+impl Listener {
+    /// Everything the board has to say now.
+    pub fn listen<const QUEUE: usize>(&mut self, board: &mut Board<Fake, [u8; QUEUE]>) -> Vec<Heard> {
+        let mut heard = Vec::new();
+        let mut transfer = [0; TRANSFER_BYTES];
+        loop {
+            let mut bytes = board.transmit(&mut transfer);
+            if bytes.is_empty() {
+                assert_eq!(self.decoder.pending_bytes(), 0, "a transfer ends with a whole packet");
+                return heard;
+            }
+            while let Some(message) = self.decoder.next::<Message>(&mut bytes) {
+                match message.expect("a board sends nothing damaged") {
+                    Message::Hello(Hello { configuration, schedule, hashes, .. }) => {
+                        self.configuration = configuration;
+                        self.schedule = schedule.clone();
+                        heard.push(Heard::Hello { configuration, schedule, hashes });
+                    }
+                    Message::Batch(batch) => {
+                        assert_eq!(batch.configuration, self.configuration, "read by the wrong schedule");
+                        heard.extend(scans(&batch, &self.schedule));
+                    }
+                    Message::Status(status) => heard.push(Heard::Status(status)),
+                    Message::Event(event) => {
+                        heard.push(Heard::Event { severity: event.severity, text: event.text.into() });
+                    }
+                    Message::Reply(reply) => heard.push(Heard::Reply(reply)),
+                    Message::Pong(pong) => heard.push(Heard::Pong(pong)),
+                    Message::Truth(truth) => panic!("a board knows no truth: {truth:?}"),
+                }
+            }
+        }
+    }
+}
+
+fn scans(batch: &Batch, schedule: &Schedule) -> Vec<Heard> {
+    let scans = batch.scans(schedule).expect("the batch was made by this schedule");
+    scans.map(|scan| Heard::Scan { configuration: batch.configuration, scan }).collect()
+}
+
+/// Polls and listens.
+pub fn turn<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &mut Listener) -> Vec<Heard> {
+    board.poll(Link::Open);
+    listener.listen(board)
+}
+
+/// The sequence numbers of the scans heard.
+pub fn sequences(heard: &[Heard]) -> Vec<u64> {
+    let scans = heard.iter().filter_map(|heard| match heard {
+        Heard::Scan { scan, .. } => Some(scan.sequence),
+        _ => None,
+    });
+    scans.collect()
+}

@@ -1,0 +1,5 @@
+//! The tests of what the board does, in one program.
+
+mod behaviour;
+mod common;
+mod reference;

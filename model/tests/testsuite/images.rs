@@ -1,0 +1,263 @@
+//! Mirror images: other poses with nearly the same currents.
+
+use crate::common::{base, generator, pose_in_box, six_cells, uniform, vector, wide};
+use glam::{DQuat, DVec3};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use slitpose_model::{
+    Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver, Tier, Weakness,
+};
+
+const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
+
+/// The geometry of `wide` with rolls of `middle_deg` ± `delta_rad` in turn.
+fn rolled(middle_deg: f64, delta_rad: f64) -> Scene {
+    let delta = delta_rad.to_degrees();
+    six_cells(5.0, 0.6, [middle_deg + delta, middle_deg - delta])
+}
+
+/// Three cells of a ring of six, each twice.
+fn doubled(rolls_deg: [f64; 3]) -> Scene {
+    let mut scene = six_cells(5.0, 0.6, [0.0; 2]);
+    for (k, roll_deg) in rolls_deg.into_iter().enumerate() {
+        let mut cell = scene.cells[2 * k].clone();
+        let detector = &mut cell.detector;
+        let turn = DQuat::from_axis_angle(detector.normal_base, -roll_deg.to_radians());
+        detector.x_axis_base = turn * detector.x_axis_base;
+        (scene.cells[2 * k], scene.cells[2 * k + 1]) = (cell.clone(), cell);
+    }
+    scene
+}
+
+/// What a workshop makes of `scene`: directions to `rad`, places to `mm`.
+fn machined(mut scene: Scene, rng: &mut ChaCha8Rng, rad: f64, mm: f64) -> Scene {
+    for cell in &mut scene.cells {
+        let turn = DQuat::from_scaled_axis(vector(rng, rad));
+        let detector = &mut cell.detector;
+        (detector.normal_base, detector.x_axis_base) = (turn * detector.normal_base, turn * detector.x_axis_base);
+        detector.centre_base_m += vector(rng, mm * 1e-3);
+        cell.emitter.position_tool_m += vector(rng, mm * 1e-3);
+    }
+    scene
+}
+
+/// Currents at `pose` with the converter's noise, which outweighs the rest.
+fn seen(solver: &Solver<f64>, pose: &Pose, rng: &mut ChaCha8Rng) -> Photocurrents {
+    let mut noisy =
+        |current: f64| current + 0.6e-9 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng);
+    Photocurrents::of_pairs((0..solver.plan().cell_count()).map(|cell| {
+        let Pair { i_x1_a, i_x2_a } = solver.plan().photocurrents(cell, pose);
+        Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
+    }))
+}
+
+/// How many of `count` random poses were found, and how many were said to be ambiguous or not observable.
+///
+/// # Panics
+/// If a pose is given that is beyond 8 σ of the truth, which no one of 10¹³ honest ones is.
+fn honest(name: &str, scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng, count: usize) -> [usize; 2] {
+    let solver = Solver::<f64>::new(scene, tier).expect("scene");
+    assert!(solver.has_mirror_images(), "{name}");
+    let (mut right, mut refused) = (0, 0);
+    for _ in 0..count {
+        let pose = pose_in_box(rng, 2.5, 9.0);
+        let solution = solver.solve(&seen(&solver, &pose, rng));
+        match (solution.outcome, solution.estimate) {
+            (Outcome::Ambiguous | Outcome::Unobservable(_), None) => refused += 1,
+            (Outcome::Converged, Some(estimate)) => {
+                let (dt, dr) = estimate.pose.displacement_from(&pose);
+                let worst = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z]
+                    .iter()
+                    .zip(estimate.sigma())
+                    .map(|(error, sigma)| error.abs() / sigma)
+                    .fold(0.0, f64::max);
+                assert!(worst < 8.0, "{name}, {tier:?}: {worst:.1} σ off at {pose:?}");
+                right += 1;
+            }
+            (Outcome::Degraded(Weakness::Misfit) | Outcome::Diverged, _) => {}
+            other => panic!("{name}, {tier:?}: {other:?}"),
+        }
+    }
+    println!("{name}, {tier:?}: {right} right, {refused} refused");
+    [right, refused]
+}
+
+#[test]
+fn heads_that_are_nearly_their_own_mirror_image_give_no_wrong_pose() {
+    let mut rng = generator();
+    for tier in TIERS {
+        for middle_deg in [0.0, 45.0, 90.0] {
+            for delta_rad in [1e-4, 1e-3, 3e-3, 2e-2] {
+                let name = format!("rolls {middle_deg}° ± {delta_rad}");
+                let [right, refused] = honest(&name, &rolled(middle_deg, delta_rad), tier, &mut rng, 40);
+                // An image in the plane of the ring is told by the sines of the rolls alone: by 0.1 µm
+                // of light at 1e-4, which noise of 0.7 µm hides, and by 20 µm at 2e-2.
+                match delta_rad {
+                    1e-4 if middle_deg == 0.0 => assert!(refused > 35),
+                    2e-2 => assert!(right > 35),
+                    _ => assert!(right + refused > 35),
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn machined_rings_and_doubled_cells_give_no_wrong_pose() {
+    let mut rng = generator();
+    for tier in TIERS {
+        for (rad, mm) in [(2e-3, 0.02), (1e-2, 0.1)] {
+            for roll_deg in [0.0, 90.0] {
+                let scene = machined(rolled(roll_deg, 0.0), &mut rng, rad, mm);
+                honest(&format!("ring of {roll_deg}°, {rad}"), &scene, tier, &mut rng, 30);
+            }
+            for rolls_deg in [[45.0; 3], [45.0, -45.0, 45.0]] {
+                let scene = machined(doubled(rolls_deg), &mut rng, rad, mm);
+                let [right, refused] = honest(&format!("doubled {rolls_deg:?}, {rad}"), &scene, tier, &mut rng, 30);
+                assert!(right + refused > 25);
+            }
+        }
+    }
+}
+
+#[test]
+fn cells_that_are_there_twice_tell_no_more_than_once() {
+    let mut rng = generator();
+    for rolls_deg in [[45.0; 3], [45.0, -45.0, 45.0]] {
+        let solver = Solver::<f64>::new(&doubled(rolls_deg), Tier::Paper).expect("scene");
+        let ambiguous = (0..30).filter(|_| {
+            let pose = pose_in_box(&mut rng, 2.5, 9.0);
+            solver.solve(&seen(&solver, &pose, &mut rng)).outcome == Outcome::Ambiguous
+        });
+        let ambiguous = ambiguous.count();
+        assert!(ambiguous > 25, "{rolls_deg:?}: {ambiguous} of 30");
+    }
+}
+
+#[test]
+fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
+    let mut rng = generator();
+    // What is free at home: see PHYSICS of one cell in the module on observability.
+    for (roll_deg, free) in [(45.0, "tz;rz"), (90.0, "rz")] {
+        let solver = Solver::<f64>::new(&rolled(roll_deg, 0.0), Tier::Paper).expect("scene");
+        assert_eq!(solver.free_directions(&Pose::HOME).expect("singular").to_string(), free);
+        let at_home = solver.solve(&seen(&solver, &Pose::HOME, &mut rng));
+        assert!(at_home.estimate.is_none(), "{roll_deg}°: {:?}", at_home.outcome);
+        let found = (0..20).filter(|_| {
+            let pose = pose_in_box(&mut rng, 2.5, 9.0);
+            let solution = solver.solve(&seen(&solver, &pose, &mut rng));
+            solution.estimate.is_some_and(|estimate| estimate.nees(&pose).is_some_and(|nees| nees < 50.0))
+        });
+        let found = found.count();
+        assert!(found > 15, "{roll_deg}°: {found} of 20");
+    }
+}
+
+/// What a solver makes of noise-free light at home, expected there to 3 µm and 0.3 mrad, or anywhere.
+fn found_at_home<S: Scalar>(scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng) -> Vec<Solution> {
+    let light = Plan::<f64>::compile(scene, Tier::Exact { tolerance: 1e-15 }).expect("scene");
+    let readings = Photocurrents::of_pairs((0..6).map(|cell| light.photocurrents(cell, &Pose::HOME)));
+    let solver = Solver::<S>::new(scene, tier).expect("scene");
+    let mut solve = |_| {
+        let prior = Pose::from_vectors(vector(rng, 3e-6), vector(rng, 3e-4));
+        solver.solve_near(&readings, &prior, &Default::default()).widened()
+    };
+    (0..20).map(&mut solve).chain([solver.solve(&readings).widened()]).collect()
+}
+
+#[test]
+fn equal_rolls_at_home_are_not_observable_wherever_the_search_begins() {
+    let mut rng = generator();
+    for roll_rad in [0.0, 1e-10, 1e-7, 1e-4] {
+        let scene = Scene { noise: None, ..rolled(0.0, roll_rad) };
+        let mut found = found_at_home::<f32>(&scene, Tier::Exact { tolerance: 1e-6 }, &mut rng);
+        if roll_rad == 0.0 {
+            found.extend(found_at_home::<f64>(&scene, Tier::Exact { tolerance: 1e-15 }, &mut rng));
+        }
+        for Solution { outcome, .. } in found {
+            assert!(matches!(outcome, Outcome::Unobservable(_)), "±{roll_rad}: {outcome:?}");
+        }
+    }
+}
+
+#[test]
+fn a_way_that_ends_damped_leaves_the_covariance_as_it_is() {
+    let mut rng = generator();
+    for roll_rad in [1e-8, 1e-9, 1e-10] {
+        let scene = Scene { noise: None, ..rolled(0.0, roll_rad) };
+        for solution in found_at_home::<f64>(&scene, Tier::Exact { tolerance: 1e-15 }, &mut rng) {
+            let estimate = solution.estimate.expect("pose");
+            let (dt, dr) = estimate.pose.displacement_from(&Pose::HOME);
+            let errors = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+            let worst = errors.iter().zip(estimate.sigma()).map(|(error, sigma)| error.abs() / sigma);
+            // Currents count as rounded sixteen times; damping by 1e-10 of the information makes tens of σ of that.
+            let worst = worst.fold(0.0, f64::max);
+            assert!(worst < 3.0, "±{roll_rad}: {worst} σ");
+        }
+    }
+}
+
+#[test]
+fn ordinary_heads_are_not_searched_for_images() {
+    let mut rng = generator();
+    for tier in TIERS {
+        for (name, scene) in [("wide", wide()), ("base", base())] {
+            let solver = Solver::<f64>::new(&scene, tier).expect("scene");
+            assert!(!solver.has_mirror_images(), "{name}, {tier:?}");
+            let evaluations = (0..50).map(|_| {
+                let pose = pose_in_box(&mut rng, 2.0, 8.0);
+                solver.solve(&seen(&solver, &pose, &mut rng)).evaluations
+            });
+            let evaluations: usize = evaluations.sum();
+            assert!(evaluations < 50 * 6, "{name}, {tier:?}: {evaluations} for 50 poses");
+        }
+    }
+}
+
+#[test]
+fn five_cells_have_images_that_the_sixth_tells_apart() {
+    // Rolls of 0 make a ring its own mirror image in its plane; one cell that is turned does not.
+    let mut scene = six_cells(5.0, 0.6, [0.0; 2]);
+    let turned = wide().cells[0].clone();
+    scene.cells[0] = turned;
+    let mut rng = generator();
+    for tier in TIERS {
+        let solver = Solver::<f64>::new(&scene, tier).expect("scene");
+        for _ in 0..20 {
+            let lift = DVec3::new(0.0, 0.0, uniform(&mut rng, 1e-3, 2.5e-3));
+            let pose =
+                Pose::from_vectors(vector(&mut rng, 1e-3) * DVec3::new(1.0, 1.0, 0.0) + lift, vector(&mut rng, 0.05));
+            let mut readings = seen(&solver, &pose, &mut rng);
+            let six = solver.solve(&readings);
+            if let Some(estimate) = six.estimate {
+                assert!(estimate.nees(&pose).is_some_and(|nees| nees < 60.0), "{tier:?} at {pose:?}");
+            }
+            readings.cells[0] = Reading::Missing;
+            let five = solver.solve(&readings);
+            assert_eq!(five.outcome, Outcome::Ambiguous, "{tier:?} at {pose:?}");
+        }
+    }
+}
+
+#[test]
+fn three_cells_alone_have_no_pose_from_nothing() {
+    let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
+    let mut rng = generator();
+    for _ in 0..40 {
+        let pose = pose_in_box(&mut rng, 2.0, 8.0);
+        let mut readings = seen(&solver, &pose, &mut rng);
+        let dark = Reading::Light(Pair { i_x1_a: 0.0, i_x2_a: 0.0 });
+        // Covered, or not measured: nothing tells the pose from its images.
+        for cells in [[Reading::Missing; 3], [dark; 3]] {
+            for (cell, reading) in [1, 3, 4].into_iter().zip(cells) {
+                readings.cells[cell] = reading;
+            }
+            let solution = solver.solve(&readings);
+            assert!(solution.estimate.is_none(), "{pose:?}");
+            assert!(matches!(solution.outcome, Outcome::Ambiguous | Outcome::Diverged), "{:?}", solution.outcome);
+        }
+        // Where the tool was followed to, it is known.
+        let followed = solver.solve_near(&readings, &pose, &Default::default());
+        assert!(followed.estimate.is_some() || followed.outcome == Outcome::Ambiguous, "{:?}", followed.outcome);
+    }
+}

@@ -1,0 +1,14 @@
+//! The tests of the model, in one program: its generic code is compiled once.
+
+mod acceptance;
+mod common;
+mod derivatives;
+mod honesty;
+mod images;
+mod kinks;
+mod noise;
+mod numbers;
+mod profiles;
+mod solve;
+mod tolerance;
+mod track;

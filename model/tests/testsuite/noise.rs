@@ -1,0 +1,224 @@
+//! Each kind of noise, and each thing that calibration has left open, where it dominates: currents are
+//! drawn as physics makes them, and the solver must know their scatter.
+//!
+//! Shot noise is counted in electrons, Johnson noise in the energy of a capacitor: neither uses the
+//! formulas of the solver's weights.
+
+use crate::common::{generator, pose_in_box, wide};
+use glam::DVec3;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use slitpose_model::{Effort, Noise, Outcome, Pair, Photocurrents, Plan, Pose, Scene, Solver, Tier, Uncertainty};
+
+/// CODATA 2018, exact: coulombs and joules per kelvin.
+const ELECTRON_C: f64 = 1.602_176_634e-19;
+const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
+
+/// Converter noise beside that under study: it keeps all directions finite.
+const SOME_A: f64 = 2e-11;
+
+const TRIALS: usize = 2000;
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// The default head without noise, dark current or uncertainty.
+fn quiet() -> Scene {
+    let mut scene = wide();
+    scene.noise =
+        Some(Noise { shot_bandwidth_hz: 0.0, johnson_bandwidth_hz: 0.0, temperature_k: 300.0, adc_a: SOME_A });
+    scene.uncertainty = Uncertainty::default();
+    for cell in &mut scene.cells {
+        cell.detector.dark_current_a = 0.0;
+        cell.detector.interelectrode_ohm = None;
+    }
+    scene
+}
+
+/// What a study finds: means of χ² and of NEES, both 6 if the scatter is known, and per axis the root
+/// mean squares of error/σ and of σ.
+#[derive(Debug)]
+struct Found {
+    chi2: f64,
+    nees: f64,
+    errors: [f64; 6],
+    sigmas: [f64; 6],
+}
+
+/// Solves for random poses at which all cells are lit; `measure` disturbs what cell `k` delivers at a pose.
+fn study(scene: &Scene, measure: impl Fn(&Plan<f64>, usize, &Pose, &mut ChaCha8Rng) -> Pair<f64>) -> Found {
+    let solver = Solver::<f64>::new(scene, Tier::Paper).expect("scene");
+    let mut rng = generator();
+    let mut found = Found { chi2: 0.0, nees: 0.0, errors: [0.0; 6], sigmas: [0.0; 6] };
+    for _ in 0..TRIALS {
+        let truth = pose_in_box(&mut rng, 2.5, 10.0);
+        let pairs = (0..6).map(|cell| {
+            let pair = measure(solver.plan(), cell, &truth, &mut rng);
+            Pair { i_x1_a: pair.i_x1_a + SOME_A * normal(&mut rng), i_x2_a: pair.i_x2_a + SOME_A * normal(&mut rng) }
+        });
+        let solution = solver.solve(&Photocurrents::of_pairs(pairs));
+        assert_eq!(solution.outcome, Outcome::Converged, "{truth:?}");
+        let estimate = solution.estimate.expect("pose");
+        found.chi2 += solution.chi2 / TRIALS as f64;
+        found.nees += estimate.nees(&truth).expect("covariance") / TRIALS as f64;
+        let (dt, dr) = estimate.pose.displacement_from(&truth);
+        for (axis, sigma) in estimate.sigma().into_iter().enumerate() {
+            let error = if axis < 3 { dt[axis] } else { dr[axis - 3] };
+            found.errors[axis] += (error / sigma).powi(2) / TRIALS as f64;
+            found.sigmas[axis] += sigma * sigma / TRIALS as f64;
+        }
+    }
+    found.errors = found.errors.map(f64::sqrt);
+    found.sigmas = found.sigmas.map(f64::sqrt);
+    found
+}
+
+/// The means of 2000 χ² of six degrees of freedom, to 4.5 of their σ.
+fn assert_known(what: &str, found: &Found) {
+    println!("{what}: {found:?}");
+    let scatter = 4.5 * (12.0 / TRIALS as f64).sqrt();
+    assert!((found.chi2 - 6.0).abs() < scatter && (found.nees - 6.0).abs() < scatter, "{what}: {found:?}");
+}
+
+#[test]
+fn shot_noise_is_that_of_counted_electrons() {
+    let mut scene = quiet();
+    let bandwidth_hz = 1e6;
+    scene.noise.as_mut().expect("noise").shot_bandwidth_hz = bandwidth_hz;
+    // A mean over this time passes as much white noise as an ideal low-pass of that bandwidth.
+    let time_s = 0.5 / bandwidth_hz;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        let pair = plan.photocurrents(cell, pose);
+        let electrons = pair.total_a() * time_s / ELECTRON_C;
+        // All of them start at one place, and divide alike.
+        let share = 1.0 + normal(rng) / electrons.sqrt();
+        Pair { i_x1_a: pair.i_x1_a * share, i_x2_a: pair.i_x2_a * share }
+    });
+    assert_known("light", &found);
+}
+
+#[test]
+fn dark_current_makes_shot_noise_all_over_the_detector() {
+    let mut scene = quiet();
+    let (bandwidth_hz, dark_a) = (1e6, 20e-6);
+    // Lit and dark sample have it both: the bandwidth that counts both is the other.
+    scene.noise.as_mut().expect("noise").johnson_bandwidth_hz = 2.0 * bandwidth_hz;
+    scene.cells.iter_mut().for_each(|cell| cell.detector.dark_current_a = dark_a);
+    let electrons = dark_a * 0.5 / bandwidth_hz / ELECTRON_C;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        let mut pair = plan.photocurrents(cell, pose);
+        for sign in [1.0, -1.0] {
+            // The number of electrons, and where they start: evenly between the electrodes.
+            let number = normal(rng) / electrons.sqrt() * dark_a;
+            let place = normal(rng) / (12.0 * electrons).sqrt() * dark_a;
+            pair.i_x1_a += sign * (0.5 * number - place);
+            pair.i_x2_a += sign * (0.5 * number + place);
+        }
+        pair
+    });
+    assert_known("dark current", &found);
+}
+
+#[test]
+fn johnson_noise_is_that_of_the_energy_of_a_capacitor() {
+    let mut scene = quiet();
+    let (bandwidth_hz, ohm, temperature_k) = (1e6, 50e3, 350.0);
+    let noise = scene.noise.as_mut().expect("noise");
+    (noise.johnson_bandwidth_hz, noise.temperature_k) = (bandwidth_hz, temperature_k);
+    scene.cells.iter_mut().for_each(|cell| cell.detector.interelectrode_ohm = Some(ohm));
+    // A resistor and a capacitor pass white noise as an ideal low-pass of 1/(4RC) does; the capacitor
+    // holds ½kT on average.
+    let farad = 0.25 / (ohm * bandwidth_hz);
+    let current_a = (BOLTZMANN_J_PER_K * temperature_k / farad).sqrt() / ohm;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        let pair = plan.photocurrents(cell, pose);
+        let through = current_a * normal(rng);
+        Pair { i_x1_a: pair.i_x1_a + through, i_x2_a: pair.i_x2_a - through }
+    });
+    assert_known("resistance", &found);
+}
+
+#[test]
+fn gains_and_converters_scatter_as_told() {
+    let mut scene = quiet();
+    scene.noise.as_mut().expect("noise").adc_a = 2e-9;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
+        Pair { i_x1_a: i_x1_a + 2e-9 * normal(rng), i_x2_a: i_x2_a + 2e-9 * normal(rng) }
+    });
+    assert_known("converter", &found);
+    let mut scene = quiet();
+    scene.uncertainty.electrode_gain_relative = 1e-3;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
+        Pair { i_x1_a: i_x1_a * (1.0 + 1e-3 * normal(rng)), i_x2_a: i_x2_a * (1.0 + 1e-3 * normal(rng)) }
+    });
+    assert_known("electrodes", &found);
+    let mut scene = quiet();
+    scene.uncertainty.emitter_gain_relative = 2e-3;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
+        let gain = 1.0 + 2e-3 * normal(rng);
+        Pair { i_x1_a: i_x1_a * gain, i_x2_a: i_x2_a * gain }
+    });
+    assert_known("emitters", &found);
+}
+
+#[test]
+fn displaced_parts_are_told_by_covariance() {
+    let mut scene = quiet();
+    let position_m = 20e-6;
+    scene.uncertainty.position_m = position_m;
+    let found = study(&scene, |plan, cell, pose, rng| {
+        // A detector with its slit that is off one way sees the emitter off the other way.
+        let off_m = DVec3::from_array([0; 3].map(|_| position_m * normal(rng)));
+        plan.photocurrents(cell, &Pose { translation_m: pose.translation_m - off_m, ..*pose })
+    });
+    assert_known("parts", &found);
+    // Six cells off by 20 µm each, two currents each: the mean of what each says is some 10 µm.
+    assert!(found.sigmas[..3].iter().all(|sigma| (9e-6..12e-6).contains(sigma)), "{found:?}");
+    assert!(found.errors.iter().all(|error| (0.9..1.1).contains(error)), "{found:?}");
+    // Only along one axis, and not told of the others: still no error that is not told.
+    for axis in DVec3::AXES {
+        let found = study(&scene, |plan, cell, pose, rng| {
+            let off_m = axis * (position_m * normal(rng));
+            plan.photocurrents(cell, &Pose { translation_m: pose.translation_m - off_m, ..*pose })
+        });
+        assert!(found.errors.iter().all(|error| *error < 1.25), "{axis}: {found:?}");
+    }
+}
+
+#[test]
+fn dark_current_hides_neither_planes_nor_limits() {
+    let mut rng = generator();
+    for dark_a in [20e-9, 200e-9] {
+        let mut scene = wide();
+        scene.cells.iter_mut().for_each(|cell| cell.detector.dark_current_a = dark_a);
+        for (tier, far_m) in [(Tier::Paper, 1e-9), (Tier::Exact { tolerance: 1e-9 }, 60e-6)] {
+            let solver = Solver::<f64>::new(&scene, tier).expect("scene");
+            let planes = solver.clone().with_effort(Effort::Planes);
+            for _ in 0..50 {
+                let truth = pose_in_box(&mut rng, 2.0, 8.0);
+                let readings = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &truth)));
+                let off_m = |solver: &Solver<f64>| {
+                    let pose = solver.solve(&readings).estimate.expect("pose").pose;
+                    (pose.translation_m - truth.translation_m).length()
+                };
+                // The planes of the exact tier take the middle of a spot for its centroid.
+                assert!(off_m(&planes) < far_m, "{dark_a} {tier:?} {truth:?}: {}", off_m(&planes));
+                assert!(off_m(&solver) < 1e-9, "{dark_a} {tier:?} {truth:?}: {}", off_m(&solver));
+            }
+            // A detector saturates by all of its current, of which the dark one is no part of a reading.
+            let readings = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &Pose::HOME)));
+            let total_a = solver.plan().photocurrents(2, &Pose::HOME).total_a() + dark_a;
+            for (limit_a, used) in [(total_a * 1.001, true), (total_a * 0.999, false)] {
+                scene.cells[2].detector.saturation_a = Some(limit_a);
+                let solver = Solver::<f64>::new(&scene, tier).expect("scene");
+                assert_eq!(solver.solve(&readings).cells_used.contains(2), used, "{dark_a} {tier:?}");
+                assert_eq!(solver.plan().respond(2, &Pose::HOME).flags.saturated, !used, "{dark_a} {tier:?}");
+            }
+            scene.cells[2].detector.saturation_a = None;
+        }
+    }
+}

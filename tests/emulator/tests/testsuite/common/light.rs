@@ -1,0 +1,472 @@
+//! A board on the bench: what its host hears, and every change of its emitter pins and every
+//! instant at which a converter holds a sample.
+
+use slitpose_emulator::image::Image;
+use slitpose_emulator::machine::Stop;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image};
+use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
+use slitpose_firmware::wiring::{LEVEL_LINES, level_line};
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::{SceneFile, Shipped};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_model::{Pair, Plan, Pose, Reading};
+use slitpose_protocol::{
+    AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, Message, RawScan, Rejection, ResetCause,
+    Schedule, Status,
+};
+
+pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
+
+/// Inputs of ADC1 and ADC2 by cell, from the board's wiring table (firmware/README.md).
+pub const INPUTS: [[u8; 6]; 2] = [[1, 2, 6, 7, 8, 9], [4, 5, 11, 12, 14, 15]];
+
+/// By so much the emitters of a lit last slot go off ahead of the slot's end if the frame has an
+/// idle rest (firmware/README.md, "A frame").
+pub const OFF_LEAD_TICKS: u64 = 32;
+
+/// Ticks after the start of a slot within which the level lines have its levels: the compare that
+/// writes them comes one tick after the update that switches the gates.
+pub const LEVEL_TICKS: u64 = 1;
+
+/// Gates and level codes from `at` on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drive {
+    pub at: Ticks,
+    pub gates: u8,
+    pub levels: [u16; 2],
+}
+
+/// A converter holds the sample of an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Hold {
+    pub at: Ticks,
+    pub adc: u8,
+    pub channel: u8,
+}
+
+/// A world that remembers what the board does to it.
+#[derive(Debug)]
+pub struct Recorder {
+    world: OpticsWorld,
+    now: Drive,
+    pub drives: Vec<Drive>,
+    pub holds: Vec<Hold>,
+    pub records_holds: bool,
+}
+
+impl World for Recorder {
+    fn drive(&mut self, at: Ticks, gates: u8, levels: [u16; 2]) {
+        self.now = Drive { at, gates, levels };
+        self.drives.push(self.now);
+        self.world.drive(at, gates, levels);
+    }
+
+    fn sample(&mut self, at: Ticks, adc: u8, channel: u8) -> u16 {
+        if self.records_holds {
+            self.holds.push(Hold { at, adc, channel });
+        }
+        self.world.sample(at, adc, channel)
+    }
+}
+
+/// What the host has been told, in order, with the instants at which it was over.
+#[derive(Clone, Debug)]
+pub enum Said {
+    Hello { cause: ResetCause },
+    Scans { scans: Vec<RawScan> },
+    Status(Status),
+    Event(String),
+    Reply(u16, Result<(), Rejection>),
+    Other,
+}
+
+/// A board, its host and a record of its pins.
+pub struct Bench {
+    pub rig: Rig<Recorder>,
+    pub image: Image,
+    pub scene: SceneFile,
+    pub scaling: AdcScaling,
+    pub said: Vec<(Ticks, Said)>,
+    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    schedules: Vec<(u16, Schedule)>,
+}
+
+pub fn wide() -> SceneFile {
+    Shipped::named("wide").expect("it is shipped").read().expect("it is valid")
+}
+
+pub fn still() -> Trajectory {
+    Trajectory::of_kind(TrajectoryKind::Still, 0, 0.0)
+}
+
+impl Bench {
+    /// A board that has introduced itself, in front of a tool at rest at home, without noise.
+    pub fn quiet() -> Self {
+        Self::new(still(), NoiseSource::Off)
+    }
+
+    pub fn new(trajectory: Trajectory, noise: NoiseSource) -> Self {
+        let image = open_image(None).expect("firmware/build makes it");
+        let scene = wide();
+        let world = OpticsWorld::new(&scene, trajectory, WORLD_TIER, noise).expect("the board is made for it");
+        let now = Drive { at: 0, gates: 0, levels: [0; 2] };
+        let recorder = Recorder { world, now, drives: Vec::new(), holds: Vec::new(), records_holds: false };
+        let mut bench = Self {
+            rig: Rig::power_on(&image, recorder),
+            image,
+            scene,
+            scaling: slitpose_firmware::default_scaling(),
+            said: Vec::new(),
+            decoder: Decoder::new(),
+            schedules: Vec::new(),
+        };
+        assert_eq!(bench.connect(), ResetCause::PowerOn);
+        bench
+    }
+
+    /// Lets the host find the board and open its port; gives why the board started.
+    pub fn connect(&mut self) -> ResetCause {
+        // What was on its way when the board went is half a packet.
+        self.listen();
+        self.decoder.reset();
+        while self.rig.machine().device_clock_origin().is_none() {
+            self.run_ms(1);
+        }
+        let origin = self.rig.machine().device_clock_origin().expect("the board has started its clock");
+        self.rig.machine().board.world.world.set_origin(origin);
+        let end = self.rig.now() + TICKS_PER_SECOND;
+        while !self.rig.machine().board.usb_host.is_configured() {
+            self.run_ms(1);
+            assert!(self.rig.now() < end, "the board does not enumerate");
+        }
+        // A port that was open is opened again by the host itself.
+        self.run_ms(5);
+        self.rig.set_open(false);
+        self.run_ms(5);
+        self.open();
+        for _ in 0..100 {
+            self.run_ms(1);
+            if let Some(cause) = self.said.iter().find_map(|(_, said)| match said {
+                Said::Hello { cause, .. } => Some(*cause),
+                _ => None,
+            }) {
+                return cause;
+            }
+        }
+        panic!("no hello: {:?}", self.said);
+    }
+
+    /// Opens the port; half a packet that was left on the line belongs to nobody.
+    pub fn open(&mut self) {
+        self.listen();
+        self.decoder.reset();
+        self.said.clear();
+        self.rig.set_open(true);
+    }
+
+    /// Lets time pass and takes what comes.
+    pub fn run_ms(&mut self, ms: u64) {
+        let end = self.rig.now() + ms * MS;
+        self.run_until(end);
+    }
+
+    pub fn run_until(&mut self, end: Ticks) {
+        let stop = self.rig.run_until(end);
+        assert!(matches!(stop, Stop::Reached | Stop::PoweredOff), "{stop:?}");
+        self.listen();
+    }
+
+    pub fn listen(&mut self) {
+        for (at, bytes) in self.rig.take_packets() {
+            let mut bytes = &bytes[..];
+            while let Some(message) = self.decoder.next::<Message>(&mut bytes) {
+                let said = match message.expect("the line is clean") {
+                    Message::Hello(hello) => {
+                        self.scaling = hello.scaling;
+                        self.schedules.push((hello.configuration, hello.schedule));
+                        Said::Hello { cause: hello.reset_cause }
+                    }
+                    Message::Batch(batch) => {
+                        let of = |(number, _): &&(u16, Schedule)| *number == batch.configuration;
+                        let (_, schedule) = self.schedules.iter().rev().find(of).expect("a hello comes first");
+                        let scans = batch.scans(schedule).expect("it is of its schedule").collect();
+                        Said::Scans { scans }
+                    }
+                    Message::Status(status) => Said::Status(status),
+                    Message::Event(event) => Said::Event(event.text.to_owned()),
+                    Message::Reply(reply) => Said::Reply(reply.number, reply.outcome),
+                    _ => Said::Other,
+                };
+                self.said.push((at, said));
+            }
+        }
+    }
+
+    /// Sends a command and waits for its reply; gives when that was over, and what it said.
+    pub fn ask(&mut self, command: &Command) -> (Ticks, Result<(), Rejection>) {
+        let number = self.rig.send(command.clone());
+        let end = self.rig.now() + 100 * MS;
+        while self.rig.now() < end {
+            let next = self.rig.now() + MS / 10;
+            self.run_until(next);
+            if let Some(reply) = self.said.iter().rev().find_map(|(at, said)| match said {
+                Said::Reply(n, outcome) if *n == number => Some((*at, *outcome)),
+                _ => None,
+            }) {
+                return reply;
+            }
+        }
+        panic!("no reply within 100 ms");
+    }
+
+    pub fn accept(&mut self, command: &Command) -> Ticks {
+        let (at, outcome) = self.ask(command);
+        assert_eq!(outcome, Ok(()), "{command:?}");
+        at
+    }
+
+    /// Forgets what was said and recorded.
+    pub fn forget(&mut self) {
+        self.said.clear();
+        self.record().drives.clear();
+        self.record().holds.clear();
+    }
+
+    pub fn record(&mut self) -> &mut Recorder {
+        &mut self.rig.machine().board.world
+    }
+
+    /// Gates that are on now.
+    pub fn gates(&mut self) -> u8 {
+        self.record().now.gates
+    }
+
+    /// All scans heard, in order.
+    pub fn scans(&self) -> Vec<RawScan> {
+        let scans = self.said.iter().filter_map(|(_, said)| match said {
+            Said::Scans { scans, .. } => Some(scans.iter().copied()),
+            _ => None,
+        });
+        scans.flatten().collect()
+    }
+
+    /// The next status.
+    pub fn ask_status(&mut self) -> Status {
+        let told = self.said.len();
+        for _ in 0..600 {
+            self.run_ms(1);
+            if self.said[told..].iter().any(|(_, said)| matches!(said, Said::Status(_))) {
+                return self.last_status();
+            }
+        }
+        panic!("no status within 600 ms");
+    }
+
+    pub fn last_status(&self) -> Status {
+        let status = self.said.iter().rev().find_map(|(_, said)| match said {
+            Said::Status(status) => Some(*status),
+            _ => None,
+        });
+        status.expect("a status comes twice a second")
+    }
+
+    pub fn events(&self) -> Vec<&str> {
+        let events = self.said.iter().filter_map(|(_, said)| match said {
+            Said::Event(text) => Some(text.as_str()),
+            _ => None,
+        });
+        events.collect()
+    }
+
+    /// The instant since which all gates have been off.
+    pub fn dark_since(&mut self) -> Ticks {
+        assert_eq!(self.gates(), 0, "lit");
+        let drives = &self.record().drives;
+        let last_lit = drives.iter().rposition(|drive| drive.gates != 0).expect("it was lit");
+        drives[last_lit + 1].at
+    }
+
+    /// Starts, and lets a few frames pass.
+    pub fn light(&mut self) {
+        self.accept(&Command::Start);
+        self.run_ms(5);
+        assert!(self.record().drives.iter().rev().take(8).any(|drive| drive.gates != 0), "it lights");
+    }
+
+    /// The program has kept to the manuals.
+    pub fn assert_no_faults(&self) {
+        let faults = self.rig.faults();
+        assert!(faults.is_empty(), "{faults:#?}");
+    }
+}
+
+/// Runs `configuration` for `ms` from a Start on, then stops; gives the scans and the tick at which
+/// the first frame began on the pins.
+pub fn run(bench: &mut Bench, configuration: &Configuration, ms: u64) -> (Vec<RawScan>, Ticks) {
+    bench.accept(&Command::Configure(configuration.clone()));
+    bench.forget();
+    bench.record().records_holds = true;
+    bench.accept(&Command::Start);
+    bench.run_ms(ms);
+    bench.accept(&Command::Stop);
+    // What the link still holds.
+    bench.run_ms(5);
+    bench.record().records_holds = false;
+    let lit_slots = configuration.schedule.slots.iter().enumerate().find(|(_, set)| !set.is_dark());
+    let (slot, set) = lit_slots.expect("a schedule has light");
+    let lit = bench.record().drives.iter().find(|drive| drive.gates != 0).expect("it lights");
+    assert_eq!(lit.gates, set.0 as u8, "the first lit slot comes first");
+    let start = lit.at - slot as u64 * u64::from(configuration.schedule.slot_ticks);
+    (bench.scans(), start)
+}
+
+/// Checks every change of the gates and every hold against the instants of `schedule`, for the
+/// frames that are whole; gives their number.
+pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks) -> u64 {
+    let Configuration { schedule, levels, .. } = configuration;
+    let frame_ticks = u64::from(schedule.frame_ticks);
+    let (cells, oversampling) = (usize::from(schedule.cells), usize::from(schedule.oversampling));
+    let holds_a_frame = 2 * schedule.slots.len() * cells * oversampling;
+    let frames = record.holds.len() / holds_a_frame;
+    for (n, frame) in record.holds.chunks_exact(holds_a_frame).enumerate() {
+        let mut held = frame.iter();
+        for slot in 0..schedule.slots.len() {
+            for (cell, inputs) in (0..cells).map(|cell| (cell, INPUTS.map(|inputs| inputs[cell]))) {
+                let first = schedule.first_sample_ticks(slot, cell).expect("it has them");
+                for conversion in 0..oversampling as u64 {
+                    let at = start + n as u64 * frame_ticks + first + conversion * u64::from(schedule.conversion_ticks);
+                    let pair = [held.next(), held.next()];
+                    let expected = [1, 2].map(|adc| Hold { at, adc, channel: inputs[usize::from(adc) - 1] });
+                    assert_eq!(
+                        pair.map(Option::<&Hold>::copied),
+                        expected.map(Some),
+                        "frame {n}, slot {slot}, cell {cell}, conversion {conversion}"
+                    );
+                }
+            }
+        }
+    }
+    // A Stop may cut the last frame short behind its last hold.
+    let uncut = frames.saturating_sub(1) as u64;
+    let expected = gate_edges(schedule, start, uncut);
+    let end = expected.last().map_or(start, |edge| edge.0) + 1;
+    let mut gates = 0;
+    let changes = record.drives.iter().filter(|drive| {
+        let is_change = drive.gates != gates;
+        gates = drive.gates;
+        is_change && drive.at < end
+    });
+    let seen: Vec<_> = changes.map(|drive| (drive.at, drive.gates)).collect();
+    for (seen, expected) in seen.iter().zip(&expected) {
+        assert_eq!(seen, expected, "gates, in ticks from the start: {}", expected.0 - start);
+    }
+    assert_eq!(seen.len(), expected.len());
+    check_levels(record, schedule, levels, start, uncut);
+    frames as u64
+}
+
+/// Changes of the gates in the first `frames` frames of `schedule`.
+fn gate_edges(schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)> {
+    let (slot_ticks, frame_ticks) = (u64::from(schedule.slot_ticks), u64::from(schedule.frame_ticks));
+    let slots = schedule.slots.len() as u64;
+    let has_rest = frame_ticks > slots * slot_ticks;
+    let mut edges: Vec<(Ticks, u8)> = Vec::new();
+    for frame in (0..frames).map(|n| start + n * frame_ticks) {
+        for (slot, set) in (0..).zip(&schedule.slots) {
+            edges.push((frame + slot * slot_ticks, set.0 as u8));
+        }
+        if has_rest {
+            edges.push((frame + slots * slot_ticks - OFF_LEAD_TICKS, 0));
+        }
+    }
+    let mut gates = 0;
+    edges.retain(|edge| std::mem::replace(&mut gates, edge.1) != edge.1);
+    edges
+}
+
+/// DAC code of a level: 2048 is nominal.
+pub fn level_code(level: Level) -> u16 {
+    (level.relative() * 2048.0).round() as u16
+}
+
+/// Checks that in each lit slot the level lines of its emitters have their codes from just after
+/// its start to its end.
+fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start: Ticks, frames: u64) {
+    let mut drives = record.drives.iter().peekable();
+    let mut now = Drive { at: 0, gates: 0, levels: [0; 2] };
+    for frame in 0..frames {
+        for (slot, set) in (0..).zip(&schedule.slots) {
+            let begin =
+                start + frame * u64::from(schedule.frame_ticks) + slot * u64::from(schedule.slot_ticks) + LEVEL_TICKS;
+            let end = begin - LEVEL_TICKS + u64::from(schedule.slot_ticks);
+            while let Some(drive) = drives.next_if(|drive| drive.at <= begin) {
+                now = *drive;
+            }
+            loop {
+                for line in 0..LEVEL_LINES {
+                    if let Some(emitter) = set.emitters().find(|&emitter| level_line(emitter) == line) {
+                        let code = level_code(levels[emitter]);
+                        assert_eq!(now.levels[line], code, "frame {frame}, slot {slot}, line {line}: {now:?}");
+                    }
+                }
+                match drives.next_if(|drive| drive.at < end) {
+                    Some(drive) => now = *drive,
+                    None => break,
+                }
+            }
+        }
+    }
+}
+
+/// Checks that `scans` follow one another one frame apart and none is missing.
+pub fn check_counters(scans: &[RawScan], schedule: &Schedule) {
+    for pair in scans.windows(2) {
+        assert_eq!(pair[1].sequence, pair[0].sequence + 1, "sequence");
+        assert_eq!(pair[1].tick, pair[0].tick + u64::from(schedule.frame_ticks), "tick of {}", pair[1].sequence);
+    }
+}
+
+/// Ticks from the pins' first edge to the tick of the first scan: the same for all scans, as their
+/// ticks and the pins' frames both are one frame apart.
+pub fn tick_offset(bench: &mut Bench, scans: &[RawScan], start: Ticks) -> i64 {
+    let origin = bench.rig.machine().device_clock_origin().expect("the clock runs");
+    (origin + scans[0].tick) as i64 - start as i64
+}
+
+/// Light on `cell` in its slot, for a level of its own emitter of 1.
+pub fn light_on(plan: &Plan<f64>, schedule: &Schedule, cell: usize, levels: &[Level], pose: &Pose) -> Pair<f64> {
+    let slot = schedule.lit_slot(cell).expect("each cell is lit");
+    let mut sum = Pair::<f64>::default();
+    for emitter in schedule.slots[slot].emitters() {
+        let pair = plan.crosstalk(cell, emitter, pose);
+        let share = levels[emitter].relative() / levels[cell].relative();
+        sum.i_x1_a += share * pair.i_x1_a;
+        sum.i_x2_a += share * pair.i_x2_a;
+    }
+    sum
+}
+
+/// The largest difference between what the host's front end makes of `scans` and the light of the
+/// model on each cell, a tool at rest at home, in codes of one conversion.
+pub fn worst_codes(bench: &Bench, scans: &[RawScan], configuration: &Configuration) -> f64 {
+    let Configuration { schedule, .. } = configuration;
+    let stage = Stage::new(&bench.scene, schedule, &bench.scaling);
+    let plan = Plan::<f64>::compile(&bench.scene.scene, WORLD_TIER).expect("the scene is valid");
+    let cells = usize::from(schedule.cells);
+    let expected: Vec<_> =
+        (0..cells).map(|cell| light_on(&plan, schedule, cell, scans[0].levels(), &Pose::HOME)).collect();
+    let mut worst: f64 = 0.0;
+    for scan in scans {
+        let currents = stage.photocurrents(scan);
+        for (cell, expected) in expected.iter().enumerate() {
+            let Reading::Light(seen) = currents.cells[cell] else {
+                panic!("scan {}, cell {cell}: {:?}", scan.sequence, currents.cells[cell]);
+            };
+            let code_a = bench.scaling.amperes_per_code.abs() / scan.levels()[cell].relative();
+            let differences = [seen.i_x1_a - expected.i_x1_a, seen.i_x2_a - expected.i_x2_a];
+            worst = differences.iter().map(|a| (a / code_a).abs()).fold(worst, f64::max);
+        }
+    }
+    worst
+}

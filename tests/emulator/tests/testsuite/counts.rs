@@ -1,0 +1,298 @@
+//! The words that the image sends are those the model gives for where the tool was at the very
+//! instants the schedule names, scan after scan.
+
+use crate::common::chain::Chain;
+use slitpose_emulator::machine::{Machine, Stop};
+use slitpose_emulator::memory::FlashArray;
+use slitpose_emulator::peripherals::Ticks;
+use slitpose_emulator::rig::{open_image, request};
+use slitpose_emulator::world::{NoiseSource, World};
+use slitpose_firmware::{default_configuration, default_scaling};
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_model::{Plan, Tier};
+use slitpose_protocol::{AdcScaling, Command, Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule};
+
+const SEED: u64 = 11;
+
+/// Device time between two scans.
+const FRAME_TICKS: u64 = 42_500;
+
+/// Furthest a mean code may be from the model's. Each conversion is rounded to a whole code, so
+/// their mean is off by up to ½ when all four fall to one side. The rest is how far the emulated
+/// light is from the optics at the instant: it is linear within 35 µs (0.01 code), and what reaches
+/// a cell from the emitter of another is taken to 1e-3.
+const TOLERANCE_CODES: f64 = 0.5 + 0.02;
+
+/// What words should be, from optics, schedule and scaling alone.
+struct Model {
+    own: Plan<f64>,
+    stray: Plan<f64>,
+    trajectory: Trajectory,
+    schedule: Schedule,
+    scaling: AdcScaling,
+    time_constant_ticks: f64,
+    half_dark_a: Vec<f64>,
+}
+
+/// A mean code of I_X1 and of I_X2.
+type Codes = [f64; 2];
+
+impl Model {
+    fn new(file: &SceneFile, trajectory: Trajectory) -> Self {
+        let plan = |tolerance| Plan::compile(&file.scene, Tier::Exact { tolerance }).expect("shipped");
+        let schedule = default_configuration().schedule;
+        let tau_s = file.front_end.expect("the default has one").time_constant_s;
+        Self {
+            own: plan(1e-6),
+            stray: plan(1e-3),
+            trajectory,
+            scaling: default_scaling(),
+            time_constant_ticks: tau_s * f64::from(schedule.tick_hz),
+            half_dark_a: file.scene.cells.iter().map(|cell| 0.5 * cell.detector.dark_current_a).collect(),
+            schedule,
+        }
+    }
+
+    /// Photocurrents of `cell` from the emitters of `slot` with the tool where it is at `tick`.
+    fn light(&self, cell: usize, slot: usize, tick: f64) -> [f64; 2] {
+        let pose = self.trajectory.pose(tick / f64::from(self.schedule.tick_hz));
+        self.schedule.slots[slot].emitters().fold([0.0; 2], |sum, emitter| {
+            let plan = if emitter == cell { &self.own } else { &self.stray };
+            let pair = plan.crosstalk(cell, emitter, &pose);
+            [sum[0] + pair.i_x1_a, sum[1] + pair.i_x2_a]
+        })
+    }
+
+    /// The mean code of the conversions of `cell` in `slot` of the frame that starts at `tick`.
+    ///
+    /// x after an edge the low-pass shows the light of τ ago, less exp(−x/τ) of it, and exp(−x/τ)
+    /// of what the slot before had left. That is exact for light that changes linearly, but for
+    /// the change in the vanishing part; what its curvature adds, the tool's acceleration of
+    /// 40 m/s² for τ² = 2 µs², is 0.1 nm.
+    fn codes(&self, cell: usize, slot: usize, tick: u64) -> Codes {
+        let Schedule { slot_ticks, conversion_ticks, oversampling, .. } = self.schedule;
+        let tau = self.time_constant_ticks;
+        let start = tick as f64 + slot as f64 * f64::from(slot_ticks);
+        let first = tick as f64 + self.schedule.first_sample_ticks(slot, cell).expect("in the schedule") as f64;
+        // Ahead of slot 0 it has been dark for long.
+        let before = if slot > 0 { self.light(cell, slot - 1, start - tau) } else { [0.0; 2] };
+        let mut mean = [0.0; 2];
+        for conversion in 0..oversampling {
+            let at = first + f64::from(conversion * conversion_ticks as u16);
+            let rest = (-(at - start) / tau).exp();
+            let light = self.light(cell, slot, at - tau);
+            for electrode in 0..2 {
+                let current = light[electrode] * (1.0 - rest) + before[electrode] * rest + self.half_dark_a[cell];
+                let code = self.scaling.zero_code + current / self.scaling.amperes_per_code;
+                mean[electrode] += code / f64::from(oversampling);
+            }
+        }
+        mean
+    }
+
+    /// Mean codes of a frame that starts at `tick`: lit and dark, cell by cell.
+    fn frame(&self, tick: u64) -> [Vec<Codes>; 2] {
+        let dark = self.schedule.dark_slot().expect("the default has one");
+        let cells = || 0..usize::from(self.schedule.cells);
+        let lit = |cell| self.schedule.lit_slot(cell).expect("every cell is lit");
+        [
+            cells().map(|cell| self.codes(cell, lit(cell), tick)).collect(),
+            cells().map(|cell| self.codes(cell, dark, tick)).collect(),
+        ]
+    }
+}
+
+/// Largest difference between the mean codes of a scan and `expected`.
+fn difference(scan: &RawScan, expected: &[Vec<Codes>; 2]) -> f64 {
+    let oversampling = 4.0;
+    let words = [scan.lit(), scan.dark().expect("dark words")];
+    let pairs = words.iter().zip(expected).flat_map(|(words, expected)| words.iter().zip(expected));
+    pairs
+        .flat_map(|(words, codes)| words.iter().zip(codes))
+        .map(|(&word, code)| (f64::from(word) / oversampling - code).abs())
+        .fold(0.0, f64::max)
+}
+
+/// How far scans would be off if two cells or two electrodes had changed places, at least.
+fn least_difference_if_swapped(scans: &[(RawScan, [Vec<Codes>; 2])]) -> f64 {
+    let largest = |swap: &dyn Fn(&mut RawScan)| {
+        scans.iter().fold(0.0, |largest: f64, (scan, expected)| {
+            let mut swapped = *scan;
+            swap(&mut swapped);
+            largest.max(difference(&swapped, expected))
+        })
+    };
+    let cells = 6;
+    let electrodes = (0..cells).map(|cell| largest(&|scan| scan.lit_mut()[cell].reverse()));
+    let pairs = (0..cells).flat_map(|a| (0..a).map(move |b| (a, b)));
+    let swapped_cells = pairs.map(|(a, b)| largest(&|scan| scan.lit_mut().swap(a, b)));
+    electrodes.chain(swapped_cells).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn ten_seconds_of_words_are_those_of_the_model() {
+    let (file, seconds) = (WIDE.read().expect("shipped"), 10);
+    let trajectory = || Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0);
+    println!("seed {SEED}");
+    let mut chain = Chain::open(&file, trajectory(), NoiseSource::Off);
+    chain.rig.send(Command::Start);
+    let count = 4_000 * seconds;
+    for _ in 0..seconds {
+        chain.run_for(1.0);
+    }
+    chain.run_for(5e-3);
+    assert!(chain.scans.len() >= count && chain.damaged == 0, "{} scans", chain.scans.len());
+    assert_eq!(chain.schedule.as_ref(), Some(&default_configuration().schedule));
+
+    let first_tick = chain.scans[0].1.tick;
+    let check = |scans: &[(Ticks, RawScan)], first: usize| {
+        let model = Model::new(&file, trajectory());
+        let (mut worst, mut kept) = (0.0_f64, Vec::new());
+        for (sequence, (_, scan)) in (first as u64..).zip(scans) {
+            assert_eq!((scan.sequence, scan.tick), (sequence, first_tick + sequence * FRAME_TICKS));
+            let expected = model.frame(scan.tick);
+            let off = difference(scan, &expected);
+            assert!(off <= TOLERANCE_CODES, "scan {sequence}: {off} codes\n{scan:?}\n{expected:?}");
+            worst = worst.max(off);
+            if sequence.is_multiple_of(100) {
+                kept.push((*scan, expected));
+            }
+        }
+        (worst, kept)
+    };
+    let halves = chain.scans[..count].split_at(count / 2);
+    let ((worst, mut kept), (other, more)) = std::thread::scope(|scope| {
+        let second = scope.spawn(|| check(halves.1, count / 2));
+        (check(halves.0, 0), second.join().expect("the second half"))
+    });
+    kept.extend(more);
+    let worst = worst.max(other);
+    println!("{count} scans, {} words: off by at most {worst:.4} codes", count * 24);
+
+    // None of these would have passed unseen.
+    let swapped = least_difference_if_swapped(&kept);
+    let late = chain.scans.windows(2).step_by(100).take(kept.len()).zip(&kept);
+    let late = late.map(|(pair, (_, expected))| difference(&pair[1].1, expected)).fold(0.0, f64::max);
+    println!("with swapped words off by {swapped:.0} codes at least, with the next scan's by {late:.0}");
+    assert!(swapped > 100.0 && late > 10.0);
+
+    let status = chain.status.expect("comes twice a second");
+    assert_eq!((status.scans_dropped, status.scans_lost, status.adc_overruns), (0, 0, 0), "{status:?}");
+}
+
+/// Whatever a start finds under way, the first words of its rings are its own.
+#[test]
+fn no_start_loses_or_shifts_a_scan() {
+    let (file, runs) = (WIDE.read().expect("shipped"), 150_u32);
+    let still = || Trajectory::of_kind(TrajectoryKind::Still, SEED, 1.0);
+    let mut chain = Chain::open(&file, still(), NoiseSource::Off);
+    let expected = Model::new(&file, still()).frame(0);
+    for run in 0..runs {
+        // At another instant of a frame, and of the bus, each time.
+        let phase_s = f64::from(run) * 1_234.0 / 170e6;
+        chain.scans.clear();
+        chain.rig.send(Command::Start);
+        chain.run_for(6e-3 + phase_s % 1e-3);
+        chain.rig.send(Command::Stop);
+        chain.run_for(4e-3 + phase_s % 0.7e-3);
+        assert!(chain.scans.len() > 8, "run {run}: {} scans", chain.scans.len());
+        for (_, scan) in &chain.scans {
+            let off = difference(scan, &expected);
+            assert!(off <= TOLERANCE_CODES, "run {run}, scan {}: {off} codes", scan.sequence);
+        }
+        for pair in chain.scans.windows(2) {
+            let [(_, before), (_, after)] = pair else { continue };
+            assert_eq!((after.sequence - before.sequence, after.tick - before.tick), (1, FRAME_TICKS), "run {run}");
+        }
+    }
+    chain.run_for(0.6);
+    let status = chain.status.expect("comes twice a second");
+    assert_eq!((status.adc_overruns, status.scans_lost), (0, 0), "{status:?}");
+    assert_eq!(chain.rig.faults(), Vec::<String>::new());
+}
+
+/// A world whose codes tell when, where and in whose light they were taken.
+#[derive(Debug, Default)]
+struct Witness {
+    gates: u8,
+    levels: [u16; 2],
+}
+
+/// 12 bits that depend on all of what they are made of.
+fn testimony(at: Ticks, adc: u8, channel: u8, gates: u8, levels: [u16; 2]) -> u16 {
+    let facts = [u64::from(adc), channel.into(), gates.into(), levels[0].into(), levels[1].into()];
+    let mixed = facts.iter().fold(at, |mixed, fact| (mixed ^ fact).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29));
+    (mixed >> 40 & 0xFFF) as u16
+}
+
+impl World for Witness {
+    fn drive(&mut self, _: Ticks, gates: u8, level_codes: [u16; 2]) {
+        (self.gates, self.levels) = (gates, level_codes);
+    }
+
+    fn sample(&mut self, now: Ticks, adc: u8, channel: u8) -> u16 {
+        testimony(now, adc, channel, self.gates, self.levels)
+    }
+}
+
+/// Inputs of the converters by cell: I_X1 on ADC1 (PA0, PA1, PC0 to PC3), I_X2 on ADC2 (PA7, PC4,
+/// PC5, PB2, PB11, PB15), by the data sheet's pin definitions.
+const INPUTS: [(u8, [u8; 6]); 2] = [(1, [1, 2, 6, 7, 8, 9]), (2, [4, 5, 11, 12, 14, 15])];
+
+/// A frame's tick is read from the clock right behind the start of the frames' timer, so it is a
+/// few instructions late; in 100 ns the tool moves 50 nm.
+const MOST_TICKS_LATE: u64 = 17;
+
+/// The word of `cell` in `slot`, whose frame starts at tick `start` of power.
+fn witnessed(schedule: &Schedule, start: Ticks, slot: usize, cell: usize) -> [u16; 2] {
+    let first = start + schedule.first_sample_ticks(slot, cell).expect("in the schedule");
+    INPUTS.map(|(adc, channels)| {
+        (0..u64::from(schedule.oversampling))
+            .map(|j| first + j * u64::from(schedule.conversion_ticks))
+            .map(|at| testimony(at, adc, channels[cell], schedule.slots[slot].0 as u8, [2048; 2]))
+            .sum()
+    })
+}
+
+#[test]
+fn every_conversion_is_held_at_its_tick_in_its_light() {
+    let mut flash = FlashArray::erased();
+    open_image(None).expect("an image").load_into(&mut flash);
+    let mut machine = Machine::new(flash, Witness::default());
+    let run = |machine: &mut Machine<Witness>, seconds: f64| {
+        assert_eq!(machine.run_until(machine.now() + (seconds * 170e6) as Ticks), Stop::Reached);
+    };
+    run(&mut machine, 0.4);
+    machine.board.usb_host.set_dtr(true, machine.now());
+    machine.board.usb_host.send(&request(1, Command::Start), machine.now());
+    machine.board.outside_changed();
+    run(&mut machine, 1.0);
+    let origin = machine.device_clock_origin().expect("started");
+    let schedule = default_configuration().schedule;
+    let bytes: Vec<u8> = machine.board.usb_host.take_received().into_iter().flat_map(|got| got.bytes).collect();
+
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    let (mut rest, mut next, mut late) = (&bytes[..], 0, None);
+    while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
+        let Message::Batch(batch) = message.expect("undamaged") else { continue };
+        for scan in batch.scans(&schedule).expect("of the default schedule") {
+            assert_eq!(scan.sequence, next);
+            next += 1;
+            // The same in all frames of a run.
+            let late = *late.get_or_insert_with(|| {
+                let is = |&late: &u64| scan.lit()[0] == witnessed(&schedule, origin + scan.tick - late, 0, 0);
+                (0..=MOST_TICKS_LATE).find(is).expect("the tick of the first frame is its start")
+            });
+            let start = origin + scan.tick - late;
+            for cell in 0..6 {
+                let slot = schedule.lit_slot(cell).expect("lit");
+                assert_eq!(scan.lit()[cell], witnessed(&schedule, start, slot, cell), "scan {next}, cell {cell}");
+                let dark = scan.dark().expect("dark words")[cell];
+                assert_eq!(dark, witnessed(&schedule, start, 3, cell), "scan {next}, cell {cell}, dark");
+            }
+        }
+    }
+    println!("{next} scans, labelled {} ticks late", late.expect("scans"));
+    assert!(next > 3_900);
+}

@@ -1,0 +1,310 @@
+//! What ends the light, with the instants on the emulated pins, and what the board says afterwards.
+
+use crate::common::light::{Bench, MS, Said};
+use slitpose_emulator::memory::FLASH_BASE;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_protocol::{BootTarget, Command, HardwareFault, Rejection, ResetCause};
+
+/// A period of the default schedule; the last slot is dark.
+const FRAME_TICKS: Ticks = 42_500;
+
+/// From an event of the supply or a fault to the gates: an exception's entry, some ten instructions
+/// from flash, and whatever runs with interrupts off, 250 ticks at most.
+const AT_ONCE_TICKS: Ticks = 500;
+
+/// How long the gates were on behind `event`; 0 if they were off already.
+fn lit_for(bench: &mut Bench, event: Ticks) -> Ticks {
+    bench.dark_since().saturating_sub(event)
+}
+
+/// The board is dark, says why it started, stays dark until a Start, and then lights.
+fn assert_comes_back(bench: &mut Bench, cause: ResetCause) {
+    let event = bench.rig.now();
+    assert_eq!(bench.connect(), cause);
+    bench.run_ms(20);
+    let lit = bench.record().drives.iter().filter(|drive| drive.at > event && drive.gates != 0).count();
+    assert_eq!(lit, 0, "dark until Start");
+    assert_eq!(bench.gates(), 0);
+    bench.light();
+    bench.accept(&Command::Stop);
+    assert_eq!(bench.gates(), 0);
+    bench.assert_no_faults();
+}
+
+/// Lets time pass until the core is awake in thread mode and a gate is on, so that the event that
+/// comes next finds the light on.
+fn until_lit_and_awake(bench: &mut Bench) {
+    for _ in 0..FRAME_TICKS * 100 {
+        let before = bench.rig.machine().cpu.instructions();
+        let next = bench.rig.now() + 1;
+        bench.rig.run_until(next);
+        let cpu = &bench.rig.machine().cpu;
+        if cpu.instructions() != before && cpu.exception() == 0 && bench.gates() != 0 {
+            return;
+        }
+    }
+    panic!("never lit and awake");
+}
+
+/// Sends the core to `address`.
+fn jump(bench: &mut Bench, address: u32) {
+    let cpu = &mut bench.rig.machine().cpu;
+    let mut state = cpu.state();
+    state.r[15] = address;
+    cpu.set_state(&state);
+}
+
+/// Address of an instruction `half` in the image. It is jumped to, so that where it stands does not
+/// matter.
+fn find_instruction(bench: &mut Bench, half: u16) -> u32 {
+    let code = bench.rig.machine().board.flash_array().bytes();
+    let offset = code.chunks_exact(2).position(|bytes| bytes == half.to_le_bytes());
+    FLASH_BASE + 2 * offset.expect("the image has one") as u32
+}
+
+/// Address of the function whose mangled name contains `name`.
+fn find_function(bench: &Bench, name: &str) -> u32 {
+    let mut symbols = bench.image.symbols().filter(|(symbol, _)| symbol.contains(name));
+    symbols.next().expect("the image has it").1.address
+}
+
+fn lit() -> Bench {
+    let mut bench = Bench::quiet();
+    bench.light();
+    bench
+}
+
+fn us(ticks: Ticks) -> f64 {
+    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
+}
+
+/// Lets time pass to another phase of frames, polls and the bus for each `n`.
+fn change_phase(bench: &mut Bench, n: u64) {
+    let next = bench.rig.now() + 3 * MS + 7_919 * n;
+    bench.run_until(next);
+}
+
+#[test]
+fn stop_is_done_before_its_reply() {
+    let mut bench = lit();
+    for n in 0..8 {
+        change_phase(&mut bench, n);
+        let asked = bench.rig.now();
+        let replied = bench.accept(&Command::Stop);
+        let dark = bench.dark_since();
+        let (after, before) = (us(dark.saturating_sub(asked)), us(replied - dark));
+        println!("Stop: dark {after:.0} µs after it was sent, {before:.0} µs before its reply is there");
+        assert!(dark < replied);
+        // A frame of the bus until the command is there, at the most; a poll under way; its carrying out.
+        assert!(dark <= asked + 2 * MS);
+        bench.run_ms(20);
+        assert_eq!(bench.dark_since(), dark, "and stays dark");
+        bench.light();
+    }
+    bench.assert_no_faults();
+}
+
+#[test]
+fn a_closed_port_ends_the_light() {
+    let mut bench = lit();
+    for n in 0..3 {
+        change_phase(&mut bench, n);
+        let closed = bench.rig.now();
+        bench.rig.set_open(false);
+        bench.run_ms(499);
+        assert!(bench.record().drives.iter().any(|drive| drive.gates != 0 && drive.at > closed + 498 * MS));
+        bench.run_ms(5);
+        let lit = bench.dark_since() - closed;
+        println!("port closed: dark after {:.3} ms", us(lit) / 1e3);
+        // A request of the bus until the board knows, 500 ms, and a poll of 1 ms.
+        assert!(lit <= 502 * MS + MS / 2, "{lit}");
+        bench.open();
+        bench.run_ms(20);
+        assert!(bench.events().iter().any(|text| text.contains("link had been closed")), "{:?}", bench.said);
+        assert_eq!(bench.gates(), 0, "dark until Start");
+        bench.light();
+    }
+    // A port that is opened again in time changes nothing.
+    bench.rig.set_open(false);
+    bench.run_ms(400);
+    bench.open();
+    bench.forget();
+    bench.run_ms(300);
+    assert!(bench.record().drives.len() > 4 * 1_100);
+    bench.assert_no_faults();
+}
+
+#[test]
+fn a_pulled_cable_ends_the_light() {
+    let mut bench = lit();
+    let pulled = bench.rig.now();
+    bench.rig.set_cable(false);
+    bench.run_ms(520);
+    let lit = bench.dark_since() - pulled;
+    println!("cable pulled: dark after {:.3} ms", us(lit) / 1e3);
+    // 3 ms without frames are a suspended bus (USB 2.0, 7.1.7.6); 500 ms; a poll.
+    assert!((500 * MS..=505 * MS).contains(&lit), "{lit}");
+    bench.rig.set_cable(true);
+    // The board has not been reset: the last start was that of the supply.
+    assert_comes_back(&mut bench, ResetCause::PowerOn);
+}
+
+#[test]
+fn a_panic_ends_the_light_at_once() {
+    for function in ["panicking5panic", "panic_bounds_check", "panic_already_borrowed"] {
+        let mut bench = lit();
+        until_lit_and_awake(&mut bench);
+        let event = bench.rig.now();
+        let address = find_function(&bench, function);
+        jump(&mut bench, address);
+        bench.run_ms(1);
+        let lit = bench.dark_since() - event;
+        println!("{function}: dark after {lit} ticks, {:.2} µs", us(lit));
+        assert!(lit <= AT_ONCE_TICKS, "{lit}");
+        assert_comes_back(&mut bench, ResetCause::Panic);
+    }
+}
+
+#[test]
+fn a_fault_ends_the_light_at_once() {
+    // UDF, a permanently undefined instruction; then an address where nothing is.
+    for address in [None, Some(0x6000_0000)] {
+        let mut bench = lit();
+        until_lit_and_awake(&mut bench);
+        let event = bench.rig.now();
+        let address = address.unwrap_or_else(|| find_instruction(&mut bench, 0xDEFE));
+        jump(&mut bench, address);
+        bench.run_ms(1);
+        let lit = bench.dark_since() - event;
+        println!("jump to {address:#010x}: dark after {lit} ticks, {:.2} µs", us(lit));
+        assert!(lit <= AT_ONCE_TICKS, "{lit}");
+        assert!(bench.rig.machine().cpu.last_fault().is_some());
+        assert_comes_back(&mut bench, ResetCause::Panic);
+    }
+}
+
+#[test]
+fn the_watchdog_ends_the_light_of_a_program_that_hangs() {
+    let mut bench = lit();
+    until_lit_and_awake(&mut bench);
+    let event = bench.rig.now();
+    // B . : interrupts go on, the main loop does not.
+    let address = find_instruction(&mut bench, 0xE7FE);
+    jump(&mut bench, address);
+    bench.forget();
+    bench.run_ms(120);
+    let resets = bench.rig.machine().resets().len();
+    let reset = bench.rig.machine().resets()[resets - 1].at;
+    let dark = bench.dark_since();
+    println!("hang: dark and reset after {:.2} ms", us(dark - event) / 1e3);
+    assert!(dark <= reset);
+    // 100 ms from the last time it was fed, up to a poll of 1 ms before; its counter counts in
+    // steps of 32 periods of 32 kHz at the most, and as many are left over.
+    assert!((98 * MS..=102 * MS).contains(&(reset - event)), "{}", reset - event);
+    // Until then the schedule runs on by itself, on its frame.
+    let edges: Vec<_> = bench.record().drives.iter().filter(|drive| drive.gates == 0b00_1001).collect();
+    assert!(edges.len() > 390);
+    assert!(edges.windows(2).all(|pair| pair[1].at - pair[0].at == FRAME_TICKS));
+    assert_comes_back(&mut bench, ResetCause::Watchdog);
+}
+
+#[test]
+fn a_falling_supply_ends_the_light_within_microseconds() {
+    let mut bench = lit();
+    let mut longest = 0;
+    for n in 0..20 {
+        change_phase(&mut bench, n);
+        until_lit_and_awake(&mut bench);
+        bench.forget();
+        let event = bench.rig.now();
+        bench.rig.machine().set_supply_v(2.8);
+        bench.run_ms(5);
+        let lit = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at - event;
+        longest = longest.max(lit);
+        assert!(lit <= AT_ONCE_TICKS, "{lit}");
+        assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
+        assert!(bench.events().iter().any(|text| text.contains("supply")), "{:?}", bench.said);
+        bench.rig.machine().set_supply_v(3.3);
+        bench.run_ms(5);
+        assert_eq!(bench.gates(), 0, "dark until Start");
+        bench.light();
+    }
+    println!("supply of 2.8 V: dark after {longest} ticks at most, {:.2} µs", us(longest));
+    bench.assert_no_faults();
+}
+
+#[test]
+fn a_brown_out_lets_the_pins_float_at_once() {
+    // Where the backup registers are kept the board knows that it had been running.
+    for (volts, cause) in [(1.6, ResetCause::BrownOut), (0.0, ResetCause::PowerOn)] {
+        let mut bench = lit();
+        until_lit_and_awake(&mut bench);
+        let event = bench.rig.now();
+        bench.rig.machine().set_supply_v(volts);
+        let lit = lit_for(&mut bench, event);
+        println!("supply of {volts} V: dark after {lit} ticks");
+        assert_eq!(lit, 0);
+        bench.run_ms(50);
+        assert_eq!(bench.gates(), 0);
+        bench.rig.machine().set_supply_v(3.3);
+        bench.run_ms(5);
+        assert_comes_back(&mut bench, cause);
+    }
+}
+
+#[test]
+fn the_reset_pin_ends_the_light_at_once() {
+    let mut bench = lit();
+    until_lit_and_awake(&mut bench);
+    let event = bench.rig.now();
+    bench.rig.machine().pull_reset_pin();
+    let lit = lit_for(&mut bench, event);
+    assert_eq!(lit, 0);
+    assert_comes_back(&mut bench, ResetCause::Pin);
+}
+
+#[test]
+fn a_reboot_is_done_in_the_dark_and_after_its_reply() {
+    let mut bench = lit();
+    let asked = bench.rig.now();
+    let replied = bench.accept(&Command::Reboot(BootTarget::Firmware));
+    let dark = bench.dark_since();
+    bench.run_ms(150);
+    let reset = bench.rig.machine().resets().last().expect("it starts").at;
+    println!(
+        "Reboot: dark after {:.0} µs, reply after {:.0} µs, reset after {:.0} µs",
+        us(dark.saturating_sub(asked)),
+        us(replied - asked),
+        us(reset - asked)
+    );
+    assert!(dark < replied && replied < reset);
+    assert!(dark <= asked + 2 * MS);
+    assert!(reset <= asked + 102 * MS, "100 ms for the reply to be taken");
+    assert_eq!(bench.dark_since(), dark);
+    assert_comes_back(&mut bench, ResetCause::Software);
+}
+
+#[test]
+fn a_low_supply_refuses_the_start() {
+    let mut bench = Bench::quiet();
+    bench.rig.machine().set_supply_v(2.8);
+    bench.run_ms(5);
+    bench.forget();
+    for _ in 0..3 {
+        let (_, outcome) = bench.ask(&Command::Start);
+        assert_eq!(outcome, Err(Rejection::Hardware(HardwareFault::Supply)));
+        bench.run_ms(5);
+    }
+    assert!(bench.record().drives.iter().all(|drive| drive.gates == 0), "nothing lights");
+    let status = bench.ask_status();
+    assert!(!status.acquiring && (status.supply_v - 2.8).abs() < 0.02, "{status:?}");
+    // Above the detector's threshold and hysteresis, 3.02 V.
+    bench.rig.machine().set_supply_v(3.1);
+    bench.light();
+    bench.forget();
+    bench.run_ms(100);
+    assert!(bench.scans().len() >= 395, "{}", bench.scans().len());
+    let heard = bench.said.iter().filter(|(_, said)| matches!(said, Said::Event(_))).count();
+    assert_eq!(heard, 0);
+    bench.assert_no_faults();
+}

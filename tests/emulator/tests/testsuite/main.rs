@@ -1,0 +1,13 @@
+//! The tests of the whole emulated board, in one program.
+
+mod commands;
+mod common;
+mod counts;
+mod disturbances;
+mod exposure;
+mod light;
+mod links;
+mod readme;
+mod schedules;
+mod solver_cycles;
+mod storage;

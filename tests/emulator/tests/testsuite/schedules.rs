@@ -1,0 +1,332 @@
+//! Schedules on the emulated board: what is lit and sampled when, on the pins, against
+//! [`Schedule`]'s instants; and what the words are, against the model of the optics.
+//!
+//! The emulated timers, transfers and converters have no latency of their own: every instant is
+//! exact, and a tolerance of zero ticks is what is asserted unless stated. A real transfer
+//! controller takes some ten ticks from request to write, and a few more when the bus is busy.
+
+use crate::common::light::{Bench, check_counters, check_pins, run, tick_offset, worst_codes};
+use slitpose_firmware::default_configuration;
+use slitpose_protocol::{Command, Configuration, EmitterSet, Level, Schedule};
+
+/// Ticks from a frame's start on the pins to its tick in a batch: the program reads the clock just
+/// after it lets the timer go, a load and a store over the slow bus.
+const MOST_OFFSET_TICKS: i64 = 32;
+
+/// Rounding of a lit and of a dark conversion, half a code each, and light from before that has not
+/// decayed, below a tenth at the default settling.
+const MOST_CODES: f64 = 1.1;
+
+fn slots(schedule: &mut Schedule, sets: &[&[usize]]) {
+    schedule.slots = sets.iter().map(|set| EmitterSet::of(set)).collect();
+}
+
+const PAIRS: [&[usize]; 4] = [&[0, 3], &[1, 4], &[2, 5], &[]];
+const SINGLES: [&[usize]; 7] = [&[0], &[1], &[2], &[3], &[4], &[5], &[]];
+const ALL: [&[usize]; 1] = [&[0, 1, 2, 3, 4, 5]];
+
+/// Runs `configuration` for `ms` and checks pins, counters and words.
+fn check(bench: &mut Bench, name: &str, configuration: &Configuration, ms: u64) {
+    let schedule = &configuration.schedule;
+    let (scans, start) = run(bench, configuration, ms);
+    let frames = check_pins(bench.record(), configuration, start);
+    check_counters(&scans, schedule);
+    // At the Stop a frame may be sampled, but not yet read.
+    let missing = frames as i64 - scans.len() as i64;
+    assert!((0..=1).contains(&missing), "{name}: {frames} frames on the pins, {} scans", scans.len());
+    let least = ms * 170_000 / u64::from(schedule.frame_ticks);
+    assert!(scans.len() as u64 >= least.saturating_sub(1), "{name}: {} scans of {least}", scans.len());
+    let offset = tick_offset(bench, &scans, start);
+    assert!((0..=MOST_OFFSET_TICKS).contains(&offset), "{name}: {offset} ticks");
+    let worst = worst_codes(bench, &scans, configuration);
+    println!(
+        "{name}: {:.1} Hz, {} scans, tick − pins {offset}, {worst:.3} codes at most",
+        schedule.frame_rate_hz(),
+        scans.len()
+    );
+    assert!(worst <= MOST_CODES, "{name}: {worst} codes");
+    bench.assert_no_faults();
+}
+
+#[test]
+fn the_default_schedule_is_exact_for_a_thousand_frames() {
+    let mut bench = Bench::quiet();
+    bench.rig.machine().board.log_gates();
+    let configuration = default_configuration();
+    check(&mut bench, "default", &configuration, 300);
+    assert!(bench.scans().len() >= 1_199);
+    // The pins' own log tells the same as the world.
+    let log: Vec<_> = bench.rig.machine().board.take_gate_log().iter().map(|edge| (edge.at, edge.gates)).collect();
+    let mut gates = 0;
+    let drives = bench.record().drives.iter().map(|drive| (drive.at, drive.gates));
+    let seen: Vec<_> = drives.filter(|drive| std::mem::replace(&mut gates, drive.1) != drive.1).collect();
+    assert_eq!(log, seen);
+}
+
+#[test]
+fn the_offset_of_the_clock_is_the_same_after_every_start() {
+    let mut bench = Bench::quiet();
+    let configuration = default_configuration();
+    let mut offsets = Vec::new();
+    for n in 0..100 {
+        // Every start comes at another phase of everything else.
+        let later = bench.rig.now() + 1_000 + 7_919 * n;
+        bench.run_until(later);
+        let (scans, start) = run(&mut bench, &configuration, 8);
+        check_counters(&scans, &configuration.schedule);
+        offsets.push(tick_offset(&mut bench, &scans, start));
+    }
+    let (least, most) = (offsets.iter().min().unwrap(), offsets.iter().max().unwrap());
+    println!("tick of a frame − its start on the pins: {least} to {most}");
+    assert!(*least >= 0 && *most <= MOST_OFFSET_TICKS, "{offsets:?}");
+    assert_eq!(least, most, "two instructions with interrupts off always take as long");
+    bench.assert_no_faults();
+}
+
+#[test]
+fn layouts() {
+    let mut bench = Bench::quiet();
+    for (name, sets, frame_ticks, relative) in [
+        ("singles and dark", &SINGLES[..], 42_500, 1.0),
+        ("singles and dark, back to back", &SINGLES[..], 40_600, 1.0),
+        ("all at once", &ALL[..], 42_500, 1.0),
+        ("all at once, back to back", &ALL[..], 8_500, 1.0),
+        ("pairs without dark", &PAIRS[..3], 42_500, 1.0),
+        ("pairs without dark, back to back", &PAIRS[..3], 17_400, 1.0),
+        ("dark first", &[PAIRS[3], PAIRS[0], PAIRS[1], PAIRS[2]][..], 42_500, 1.0),
+        ("dark in the middle", &[PAIRS[0], PAIRS[3], PAIRS[1], PAIRS[2]][..], 42_500, 1.0),
+        ("pairs, back to back", &PAIRS[..], 23_200, 1.0),
+        ("dimmed", &PAIRS[..], 42_500, 0.5),
+    ] {
+        let mut configuration = default_configuration();
+        slots(&mut configuration.schedule, sets);
+        configuration.schedule.frame_ticks = frame_ticks;
+        if frame_ticks == 8_500 {
+            configuration.schedule.slot_ticks = frame_ticks;
+        }
+        let level = Level((relative * f64::from(Level::NOMINAL.0)) as u16);
+        configuration.levels.iter_mut().for_each(|of| *of = level);
+        check(&mut bench, name, &configuration, 50);
+    }
+}
+
+#[test]
+fn oversampling() {
+    let mut bench = Bench::quiet();
+    for oversampling in [1, 2, 4, 8, 16] {
+        let mut configuration = default_configuration();
+        let schedule = &mut configuration.schedule;
+        schedule.oversampling = oversampling;
+        schedule.slot_ticks = shortest_slot(schedule);
+        schedule.frame_ticks = schedule.frame_ticks.max(4 * schedule.slot_ticks);
+        check(&mut bench, &format!("oversampling {oversampling}"), &configuration, 50);
+    }
+}
+
+#[test]
+fn conversion_times() {
+    let mut bench = Bench::quiet();
+    // The least settling that conversion time 2612 allows is longer than the default's.
+    for (conversion_ticks, settling_ticks) in [
+        (60, 2_210),
+        (76, 2_210),
+        (100, 2_210),
+        (148, 2_210),
+        (240, 2_210),
+        (420, 2_210),
+        (1_040, 2_210),
+        (2_612, 2_571),
+    ] {
+        let mut configuration = default_configuration();
+        let schedule = &mut configuration.schedule;
+        schedule.conversion_ticks = conversion_ticks;
+        schedule.settling_ticks = settling_ticks;
+        schedule.slot_ticks = shortest_slot(schedule);
+        schedule.frame_ticks = schedule.frame_ticks.max(4 * schedule.slot_ticks);
+        check(&mut bench, &format!("conversions of {conversion_ticks} ticks"), &configuration, 50);
+    }
+}
+
+#[test]
+fn few_cells_and_few_frames() {
+    let mut bench = Bench::quiet();
+    let sets: [&[&[usize]]; 5] =
+        [&[&[0], &[]], &[&[0, 1], &[]], &[&[0], &[1], &[2]], &[&[], &[0, 3], &[1], &[2]], &[&[0, 1, 2, 3, 4]]];
+    for (cells, sets) in (1..).zip(sets) {
+        let mut configuration = default_configuration();
+        slots(&mut configuration.schedule, sets);
+        configuration.schedule.cells = cells;
+        configuration.levels.truncate(cells.into());
+        check(&mut bench, &format!("{cells} cells"), &configuration, 50);
+    }
+    let mut configuration = default_configuration();
+    configuration.schedule.frame_ticks = 17_000_000;
+    check(&mut bench, "rare", &configuration, 450);
+}
+
+#[test]
+fn each_emitter_has_its_level() {
+    let mut bench = Bench::quiet();
+    // Multiples of a DAC code, so that they are exact; opposite emitters differ.
+    let levels = [0x8000, 0x4000, 0xc000, 0x6000, 0xf000, 0x2000].map(Level);
+    for (name, sets) in [("pairs", &PAIRS[..]), ("singles", &SINGLES[..]), ("pairs without dark", &PAIRS[..3])] {
+        let mut configuration = default_configuration();
+        slots(&mut configuration.schedule, sets);
+        configuration.levels.copy_from_slice(&levels);
+        check(&mut bench, &format!("levels, {name}"), &configuration, 50);
+    }
+}
+
+fn shortest_slot(schedule: &Schedule) -> u32 {
+    let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
+    schedule.settling_ticks + conversions * schedule.conversion_ticks
+}
+
+/// Layouts at their shortest slots, and frames, in ticks, at which the board loses nothing for a
+/// second: what [`search`] finds and a few per cent, or the slots themselves where they are longer.
+fn fastest() -> Vec<(&'static str, Configuration, u32)> {
+    let of = |sets: &[&[usize]], change: fn(&mut Schedule)| {
+        let mut configuration = default_configuration();
+        slots(&mut configuration.schedule, sets);
+        change(&mut configuration.schedule);
+        let cells = configuration.schedule.cells;
+        configuration.levels.truncate(cells.into());
+        configuration.schedule.slot_ticks = shortest_slot(&configuration.schedule);
+        configuration
+    };
+    let keep = |_: &mut Schedule| {};
+    let one = |schedule: &mut Schedule| schedule.oversampling = 1;
+    let quick = |schedule: &mut Schedule| {
+        (schedule.settling_ticks, schedule.conversion_ticks, schedule.oversampling) = (19, 60, 1);
+    };
+    let quick_cell = |schedule: &mut Schedule| {
+        (schedule.settling_ticks, schedule.conversion_ticks, schedule.oversampling) = (19, 60, 1);
+        schedule.cells = 1;
+    };
+    vec![
+        ("pairs and dark", of(&PAIRS, keep), 23_048),
+        ("pairs and dark, one conversion", of(&PAIRS, one), 16_000),
+        ("singles and dark", of(&SINGLES, keep), 40_334),
+        ("pairs without dark", of(&PAIRS[..3], keep), 17_286),
+        ("all at once", of(&ALL, keep), 9_700),
+        ("pairs and dark, no settling", of(&PAIRS, quick), 16_000),
+        ("all at once, no settling", of(&ALL, quick), 9_700),
+        ("one cell, no settling", of(&[&[0]], quick_cell), 8_500),
+    ]
+}
+
+/// What became of a run.
+#[derive(Debug)]
+struct Outcome {
+    scans: u64,
+    missing: u64,
+    dropped: u64,
+    overruns: u32,
+    /// By the board's own account, of its last half second.
+    load_permille: u16,
+    /// By the emulator's, of all the time.
+    awake_permille: f64,
+}
+
+fn outcome(bench: &mut Bench, configuration: &Configuration, ms: u64) -> Outcome {
+    bench.accept(&Command::Configure(configuration.clone()));
+    let before = bench.ask_status();
+    bench.forget();
+    bench.accept(&Command::Start);
+    let (awake, since) = (bench.rig.machine().awake_ticks(), bench.rig.now());
+    bench.run_ms(ms);
+    let awake = bench.rig.machine().awake_ticks() - awake;
+    let awake_permille = 1e3 * awake as f64 / (bench.rig.now() - since) as f64;
+    let load_permille = bench.last_status().cpu_load_permille;
+    bench.accept(&Command::Stop);
+    let after = bench.ask_status();
+    let scans = bench.scans();
+    let numbers = scans.last().map_or(0, |last| last.sequence + 1 - scans[0].sequence);
+    let outcome = Outcome {
+        scans: scans.len() as u64,
+        // The board's own count would include what the Stop before has cut off.
+        missing: numbers - scans.len() as u64,
+        dropped: after.scans_dropped - before.scans_dropped,
+        overruns: after.adc_overruns - before.adc_overruns,
+        load_permille,
+        awake_permille,
+    };
+    if outcome.missing == 0 {
+        check_counters(&scans, &configuration.schedule);
+    }
+    outcome
+}
+
+/// Runs those of the fastest layouts that `are_asked` picks by name for a device second each.
+fn assert_nothing_is_lost(are_asked: impl Fn(&str) -> bool) {
+    let mut bench = Bench::quiet();
+    for (name, mut configuration, frame_ticks) in fastest().into_iter().filter(|(name, ..)| are_asked(name)) {
+        configuration.schedule.frame_ticks = frame_ticks;
+        let rate_hz = configuration.schedule.frame_rate_hz();
+        let outcome = outcome(&mut bench, &configuration, 1_000);
+        println!("{name}: {rate_hz:.0} Hz, {outcome:?}");
+        assert_eq!((outcome.missing, outcome.dropped, outcome.overruns), (0, 0, 0), "{name}");
+        assert!(outcome.scans as f64 >= 0.999 * rate_hz, "{name}: {outcome:?}");
+        assert!(outcome.load_permille < 900, "{name}: {outcome:?}");
+        // Of one half second and of two: what differs is the start, some milliseconds.
+        assert!((f64::from(outcome.load_permille) - outcome.awake_permille).abs() < 20.0, "{name}: {outcome:?}");
+    }
+    bench.assert_no_faults();
+}
+
+#[test]
+fn the_fastest_frames_with_dark_lose_nothing_for_a_second() {
+    assert_nothing_is_lost(|name| name.contains("dark") && !name.contains("without") && !name.contains("no settling"));
+}
+
+#[test]
+fn the_fastest_frames_without_dark_lose_nothing_for_a_second() {
+    assert_nothing_is_lost(|name| ["pairs without dark", "all at once"].contains(&name));
+}
+
+#[test]
+fn the_fastest_frames_without_settling_lose_nothing_for_a_second() {
+    assert_nothing_is_lost(|name| name.contains("no settling"));
+}
+
+/// Frames of all cells at 20 kHz are more than the bus takes away.
+#[test]
+fn what_is_too_fast_is_lost_and_counted_but_the_board_stays_in_hand() {
+    let mut bench = Bench::quiet();
+    let mut configuration = default_configuration();
+    slots(&mut configuration.schedule, &ALL);
+    configuration.schedule.frame_ticks = 8_500;
+    let lossy = outcome(&mut bench, &configuration, 700);
+    println!("{:.0} Hz: {lossy:?}", configuration.schedule.frame_rate_hz());
+    assert!(lossy.missing > 0 && lossy.scans > 0, "{lossy:?}");
+    assert_eq!(bench.gates(), 0, "it obeys a Stop");
+    assert_eq!(bench.rig.machine().resets().len(), 1, "no watchdog");
+    check(&mut bench, "default, afterwards", &default_configuration(), 50);
+}
+
+#[test]
+#[ignore = "searches for the shortest frames of each layout, for some minutes"]
+fn search() {
+    let mut bench = Bench::quiet();
+    for (name, configuration, _) in fastest() {
+        let schedule = &configuration.schedule;
+        let shortest = schedule.slots.len() as u32 * schedule.slot_ticks;
+        let mut at = |frame_ticks: u32| {
+            let mut configuration = configuration.clone();
+            configuration.schedule.frame_ticks = frame_ticks;
+            let outcome = outcome(&mut bench, &configuration, 1_000);
+            println!("  {name}, {frame_ticks} ticks, {:.0} Hz: {outcome:?}", configuration.schedule.frame_rate_hz());
+            outcome.missing + outcome.dropped == 0 && outcome.scans > 0
+        };
+        let (mut bad, mut good) = (shortest, shortest.max(21_250));
+        if at(shortest) {
+            println!("{name}: {shortest} ticks, its slots");
+            continue;
+        }
+        while good - bad > good / 50 {
+            let middle = (good + bad) / 2;
+            if at(middle) { good = middle } else { bad = middle }
+        }
+        println!("{name}: {good} ticks");
+    }
+}

@@ -1,0 +1,182 @@
+//! What the board keeps without supply, and what a cut of the supply costs.
+
+use crate::common::talk::{Introduction, MS, Talk};
+use slitpose_emulator::peripherals::Ticks;
+use slitpose_firmware::default_configuration;
+use slitpose_protocol::{Command, Configuration, Hashes, Level, ResetCause};
+
+/// From power-on to a serial port that listens, with much in hand: the clock starts within 1 ms.
+const BOOT_MS: f64 = 10.0;
+
+/// Settings that can be told from all others: `n` stands in the hashes, the frame and the levels.
+fn settings(n: u64) -> (Configuration, Hashes) {
+    let mut configuration = default_configuration();
+    configuration.schedule.frame_ticks = 42_500 + n as u32;
+    configuration.levels.fill(Level(0x4000 + n as u16));
+    (configuration, Hashes { scene: Some(n), calibration: Some(!n) })
+}
+
+/// The settings the board says it has, if they are whole; 0: the defaults.
+fn number(hello: &Introduction) -> u64 {
+    let n = u64::from(hello.schedule.frame_ticks - 42_500);
+    let hashes = if n == 0 { Hashes::default() } else { settings(n).1 };
+    assert_eq!(hello.hashes, hashes, "hashes and configuration of one record");
+    n
+}
+
+/// Cuts the supply for a while, at once.
+fn cut(talk: &mut Talk) {
+    talk.rig.machine().cut_power();
+    talk.rig.run_for(0.001);
+    talk.rig.machine().power_on();
+    talk.rig.take_packets();
+    talk.ear.forget_board();
+}
+
+/// Starts to talk by USB, behind a start of the board.
+fn plug_in(talk: &mut Talk) -> Introduction {
+    // The computer notices that the board was gone.
+    talk.run_ms(20.0);
+    talk.await_port();
+    talk.open();
+    talk.ear.hello().expect("heard").clone()
+}
+
+/// Starts to talk by the serial port, behind a start of the board.
+fn greet(talk: &mut Talk) -> Introduction {
+    talk.run_ms(BOOT_MS);
+    assert_eq!(talk.ask(Command::Hello), Ok(()));
+    talk.ear.hello().expect("asked for").clone()
+}
+
+fn prepare(talk: &mut Talk, n: u64) -> Command {
+    let (configuration, hashes) = settings(n);
+    assert_eq!(talk.ask(Command::Configure(configuration)), Ok(()));
+    Command::Store(hashes)
+}
+
+#[test]
+fn what_is_stored_outlives_the_supply_and_is_in_force_at_start() {
+    let mut talk = Talk::at_usb();
+    let store = prepare(&mut talk, 7);
+    assert_eq!(talk.ask(store), Ok(()));
+    assert_eq!(talk.ear.hello().map(number), Some(7), "said at once");
+    talk.rig.set_open(false);
+    cut(&mut talk);
+    let hello = plug_in(&mut talk);
+    assert_eq!((number(&hello), hello.configuration, hello.reset_cause), (7, 0, ResetCause::PowerOn));
+    assert_eq!(talk.ask(Command::Start), Ok(()));
+    assert!(talk.is_acquiring());
+    assert!(talk.ear.scans.iter().all(|scan| scan.levels() == &settings(7).0.levels[..]));
+    talk.settle_account(0);
+    // The reset pin, and a start of its own.
+    talk.rig.set_open(false);
+    talk.rig.machine().pull_reset_pin();
+    talk.ear.forget_board();
+    let hello = plug_in(&mut talk);
+    assert_eq!((number(&hello), hello.reset_cause), (7, ResetCause::Pin));
+    assert_eq!(talk.ask(Command::Forget), Ok(()));
+    assert_eq!(talk.ear.hello().map(|hello| hello.hashes), Some(Hashes::default()));
+    talk.rig.set_open(false);
+    cut(&mut talk);
+    assert_eq!(number(&plug_in(&mut talk)), 0);
+    talk.expect_no_faults();
+}
+
+#[test]
+fn storing_costs_no_scan_although_pages_are_erased() {
+    let mut talk = Talk::at_usb();
+    assert_eq!(talk.ask(Command::Start), Ok(()));
+    let mut erasures = 0;
+    for n in 1..=100 {
+        let number = talk.rig.send(Command::Store(Hashes { scene: Some(n), calibration: None }));
+        let begun = talk.rig.now();
+        assert_eq!(talk.answer(number, 60), Ok(()));
+        // A record is written in some 2 ms, a page erased in 22.
+        erasures += u32::from(talk.rig.now() - begun > 15 * MS);
+    }
+    println!("{erasures} erasures");
+    assert!(erasures >= 2);
+    talk.run_ms(20.0);
+    assert_eq!(talk.ear.gaps, []);
+    let status = talk.settle_account(0);
+    assert_eq!((status.scans_lost, status.scans_dropped, status.adc_overruns), (0, 0, 0));
+    talk.expect_no_faults();
+}
+
+/// Says Store, and cuts the supply `after` the memory has become busy. `None`: lets it be done,
+/// and gives how long the memory was busy.
+fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
+    let command = prepare(talk, n);
+    let number = talk.rig.send(command);
+    let begin = loop {
+        if talk.rig.machine().board.flash_busy_until().is_some() {
+            break talk.rig.now();
+        }
+        assert_eq!(talk.ear.replies(number), [], "the memory has not been busy");
+        talk.run_until(talk.rig.now() + 2_000);
+    };
+    match after {
+        Some(after) => {
+            talk.run_until(begin + after);
+            cut(talk);
+        }
+        None => {
+            let mut end = begin;
+            while talk.ear.replies(number).is_empty() {
+                end = talk.rig.machine().board.flash_busy_until().unwrap_or(end);
+                talk.run_until(talk.rig.now() + 2_000);
+                assert!(talk.rig.now() < begin + 60 * MS, "no reply");
+            }
+            assert_eq!(talk.ear.replies(number), [Ok(())]);
+            return end - begin;
+        }
+    }
+    0
+}
+
+#[test]
+fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
+    const CUTS: u64 = 40;
+    let mut talk = Talk::at_uart();
+    let writing = store(&mut talk, 1, None);
+    let (mut n, mut kept) = (1, 1);
+    let mut erasing = 0;
+    // (torn, old, new) behind cuts of a write, and of an erasure with the write behind it.
+    let mut seen = [(0, 0, 0); 2];
+    for step in 0..CUTS {
+        // A torn record makes the next Store erase the other page.
+        for (part, duration) in [writing, erasing].into_iter().enumerate() {
+            if duration == 0 {
+                continue;
+            }
+            n += 1;
+            store(&mut talk, n, Some(duration * step / CUTS));
+            let is_torn = talk.rig.machine().board.flash_array().has_torn();
+            let found = number(&greet(&mut talk));
+            assert!(found == kept || found == n, "{found} instead of {kept} or {n}, cut {step} of part {part}");
+            let (torn, old, new) = &mut seen[part];
+            *torn += u32::from(is_torn);
+            *old += u32::from(found == kept);
+            *new += u32::from(found == n);
+            kept = found;
+        }
+        n += 1;
+        let took = store(&mut talk, n, None);
+        erasing = erasing.max(took);
+        kept = n;
+    }
+    println!("write {writing}, erase and write {erasing} ticks; (torn, old, new): {seen:?}");
+    assert!(erasing > 20 * MS, "no Store erased");
+    for (torn, old, new) in seen {
+        // A write is whole when its last double word is, of which each takes some 8 %; the words
+        // behind what an erasure has torn are not looked at.
+        assert!(torn >= 30 && old >= 30 && old + new >= CUTS as u32 - 1, "{seen:?}");
+    }
+    cut(&mut talk);
+    assert_eq!(number(&greet(&mut talk)), kept);
+    let resets = talk.rig.machine().resets().to_vec();
+    let by_itself = resets.iter().filter(|reset| reset.cause != slitpose_emulator::peripherals::ResetCause::PowerOn);
+    assert_eq!(by_itself.count(), 0, "torn words do not reset the board");
+    talk.expect_no_faults();
+}

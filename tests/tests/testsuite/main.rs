@@ -1,0 +1,34 @@
+//! Tests of the whole chain and of the command, in one program.
+
+mod bad_scenes_and_tables;
+mod completions_and_man_pages;
+mod configuration;
+mod damaged_captures;
+mod damaged_files;
+mod device_commands;
+mod doctor;
+mod foreign_text;
+mod full_disk;
+mod health;
+mod hour;
+mod kill;
+mod lag;
+mod latency;
+mod lit_cells;
+mod monte_carlo;
+mod outputs;
+mod physics_chain;
+mod pictures;
+mod reference_single_cell;
+mod reference_six_cells;
+mod replay_identical;
+mod replug;
+mod report;
+mod run_emulated;
+mod run_serial;
+mod run_simulated;
+mod soak;
+mod solve_process;
+mod status;
+mod terminal_view;
+mod unusable_boards;
