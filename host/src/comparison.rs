@@ -1,12 +1,70 @@
 //! Poses beside a reference: how far they are off, axis by axis.
 
-use slitpose_model::Pose;
+use slitpose_model::{Estimate, Pose};
 
 use crate::pipeline::Record;
-use crate::sink::Accuracy;
-use crate::terminal::{WIDTH, layout};
+use crate::terminal::{Line, WIDTH, layout};
 use slitpose_head::simulator::{PathError, Trajectory};
 use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
+
+/// How near poses are to the truth, where there is one.
+#[derive(Clone, Debug, Default)]
+pub struct Accuracy {
+    count: u64,
+    square_m2: f64,
+    square_rad2: f64,
+    largest_m: f64,
+    largest_rad: f64,
+    nees_sum: f64,
+    beyond_five_sigma: u64,
+}
+
+impl Accuracy {
+    /// Takes the next pose and where the tool really was.
+    pub fn add(&mut self, estimate: &Estimate, truth: &Pose) {
+        let (dt, dr) = estimate.pose.displacement_from(truth);
+        self.count += 1;
+        self.square_m2 += dt.length_squared();
+        self.square_rad2 += dr.length_squared();
+        self.largest_m = self.largest_m.max(dt.length());
+        self.largest_rad = self.largest_rad.max(dr.length());
+        self.nees_sum += estimate.nees(truth).unwrap_or(f64::NAN);
+        let error = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+        let beyond = error.iter().zip(estimate.sigma()).any(|(error, sigma)| error.abs() > 5.0 * sigma);
+        self.beyond_five_sigma += u64::from(beyond);
+    }
+
+    /// How many poses were taken.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Three lines for people; `against` names where the truth comes from.
+    pub fn lines(&self, against: &str) -> Vec<Line> {
+        if self.count == 0 {
+            return Vec::new();
+        }
+        let count = self.count as f64;
+        let error = format!(
+            "{:.2} um rms, {:.2} um largest; {:.1} urad rms, {:.1} urad largest",
+            (self.square_m2 / count).sqrt() * 1e6,
+            self.largest_m * 1e6,
+            (self.square_rad2 / count).sqrt() * 1e6,
+            self.largest_rad * 1e6,
+        );
+        let honesty = format!(
+            "mean NEES {:.2} (6 is honest), {} poses beyond 5 sigma in an axis",
+            self.nees_sum / count,
+            self.beyond_five_sigma,
+        );
+        let mut lines =
+            vec![Line::new("against", against), Line::new("  error", &error), Line::new("  honesty", &honesty)];
+        for (line, rank) in lines.iter_mut().zip([3, 2, 2]) {
+            line.rank(rank);
+        }
+        lines
+    }
+}
 
 /// Names of the axes and units of a millionth along them.
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];

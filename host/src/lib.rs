@@ -38,7 +38,6 @@ pub mod service;
 pub mod sink;
 pub mod telemetry;
 pub mod terminal;
-mod threads;
 
 #[cfg(test)]
 mod tests {

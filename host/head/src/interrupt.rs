@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::{fs, io, process};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -10,6 +10,7 @@ use signal_hook::iterator::Signals;
 use tempfile::NamedTempFile;
 
 use crate::table::OutputError;
+use crate::threads::lock;
 
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
@@ -53,7 +54,7 @@ pub fn is_asked() -> bool {
 /// command itself answers interrupts (see [`flag`]). A part that has gone meanwhile is no matter.
 pub(crate) fn removing(target: &Path, make: impl FnOnce() -> io::Result<NamedTempFile>) -> io::Result<NamedTempFile> {
     // Held until the part is known: an interrupt waits.
-    let mut parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut parts = lock(&PARTS);
     if parts.is_none() {
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| !is_ignored(*signal)))?;
         std::thread::Builder::new().name("interrupt".to_owned()).spawn(move || {
@@ -71,7 +72,7 @@ pub(crate) fn removing(target: &Path, make: impl FnOnce() -> io::Result<NamedTem
 
 /// Removes what is not complete, says so, and ends the program.
 fn remove_parts() -> ! {
-    let parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let parts = lock(&PARTS);
     let say = FAREWELL.get_or_init(|| |error| eprintln!("{error}"));
     for (part, target) in parts.iter().flatten() {
         if fs::remove_file(part).is_ok() {

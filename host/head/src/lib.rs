@@ -6,7 +6,8 @@
 //! * [`table`] reads and writes CSV, and is where results go;
 //! * [`pace`] holds a stream to a multiple of device time;
 //! * [`foreign`] makes text of others fit for a terminal;
-//! * [`special_file`] opens pipes and devices, [`interrupt`] knows whether the user has had enough.
+//! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
+//! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads.
 //!
 //! Inside, everything is SI. Millimetres and degrees appear in scene files, with the unit in the name.
 
@@ -16,7 +17,9 @@ pub mod foreign;
 pub mod front_end;
 pub mod interrupt;
 pub mod pace;
+pub mod replacement;
 pub mod scene_file;
 pub mod simulator;
 pub mod special_file;
 pub mod table;
+pub mod threads;

@@ -6,6 +6,7 @@ use std::io;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
+use slitpose_head::replacement::folder_of;
 use slitpose_head::special_file;
 
 /// What becomes of a file that is there already.
@@ -43,11 +44,7 @@ pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
 /// Lets the names in the folder of `path` survive a power cut.
 pub(super) fn sync_folder(path: &Path) {
     // Some file systems cannot; the file itself is there.
-    let _ = File::open(folder(path)).and_then(|folder| folder.sync_all());
-}
-
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."))
+    let _ = File::open(folder_of(path)).and_then(|folder| folder.sync_all());
 }
 
 /// Stem and extension that the names of a series share.
@@ -66,7 +63,7 @@ pub(super) fn numbered(path: &Path, number: u64) -> PathBuf {
 pub(super) fn next_number(path: &Path) -> io::Result<u64> {
     let (stem, extension) = parts(path);
     let mut last = 0;
-    for entry in fs::read_dir(folder(path))? {
+    for entry in fs::read_dir(folder_of(path))? {
         let name = entry?.file_name();
         let number = name.to_str().and_then(|name| {
             name.strip_prefix(&stem)?.strip_prefix('-')?.strip_suffix(&extension)?.strip_suffix('.')?.parse().ok()

@@ -1,9 +1,9 @@
 //! Where a file stands while it is recorded: nobody else records there, a file that it replaces stays until there is
 //! something in its place, and its loss is noticed.
 
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
@@ -11,9 +11,7 @@ use nix::fcntl::{Flock, FlockArg};
 use tempfile::TempPath;
 
 use super::naming::{self, Existing};
-
-/// What a new file may be used for, before the user's umask.
-const MODE: u32 = 0o666;
+use slitpose_head::replacement::part_of;
 
 /// The place of a file that is being recorded.
 #[derive(Debug)]
@@ -36,10 +34,7 @@ impl Place {
             // What a link leads to is replaced, and not the link.
             let path = fs::canonicalize(path)?;
             lock(File::open(&path)?)?;
-            let folder = path.parent().unwrap_or(Path::new("/"));
-            let mut name = tempfile::Builder::new();
-            name.prefix(".slitpose-").suffix(".part").permissions(Permissions::from_mode(MODE));
-            let (file, pending) = name.tempfile_in(folder)?.into_parts();
+            let (file, pending) = part_of(&path)?.into_parts();
             (file, path, Some(pending))
         } else {
             (naming::create(path, existing)?, path.to_owned(), None)

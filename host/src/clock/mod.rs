@@ -6,8 +6,6 @@
 mod band;
 mod fit;
 #[cfg(test)]
-mod link;
-#[cfg(test)]
 mod tests;
 mod utc;
 

@@ -22,10 +22,10 @@ use crate::service::{self, Service};
 use crate::sink;
 use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::terminal;
-use crate::threads::lock;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::threads::lock;
 
 /// The ends of boards are looked for, and housekeeping is done, so often.
 const MOMENT: Duration = Duration::from_millis(20);

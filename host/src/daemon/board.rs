@@ -29,8 +29,8 @@ use crate::datagram::DatagramServer;
 use crate::link::Segment;
 use crate::pipeline::{Counts, Following, Pipeline, SceneMatch};
 use crate::telemetry::BoardStatistics;
-use crate::threads::join;
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::threads::join;
 
 /// Reads on their way to the solver: at a read a millisecond a quarter of a second.
 const SEGMENTS: usize = 256;

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use super::error::BoardError;
 use crate::link::DeviceId;
-use crate::threads::lock;
+use slitpose_head::threads::lock;
 
 /// The boards that are followed at the moment.
 #[derive(Clone, Debug, Default)]

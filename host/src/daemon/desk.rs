@@ -8,7 +8,7 @@
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use super::circuit::{Drainer, Filler};
-use crate::threads::lock;
+use slitpose_head::threads::lock;
 
 /// Processes pieces, one after another.
 pub(super) trait Worker {

@@ -9,7 +9,7 @@ use crate::clock::HostInstant;
 use crate::device::DeviceError;
 use crate::link::DeviceId;
 use crate::telemetry::{LinkReport, LinkState};
-use crate::threads::lock;
+use slitpose_head::threads::lock;
 
 /// A reason that comes again is told again after this time, then after twice that, and so on: what goes on for a
 /// week is told some twenty times.

@@ -51,13 +51,13 @@ use crate::datagram::DatagramServer;
 use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
-use crate::threads::lock;
 use board::BoardThreads;
 use circuit::circuit;
 use claims::Claims;
 use consumers::{OUTBOX_POSES, Outbox};
 use printer::PrinterThread;
 use recorder::RecorderThread;
+use slitpose_head::threads::lock;
 use slot::BoardSlot;
 
 /// Pieces of poses on their way to the printer: a tenth of a second of one board at 4 kHz.

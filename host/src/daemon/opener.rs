@@ -7,7 +7,7 @@ use slitpose_protocol::Hello;
 use crate::device::{Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find, locate};
 use crate::link::DeviceId;
 use crate::pipeline::PipelineError;
-use crate::threads::lock;
+use slitpose_head::threads::lock;
 
 /// Whether a board that says this can be followed.
 pub type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;

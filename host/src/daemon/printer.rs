@@ -12,7 +12,7 @@ use super::consumers::{OUTBOX_POSES, Outbox, Outgoing};
 use super::error::BoardError;
 use super::spawn;
 use crate::sink::{Account, Sink};
-use crate::threads::join;
+use slitpose_head::threads::join;
 
 /// Without a pose to print it looks about so often.
 const IDLE: Duration = Duration::from_millis(50);

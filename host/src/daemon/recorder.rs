@@ -15,8 +15,8 @@ use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
-use crate::threads::{join, lock};
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::threads::{join, lock};
 
 /// Pieces of captures on their way to the disk: 5 s of one board.
 const PARCELS_A_BOARD: usize = 256;

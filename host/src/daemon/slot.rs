@@ -6,7 +6,7 @@ use super::link::Link;
 use crate::clock::HostInstant;
 use crate::pipeline::Pipeline;
 use crate::telemetry::{BoardReport, BoardStatistics};
-use crate::threads::lock;
+use slitpose_head::threads::lock;
 
 /// The account of a board.
 pub(super) struct BoardSlot {

@@ -47,11 +47,9 @@
 //!    each second.
 //! 3. The request was served; use this cookie from now on, as the last one will soon be too old.
 
-use slitpose_model::Outcome;
-
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
-use crate::pipeline::Record;
+use crate::pipeline::{Outcomes, Record};
 
 const POSE_MAGIC: [u8; 4] = *b"SLPP";
 const REQUEST_MAGIC: [u8; 4] = *b"SLPQ";
@@ -67,18 +65,6 @@ const IS_BEHIND: u32 = 32;
 
 const AT_FLAGS: usize = 8;
 const AT_MISSED: usize = 40;
-
-/// The number of an outcome in a datagram.
-fn status_of(outcome: &Outcome) -> u16 {
-    match outcome {
-        Outcome::Converged => 0,
-        Outcome::Degraded(_) => 1,
-        Outcome::Ambiguous => 2,
-        Outcome::Unobservable(_) => 3,
-        Outcome::TooDark => 4,
-        Outcome::Diverged => 5,
-    }
-}
 
 /// A pose as it is sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -106,7 +92,7 @@ impl PoseDatagram {
         writer.put(VERSION.to_le_bytes());
         writer.put((Self::BYTES as u16).to_le_bytes());
         writer.put(flags.to_le_bytes());
-        writer.put(status_of(&solution.outcome).to_le_bytes());
+        writer.put(Outcomes::number_of(&solution.outcome).to_le_bytes());
         writer.put((solution.cells_used.count() as u16).to_le_bytes());
         writer.put(record.device.0);
         writer.put(excluded.to_le_bytes());

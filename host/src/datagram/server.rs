@@ -23,7 +23,7 @@ use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, Subscription};
 use super::{Address, Answer, Mode, Request};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
-use crate::threads::lock;
+use slitpose_head::threads::lock;
 
 /// How long a client is followed after it asked. Clients ask each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);

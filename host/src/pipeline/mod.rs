@@ -8,13 +8,15 @@
 //! with a board takes it in with [`receive`](Pipeline::receive), which is quick, and chooses which of the
 //! scans that wait is solved next.
 
+mod board_clock;
 mod counts;
 mod error;
 mod oddity;
 mod outcomes;
 mod session;
 mod span;
-mod timing;
+#[cfg(test)]
+mod tests;
 mod waiting;
 
 use std::collections::VecDeque;
@@ -35,11 +37,11 @@ pub use waiting::{Queue, Scan};
 use crate::clock::{HostInstant, HostTime};
 use crate::health::HeadHealth;
 use crate::link::{DeviceId, Segment};
+use board_clock::BoardClock;
 use oddity::ClockWatch;
 use session::Session;
 use slitpose_head::scene_file::SceneFile;
 use span::Span;
-use timing::Timing;
 use waiting::Waiting;
 
 /// True poses that may wait for their scans: more than a board queues.
@@ -139,7 +141,7 @@ struct Flow {
     earlier: VecDeque<Box<Session>>,
     sessions: u64,
     waiting: Waiting,
-    timing: Timing,
+    clock: BoardClock,
     span: Span,
     truths: VecDeque<Truth>,
     clock_watch: ClockWatch,
@@ -172,7 +174,7 @@ impl Pipeline {
                 earlier: VecDeque::new(),
                 sessions: 0,
                 waiting: Waiting::default(),
-                timing: Timing::default(),
+                clock: BoardClock::default(),
                 span: Span::default(),
                 truths: VecDeque::with_capacity(MAX_TRUTHS),
                 clock_watch: ClockWatch::default(),
@@ -216,7 +218,7 @@ impl Pipeline {
         bytes: &[u8],
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
-        self.flow.timing.read(None);
+        self.flow.clock.read(None);
         self.decode(bytes, Solve::AtOnce, &mut sink)
     }
 
@@ -277,16 +279,16 @@ impl Pipeline {
     ) -> Result<usize, E> {
         if segment.opened {
             self.decoder.reset();
-            self.flow.timing.reopen();
+            self.flow.clock.reopen();
             self.flow.clock_watch.begin_anew();
             self.flow.is_opened = true;
         }
         for asked in &segment.asked {
-            self.flow.timing.ask(*asked);
+            self.flow.clock.ask(*asked);
         }
         let mut taken = 0;
         for (bytes, at) in segment.chunks() {
-            self.flow.timing.read(at);
+            self.flow.clock.read(at);
             let count = self.decode(bytes, solve, sink)?;
             taken += count;
             if count < bytes.len() {
@@ -333,7 +335,7 @@ impl Pipeline {
 
     /// By how many millionths the clock of the board that is speaking is fast, if that is known.
     pub fn drift_ppm(&self) -> Option<f64> {
-        self.flow.timing.drift_ppm()
+        self.flow.clock.drift_ppm()
     }
 
     /// Device time between the first scan and the last, seconds.
@@ -388,7 +390,7 @@ impl Flow {
             }
             Message::Reply(reply) => sink(Item::Reply(reply)),
             Message::Pong(pong) => {
-                self.timing.answer(pong);
+                self.clock.answer(pong);
                 Ok(())
             }
             Message::Truth(truth) => {
@@ -424,7 +426,7 @@ impl Flow {
         let session =
             Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
         self.sessions += 1;
-        self.timing.meet(session.device(), hello.schedule.tick_hz);
+        self.clock.meet(session.device(), hello.schedule.tick_hz);
         let before = self.session.replace(Box::new(session));
         if !self.waiting.is_empty() {
             self.earlier.extend(before);
@@ -446,7 +448,7 @@ impl Flow {
             self.counts.batches_unreadable += 1;
             return Ok(());
         };
-        self.timing.arrive(session.last_tick(batch.tick, scans.len()));
+        self.clock.arrive(session.last_tick(batch.tick, scans.len()));
         for scan in scans {
             let device_time_s = session.time_s(&scan);
             if !self.span.admits(device_time_s, session.frame_s()) {
@@ -460,8 +462,8 @@ impl Flow {
             let scan = Scan {
                 session: session.number(),
                 device_time_s,
-                host_time: self.timing.time_of(scan.tick, session.reference_ticks()),
-                arrival: self.timing.at(),
+                host_time: self.clock.time_of(scan.tick, session.reference_ticks()),
+                arrival: self.clock.at(),
                 truth: truth_of(&mut self.truths, scan.sequence),
                 raw: scan,
             };

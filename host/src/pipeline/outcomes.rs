@@ -1,8 +1,10 @@
 //! Solutions by what the solver says.
 
+use std::mem::discriminant;
+
 use schemars::JsonSchema;
 use serde::Serialize;
-use slitpose_model::Outcome;
+use slitpose_model::{Directions, Outcome, Weakness};
 
 /// Solutions by what the solver says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
@@ -22,28 +24,43 @@ pub struct Outcomes {
 }
 
 impl Outcomes {
-    /// Counts one.
-    pub fn count(&mut self, outcome: &Outcome) {
-        *match outcome {
+    /// One outcome of each kind, in the order of their numbers in datagrams.
+    fn kinds() -> [Outcome; 6] {
+        [
+            Outcome::Converged,
+            Outcome::Degraded(Weakness::FewerCells),
+            Outcome::Ambiguous,
+            Outcome::Unobservable(Directions::default()),
+            Outcome::TooDark,
+            Outcome::Diverged,
+        ]
+    }
+
+    fn of_kind(&mut self, outcome: &Outcome) -> &mut u64 {
+        match outcome {
             Outcome::Converged => &mut self.converged,
             Outcome::Degraded(_) => &mut self.degraded,
             Outcome::Ambiguous => &mut self.ambiguous,
             Outcome::Unobservable(_) => &mut self.unobservable,
             Outcome::TooDark => &mut self.too_dark,
             Outcome::Diverged => &mut self.diverged,
-        } += 1;
+        }
     }
 
-    /// Each outcome by the word for it, in the order of their numbers in datagrams.
-    pub fn by_name(&self) -> [(&'static str, u64); 6] {
-        [
-            ("converged", self.converged),
-            ("degraded", self.degraded),
-            ("ambiguous", self.ambiguous),
-            ("unobservable", self.unobservable),
-            ("too_dark", self.too_dark),
-            ("diverged", self.diverged),
-        ]
+    /// The number of an outcome in datagrams.
+    pub(crate) fn number_of(outcome: &Outcome) -> u16 {
+        let is_other = |kind: &Outcome| discriminant(kind) != discriminant(outcome);
+        Self::kinds().into_iter().take_while(is_other).count() as u16
+    }
+
+    /// Counts one.
+    pub(crate) fn count(&mut self, outcome: &Outcome) {
+        *self.of_kind(outcome) += 1;
+    }
+
+    /// The word for each outcome and its count, in the order of their numbers in datagrams.
+    pub(crate) fn by_name(mut self) -> [(&'static str, u64); 6] {
+        Self::kinds().map(|kind| (kind.as_str(), *self.of_kind(&kind)))
     }
 
     /// Those that were counted since `before`.

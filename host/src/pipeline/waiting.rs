@@ -95,7 +95,7 @@ mod tests {
     use slitpose_protocol::Command;
 
     use crate::link::Segment;
-    use crate::pipeline::timing::tests::{Bench, feed};
+    use crate::pipeline::tests::{SimulatedLink, feed};
     use crate::pipeline::{Item, Pipeline, PipelineError, Record};
 
     fn receive(pipeline: &mut Pipeline, segment: &Segment) -> Vec<u64> {
@@ -129,13 +129,13 @@ mod tests {
     }
 
     fn solve_some_ahead() {
-        let mut bench = Bench::new();
-        let segments: Vec<Segment> = (0..10).map(|token| bench.segment(20, token)).collect();
-        let mut in_time = bench.pipeline().watched();
+        let mut link = SimulatedLink::new();
+        let segments: Vec<Segment> = (0..10).map(|token| link.segment(20, token)).collect();
+        let mut in_time = link.pipeline().watched();
         let expected: Vec<Record> = segments.iter().flat_map(|segment| feed(&mut in_time, segment).1).collect();
         assert_eq!(expected.len(), 200);
 
-        let mut pipeline = bench.pipeline().watched();
+        let mut pipeline = link.pipeline().watched();
         let (mut printed, mut ahead) = (Vec::new(), Vec::new());
         for (number, segment) in (1..).zip(&segments) {
             assert_eq!(receive(&mut pipeline, segment).len(), 20);
@@ -167,10 +167,10 @@ mod tests {
 
     #[test]
     fn what_is_skipped_is_counted_and_the_rest_is_followed() {
-        let mut bench = Bench::new();
-        let mut pipeline = bench.pipeline();
+        let mut link = SimulatedLink::new();
+        let mut pipeline = link.pipeline();
         for token in 0..5 {
-            let arrived = receive(&mut pipeline, &bench.segment(20, token));
+            let arrived = receive(&mut pipeline, &link.segment(20, token));
             pipeline.skip(19);
             let record = pipeline.solve_next().unwrap();
             assert_eq!((Some(&record.sequence), pipeline.queue().waiting), (arrived.last(), 0));
@@ -188,7 +188,7 @@ mod tests {
     }
 
     fn solve_across_configurations() {
-        let (mut first, mut second) = (Bench::new(), Bench::new());
+        let (mut first, mut second) = (SimulatedLink::new(), SimulatedLink::new());
         let mut in_time = first.pipeline();
         let mut early = first.segment(20, 0);
         // The second board counts configurations from there.

@@ -4,13 +4,14 @@ mod csv;
 mod ndjson;
 mod note;
 mod summary;
+#[cfg(test)]
+mod tests;
 
 use std::io::{self, Write};
 
 use clap::ValueEnum;
 
 pub use note::Note;
-pub use summary::Accuracy;
 
 use crate::pipeline::Record;
 use crate::telemetry::{BoardReport, RecorderReport};

@@ -12,7 +12,7 @@ use super::noise::NoiseSource;
 use super::section::{Section, Table, Value, column};
 use super::sheet::{Row, ratios};
 use super::solver::{PRIOR_M, PRIOR_RAD};
-use super::stopwatch::{Candidate, Timing, race};
+use super::stopwatch::{Candidate, RunTime, race};
 use super::{ReportError, Settings};
 
 pub(super) const TITLE: &str = "What is left out costs nothing";
@@ -42,8 +42,8 @@ struct Variant {
 
 struct Entry {
     variant: Variant,
-    forward: Timing,
-    solve: Timing,
+    forward: RunTime,
+    solve: RunTime,
     steps: f64,
 }
 
@@ -227,11 +227,11 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
             [Candidate::new(forward), Candidate::new(solve)]
         })
         .collect();
-    let timings = race(&mut candidates, settings.rounds(), poses.len());
+    let run_times = race(&mut candidates, settings.rounds(), poses.len());
     drop(candidates);
-    let entries = variants.into_iter().zip(timings.chunks_exact(2)).zip(steps);
+    let entries = variants.into_iter().zip(run_times.chunks_exact(2)).zip(steps);
     Ok(entries
-        .map(|((variant, timings), steps)| Entry { variant, forward: timings[0], solve: timings[1], steps })
+        .map(|((variant, run_times), steps)| Entry { variant, forward: run_times[0], solve: run_times[1], steps })
         .collect())
 }
 

@@ -9,7 +9,7 @@ use super::head::Head;
 use super::method::{Precision, tier_name};
 use super::section::{Picture, Section, Table, Value, column};
 use super::sheet::{Sheet, curve};
-use super::stopwatch::{Candidate, Timing, race};
+use super::stopwatch::{Candidate, RunTime, race};
 use super::{ReportError, Settings};
 use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour};
 
@@ -35,8 +35,8 @@ struct Entry {
     error: Spread,
     /// Against the same tier in `f64`: what the number type costs.
     rounding: Option<Spread>,
-    currents: Timing,
-    derivatives: Timing,
+    currents: RunTime,
+    derivatives: RunTime,
 }
 
 /// Currents of a cell at a pose.
@@ -140,16 +140,16 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
             [Candidate::new(move || time_currents(timed)), Candidate::new(move || time_derivatives(timed))]
         })
         .collect();
-    let timings = race(&mut candidates, settings.rounds(), timed.len());
-    let entries = variants.into_iter().zip(errors).zip(timings.chunks_exact(2));
+    let run_times = race(&mut candidates, settings.rounds(), timed.len());
+    let entries = variants.into_iter().zip(errors).zip(run_times.chunks_exact(2));
     Ok(entries
-        .map(|(((tier, precision), (error, rounding)), timings)| Entry {
+        .map(|(((tier, precision), (error, rounding)), run_times)| Entry {
             tier,
             precision,
             error,
             rounding,
-            currents: timings[0],
-            derivatives: timings[1],
+            currents: run_times[0],
+            derivatives: run_times[1],
         })
         .collect())
 }

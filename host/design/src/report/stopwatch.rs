@@ -7,7 +7,7 @@ use std::time::Instant;
 
 /// Time of one unit of work.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Timing {
+pub(super) struct RunTime {
     /// In the fastest round, seconds.
     pub(super) least_s: f64,
     /// In the middle round, seconds.
@@ -28,7 +28,7 @@ impl<'a> Candidate<'a> {
 
 /// Times `candidates` in turn over `rounds`; each does `units` of work a round. One round more
 /// goes ahead, to fill caches.
-pub(super) fn race(candidates: &mut [Candidate<'_>], rounds: usize, units: usize) -> Vec<Timing> {
+pub(super) fn race(candidates: &mut [Candidate<'_>], rounds: usize, units: usize) -> Vec<RunTime> {
     let mut times: Vec<Vec<f64>> = candidates.iter().map(|_| Vec::with_capacity(rounds)).collect();
     for round in 0..=rounds {
         for (candidate, times) in candidates.iter_mut().zip(&mut times) {
@@ -44,7 +44,7 @@ pub(super) fn race(candidates: &mut [Candidate<'_>], rounds: usize, units: usize
         .into_iter()
         .map(|mut times| {
             times.sort_by(f64::total_cmp);
-            Timing { least_s: times[0], median_s: times[times.len() / 2] }
+            RunTime { least_s: times[0], median_s: times[times.len() / 2] }
         })
         .collect()
 }
@@ -64,9 +64,9 @@ mod tests {
             }),
             Candidate::new(|| second.set(second.get() + 1)),
         ];
-        let timings = race(&mut candidates, 5, 1);
+        let run_times = race(&mut candidates, 5, 1);
         drop(candidates);
         assert_eq!((first.get(), second.get()), (6, 6));
-        assert!(timings.iter().all(|timing| timing.least_s <= timing.median_s));
+        assert!(run_times.iter().all(|run_time| run_time.least_s <= run_time.median_s));
     }
 }

@@ -1,6 +1,6 @@
 //! Where a command's result goes: standard output, or a file that appears only when complete.
 
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal, Read, Stdout, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::MetadataExt;
@@ -10,6 +10,7 @@ use tempfile::NamedTempFile;
 use thiserror::Error;
 
 use crate::foreign::printable_lines;
+use crate::replacement::part_of;
 use crate::{interrupt, special_file};
 
 /// What a capture begins with: MCAP, <https://mcap.dev/spec#magic>.
@@ -148,15 +149,7 @@ impl Output {
         if is_kept {
             return Err(io::ErrorKind::AlreadyExists.into());
         }
-        let folder = match path.parent() {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
-        };
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".slitpose-").suffix(".part");
-        #[cfg(unix)]
-        builder.permissions(ordinary_permissions(existing.as_ref()));
-        let file = interrupt::removing(given, || builder.tempfile_in(folder))?;
+        let file = interrupt::removing(given, || part_of(&path))?;
         Ok(Sink::Pending(BufWriter::new(file), path, replace))
     }
 
@@ -255,14 +248,6 @@ pub fn refuse_twice<'a>(output: &Path, others: impl IntoIterator<Item = &'a Path
 fn is_one_name(a: &Path, b: &Path) -> bool {
     let folder = |path: &Path| path.parent().and_then(|folder| fs::canonicalize(Path::new(".").join(folder)).ok());
     a.file_name() == b.file_name() && folder(a).is_some_and(|of_a| folder(b) == Some(of_a))
-}
-
-/// Those of the file that is replaced; for a new one what the user's mask leaves of 0666.
-/// Temporary files are private by default, results are not.
-#[cfg(unix)]
-fn ordinary_permissions(existing: Option<&fs::Metadata>) -> Permissions {
-    use std::os::unix::fs::PermissionsExt;
-    existing.map_or_else(|| Permissions::from_mode(0o666), fs::Metadata::permissions)
 }
 
 #[cfg(test)]

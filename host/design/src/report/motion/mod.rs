@@ -13,7 +13,7 @@ use crate::report::method::Solved;
 use crate::report::noise::NoiseSource;
 use crate::report::section::{Picture, Section, Table, Value, column};
 use crate::report::sheet::{Sheet, curve};
-use crate::report::stopwatch::{Candidate, Timing, race};
+use crate::report::stopwatch::{Candidate, RunTime, race};
 use crate::report::{ReportError, Settings};
 use flight::{Flight, SMOOTH_M_PER_S, smooth, straight};
 
@@ -231,14 +231,14 @@ fn cost(head: &Head<'_>, frame: &Frame, settings: &Settings) -> Result<Table, Re
             })
         })
         .collect();
-    let timings = race(&mut candidates, settings.rounds(), flight.readings.len());
-    let base_s = timings[0].least_s;
-    let row = |(following, timing): (Following, Timing)| {
+    let run_times = race(&mut candidates, settings.rounds(), flight.readings.len());
+    let base_s = run_times[0].least_s;
+    let row = |(following, run_time): (Following, RunTime)| {
         vec![
             following.name().into(),
-            Value::from(timing.least_s * 1e6),
-            Value::from(timing.median_s * 1e6),
-            Value::from(timing.least_s / base_s),
+            Value::from(run_time.least_s * 1e6),
+            Value::from(run_time.median_s * 1e6),
+            Value::from(run_time.least_s / base_s),
         ]
     };
     Ok(Table {
@@ -250,7 +250,7 @@ fn cost(head: &Head<'_>, frame: &Frame, settings: &Settings) -> Result<Table, Re
             column("median_us", "median / µs"),
             column("ratio", "ratio"),
         ],
-        rows: Following::all().zip(timings).map(row).collect(),
+        rows: Following::all().zip(run_times).map(row).collect(),
     })
 }
 

@@ -12,7 +12,7 @@ use crate::report::head::{Head, STREAM, currents};
 use crate::report::method::{Method, Precision, Start};
 use crate::report::noise::NoiseSource;
 use crate::report::section::{Section, Value};
-use crate::report::stopwatch::{Candidate, Timing, race};
+use crate::report::stopwatch::{Candidate, RunTime, race};
 use crate::report::{ReportError, Settings};
 
 pub(in crate::report) const TITLE: &str = "Solver: error against time";
@@ -44,7 +44,7 @@ struct Entry {
     run: Run,
     noisy: Errors,
     clean: Errors,
-    timing: Timing,
+    run_time: RunTime,
 }
 
 /// Currents of all poses in one kind of light.
@@ -89,7 +89,7 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
         ],
         tables: vec![tables::noisy(&entries, bound), tables::clean(&entries), floor],
     };
-    let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.timing.least_s);
+    let slowest_s = entries.iter().filter(|entry| searched(&entry.noisy)).map(|entry| entry.run_time.least_s);
     if let Some(slowest_s) = slowest_s.reduce(f64::max) {
         section.paragraphs.push(format!(
             "Where the light obeys another model than the solver's, χ² says so, and a full solve searches everywhere \
@@ -124,8 +124,8 @@ fn summary(entries: &[Entry], bound: (f64, f64)) -> Vec<String> {
         ),
         format!(
             "A solve takes {} µs when the pose of the scan before is known, {} µs when nothing is.",
-            shown(warm.timing.least_s * 1e6),
-            shown(cold.timing.least_s * 1e6)
+            shown(warm.run_time.least_s * 1e6),
+            shown(cold.run_time.least_s * 1e6)
         ),
     ]
 }
@@ -207,12 +207,12 @@ fn measure(head: &Head<'_>, settings: &Settings) -> Result<Vec<Entry>, ReportErr
             })
         })
         .collect();
-    let timings = race(&mut candidates, settings.rounds(), timed);
+    let run_times = race(&mut candidates, settings.rounds(), timed);
     drop(candidates);
     Ok(runs
         .into_iter()
         .zip(errors)
-        .zip(timings)
-        .map(|((run, [noisy, clean]), timing)| Entry { run, noisy, clean, timing })
+        .zip(run_times)
+        .map(|((run, [noisy, clean]), run_time)| Entry { run, noisy, clean, run_time })
         .collect())
 }

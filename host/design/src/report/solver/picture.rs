@@ -42,7 +42,7 @@ pub(super) const ROTATION: Half = Half {
 pub(super) fn picture(entries: &[Entry], head: &Head<'_>, bound: f64, half: &Half) -> Picture {
     let tight = format!("{}, cold start", tier_name(head.truth_tier).replace("exact", "exact tier at"));
     let panel = |heading: &str, errors: fn(&Entry) -> &Errors, floor: Option<f64>| {
-        let point = |entry: &Entry| [entry.timing.least_s * 1e6, (half.rms)(errors(entry)) * 1e6];
+        let point = |entry: &Entry| [entry.run_time.least_s * 1e6, (half.rms)(errors(entry)) * 1e6];
         let chosen = |tier: Tier, start, precision| {
             entries.iter().filter(move |entry| {
                 let Method { tier: t, precision: p, start: s, .. } = entry.run.method;

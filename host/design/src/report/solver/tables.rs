@@ -36,8 +36,8 @@ pub(super) fn noisy(entries: &[Entry], bound: (f64, f64)) -> Table {
             Value::from(rms_m / bound.0),
             Value::from(rms_rad / bound.1),
             Value::from(entry.noisy.mean_iterations()),
-            Value::from(entry.timing.least_s * 1e6),
-            Value::from(entry.timing.median_s * 1e6),
+            Value::from(entry.run_time.least_s * 1e6),
+            Value::from(entry.run_time.median_s * 1e6),
         ]);
         row
     };

@@ -6,7 +6,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Exp};
 
-use super::HostInstant;
+use crate::clock::HostInstant;
 
 /// Ticks a second.
 pub(super) const TICK_HZ: u32 = 170_000_000;

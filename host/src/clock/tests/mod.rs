@@ -1,7 +1,9 @@
+mod link;
+
 use hdrhistogram::Histogram;
 
-use super::link::{Link, Seen, TICK_HZ, USB};
 use super::{ClockFit, HostInstant, HostTime};
+use link::{Link, Seen, TICK_HZ, USB};
 
 /// The pose of a scan refers to an instant within it, between ticks.
 const REFERENCE_TICKS: f64 = 9_712.5;

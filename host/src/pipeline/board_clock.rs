@@ -1,0 +1,87 @@
+//! The clocks of the board that is speaking, as its reads and pings tell.
+
+use slitpose_protocol::Pong;
+
+use crate::clock::{ClockFit, HostInstant, HostTime};
+use crate::link::Asked;
+use crate::link::DeviceId;
+
+/// Pings that may wait for their answers: four seconds of them.
+const PINGS: usize = 8;
+
+/// Reads, pings and the fit they make.
+#[derive(Debug, Default)]
+pub(super) struct BoardClock {
+    /// When the bytes that are being taken were read.
+    at: Option<HostInstant>,
+    /// The last pings without an answer, the oldest at `next`.
+    asked: [Option<Asked>; PINGS],
+    next: usize,
+    board: Option<(DeviceId, u32)>,
+    fit: Option<ClockFit>,
+}
+
+impl BoardClock {
+    /// The link was opened anew: what was under way is lost, and the board may be another.
+    pub(super) fn reopen(&mut self) {
+        self.asked = [None; PINGS];
+        if let (Some(fit), Some((_, tick_hz))) = (&mut self.fit, self.board) {
+            fit.restart(tick_hz);
+        }
+    }
+
+    /// A ping was sent.
+    pub(super) fn ask(&mut self, asked: Asked) {
+        self.asked[self.next] = Some(asked);
+        self.next = (self.next + 1) % PINGS;
+    }
+
+    /// What is taken from now on was read at `at`.
+    pub(super) fn read(&mut self, at: Option<HostInstant>) {
+        self.at = at;
+    }
+
+    /// When that was.
+    pub(super) fn at(&self) -> Option<HostInstant> {
+        self.at
+    }
+
+    /// A board speaks; its times go on as long as it is the same.
+    pub(super) fn meet(&mut self, device: DeviceId, tick_hz: u32) {
+        match (&mut self.fit, self.board) {
+            (Some(_), Some(known)) if known == (device, tick_hz) => return,
+            (Some(fit), Some((known, _))) if known == device => fit.restart(tick_hz),
+            _ => self.fit = Some(ClockFit::new(tick_hz)),
+        }
+        self.board = Some((device, tick_hz));
+    }
+
+    /// A ping was answered.
+    pub(super) fn answer(&mut self, pong: &Pong) {
+        let matches = |asked: &&mut Option<Asked>| asked.is_some_and(|asked| asked.token == pong.token);
+        let Some(asked) = self.asked.iter_mut().find(matches).and_then(Option::take) else {
+            return;
+        };
+        if let (Some(fit), Some(at)) = (&mut self.fit, self.at) {
+            fit.answered(asked.at, pong.tick, at);
+        }
+    }
+
+    /// A batch has come whose last sample was taken at `last_tick`.
+    pub(super) fn arrive(&mut self, last_tick: u64) {
+        if let (Some(fit), Some(at)) = (&mut self.fit, self.at) {
+            fit.arrived(last_tick, at);
+        }
+    }
+
+    /// By how many millionths the board's clock is fast.
+    pub(super) fn drift_ppm(&self) -> Option<f64> {
+        self.fit.as_ref()?.drift_ppm()
+    }
+
+    /// The host's time `fraction_ticks` after `tick`.
+    pub(super) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
+        self.at?;
+        self.fit.as_mut()?.time_of(tick, fraction_ticks)
+    }
+}

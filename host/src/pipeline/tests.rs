@@ -1,0 +1,185 @@
+//! The pipeline with a simulated board.
+
+use slitpose_model::Tier;
+use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+
+use super::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use crate::clock::HostInstant;
+use crate::link::{Asked, Segment};
+use slitpose_head::front_end;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
+
+/// Host time at which the board began to count, nanoseconds.
+const START_NS: u64 = 90_000_000_000;
+
+/// What the bytes of a frame took to the host.
+const DELAY_NS: u64 = 70_000;
+
+/// A simulated board, and a host whose clock is exact.
+pub(super) struct SimulatedLink {
+    file: SceneFile,
+    board: SimulatedBoard,
+    frame_ns: u64,
+    frames: u64,
+}
+
+impl SimulatedLink {
+    pub(super) fn new() -> Self {
+        Self::numbered(0)
+    }
+
+    /// One of several boards.
+    fn numbered(number: u8) -> Self {
+        let file = WIDE.read().unwrap();
+        let configuration = front_end::configuration(&file).unwrap();
+        let frame_ns = (1e9 / configuration.schedule.frame_rate_hz()) as u64;
+        let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 2.0);
+        let board = SimulatedBoard::numbered(number, &file, trajectory, TIER, 1).unwrap();
+        let mut link = Self { file, board, frame_ns, frames: 0 };
+        link.tell(1, Command::Configure(configuration));
+        link.tell(2, Command::Start);
+        link
+    }
+
+    pub(super) fn tell(&mut self, number: u16, command: Command) {
+        let mut buffer = [0; MAX_REQUEST_BYTES];
+        self.board.write(encode(&Request { number, command }, &mut buffer).unwrap());
+    }
+
+    /// What the link delivers in some frames, with a ping in the middle of the first.
+    pub(super) fn segment(&mut self, frames: u64, token: u32) -> Segment {
+        let mut segment = Segment::default();
+        let now_ns = |frames| START_NS + frames * self.frame_ns;
+        let asked_ns = now_ns(self.frames) - DELAY_NS;
+        segment.asked.push(Asked { token, at: instant(asked_ns) });
+        let ends: Vec<u64> = (self.frames + 1..=self.frames + frames).map(now_ns).collect();
+        self.tell(0, Command::Ping { token });
+        let mut bytes = Vec::new();
+        for end_ns in ends {
+            bytes.clear();
+            self.board.step(&mut bytes);
+            segment.push(&bytes, Some(instant(end_ns + DELAY_NS)));
+        }
+        self.frames += frames;
+        segment
+    }
+
+    pub(super) fn pipeline(&self) -> Pipeline {
+        Pipeline::new(self.file.clone(), TIER, SceneMatch::Required)
+    }
+}
+
+fn instant(monotonic_ns: u64) -> HostInstant {
+    HostInstant { monotonic_ns, utc_ns: monotonic_ns + 1_700_000_000_000_000_000 }
+}
+
+pub(super) fn feed(pipeline: &mut Pipeline, segment: &Segment) -> (usize, Vec<Record>) {
+    let mut records = Vec::new();
+    let taken = pipeline.feed(segment, |item| {
+        if let Item::Pose(record) = item {
+            records.push(*record);
+        }
+        Ok::<_, PipelineError>(())
+    });
+    (taken.unwrap(), records)
+}
+
+#[test]
+fn scans_have_the_time_at_which_they_were_taken() {
+    let mut link = SimulatedLink::new();
+    let mut pipeline = link.pipeline();
+    for token in 0..8 {
+        let segment = link.segment(400, token);
+        let (taken, records) = feed(&mut pipeline, &segment);
+        assert_eq!(taken, segment.bytes.len());
+        // The pong comes with the first scans.
+        for record in &records[usize::from(token == 0) * 10..] {
+            let time = record.host_time.unwrap();
+            let truth_ns = START_NS + (record.device_time_s * 1e9) as u64;
+            assert!(time.monotonic_ns.abs_diff(truth_ns) <= time.uncertainty_ns, "{time:?}, {truth_ns}");
+            let arrival = record.arrival.unwrap();
+            assert!(time.monotonic_ns <= arrival.monotonic_ns && segment.reads.iter().any(|r| r.at == Some(arrival)));
+            // Between a ping and its pong lie a frame and twice the delay.
+            assert!(token < 6 || time.uncertainty_ns < link.frame_ns + 2 * DELAY_NS, "{time:?}");
+        }
+    }
+}
+
+#[test]
+fn without_instants_there_are_no_times_and_the_poses_are_the_same() {
+    let mut link = SimulatedLink::new();
+    let segment = link.segment(50, 0);
+    let (_, timed) = feed(&mut link.pipeline(), &segment);
+    let mut pushed = Vec::new();
+    let taken = link.pipeline().push(&segment.bytes, |item| {
+        if let Item::Pose(record) = item {
+            pushed.push(*record);
+        }
+        Ok::<_, PipelineError>(())
+    });
+    assert_eq!(taken.unwrap(), segment.bytes.len());
+    assert_eq!(timed.len(), pushed.len());
+    for (timed, pushed) in timed.iter().zip(&pushed) {
+        assert!(pushed.host_time.is_none() && pushed.arrival.is_none());
+        assert_eq!(timed.solution.estimate, pushed.solution.estimate);
+    }
+    assert!(timed.iter().any(|record| record.host_time.is_some()));
+}
+
+#[test]
+fn a_link_opened_anew_begins_with_a_whole_packet_and_a_new_clock() {
+    let mut link = SimulatedLink::new();
+    let mut pipeline = link.pipeline();
+    let mut segment = link.segment(50, 0);
+    segment.truncate(segment.bytes.len() - 1);
+    let (_, records) = feed(&mut pipeline, &segment);
+    let pending = pipeline.counts().pending_bytes;
+    assert!(pending > 0 && records.iter().any(|record| record.host_time.is_some()));
+    let mut segment = link.segment(50, 1);
+    segment.opened = true;
+    segment.asked.clear();
+    let (_, records) = feed(&mut pipeline, &segment);
+    // No ping, no time; and an answer to a ping from before says nothing.
+    assert!(!records.is_empty() && records.iter().all(|record| record.host_time.is_none()));
+    assert_eq!(pipeline.counts().decoder.bytes_skipped, pending);
+}
+
+#[test]
+fn a_batch_has_come_after_its_last_sample() {
+    let mut link = SimulatedLink::new();
+    let mut pipeline = link.pipeline();
+    feed(&mut pipeline, &link.segment(20, 0));
+    let session = pipeline.flow.session.unwrap();
+    // Ticks of 170 MHz: frames of 42 500; a slot is 2210 of settling and 24 conversions of 148; the last
+    // conversion of the fourth slot, the dark one, is the 24th.
+    let last_sample = 3 * (2_210 + 24 * 148) + 2_210 + 23 * 148;
+    assert_eq!(session.last_tick(1_000, 1), 1_000 + last_sample);
+    assert_eq!(session.last_tick(1_000, 4), 1_000 + 3 * 42_500 + last_sample);
+    assert_eq!(session.last_tick(u64::MAX, 1), last_sample - 1, "the counter wraps");
+}
+
+#[test]
+fn another_board_counts_its_own_scans() {
+    let (mut first, mut second) = (SimulatedLink::new(), SimulatedLink::numbered(1));
+    let mut pipeline = first.pipeline();
+    let (_, before) = feed(&mut pipeline, &first.segment(50, 0));
+    let mut segment = second.segment(50, 1);
+    segment.opened = true;
+    let (_, after) = feed(&mut pipeline, &segment);
+    assert!(before[0].device != after[0].device && after[0].sequence < before[before.len() - 1].sequence);
+    let counts = pipeline.counts();
+    let scans = (before.len() + after.len()) as u64;
+    assert_eq!((counts.scans, counts.scans_lost, counts.restarts), (scans, 0, 0));
+}
+
+#[test]
+fn what_is_behind_the_end_is_not_taken() {
+    let mut link = SimulatedLink::new();
+    let mut pipeline = link.pipeline().until(Some(20.0 * link.frame_ns as f64 * 1e-9));
+    let segment = link.segment(50, 0);
+    let (taken, records) = feed(&mut pipeline, &segment);
+    assert!(taken < segment.bytes.len() && records.len() == 20 && pipeline.is_complete());
+}
