@@ -5,6 +5,7 @@
 //! * [`simulator`] is a board made of arithmetic;
 //! * [`table`] reads and writes CSV, and is where results go;
 //! * [`pace`] holds a stream to a multiple of device time;
+//! * [`finding`] is what is wrong and what to do about it;
 //! * [`foreign`] makes text of others fit for a terminal;
 //! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads.
@@ -13,6 +14,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod finding;
 pub mod foreign;
 pub mod front_end;
 pub mod interrupt;

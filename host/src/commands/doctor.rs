@@ -7,8 +7,9 @@ use super::device::BoardOptions;
 use super::poses::parse_duration;
 use super::{CommandError, Outcome};
 use super::{names, talk};
-use crate::doctor::{Bundle, Subject, Verdict, examine};
+use crate::doctor::{Bundle, Subject, examine};
 use crate::terminal::{self, Tone};
+use slitpose_head::finding::Grade;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError};
 
@@ -50,12 +51,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     });
     let has_colours = terminal::has_colours(output.is_terminal());
     for check in &examination.checks {
-        let tone = match check.verdict {
-            Verdict::Failed => Tone::Wrong,
-            Verdict::Warning => Tone::Careful,
-            Verdict::Ok | Verdict::Skipped => Tone::Plain,
-        };
-        let text = tone.paint(check.to_string().trim_end(), has_colours);
+        let text = Tone::from(check.grade).paint(&format!("{check:#}"), has_colours);
         if let Err(source) = writeln!(output, "{text}") {
             return Err(output.error(source).into());
         }
@@ -73,7 +69,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         }
         talk(format_args!("no environment, and no names of users or hosts"));
     }
-    let [failed, warnings] = [Verdict::Failed, Verdict::Warning].map(|verdict| examination.count(verdict));
+    let [failed, warnings] = [Grade::Failed, Grade::Warning].map(|grade| examination.count(grade));
     talk(format_args!("{failed} checks failed, {warnings} with warnings, of {}", examination.checks.len()));
     Ok(if failed == 0 { Outcome::Done } else { Outcome::Failed })
 }

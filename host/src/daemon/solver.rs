@@ -310,9 +310,9 @@ impl Solver {
     /// Says once that it is behind, and once that it keeps up again.
     fn say_lag(&mut self, lag: &LagReport) {
         let Self { name, state, .. } = self;
-        match (lag.complaint(), state.told) {
-            (Some(complaint), None) => {
-                self.slot.link.say(format_args!("{name}: {complaint}"));
+        match (lag.finding(), state.told) {
+            (Some(finding), None) => {
+                self.slot.link.say(format_args!("{}", finding.within(name)));
                 state.told = Some(0);
             }
             (Some(_), Some(_)) => state.told = Some(0),

@@ -8,8 +8,9 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use serde::Serialize;
 
-use super::{Check, Examination};
+use super::Examination;
 use crate::clock::HostInstant;
+use slitpose_head::finding::Finding;
 
 /// What was found, as files. Neither the environment nor names of users or hosts are in them.
 #[derive(Debug)]
@@ -22,7 +23,7 @@ pub struct Bundle {
 struct Report<'a> {
     slitpose: &'a str,
     utc_ns: u64,
-    checks: &'a [Check],
+    checks: &'a [Finding],
 }
 
 impl Bundle {
@@ -111,7 +112,7 @@ mod tests {
     #[test]
     fn what_was_found_is_in_it_and_nothing_else() {
         let names = |examination| unpacked(examination).into_keys().collect::<Vec<_>>();
-        let mut examination = Examination { checks: vec![Check::ok("scene", "fits")], ..Examination::default() };
+        let mut examination = Examination { checks: vec![Finding::ok("scene", "fits")], ..Examination::default() };
         assert_eq!(names(&examination), ["report.json", "report.txt", "system.txt"]);
         examination.scene = WIDE.read().ok();
         examination.bytes = vec![1, 2, 0, 3];

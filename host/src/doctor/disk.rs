@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use nix::sys::statvfs::statvfs;
 
-use super::check::Check;
+use slitpose_head::finding::Finding;
 
 /// Boards that one host records at once.
 const BOARDS: f64 = 4.0;
@@ -24,42 +24,42 @@ const CHUNK_BYTES: usize = 64 << 10;
 
 /// The folder for recordings, where boards of `bytes_per_s` each are recorded. Its name stays out of what is said:
 /// reports are shown to others.
-pub(super) fn checks(folder: &Path, bytes_per_s: f64) -> [Check; 2] {
+pub(super) fn checks(folder: &Path, bytes_per_s: f64) -> [Finding; 2] {
     let needed = BOARDS * bytes_per_s;
     let room = match statvfs(folder) {
         Ok(disk) => of_room(disk.blocks_available() as f64 * disk.fragment_size() as f64, needed),
-        Err(error) => Check::failed("disk space", error.to_string(), "give a folder that exists with --folder"),
+        Err(error) => Finding::failed("disk space", error.to_string(), "give a folder that exists with --folder"),
     };
     let rate = match write_rate(folder) {
         Ok(rate) => of_rate(rate, needed),
         Err(error) => {
-            Check::failed("disk rate", error.to_string(), "give a folder that may be written to with --folder")
+            Finding::failed("disk rate", error.to_string(), "give a folder that may be written to with --folder")
         }
     };
     [room, rate]
 }
 
-fn of_room(free: f64, needed: f64) -> Check {
+fn of_room(free: f64, needed: f64) -> Finding {
     let seconds = free / needed;
     let finding =
         format!("{:.1} GB free where recordings go: {:.1} hours of four boards", free / 1e9, seconds / 3600.0);
     if seconds >= LITTLE_S {
-        Check::ok("disk space", finding)
+        Finding::ok("disk space", finding)
     } else if seconds >= NOTHING_S {
-        Check::warning("disk space", finding, "make room, or record elsewhere")
+        Finding::warning("disk space", finding, "make room, or record elsewhere")
     } else {
-        Check::failed("disk space", finding, "make room, or record elsewhere")
+        Finding::failed("disk space", finding, "make room, or record elsewhere")
     }
 }
 
-fn of_rate(rate: f64, needed: f64) -> Check {
+fn of_rate(rate: f64, needed: f64) -> Finding {
     let finding = format!("{:.1} MB/s written, four boards need {:.2} MB/s", rate / 1e6, needed / 1e6);
     if rate >= MARGIN * needed {
-        Check::ok("disk rate", finding)
+        Finding::ok("disk rate", finding)
     } else if rate >= needed {
-        Check::warning("disk rate", finding, "record to a faster disk, or fewer boards")
+        Finding::warning("disk rate", finding, "record to a faster disk, or fewer boards")
     } else {
-        Check::failed("disk rate", finding, "record to a faster disk, or fewer boards")
+        Finding::failed("disk rate", finding, "record to a faster disk, or fewer boards")
     }
 }
 
@@ -79,23 +79,23 @@ fn write_rate(folder: &Path) -> io::Result<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::doctor::Verdict::{Failed, Ok, Warning};
+    use slitpose_head::finding::Grade::{Failed, Ok, Warning};
 
     #[test]
     fn room_and_rate_are_measured_by_what_four_boards_need() {
         let needed = 1e6;
-        assert_eq!([3.7e9, 3.5e9, 59e6].map(|free| of_room(free, needed).verdict), [Ok, Warning, Failed]);
-        assert_eq!([5.1e6, 4.9e6, 0.9e6].map(|rate| of_rate(rate, needed).verdict), [Ok, Warning, Failed]);
+        assert_eq!([3.7e9, 3.5e9, 59e6].map(|free| of_room(free, needed).grade), [Ok, Warning, Failed]);
+        assert_eq!([5.1e6, 4.9e6, 0.9e6].map(|rate| of_rate(rate, needed).grade), [Ok, Warning, Failed]);
     }
 
     #[test]
     fn a_folder_that_is_not_there_takes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let [room, _] = checks(folder.path(), 1.0);
-        assert_eq!(room.verdict, Ok, "{room}");
+        assert_eq!(room.grade, Ok, "{room}");
         assert!(write_rate(folder.path()).unwrap() > 0.0);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "left behind");
         let gone = folder.path().join("gone");
-        assert_eq!(checks(&gone, 1.0).map(|check| check.verdict), [Failed, Failed]);
+        assert_eq!(checks(&gone, 1.0).map(|check| check.grade), [Failed, Failed]);
     }
 }

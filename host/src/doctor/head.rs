@@ -1,23 +1,23 @@
 //! Whether board, head and scene belong together.
 
-use super::check::Check;
 use super::default_scene;
 use crate::device::BoardInfo;
+use slitpose_head::finding::Finding;
 use slitpose_head::front_end::is_full_scale_of;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 
 /// The scene to measure by: the one given, the shipped one that the board belongs to, or the default one.
 /// `None` if that contradicts what is stored on the board.
-pub(super) fn scene(given: Option<&SceneFile>, info: &BoardInfo, checks: &mut Vec<Check>) -> Option<SceneFile> {
+pub(super) fn scene(given: Option<&SceneFile>, info: &BoardInfo, checks: &mut Vec<Finding>) -> Option<SceneFile> {
     let stored = info.hashes.scene;
     let scene = given.cloned().or_else(|| stored.and_then(Shipped::with_hash)).or_else(default_scene)?;
     let (name, hash) = (&scene.name, scene.hash);
     let (check, fits) = match stored {
         Some(stored) if stored == hash => {
-            (Check::ok("scene", format!("board and scene `{name}` have the hash {hash:016x}")), true)
+            (Finding::ok("scene", format!("board and scene `{name}` have the hash {hash:016x}")), true)
         }
         Some(stored) => (
-            Check::failed(
+            Finding::failed(
                 "scene",
                 format!("the board belongs to a scene with hash {stored:016x}, `{name}` has {hash:016x}"),
                 "give the scene of this head with --scene; if the head has changed, store it: slitpose device set --scene",
@@ -25,7 +25,7 @@ pub(super) fn scene(given: Option<&SceneFile>, info: &BoardInfo, checks: &mut Ve
             false,
         ),
         None => (
-            Check::warning(
+            Finding::warning(
                 "scene",
                 format!("no scene is stored on the board; taking `{name}`, hash {hash:016x}"),
                 "store the scene of this head: slitpose device set --scene FILE",
@@ -38,10 +38,10 @@ pub(super) fn scene(given: Option<&SceneFile>, info: &BoardInfo, checks: &mut Ve
 }
 
 /// Whether front end and scene agree on what can be measured.
-pub(super) fn full_scale(scene: &SceneFile, info: &BoardInfo) -> Check {
+pub(super) fn full_scale(scene: &SceneFile, info: &BoardInfo) -> Finding {
     let board_a = info.scaling.full_scale_a();
     let Some(front_end) = scene.front_end else {
-        return Check::failed(
+        return Finding::failed(
             "full scale",
             format!("scene `{}` has no [front_end]", scene.name),
             "add one, or take the scene of this head",
@@ -50,10 +50,10 @@ pub(super) fn full_scale(scene: &SceneFile, info: &BoardInfo) -> Check {
     let scene_a = front_end.full_scale_a;
     let finding = format!("the board measures up to {:.3} uA, the scene says {:.3} uA", board_a * 1e6, scene_a * 1e6);
     if is_full_scale_of(board_a, scene_a) {
-        Check::ok("full scale", finding)
+        Finding::ok("full scale", finding)
     } else {
         let next_step = "correct front_end.full_scale_a, or flash the firmware of this front end";
-        Check::warning("full scale", finding, next_step)
+        Finding::warning("full scale", finding, next_step)
     }
 }
 
@@ -65,7 +65,7 @@ mod tests {
 
     use super::*;
     use crate::device::{Conversation, SimulatedDevice};
-    use crate::doctor::Verdict;
+    use slitpose_head::finding::Grade;
     use slitpose_head::scene_file::WIDE;
 
     fn info() -> BoardInfo {
@@ -73,30 +73,30 @@ mod tests {
         Conversation::open(Box::new(device)).unwrap().introduce(Duration::from_secs(1)).unwrap()
     }
 
-    fn looked(given: Option<&SceneFile>, stored: Option<u64>) -> (Verdict, Option<String>) {
+    fn looked(given: Option<&SceneFile>, stored: Option<u64>) -> (Grade, Option<String>) {
         let info = BoardInfo { hashes: Hashes { scene: stored, calibration: None }, ..info() };
         let mut checks = Vec::new();
         let scene = scene(given, &info, &mut checks);
-        (checks[0].verdict, scene.map(|scene| scene.origin))
+        (checks[0].grade, scene.map(|scene| scene.origin))
     }
 
     #[test]
     fn the_scene_of_the_board_is_taken_and_no_other() {
         let wide = WIDE.read().unwrap();
         let named = || Some("wide".to_owned());
-        assert_eq!(looked(None, Some(wide.hash)), (Verdict::Ok, named()));
-        assert_eq!(looked(Some(&wide), Some(wide.hash)), (Verdict::Ok, named()));
-        assert_eq!(looked(None, None), (Verdict::Warning, named()));
-        assert_eq!(looked(Some(&wide), Some(!wide.hash)), (Verdict::Failed, None));
+        assert_eq!(looked(None, Some(wide.hash)), (Grade::Ok, named()));
+        assert_eq!(looked(Some(&wide), Some(wide.hash)), (Grade::Ok, named()));
+        assert_eq!(looked(None, None), (Grade::Warning, named()));
+        assert_eq!(looked(Some(&wide), Some(!wide.hash)), (Grade::Failed, None));
     }
 
     #[test]
     fn another_front_end_is_pointed_out() {
         let (wide, mut info) = (WIDE.read().unwrap(), info());
-        assert_eq!(full_scale(&wide, &info).verdict, Verdict::Ok);
+        assert_eq!(full_scale(&wide, &info).grade, Grade::Ok);
         info.scaling.amperes_per_code *= 1.02;
         let check = full_scale(&wide, &info);
-        assert!(check.verdict == Verdict::Warning && check.finding.contains("10.200 uA"), "{check}");
-        assert_eq!(full_scale(&SceneFile { front_end: None, ..wide }, &info).verdict, Verdict::Failed);
+        assert!(check.grade == Grade::Warning && check.text.contains("10.200 uA"), "{check}");
+        assert_eq!(full_scale(&SceneFile { front_end: None, ..wide }, &info).grade, Grade::Failed);
     }
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, UNIX_EPOCH};
 
 use nix::unistd::geteuid;
 
-use super::check::Check;
 use crate::clock::HostInstant;
+use slitpose_head::finding::Finding;
 
 /// Nothing here was built earlier: 2026 begins.
 const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;
@@ -15,18 +15,18 @@ const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;
 /// The priority that the shipped service may use.
 const PRIORITY: u64 = 50;
 
-pub(super) fn checks() -> [Check; 3] {
+pub(super) fn checks() -> [Finding; 3] {
     let limits = fs::read_to_string("/proc/self/limits").ok();
     [of_date(HostInstant::now().utc_ns), of_synchronisation(synchronised().as_deref()), of_priority(limits.as_deref())]
 }
 
-fn of_date(utc_ns: u64) -> Check {
+fn of_date(utc_ns: u64) -> Finding {
     let date = humantime::format_rfc3339_seconds(UNIX_EPOCH + Duration::from_nanos(utc_ns));
     if utc_ns >= EARLIEST_UTC_NS {
-        Check::ok("date", format!("{date} (UTC)"))
+        Finding::ok("date", format!("{date} (UTC)"))
     } else {
         let finding = format!("the clock of this host is wrong: it says {date} (UTC)");
-        Check::warning("date", finding, "set the clock: timedatectl set-ntp true")
+        Finding::warning("date", finding, "set the clock: timedatectl set-ntp true")
     }
 }
 
@@ -41,29 +41,29 @@ fn synchronised() -> Option<String> {
     asked.status.success().then(|| String::from_utf8_lossy(&asked.stdout).trim().to_owned())
 }
 
-fn of_synchronisation(said: Option<&str>) -> Check {
+fn of_synchronisation(said: Option<&str>) -> Finding {
     match said {
-        Some("yes") => Check::ok("clock", "synchronised to UTC"),
-        Some("no") => Check::warning(
+        Some("yes") => Finding::ok("clock", "synchronised to UTC"),
+        Some("no") => Finding::warning(
             "clock",
             "not synchronised to UTC: dates of poses are as wrong as the clock; intervals are right",
             "timedatectl set-ntp true, or install chrony",
         ),
-        _ => Check::skipped("clock", "no timedatectl here that tells whether it is synchronised"),
+        _ => Finding::skipped("clock", "no timedatectl here that tells whether it is synchronised"),
     }
 }
 
-fn of_priority(limits: Option<&str>) -> Check {
+fn of_priority(limits: Option<&str>) -> Finding {
     if geteuid().is_root() {
-        return Check::ok("priority", "root may use real-time priorities");
+        return Finding::ok("priority", "root may use real-time priorities");
     }
     let Some(limit) = limits.and_then(real_time_limit) else {
-        return Check::skipped("priority", "this system does not tell in /proc what is allowed");
+        return Finding::skipped("priority", "this system does not tell in /proc what is allowed");
     };
     if limit >= PRIORITY {
-        Check::ok("priority", format!("real-time priorities up to {limit} are allowed"))
+        Finding::ok("priority", format!("real-time priorities up to {limit} are allowed"))
     } else {
-        Check::warning(
+        Finding::warning(
             "priority",
             format!("real-time priorities up to {limit} are allowed, {PRIORITY} is wanted: a busy host reads late"),
             "allow them as host/INSTALL.md tells, or let the service do the work",
@@ -83,7 +83,7 @@ fn real_time_limit(limits: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::doctor::Verdict;
+    use slitpose_head::finding::Grade;
 
     #[test]
     fn the_limit_is_read() {
@@ -99,11 +99,11 @@ mod tests {
     #[test]
     fn a_clock_that_starts_in_1970_is_not_believed() {
         let wrong = of_date(86_399_000_000_000);
-        assert_eq!(wrong.verdict, Verdict::Warning);
-        assert_eq!(wrong.finding, "the clock of this host is wrong: it says 1970-01-01T23:59:59Z (UTC)");
+        assert_eq!(wrong.grade, Grade::Warning);
+        assert_eq!(wrong.text, "the clock of this host is wrong: it says 1970-01-01T23:59:59Z (UTC)");
         let right = of_date(EARLIEST_UTC_NS);
-        assert_eq!((right.verdict, right.finding.as_str()), (Verdict::Ok, "2026-01-01T00:00:00Z (UTC)"));
-        let verdicts = [Some("yes"), Some("no"), Some(""), None].map(|said| of_synchronisation(said).verdict);
-        assert_eq!(verdicts, [Verdict::Ok, Verdict::Warning, Verdict::Skipped, Verdict::Skipped]);
+        assert_eq!((right.grade, right.text.as_str()), (Grade::Ok, "2026-01-01T00:00:00Z (UTC)"));
+        let verdicts = [Some("yes"), Some("no"), Some(""), None].map(|said| of_synchronisation(said).grade);
+        assert_eq!(verdicts, [Grade::Ok, Grade::Warning, Grade::Skipped, Grade::Skipped]);
     }
 }

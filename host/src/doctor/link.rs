@@ -6,19 +6,19 @@ use std::time::Duration;
 
 use nix::unistd::{AccessFlags, Gid, Group, access};
 
-use super::check::Check;
 use super::{Subject, default_scene};
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Port, Selector, SerialDevice, SimulatedDevice, find, holders,
     ports,
 };
 use crate::link::Versions;
+use slitpose_head::finding::Finding;
 
 /// As long as a board needs that has been asked by its other port just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// Gets as far as the board's hello, if it can be understood.
-pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Check>) -> Option<(Conversation, BoardInfo)> {
+pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<(Conversation, BoardInfo)> {
     let device = match subject.device {
         Selector::Sim => simulated(subject, checks)?,
         _ => open(subject, checks)?,
@@ -34,37 +34,37 @@ pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Check>) -> Option<(C
             understood.then_some((board, info))
         }
         Err(error) => {
-            checks.push(Check::failed("hello", in_full(&error), "reset the board, or flash it again"));
+            checks.push(Finding::failed("hello", in_full(&error), "reset the board, or flash it again"));
             None
         }
     }
 }
 
-fn simulated(subject: &Subject<'_>, checks: &mut Vec<Check>) -> Option<Box<dyn Device>> {
-    checks.push(Check::skipped("port", "a simulated board has none"));
+fn simulated(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Device>> {
+    checks.push(Finding::skipped("port", "a simulated board has none"));
     let scene = subject.scene.cloned().or_else(default_scene)?;
     match SimulatedDevice::live(&scene) {
         Ok(device) => Some(Box::new(device)),
         Err(error) => {
-            checks.push(Check::failed("scene", in_full(&error), "correct the scene, or take a shipped one"));
+            checks.push(Finding::failed("scene", in_full(&error), "correct the scene, or take a shipped one"));
             None
         }
     }
 }
 
-fn open(subject: &Subject<'_>, checks: &mut Vec<Check>) -> Option<Box<dyn Device>> {
+fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Device>> {
     checks.push(of_ports(ports()));
     let found = match find(subject.device, subject.search) {
         Ok(found) => found,
         Err(error) => {
-            checks.push(Check::failed("board", in_full(&error), "`slitpose device list` shows what there is"));
+            checks.push(Finding::failed("board", in_full(&error), "`slitpose device list` shows what there is"));
             return None;
         }
     };
     checks.push(of_permission(&found));
     match SerialDevice::open(&found.port) {
         Ok(device) => {
-            checks.push(Check::ok("exclusive", "nobody else has the port open"));
+            checks.push(Finding::ok("exclusive", "nobody else has the port open"));
             Some(Box::new(device))
         }
         Err(error) => {
@@ -74,32 +74,32 @@ fn open(subject: &Subject<'_>, checks: &mut Vec<Check>) -> Option<Box<dyn Device
             }
             let busy = matches!(error, DeviceError::Busy { .. });
             let next_step = if busy { "end the program that has it" } else { "see above" };
-            checks.push(Check::failed("exclusive", finding, next_step));
+            checks.push(Finding::failed("exclusive", finding, next_step));
             None
         }
     }
 }
 
-fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Check {
+fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
     match listed {
         Ok(ports) => {
             let boards = ports.iter().filter(|port| port.is_board()).count();
             let debuggers = ports.iter().filter(|port| port.is_debugger()).count();
             let count = ports.len();
-            Check::ok("ports", format!("{count} serial ports, {boards} of them boards, {debuggers} of debuggers"))
+            Finding::ok("ports", format!("{count} serial ports, {boards} of them boards, {debuggers} of debuggers"))
         }
-        Err(error) => Check::warning("ports", in_full(&error), "give the path of the port with --device"),
+        Err(error) => Finding::warning("ports", in_full(&error), "give the path of the port with --device"),
     }
 }
 
 /// Whether this user may open the port, and who may otherwise.
-fn of_permission(found: &Found) -> Check {
+fn of_permission(found: &Found) -> Finding {
     let name = found.port.as_str();
     let group = std::fs::metadata(name).ok().and_then(|port| Group::from_gid(Gid::from_raw(port.gid())).ok().flatten());
     let group = group.map_or_else(|| "without a name".to_owned(), |group| group.name);
     match access(name, AccessFlags::R_OK | AccessFlags::W_OK) {
-        Ok(()) => Check::ok("permission", format!("this user may open {name}, which belongs to the group {group}")),
-        Err(error) => Check::failed(
+        Ok(()) => Finding::ok("permission", format!("this user may open {name}, which belongs to the group {group}")),
+        Err(error) => Finding::failed(
             "permission",
             format!("this user may not open {name}, which belongs to the group {group}: {error}"),
             "install the udev rule (host/INSTALL.md), or join that group and log in again",
@@ -108,13 +108,13 @@ fn of_permission(found: &Found) -> Check {
 }
 
 /// What a board says of itself, and whether it is understood.
-fn judge(info: &BoardInfo) -> (Vec<Check>, bool) {
+fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
     use slitpose_protocol::ResetCause::{BrownOut, Panic, Watchdog};
     let who = format!("{} {}, {}, firmware {}", info.kind_name(), info.board, info.device, info.firmware);
-    let mut checks = vec![Check::ok("hello", who)];
+    let mut checks = vec![Finding::ok("hello", who)];
     checks.push(match info.mismatch {
-        None => Check::ok("version", format!("both speak protocol {}", info.protocol)),
-        Some(mismatch) => Check::failed(
+        None => Finding::ok("version", format!("both speak protocol {}", info.protocol)),
+        Some(mismatch) => Finding::failed(
             "version",
             format!("{}; {mismatch}", Versions { board: info.protocol }),
             "update whichever is older",
@@ -122,9 +122,9 @@ fn judge(info: &BoardInfo) -> (Vec<Check>, bool) {
     });
     let cause = info.reset_cause_name();
     checks.push(match info.reset_cause {
-        BrownOut => Check::warning("last start", cause, "check the cable and the supply: its voltage has sagged"),
-        Watchdog | Panic => Check::warning("last start", cause, "update the firmware; if it comes again, report it"),
-        _ => Check::ok("last start", cause),
+        BrownOut => Finding::warning("last start", cause, "check the cable and the supply: its voltage has sagged"),
+        Watchdog | Panic => Finding::warning("last start", cause, "update the firmware; if it comes again, report it"),
+        _ => Finding::ok("last start", cause),
     });
     (checks, info.mismatch.is_none())
 }
@@ -145,7 +145,7 @@ mod tests {
     use slitpose_protocol::ResetCause;
 
     use super::*;
-    use crate::doctor::Verdict;
+    use slitpose_head::finding::Grade;
 
     fn info() -> BoardInfo {
         let device = SimulatedDevice::live(&default_scene().unwrap()).unwrap();
@@ -154,10 +154,10 @@ mod tests {
 
     #[test]
     fn a_board_that_was_reset_by_trouble_is_pointed_out() {
-        let verdicts = |info: &BoardInfo| judge(info).0.iter().map(|check| check.verdict).collect::<Vec<_>>();
-        assert_eq!(verdicts(&info()), [Verdict::Ok; 3]);
+        let verdicts = |info: &BoardInfo| judge(info).0.iter().map(|check| check.grade).collect::<Vec<_>>();
+        assert_eq!(verdicts(&info()), [Grade::Ok; 3]);
         for reset_cause in [ResetCause::BrownOut, ResetCause::Watchdog, ResetCause::Panic] {
-            assert_eq!(verdicts(&BoardInfo { reset_cause, ..info() })[2], Verdict::Warning);
+            assert_eq!(verdicts(&BoardInfo { reset_cause, ..info() })[2], Grade::Warning);
         }
     }
 
@@ -165,14 +165,14 @@ mod tests {
     fn a_board_of_another_build_is_not_measured() {
         let mismatch = slitpose_protocol::schema::SchemaMismatch { name: "Batch", ours: 1, theirs: 2 };
         let (checks, understood) = judge(&BoardInfo { mismatch: Some(mismatch), ..info() });
-        assert!(!understood && checks[1].verdict == Verdict::Failed, "{checks:?}");
-        assert!(checks[1].finding.contains("different builds") && checks[1].finding.contains("Batch"));
+        assert!(!understood && checks[1].grade == Grade::Failed, "{checks:?}");
+        assert!(checks[1].text.contains("different builds") && checks[1].text.contains("Batch"));
     }
 
     #[test]
     fn a_port_that_is_not_there_may_not_be_opened() {
         let found = |port: &str| Found { port: port.to_owned(), usb: None, device: None };
-        assert_eq!(of_permission(&found("/dev/null")).verdict, Verdict::Ok);
-        assert_eq!(of_permission(&found("/dev/no-such-board")).verdict, Verdict::Failed);
+        assert_eq!(of_permission(&found("/dev/null")).grade, Grade::Ok);
+        assert_eq!(of_permission(&found("/dev/no-such-board")).grade, Grade::Failed);
     }
 }

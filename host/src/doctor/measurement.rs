@@ -6,10 +6,10 @@ use slitpose_model::Tier;
 use slitpose_protocol::{Severity, Status};
 use thiserror::Error;
 
-use super::check::Check;
 use crate::device::{Conversation, DeviceError, Keep};
 use crate::link::Segment;
 use crate::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
+use slitpose_head::finding::Finding;
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
 
@@ -129,7 +129,7 @@ impl Measurement {
     }
 
     /// What is to be said of it.
-    pub(super) fn checks(&self) -> Vec<Check> {
+    pub(super) fn checks(&self) -> Vec<Finding> {
         let mut checks = vec![
             self.rate(),
             self.clock(),
@@ -139,32 +139,32 @@ impl Measurement {
             self.health(),
         ];
         if !self.complaints.is_empty() {
-            checks.push(Check::warning("events", self.complaints.join("; "), "see what the board complains of"));
+            checks.push(Finding::warning("events", self.complaints.join("; "), "see what the board complains of"));
         }
         checks
     }
 
-    fn rate(&self) -> Check {
+    fn rate(&self) -> Finding {
         let (scans, seconds) = self.received;
         if self.counts.scans == 0 {
-            return Check::failed("rate", "the board measures, but no scan came", "reset the board and try again");
+            return Finding::failed("rate", "the board measures, but no scan came", "reset the board and try again");
         }
         let rate_hz = scans as f64 / seconds;
         let finding = format!("{rate_hz:.0} scans/s by the host's clock, {:.0} by the schedule", self.frame_rate_hz);
         if (rate_hz / self.frame_rate_hz - 1.0).abs() <= RATE_SLACK {
-            Check::ok("rate", finding)
+            Finding::ok("rate", finding)
         } else {
-            Check::warning("rate", finding, "look at the load of this host; a longer --duration tells more")
+            Finding::warning("rate", finding, "look at the load of this host; a longer --duration tells more")
         }
     }
 
-    fn clock(&self) -> Check {
+    fn clock(&self) -> Finding {
         match self.clock {
-            Some((drift_ppm, uncertainty_ns)) => Check::ok(
+            Some((drift_ppm, uncertainty_ns)) => Finding::ok(
                 "board clock",
                 format!("fast by {drift_ppm:.0} ppm; its instants are known to {:.0} us", uncertainty_ns as f64 * 1e-3),
             ),
-            None => Check::warning(
+            None => Finding::warning(
                 "board clock",
                 "does not follow the clock of this host".to_owned(),
                 "give a longer --duration: it takes two pings; an emulated board may be too slow",
@@ -179,18 +179,18 @@ impl Measurement {
         (dropped, after.scans_lost.saturating_sub(before.scans_lost))
     }
 
-    fn losses_on_board(&self) -> Check {
+    fn losses_on_board(&self) -> Finding {
         let (dropped, lost) = self.lost_on_board();
         let overruns = self.after.adc_overruns.saturating_sub(self.before.adc_overruns);
         let finding =
             format!("{dropped} scans dropped by its queue, {lost} lost at its converters, {overruns} overruns");
         match (dropped, lost + u64::from(overruns)) {
-            (0, 0) => Check::ok("board", finding),
+            (0, 0) => Finding::ok("board", finding),
             (_, 0) => {
                 let next_step = "the host did not read in time: look at its load, hubs and cable";
-                Check::failed("board", finding, next_step)
+                Finding::failed("board", finding, next_step)
             }
-            _ => Check::failed(
+            _ => Finding::failed(
                 "board",
                 finding,
                 "the controller is overloaded: lower front_end.frame_rate_hz, and report it",
@@ -198,7 +198,7 @@ impl Measurement {
         }
     }
 
-    fn losses_on_the_way(&self) -> Check {
+    fn losses_on_the_way(&self) -> Finding {
         let counts = &self.counts;
         let (dropped, lost) = self.lost_on_board();
         let missing = counts.scans_lost.saturating_sub(dropped + lost);
@@ -207,24 +207,24 @@ impl Measurement {
         let finding =
             format!("{scans} scans came, {missing} got lost; {damaged} packets damaged, {unreadable} unreadable");
         if missing + damaged + unreadable == 0 {
-            Check::ok("link", finding)
+            Finding::ok("link", finding)
         } else {
-            Check::failed("link", finding, "change cable or hub; a UART needs a short one")
+            Finding::failed("link", finding, "change cable or hub; a UART needs a short one")
         }
     }
 
-    fn poses(&self) -> Check {
+    fn poses(&self) -> Finding {
         let counts = &self.counts;
         let finding = counts.outcomes.words();
         if counts.scans > 0 && counts.poses() as f64 >= POSES * counts.scans as f64 {
-            Check::ok("poses", finding)
+            Finding::ok("poses", finding)
         } else {
             let next_step = "is the tool in its workspace, and the scene that of this head? see `slitpose scene check`";
-            Check::warning("poses", if finding.is_empty() { "none".to_owned() } else { finding }, next_step)
+            Finding::warning("poses", if finding.is_empty() { "none".to_owned() } else { finding }, next_step)
         }
     }
 
-    fn health(&self) -> Check {
+    fn health(&self) -> Finding {
         // At rest the load says nothing.
         let status = self.counts.board_status.as_ref().unwrap_or(&self.after);
         let Status { supply_v, temperature_k, cpu_load_permille, .. } = *status;
@@ -235,23 +235,25 @@ impl Measurement {
         );
         // What is no number is in no range.
         if !SUPPLY_V.contains(&supply_v) {
-            Check::warning("health", finding, "check cable and supply: 3.3 V are wanted, within 5 %")
+            Finding::warning("health", finding, "check cable and supply: 3.3 V are wanted, within 5 %")
         } else if !TEMPERATURE_K.contains(&temperature_k) {
-            Check::warning("health", finding, "keep the board between -40 and 85 C")
+            Finding::warning("health", finding, "keep the board between -40 and 85 C")
         } else if cpu_load_permille > BUSIEST_PERMILLE {
-            Check::warning("health", finding, "lower front_end.frame_rate_hz: the controller has no time in hand")
+            Finding::warning("health", finding, "lower front_end.frame_rate_hz: the controller has no time in hand")
         } else {
-            Check::ok("health", finding)
+            Finding::ok("health", finding)
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::borrow::Cow;
+
     use super::*;
     use crate::device::SimulatedDevice;
-    use crate::doctor::Verdict::{self, Failed, Ok, Warning};
     use crate::pipeline::Outcomes;
+    use slitpose_head::finding::Grade::{self, Failed, Ok, Warning};
     use slitpose_head::scene_file::WIDE;
 
     fn measured() -> (Measurement, Vec<u8>) {
@@ -263,15 +265,18 @@ mod tests {
         (measure(&mut board, &scene, 0.1, &mut bytes).unwrap(), bytes)
     }
 
-    fn verdicts(measurement: &Measurement) -> Vec<(&'static str, Verdict)> {
+    fn grades(measurement: &Measurement) -> Vec<(Cow<'static, str>, Grade)> {
         // The rate depends on what else this machine does, and so does the clock.
-        measurement.checks().iter().skip(2).map(|check| (check.name, check.verdict)).collect()
+        measurement.checks().into_iter().skip(2).map(|check| (check.place, check.grade)).collect()
     }
 
     #[test]
     fn a_good_board_is_found_good_and_each_fault_in_its_place() {
         let (good, bytes) = measured();
-        assert_eq!(verdicts(&good), [("board", Ok), ("link", Ok), ("poses", Ok), ("health", Ok)]);
+        assert_eq!(
+            grades(&good),
+            [("board".into(), Ok), ("link".into(), Ok), ("poses".into(), Ok), ("health".into(), Ok)]
+        );
         assert_eq!((good.counts.scans, bytes.len()), (400, good.bytes));
         // 60 bytes a scan, and as many for the truth of a simulated one.
         assert!((200e3..800e3).contains(&good.bytes_per_s().unwrap()), "{:?}", good.bytes_per_s());
@@ -279,22 +284,22 @@ mod tests {
         let with = |change: fn(&mut Measurement)| {
             let mut measurement = good.clone();
             change(&mut measurement);
-            let found = verdicts(&measurement);
-            found.into_iter().filter(|(_, verdict)| *verdict != Ok).collect::<Vec<_>>()
+            let found = grades(&measurement);
+            found.into_iter().filter(|(_, grade)| *grade != Ok).collect::<Vec<_>>()
         };
-        assert_eq!(with(|it| it.counts.scans_lost += 3), [("link", Failed)]);
-        assert_eq!(with(|it| it.counts.decoder.misframed += 1), [("link", Failed)]);
-        assert_eq!(with(|it| it.counts.batches_unreadable += 1), [("link", Failed)]);
+        assert_eq!(with(|it| it.counts.scans_lost += 3), [("link".into(), Failed)]);
+        assert_eq!(with(|it| it.counts.decoder.misframed += 1), [("link".into(), Failed)]);
+        assert_eq!(with(|it| it.counts.batches_unreadable += 1), [("link".into(), Failed)]);
         // Dropped on the board, so missing in the numbers: not the link's fault.
         let dropped = with(|it| {
             it.after.scans_dropped += 3;
             it.counts.scans_lost += 3;
         });
-        assert_eq!(dropped, [("board", Failed)]);
-        assert_eq!(with(|it| it.after.adc_overruns += 1), [("board", Failed)]);
+        assert_eq!(dropped, [("board".into(), Failed)]);
+        assert_eq!(with(|it| it.after.adc_overruns += 1), [("board".into(), Failed)]);
         assert_eq!(
             with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }),
-            [("poses", Warning)]
+            [("poses".into(), Warning)]
         );
         let status = |it: &mut Measurement, change: fn(&mut Status)| change(it.counts.board_status.as_mut().unwrap());
         let mut sick = good.clone();
@@ -302,7 +307,7 @@ mod tests {
         let health = |change: fn(&mut Status)| {
             let mut sick = sick.clone();
             status(&mut sick, change);
-            sick.health().verdict
+            sick.health().grade
         };
         assert_eq!(health(|_| ()), Ok);
         assert_eq!(health(|status| status.supply_v = 3.1), Warning);
@@ -311,13 +316,10 @@ mod tests {
         assert_eq!(health(|status| status.temperature_k = f32::NAN), Warning);
         assert_eq!(health(|status| status.cpu_load_permille = 901), Warning);
         // It takes two pings, half a second apart.
-        assert_eq!(good.clock().verdict, Warning);
+        assert_eq!(good.clock().grade, Warning);
         let known = Measurement { clock: Some((-12.4, 250_000)), ..good.clone() }.clock();
-        assert!(
-            known.verdict == Ok && known.finding.contains("-12 ppm") && known.finding.contains("250 us"),
-            "{known:?}"
-        );
-        let with_rate = |scans| Measurement { received: (scans, 0.1), ..good.clone() }.rate().verdict;
+        assert!(known.grade == Ok && known.text.contains("-12 ppm") && known.text.contains("250 us"), "{known:?}");
+        let with_rate = |scans| Measurement { received: (scans, 0.1), ..good.clone() }.rate().grade;
         assert_eq!([400, 390, 350].map(with_rate), [Ok, Ok, Warning]);
     }
 }

@@ -5,7 +5,6 @@
 //! is asked for help. Nothing is changed on the board but its schedule, and nothing stored.
 
 mod bundle;
-mod check;
 mod disk;
 mod head;
 mod host;
@@ -15,9 +14,9 @@ mod measurement;
 use std::path::Path;
 
 pub use bundle::Bundle;
-pub use check::{Check, Verdict};
 
 use crate::device::{BoardInfo, Search, Selector};
+use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 
 /// What a board sends a second until it has been measured: 4 000 scans of 60 bytes.
@@ -42,7 +41,7 @@ pub struct Subject<'a> {
 #[derive(Clone, Debug, Default)]
 pub struct Examination {
     /// In the order they were made.
-    pub checks: Vec<Check>,
+    pub checks: Vec<Finding>,
     /// What the board said of itself.
     pub board: Option<BoardInfo>,
     /// The scene it was measured by.
@@ -52,14 +51,14 @@ pub struct Examination {
 }
 
 impl Examination {
-    /// How many checks ended so.
-    pub fn count(&self, verdict: Verdict) -> usize {
-        self.checks.iter().filter(|check| check.verdict == verdict).count()
+    /// How many findings are of `grade`.
+    pub fn count(&self, grade: Grade) -> usize {
+        self.checks.iter().filter(|check| check.grade == grade).count()
     }
 
     /// For people: a line a check, and a line for the next step where there is one.
     pub fn text(&self) -> String {
-        self.checks.iter().map(ToString::to_string).collect()
+        self.checks.iter().map(|check| format!("{check:#}\n")).collect()
     }
 }
 
@@ -77,13 +76,13 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
     let checks = &mut examination.checks;
     let reached = link::reach(subject, checks);
     let Some((mut board, info)) = reached else {
-        checks.extend(["scene", "measurement"].map(|name| Check::skipped(name, "no board to be asked")));
+        checks.extend(["scene", "measurement"].map(|name| Finding::skipped(name, "no board to be asked")));
         return None;
     };
     let scene = head::scene(subject.scene, &info, checks);
     examination.board = Some(info.clone());
     let Some(scene) = scene else {
-        checks.push(Check::skipped("measurement", "the board belongs to another scene"));
+        checks.push(Finding::skipped("measurement", "the board belongs to another scene"));
         return None;
     };
     checks.push(head::full_scale(&scene, &info));
@@ -96,7 +95,7 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
         }
         Err(error) => {
             let finding = link::in_full(&error);
-            checks.push(Check::failed("measurement", finding, "reset the board and try again"));
+            checks.push(Finding::failed("measurement", finding, "reset the board and try again"));
             None
         }
     }

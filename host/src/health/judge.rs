@@ -1,8 +1,9 @@
 //! From sums to verdicts.
 
-use super::finding::{CellHealth, Fault, Finding, HeadHealth, Shares, Verdict};
+use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 use super::window::{Bucket, CellSums};
 use super::{Cell, Exchange, Health};
+use slitpose_head::finding::Finding;
 
 /// Fewer scans tell nothing.
 const LEAST_SCANS: u32 = 32;
@@ -34,7 +35,7 @@ impl Health {
         let sum = self.window.sum();
         let judged = self.window.is_full() && sum.scans >= LEAST_SCANS;
         let exchange = self.search.found().filter(|_| judged);
-        let mut findings: Vec<Finding> = exchange.map(of_exchange).into_iter().collect();
+        let mut findings: Vec<Diagnosis> = exchange.map(of_exchange).into_iter().collect();
         let cells: Vec<CellHealth> = (0..self.cells.len())
             .map(|cell| {
                 let mut health = self.measure(cell, &sum);
@@ -46,23 +47,19 @@ impl Health {
             })
             .collect();
         let faint = cells.iter().filter(|cell| cell.verdict == Verdict::Faint).count();
-        let is_faint = |finding: &Finding| matches!(finding.fault, Fault::Cell { verdict: Verdict::Faint, .. });
+        let is_faint = |it: &Diagnosis| matches!(it.fault, Fault::Cell { verdict: Verdict::Faint, .. });
         if faint + NEEDED > cells.len() && findings.iter().any(is_faint) {
             findings.retain(|finding| !is_faint(finding));
-            let text = format!(
-                "{faint} of {} cells see too little light: bring the tool home; if it is there, check its emitters' plug",
-                cells.len()
-            );
-            findings.push(Finding { fault: Fault::TooDark, text });
+            let text = format!("{faint} of {} cells see too little light", cells.len());
+            let next_step = "bring the tool home; if it is there, check its emitters' plug";
+            findings.push(Diagnosis { fault: Fault::TooDark, finding: Finding::failed("head", text, next_step) });
         }
         let unexplained = share(sum.troubled, sum.scans);
         if judged && unexplained > 0.5 && findings.is_empty() {
-            let text = format!(
-                "{:.0} % of the scans contradict the scene, and no single cell explains it: check that the scene is \
-                 this head's, then calibrate it",
-                100.0 * unexplained
-            );
-            findings.push(Finding { fault: Fault::Unexplained, text });
+            let percent = 100.0 * unexplained;
+            let text = format!("{percent:.0} % of the scans contradict the scene, and no single cell explains it");
+            let next_step = "check that the scene is this head's, then calibrate it";
+            findings.push(Diagnosis { fault: Fault::Unexplained, finding: Finding::failed("head", text, next_step) });
         }
         HeadHealth { unexplained, cells, findings }
     }
@@ -122,54 +119,65 @@ impl Health {
     }
 
     /// Says it in a sentence, unless the exchange is said already or all is well.
-    fn of_cell(&self, health: &CellHealth, has_pose: bool) -> Option<Finding> {
-        let CellHealth { cell, verdict, shares, .. } = health;
+    fn of_cell(&self, health: &CellHealth, has_pose: bool) -> Option<Diagnosis> {
+        let CellHealth { cell, verdict, shares, .. } = *health;
         let percent = |share: f64| 100.0 * share;
         let nanoamperes = |current_a: Option<f64>| current_a.unwrap_or(f64::NAN) * 1e9;
-        let text = match verdict {
+        let (text, next_step) = match verdict {
             Verdict::Unknown | Verdict::Swapped | Verdict::Ok => return None,
             // The pose has no light for it: the tool is where the cell cannot see it.
             Verdict::Faint if has_pose => return None,
-            Verdict::Off => format!("the emitter of cell {cell} is off: give it a level above zero"),
+            Verdict::Off => ("its emitter is off".to_owned(), "give it a level above zero"),
             Verdict::Stuck => {
-                format!("the words of cell {cell} never change: reset the board, then check its converter's wiring")
+                ("its words never change".to_owned(), "reset the board, then check its converter's wiring")
             }
-            Verdict::Saturated => format!(
-                "cell {cell} is saturated in {:.0} % of the scans (its converter at full scale, or its detector above \
-                 saturation_a): lower the level of its emitter, or shade it from other light",
-                percent(shares.saturated)
+            Verdict::Saturated => (
+                format!(
+                    "saturated in {:.0} % of the scans (its converter at full scale, or its detector above \
+                     saturation_a)",
+                    percent(shares.saturated)
+                ),
+                "lower the level of its emitter, or shade it from other light",
             ),
-            Verdict::Dark => format!(
-                "cell {cell} sees no light in {:.0} % of the scans where the pose says it should: check its emitter, \
-                 its plugs, and what may cover its slit",
-                percent(shares.dark)
+            Verdict::Dark => (
+                format!("no light in {:.0} % of the scans where the pose says it should", percent(shares.dark)),
+                "check its emitter, its plugs, and what may cover its slit",
             ),
-            Verdict::Excluded => format!(
-                "cell {cell} contradicts the others in {:.0} % of the scans, with {:.0} % of the light it should have: \
-                 clean its slit and emitter, then calibrate",
-                percent(shares.excluded),
-                percent(health.brightness.unwrap_or(f64::NAN))
+            Verdict::Excluded => (
+                format!(
+                    "contradicts the others in {:.0} % of the scans, with {:.0} % of the light it should have",
+                    percent(shares.excluded),
+                    percent(health.brightness.unwrap_or(f64::NAN))
+                ),
+                "clean its slit and emitter, then calibrate",
             ),
-            Verdict::Faint => format!(
-                "cell {cell} sees {:.0} nA, and needs {:.0} nA: bring the tool home; if it is there, check emitter, \
-                 plugs and slit",
-                nanoamperes(health.light_a),
-                self.cells[*cell].faint_a * 1e9
+            Verdict::Faint => (
+                format!(
+                    "{:.0} nA of light, and {:.0} nA are needed",
+                    nanoamperes(health.light_a),
+                    nanoamperes(Some(self.cells[cell].faint_a))
+                ),
+                "bring the tool home; if it is there, check emitter, plugs and slit",
             ),
-            Verdict::StrayRising => format!(
-                "stray light on cell {cell} has risen by {:.0} nA, {:.1} % of full scale: look for a lamp or the sun, \
-                 and shade the cell",
-                nanoamperes(health.stray_rise_a),
-                percent(health.stray_rise_a.unwrap_or(f64::NAN) / self.scaling.full_scale_a())
+            Verdict::StrayRising => (
+                format!(
+                    "stray light has risen by {:.0} nA, {:.1} % of full scale",
+                    nanoamperes(health.stray_rise_a),
+                    percent(health.stray_rise_a.unwrap_or(f64::NAN) / self.scaling.full_scale_a())
+                ),
+                "look for a lamp or the sun, and shade the cell",
             ),
-            Verdict::Noisy => format!(
-                "cell {cell} has {:.1} nA of noise in the dark, its front end promises {:.1} nA: look for light that \
-                 flickers fast, a loose cable, or a noisy supply",
-                nanoamperes(health.noise_a),
-                nanoamperes(health.promised_noise_a)
+            Verdict::Noisy => (
+                format!(
+                    "{:.1} nA of noise in the dark, its front end promises {:.1} nA",
+                    nanoamperes(health.noise_a),
+                    nanoamperes(health.promised_noise_a)
+                ),
+                "look for light that flickers fast, a loose cable, or a noisy supply",
             ),
         };
-        Some(Finding { fault: Fault::Cell { cell: *cell, verdict: *verdict }, text })
+        let finding = Finding::failed(format!("cell {cell}"), text, next_step);
+        Some(Diagnosis { fault: Fault::Cell { cell, verdict }, finding })
     }
 
     /// Amperes for one step of a word.
@@ -194,18 +202,20 @@ impl Health {
     }
 }
 
-fn of_exchange(exchange: Exchange) -> Finding {
-    let text = match exchange {
-        Exchange::Electrodes { cell } => format!(
-            "cell {cell}: electrodes exchanged; exchange the wires of its two anodes, or turn its x_axis round in the \
-             scene"
+fn of_exchange(exchange: Exchange) -> Diagnosis {
+    let (place, text, next_step) = match exchange {
+        Exchange::Electrodes { cell } => (
+            format!("cell {cell}"),
+            "electrodes exchanged",
+            "exchange the wires of its two anodes, or turn its x_axis round in the scene",
         ),
-        Exchange::Cells { cells: [first, second] } => format!(
-            "cells {first} and {second} exchanged; exchange the plugs of both, emitters and detectors, or their \
-             [[cell]] in the scene"
+        Exchange::Cells { cells: [first, second] } => (
+            format!("cells {first} and {second}"),
+            "exchanged",
+            "exchange the plugs of both, emitters and detectors, or their [[cell]] in the scene",
         ),
     };
-    Finding { fault: Fault::Exchange(exchange), text }
+    Diagnosis { fault: Fault::Exchange(exchange), finding: Finding::failed(place, text, next_step) }
 }
 
 fn share(part: u32, whole: u32) -> f64 {

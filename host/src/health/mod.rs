@@ -2,14 +2,14 @@
 //!
 //! [`Health`] takes every scan of one board session, together with its photocurrents and solution,
 //! into sums over a second of device time; it allocates nothing. [`HeadHealth`] is what these sums
-//! say: shares, levels, noise, a [`Verdict`] for each cell and, for people, [`Finding`]s.
+//! say: shares, levels, noise, a [`Verdict`] for each cell and, for people, [`Diagnosis`].
 //!
 //! Nothing is held against a cell that its pose explains: whether it should see light is asked of
 //! the model. A pose says nothing of cells whose plugs or electrodes are exchanged; when most scans
 //! contradict the scene, such exchanges are tried one after another on a few of them.
 
+mod diagnosis;
 mod exchange;
-mod finding;
 mod judge;
 #[cfg(test)]
 mod tests;
@@ -18,8 +18,8 @@ mod window;
 use slitpose_model::{Outcome, Photocurrents, Reading, SceneError, Solution, Solver, Status, Tier, Weakness};
 use slitpose_protocol::{AdcScaling, RawScan, Schedule};
 
+pub use diagnosis::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 pub use exchange::Exchange;
-pub use finding::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
 
 use exchange::Search;
 use slitpose_head::front_end::{self, Settling, Stage};

@@ -144,7 +144,7 @@ pub fn text(report: &DaemonReport, now: HostInstant) -> String {
     let resident = process.map(|process| process.resident_bytes as f64);
     out.one("slitpose_resident_memory_bytes", "gauge", "Memory of the daemon in RAM.", resident);
     out.one("slitpose_threads", "gauge", "Threads of the daemon.", process.map(|process| process.threads as f64));
-    let healthy = f64::from(u8::from(report.complaints(now).is_empty()));
+    let healthy = f64::from(u8::from(report.findings(now).is_empty()));
     out.one("slitpose_healthy", "gauge", "1 if /health says ok.", Some(healthy));
     recorder(report, &mut out);
     datagrams(report, &mut out);

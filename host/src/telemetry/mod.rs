@@ -7,8 +7,8 @@
 
 mod address;
 mod client;
-mod complaint;
 mod connection;
+mod findings;
 mod latency;
 mod losses;
 pub mod metrics;
@@ -25,7 +25,7 @@ pub use address::{AddressError, DEFAULT_STATUS_ADDRESS, StatusAddress};
 pub use client::{FetchError, fetch};
 pub use latency::{Latency, LatencyHistogram, Percentiles};
 pub use report::{
-    BoardLosses, BoardReport, ClockReport, Complaint, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses,
+    BoardEvent, BoardLosses, BoardReport, ClockReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses,
     LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, Vitals, report_schema,
 };
 pub use server::{Reach, StatusError, StatusServer};

@@ -92,7 +92,7 @@ pub struct BoardReport {
     /// What the board says of itself; `None` before its first status.
     pub vitals: Option<Vitals>,
     /// Its last warning or error.
-    pub complaint: Option<Complaint>,
+    pub complaint: Option<BoardEvent>,
     /// Its optics; `None` before the first scan.
     pub head: Option<HeadHealth>,
 }
@@ -304,9 +304,9 @@ pub struct Vitals {
     pub commands_rejected: u32,
 }
 
-/// Something a board reported.
+/// A warning or error that a board reported.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct Complaint {
+pub struct BoardEvent {
     /// Whether it can still do its job.
     pub is_error: bool,
     /// When, by its clock, seconds; `None` if its clock is not known yet.

@@ -227,9 +227,10 @@ fn json(report: &DaemonReport) -> Response {
 }
 
 fn health(report: &DaemonReport) -> Response {
-    match report.complaints(HostInstant::now()) {
-        complaints if complaints.is_empty() => reply(StatusCode::OK, TEXT, "ok\n".to_owned()),
-        complaints => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, complaints.join("\n") + "\n"),
+    let findings = report.findings(HostInstant::now());
+    match findings.iter().map(|finding| format!("{finding}\n")).collect::<String>() {
+        text if text.is_empty() => reply(StatusCode::OK, TEXT, "ok\n".to_owned()),
+        text => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, text),
     }
 }
 

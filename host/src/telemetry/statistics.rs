@@ -5,7 +5,7 @@ use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 use super::latency::LatencyHistogram;
 use super::losses::LossBook;
 use super::report::{
-    BoardReport, ClockReport, Complaint, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses, Rates,
+    BoardEvent, BoardReport, ClockReport, HostLosses, LagReport, Latencies, LinkLosses, LinkReport, Losses, Rates,
     Vitals,
 };
 use crate::clock::HostInstant;
@@ -29,7 +29,7 @@ pub struct BoardStatistics {
     host_losses: HostLosses,
     lag: LagReport,
     status: Option<Status>,
-    complaint: Option<Complaint>,
+    complaint: Option<BoardEvent>,
     clock: ClockReport,
     link_latency: LatencyHistogram,
     host_latency: LatencyHistogram,
@@ -118,14 +118,14 @@ impl BoardStatistics {
                 self.status = Some(**status);
             }
             Item::Event { severity, device_time_s, text } if *severity != Severity::Info => {
-                self.complaint = Some(Complaint {
+                self.complaint = Some(BoardEvent {
                     is_error: *severity == Severity::Error,
                     device_time_s: Some(*device_time_s).filter(|time_s| time_s.is_finite()),
                     text: (*text).to_owned(),
                 });
             }
             Item::Oddity { device_time_s, oddity } => {
-                self.complaint = Some(Complaint {
+                self.complaint = Some(BoardEvent {
                     is_error: false,
                     device_time_s: Some(*device_time_s).filter(|time_s| time_s.is_finite()),
                     text: oddity.to_string(),
@@ -135,8 +135,8 @@ impl BoardStatistics {
         }
     }
 
-    /// What there is to say at `now`, but for the link, of which others know; `counts` are the pipeline's, `head` is what its cells' health says.
-    /// To be called a few times a second: once a second an interval ends.
+    /// The report at `now`, without the link's state; `counts` and `head` are those of the pipeline. To be called a
+    /// few times a second: once a second an interval ends.
     pub fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
         if now.monotonic_ns.saturating_sub(self.begun.at.monotonic_ns) >= INTERVAL_NS {
             self.end_interval(counts, now);

@@ -13,9 +13,10 @@ use slitpose_protocol::{Severity, Status};
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;
-use crate::health::{CellHealth, CellTotals, Fault, Finding, HeadHealth, Shares, Verdict};
+use crate::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
+use slitpose_head::finding::Finding;
 
 /// A name that has everything a label must not show as it is.
 const AWKWARD: &str = "a \"port\"\\with\nlines";
@@ -37,15 +38,13 @@ fn cell(cell: usize, verdict: Verdict) -> CellHealth {
 }
 
 fn head() -> HeadHealth {
-    let finding = Finding {
-        fault: Fault::Cell { cell: 1, verdict: Verdict::Saturated },
-        text: "cell 1 is saturated in 34 % of the scans: lower the level of its emitter, or shade it from other light"
-            .to_owned(),
-    };
+    let text = "saturated in 34 % of the scans";
+    let finding = Finding::failed("cell 1", text, "lower the level of its emitter, or shade it from other light");
+    let diagnosis = Diagnosis { fault: Fault::Cell { cell: 1, verdict: Verdict::Saturated }, finding };
     HeadHealth {
         unexplained: 0.0,
         cells: (0..16).map(|k| cell(k, if k == 1 { Verdict::Saturated } else { Verdict::Ok })).collect(),
-        findings: vec![finding],
+        findings: vec![diagnosis],
     }
 }
 
@@ -218,7 +217,7 @@ fn the_view_keeps_to_its_width() {
     let has = |text: &str| assert!(lines.iter().any(|line| line.contains(text)), "{text}");
     has("converged 3999, degraded 1");
     has("1:saturated(34%)");
-    has("  !         cell 1 is saturated in 34 %");
+    has("  !         cell 1: saturated in 34 %");
     has("known to 35.0 us, fast by -12.00 ppm");
 }
 
@@ -232,7 +231,7 @@ fn is_served(server: &StatusServer) {
     assert!(get("/").unwrap().contains("converged 3999"));
     check(&get("/metrics").unwrap());
     match get("/health") {
-        Err(FetchError::Status { status: 503, text, .. }) => assert!(text.contains("cell 1 is saturated"), "{text}"),
+        Err(FetchError::Status { status: 503, text, .. }) => assert!(text.contains("cell 1: saturated"), "{text}"),
         other => panic!("{other:?}"),
     }
     assert!(matches!(get("/nonsense"), Err(FetchError::Status { status: 404, .. })));

@@ -7,6 +7,7 @@ use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport
 use crate::clock::HostInstant;
 use crate::health::{CellHealth, Verdict};
 use crate::terminal::{Line, Tone, WIDTH, layout};
+use slitpose_head::finding::Finding;
 use slitpose_head::foreign::printable;
 
 /// A name of a board, or of its firmware, that is longer is cut.
@@ -31,16 +32,12 @@ fn daemon(report: &DaemonReport, now: HostInstant) -> Vec<Line> {
     }
     lines.push(Line::blank());
     lines.extend(recorder(&report.recorder, None).or_else(|| Some(Line::new("recorder", "off"))));
-    let complaints = report.complaints(now);
-    if complaints.is_empty() {
+    if report.findings(now).is_empty() {
         put(&mut lines, "health", "ok");
     }
-    // What is wrong with a head stands with its board.
-    let findings: Vec<_> =
-        report.boards.iter().filter_map(|board| board.head.as_ref()).flat_map(|head| &head.findings).collect();
-    let is_told = |complaint: &str| findings.iter().any(|finding| complaint.ends_with(&finding.text));
-    for complaint in complaints.iter().filter(|complaint| !is_told(complaint)) {
-        put(&mut lines, "wrong", complaint).tone(Tone::Wrong);
+    // A finding on a head stands with its board.
+    for finding in report.findings_beside_heads(now) {
+        put_finding(&mut lines, "wrong", &finding);
     }
     lines
 }
@@ -129,8 +126,8 @@ pub fn lines(report: &BoardReport) -> Vec<Line> {
             put(&mut lines, "latency", &format!("{name:<6}{}", percentiles(latency))).rank(rank);
         }
     }
-    if let Some(complaint) = report.lag.complaint() {
-        put(&mut lines, "late", &complaint).tone(Tone::Wrong);
+    if let Some(finding) = report.lag.finding() {
+        put_finding(&mut lines, "late", &finding);
     }
     if let Some(uncertainty_s) = report.clock.uncertainty_s {
         let drift = report.clock.drift_ppm.map_or(String::new(), |drift_ppm| format!(", fast by {drift_ppm:+.2} ppm"));
@@ -150,16 +147,14 @@ pub fn lines(report: &BoardReport) -> Vec<Line> {
         )
         .rank(3);
     }
-    if let Some(complaint) = &report.complaint {
-        let at = complaint.device_time_s.map_or(String::new(), |time_s| format!(" (at {time_s:.3} s)"));
-        let tone = if complaint.is_error { Tone::Wrong } else { Tone::Careful };
-        put(&mut lines, "it said", &format!("{}{at}", complaint.text)).tone(tone).rank(1);
+    if let Some(event) = &report.complaint {
+        put_finding(&mut lines, "event", &event.finding()).rank(1);
     }
     if let Some(head) = &report.head {
         let cells: Vec<String> = head.cells.iter().map(word).collect();
         put(&mut lines, "cells", &cells.join(" ")).rank(2);
-        for finding in &head.findings {
-            put(&mut lines, "  !", &finding.text).tone(Tone::Wrong);
+        for diagnosis in &head.findings {
+            put_finding(&mut lines, "  !", &diagnosis.finding);
         }
     }
     lines
@@ -206,4 +201,9 @@ fn put<'a>(lines: &'a mut Vec<Line>, name: &'static str, text: &str) -> &'a mut 
     let at = lines.len();
     lines.push(Line::new(name, text));
     &mut lines[at]
+}
+
+/// Appends `finding` under `name`.
+fn put_finding<'a>(lines: &'a mut Vec<Line>, name: &'static str, finding: &Finding) -> &'a mut Line {
+    put(lines, name, &finding.to_string()).tone(finding.grade.into())
 }

@@ -2,6 +2,7 @@
 
 use console::measure_text_width;
 
+use slitpose_head::finding::Grade;
 use slitpose_head::foreign::printable;
 
 /// Pages without a window of their own are laid out for this many columns; no line is longer.
@@ -41,6 +42,16 @@ impl Tone {
     pub fn paint(self, text: &str, has_colours: bool) -> String {
         let (begin, end) = if has_colours { self.codes() } else { ("", "") };
         format!("{begin}{text}{end}")
+    }
+}
+
+impl From<Grade> for Tone {
+    fn from(grade: Grade) -> Self {
+        match grade {
+            Grade::Ok | Grade::Skipped => Self::Plain,
+            Grade::Warning => Self::Careful,
+            Grade::Failed => Self::Wrong,
+        }
     }
 }
 

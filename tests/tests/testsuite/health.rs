@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use slitpose::health::{Exchange, Fault, Finding, HeadHealth, Health, Verdict};
+use slitpose::health::{Diagnosis, Exchange, Fault, HeadHealth, Health, Verdict};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
@@ -128,7 +128,7 @@ fn a_healthy_head_raises_nothing() {
         ("around the workspace", wide(), around_the_workspace()),
         ("dark current", with_dark_current(), motion(TrajectoryKind::Smooth)),
     ] {
-        let mut findings: Vec<Finding> = Vec::new();
+        let mut findings: Vec<Diagnosis> = Vec::new();
         let mut judged = 0;
         let mut last = HeadHealth::default();
         watch(

@@ -1,7 +1,7 @@
 //! What a scene can do, before anything is built: the answers of `slitpose scene check`.
 //!
 //! [`Survey::of`] evaluates the optics at home, over a sample of the workspace and along the six
-//! axes, and derives [`Warning`]s. All numbers are SI and are serialised as they stand.
+//! axes, and derives warnings. All numbers are SI and are serialised as they stand.
 
 mod cost;
 mod coverage;
@@ -16,6 +16,7 @@ mod warning;
 use serde::{Serialize, Serializer};
 use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
 
+use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
 pub use cost::CellCost;
@@ -25,7 +26,6 @@ pub use home::CellAtHome;
 pub use sample::{AXES, axis_motion, workspace_poses};
 pub use timing::Timing;
 pub use travel::{End, Travel};
-pub use warning::Warning;
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -61,7 +61,8 @@ pub struct Survey {
     /// Whether poses have mirror images with nearly the same currents although all cells see light.
     pub mirror_images: bool,
     /// What a designer should look at.
-    pub warnings: Vec<Warning>,
+    #[serde(serialize_with = "serialize_lines")]
+    pub warnings: Vec<Finding>,
 }
 
 /// A workspace with its units in the names.
@@ -119,6 +120,11 @@ impl From<Workspace> for WorkspaceFacts {
             half_extent_rad: workspace.half_extent_rad.to_array(),
         }
     }
+}
+
+/// Each finding as one line.
+fn serialize_lines<S: Serializer>(findings: &[Finding], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(findings.iter().map(Finding::to_string))
 }
 
 /// A pose as `translation_m` and `rotation_rad` (rotation vector).

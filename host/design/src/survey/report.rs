@@ -140,7 +140,7 @@ fn warnings(survey: &Survey, text: &mut String) -> fmt::Result {
     }
     writeln!(text, "\nWarnings")?;
     for warning in &survey.warnings {
-        writeln!(text, "  - {warning}")?;
+        writeln!(text, "{warning:#}")?;
     }
     Ok(())
 }

@@ -61,7 +61,7 @@ fn warnings_carry_the_number_and_a_remedy() {
             "raise the full scale",
         ),
         (wide.replace("saturation_a = 100e-6", "saturation_a = 8e-6"), "saturates in", "narrow the slit"),
-        (wide.replace("3.16e-3", "3.16e-5"), "is faint in", "widen the slit"),
+        (wide.replace("3.16e-3", "3.16e-5"), ": faint in", "widen the slit"),
         (wide.replace("[2, 5], []]", "[2, 5]]"), "no lighting slot is dark", "add []"),
         (wide.replace("half_angle_deg = 55.0", "half_angle_deg = 0.2"), "at tolerance 1e-6", "--tolerance 1e-4"),
         (
@@ -79,7 +79,7 @@ fn warnings_carry_the_number_and_a_remedy() {
         (wide.replace("[4.0, 4.0, 4.0]", "[4.0, 9.0, 4.0]"), "beyond ty", "shrink the workspace"),
         (
             wide.replace("emitter_mm = [10.0, 0.0, 0.0]", "emitter_mm = [30.0, 0.0, 0.0]"),
-            "cell 0 is behind at home",
+            "cell 0: behind at home",
             "into line",
         ),
     ];

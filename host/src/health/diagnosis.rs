@@ -1,9 +1,10 @@
-//! What there is to say of a head, for programs and for people.
+//! The health of a head, for programs and for people.
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::Exchange;
+use slitpose_head::finding::Finding;
 
 /// The state of a cell, gravest cause first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
@@ -133,22 +134,28 @@ pub enum Fault {
     Unexplained,
 }
 
-/// Something to tell.
+/// A fault, for programs, and the finding on it, for people.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct Finding {
+pub struct Diagnosis {
     /// What.
     pub fault: Fault,
     /// In a sentence, with what to do next.
-    pub text: String,
+    #[serde(rename = "text", serialize_with = "serialize_line")]
+    #[schemars(with = "String")]
+    pub finding: Finding,
+}
+
+fn serialize_line<S: Serializer>(finding: &Finding, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(finding)
 }
 
 /// A head over the last second.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct HeadHealth {
-    /// Share of scans that the scene does not explain: a misfit, no pose, or a cell left out as a liar.
+    /// Share of scans that the scene does not explain: a misfit, no pose, or a cell left out as an outlier.
     pub unexplained: f64,
     /// In the order of the scene.
     pub cells: Vec<CellHealth>,
     /// Empty if all is well.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<Diagnosis>,
 }

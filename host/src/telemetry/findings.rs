@@ -1,0 +1,201 @@
+//! What keeps good poses from coming.
+
+use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
+use crate::clock::HostInstant;
+use slitpose_head::finding::{Finding, Grade};
+
+/// Reports are made several times a second: one so old comes from a daemon that is stuck.
+const STALE_S: f64 = 3.0;
+
+/// A board that runs and sends no scan for so long is stuck, whatever else it sends.
+const NO_SCAN_S: f64 = 3.0;
+
+/// What a system that runs something else for a while can do to a solver that keeps up is over sooner.
+const BEHIND_S: f64 = 1.0;
+
+/// Poses that are older when they are sent are of no use to a control loop.
+const OLD_S: f64 = 0.25;
+
+/// Packets that arrive damaged within a second, from which on it is no chance: a good link damages none in a day.
+const DAMAGED_FROM: u64 = 3;
+
+impl LagReport {
+    /// Why poses are late or left out, if they are.
+    pub(crate) fn finding(&self) -> Option<Finding> {
+        let Self { behind_s, is_output_blocked, waiting_scans, waiting_s, skipped_scans, .. } = self;
+        if *is_output_blocked && *waiting_s > BEHIND_S {
+            let text =
+                format!("read too slowly: {waiting_scans} scans wait to be printed, the oldest for {waiting_s:.1} s");
+            return Some(Finding::failed("standard output", text, "read it faster, or use --format none"));
+        }
+        (*behind_s >= BEHIND_S).then(|| {
+            let text = format!(
+                "behind: scans come faster than they are solved, and control loops get the newest only; \
+                 {waiting_scans} wait, {skipped_scans} were skipped so far"
+            );
+            let next_step = "look at the cells with `slitpose doctor`, or use --tier paper, or lower the frame rate";
+            Finding::failed("solver", text, next_step)
+        })
+    }
+}
+
+impl BoardEvent {
+    /// The event at its time.
+    pub(super) fn finding(&self) -> Finding {
+        let grade = if self.is_error { Grade::Failed } else { Grade::Warning };
+        let place = self.device_time_s.map_or("board".into(), |time_s| format!("board at {time_s:.3} s").into());
+        Finding { place, ..Finding::new(grade, "", &*self.text) }
+    }
+}
+
+impl DaemonReport {
+    /// All that keeps good poses from coming; empty if all is well.
+    pub(crate) fn findings(&self, now: HostInstant) -> Vec<Finding> {
+        self.gather(|board| {
+            let (stream, is_running) = board.findings(now);
+            let heads = board.head.iter().filter(|_| is_running).flat_map(|head| &head.findings);
+            stream.into_iter().chain(heads.map(|diagnosis| diagnosis.finding.clone())).collect()
+        })
+    }
+
+    /// The same without the findings on heads.
+    pub(super) fn findings_beside_heads(&self, now: HostInstant) -> Vec<Finding> {
+        self.gather(|board| board.findings(now).0)
+    }
+
+    fn gather(&self, of_board: impl Fn(&BoardReport) -> Vec<Finding>) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        if self.boards.is_empty() {
+            findings.push(Finding::failed("link", "there is no board", "plug one in"));
+        }
+        for board in &self.boards {
+            findings.extend(of_board(board).into_iter().map(|finding| finding.within(&board.name)));
+        }
+        if self.recorder.state == RecorderState::Failed {
+            let reason = self.recorder.reason.as_deref().unwrap_or("it gives no reason");
+            findings.push(Finding::new(Grade::Failed, "recorder", format!("failed: {reason}")));
+        }
+        findings
+    }
+}
+
+impl BoardReport {
+    /// What is wrong with the stream of the board, and whether the board runs.
+    fn findings(&self, now: HostInstant) -> (Vec<Finding>, bool) {
+        let age_s = self.age_s(now);
+        if self.link.state == LinkState::Ended && self.link.reason.is_none() {
+            return (Vec::new(), false);
+        }
+        if self.link.state != LinkState::Ended && age_s > STALE_S {
+            let text = format!("nothing is known for {age_s:.0} s: the program is stuck");
+            return (vec![Finding::failed("daemon", text, "start it again")], false);
+        }
+        if self.link.state != LinkState::Running {
+            let state = self.link.state.as_str();
+            let tried = match self.link.attempts {
+                0 | 1 => String::new(),
+                attempts => format!(" (tried {attempts} times)"),
+            };
+            let finding = match &self.link.reason {
+                Some(reason) => Finding::new(Grade::Failed, "link", format!("{state}: {reason}{tried}")),
+                None => Finding::failed("link", format!("{state}: no scan has come yet{tried}"), "wait some seconds"),
+            };
+            return (vec![finding], false);
+        }
+        let mut findings = Vec::new();
+        if let Some(scan_age_s) = self.last_scan_age_s.map(|before_s| before_s + age_s)
+            && scan_age_s > NO_SCAN_S
+        {
+            findings.push(Finding::failed("link", format!("no scan for {scan_age_s:.0} s"), "reset the board"));
+        }
+        findings.extend(self.lag.finding());
+        let age_s = self.latencies.total.recent.p50_s;
+        if age_s > OLD_S {
+            let text = format!("{age_s:.1} s old when they are sent");
+            let next_step = "see from the latencies in `slitpose status` whether the link or this machine is too slow";
+            findings.push(Finding::failed("poses", text, next_step));
+        }
+        let (poses, scans) = (self.recent_outcomes.poses(), self.recent_outcomes.all());
+        if 2 * poses < scans {
+            let text = format!("only {poses} of the last {scans} scans gave a pose");
+            let next_step = "bring the tool home, and check that the scene is this head's";
+            findings.push(Finding::failed("poses", text, next_step));
+        }
+        let LinkLosses { unreadable, .. } = self.recent_link_losses;
+        if unreadable > 0 {
+            let text = format!("{unreadable} packets of the last second cannot be read");
+            let next_step = "build firmware and program from the same source, and let nothing else speak to the board";
+            findings.push(Finding::failed("link", text, next_step));
+        }
+        let damaged = self.recent_link_losses.damaged();
+        if damaged >= DAMAGED_FROM {
+            let text = format!("{damaged} packets of the last second came damaged");
+            findings.push(Finding::failed("link", text, "check cable, hub and port of the board"));
+        }
+        (findings, true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::report::{LinkReport, RecorderReport};
+    use super::*;
+    use crate::pipeline::Outcomes;
+
+    const NOW: HostInstant = HostInstant { monotonic_ns: 100_000_000_000, utc_ns: 0 };
+
+    fn findings(board: BoardReport) -> Vec<String> {
+        let report = DaemonReport::of_now(NOW, vec![board], RecorderReport::default());
+        report.findings(NOW).iter().map(Finding::to_string).collect()
+    }
+
+    fn running() -> BoardReport {
+        BoardReport {
+            name: "port".to_owned(),
+            made_monotonic_ns: NOW.monotonic_ns - 200_000_000,
+            link: LinkReport { state: LinkState::Running, ..LinkReport::default() },
+            last_scan_age_s: Some(0.1),
+            recent_outcomes: Outcomes { converged: 4000, ..Outcomes::default() },
+            ..BoardReport::default()
+        }
+    }
+
+    #[test]
+    fn a_stream_that_is_stuck_does_not_look_well() {
+        assert_eq!(findings(running()), Vec::<String>::new());
+        let told = |board: BoardReport, word: &str| {
+            let findings = findings(board);
+            assert!(findings.len() == 1 && findings[0].contains(word), "{findings:?}");
+        };
+        // The program no longer makes reports; the board sends no scans; there is no board.
+        told(BoardReport { made_monotonic_ns: NOW.monotonic_ns - 4_000_000_000, ..running() }, "stuck");
+        told(BoardReport { last_scan_age_s: Some(2.9), ..running() }, "no scan");
+        told(BoardReport { link: LinkReport::default(), ..running() }, "searching");
+        // The solver does not keep up, or nobody reads what is printed; scans come.
+        let lag = LagReport { is_behind: true, behind_s: 1.2, waiting_scans: 77, ..LagReport::default() };
+        told(BoardReport { lag, ..running() }, "behind: scans come faster than they are solved");
+        assert_eq!(findings(BoardReport { lag: LagReport { behind_s: 0.8, ..lag }, ..running() }).len(), 0);
+        let lag = LagReport { is_output_blocked: true, waiting_s: 1.5, ..lag };
+        told(BoardReport { lag, ..running() }, "standard output: read too slowly: 77 scans wait");
+        let mut late = running();
+        late.latencies.total.recent.p50_s = 0.3;
+        told(late, "poses: 0.3 s old");
+        // Scans, and no poses.
+        let recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
+        told(BoardReport { recent_outcomes, ..running() }, "only 1 of the last 3");
+        // Packets that mean nothing, and packets that arrive damaged; one of those may be chance.
+        let lossy = |recent_link_losses| BoardReport { recent_link_losses, ..running() };
+        told(
+            lossy(LinkLosses { unreadable: 1, ..LinkLosses::default() }),
+            "1 packets of the last second cannot be read",
+        );
+        told(
+            lossy(LinkLosses { bad_checksum: 2, misframed: 1, ..LinkLosses::default() }),
+            "3 packets of the last second came damaged",
+        );
+        assert_eq!(findings(lossy(LinkLosses { overlong: 2, ..LinkLosses::default() })), Vec::<String>::new());
+        // A board that answers and sends no scan, tried again and again.
+        let link = LinkReport { state: LinkState::Connecting, attempts: 7, ..LinkReport::default() };
+        told(BoardReport { link, ..running() }, "connecting: no scan has come yet (tried 7 times); wait some seconds");
+    }
+}
