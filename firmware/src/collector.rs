@@ -1,9 +1,9 @@
-//! From finished scans to batches, and the account of what was taken.
+//! From finished scans to batches, and the counts of scans taken and lost.
 
 use slitpose_protocol::{BatchBuilder, HardwareFault, MAX_SCAN_BYTES, RawScan, Schedule};
 
 use crate::exposure::AutomaticExposure;
-use crate::hardware::{Hardware, ScanError};
+use crate::hardware::{Acquisition, ScanError};
 use crate::outbox::Outbox;
 
 /// Largest number of scans in a batch. Four scans of six cells, lit and dark, make a
@@ -11,10 +11,10 @@ use crate::outbox::Outbox;
 pub const BATCH_SCANS: usize = 4;
 
 /// A batch holds no more scans than this many milliseconds have frames (but one at
-/// least): at low frame rates scans go out singly instead of waiting for company.
+/// least): at low frame rates every scan goes out alone instead of waiting for the next.
 pub const BATCH_SPAN_MS: u32 = 1;
 
-/// Scans looked at in one call, so that hardware which always has one more cannot hold
+/// Scans collected in one call, so that hardware that always has another scan cannot hold
 /// the caller: 16 ms at 4 kHz.
 const SCANS_PER_CALL: usize = 64;
 
@@ -27,7 +27,7 @@ fn batch_scans(schedule: &Schedule) -> usize {
 #[derive(Debug)]
 pub(crate) struct Collector {
     batch: BatchBuilder<{ BATCH_SCANS * MAX_SCAN_BYTES }>,
-    /// What the next scan is read into; always in the shape of the batch.
+    /// Buffer of the next scan; always in the shape of the batch.
     scan: RawScan,
     /// Smallest sequence number the next scan can have: scans taken so far.
     taken: u64,
@@ -37,13 +37,13 @@ pub(crate) struct Collector {
 }
 
 impl Collector {
-    /// A collector that has seen nothing and is ready for scans of this configuration.
+    /// A collector without scans, prepared for scans of this configuration.
     pub fn new(configuration: u16, schedule: &Schedule) -> Self {
         let batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
         Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0 }
     }
 
-    /// Readies the collector for scans of another configuration; the batch of the old one
+    /// Prepares the collector for scans of another configuration; the batch of the old one
     /// must have been flushed.
     pub fn configure(&mut self, configuration: u16, schedule: &Schedule) {
         self.batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
@@ -53,11 +53,11 @@ impl Collector {
     /// Moves finished scans into batches and full batches into the outbox.
     ///
     /// # Errors
-    /// If the hardware cannot go on, or its counters contradict themselves; nothing it
-    /// says can then be given a time.
+    /// If the hardware cannot go on, or if its counters contradict themselves, so that its
+    /// scans cannot be given a time.
     pub fn collect<M: AsRef<[u8]> + AsMut<[u8]>>(
         &mut self,
-        hardware: &mut impl Hardware,
+        hardware: &mut impl Acquisition,
         outbox: &mut Outbox<M>,
         mut exposure: Option<&mut AutomaticExposure>,
     ) -> Result<(), HardwareFault> {
@@ -93,17 +93,17 @@ impl Collector {
         self.batch.remaining()
     }
 
-    /// Scans the hardware has taken, as far as their numbers have told.
+    /// Scans the hardware has taken, by the highest sequence number so far.
     pub fn taken(&self) -> u64 {
         self.taken
     }
 
-    /// Scans among them that never came.
+    /// Scans taken that were never handed out.
     pub fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Overruns reported.
+    /// Overruns the hardware has reported.
     pub fn overruns(&self) -> u32 {
         self.overruns
     }
@@ -139,11 +139,11 @@ impl Collector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::default_configuration;
+    use crate::fixture;
 
     #[test]
     fn a_batch_spans_a_millisecond_at_most() {
-        let mut schedule = default_configuration().schedule;
+        let mut schedule = fixture::configuration().schedule;
         for (frame_rate_hz, scans) in [(7_000, 4), (4_000, 4), (2_000, 2), (1_001, 1), (10, 1)] {
             schedule.frame_ticks = schedule.tick_hz / frame_rate_hz;
             assert_eq!(batch_scans(&schedule), scans, "{frame_rate_hz} Hz");

@@ -1,22 +1,21 @@
 //! Automatic exposure: levels that keep photocurrents between faint and saturated.
 //!
 //! For each cell the larger of its two currents is watched as a share of the range from
-//! zero current to saturation. When one comes near the end of the range the levels change
-//! at once; otherwise every [`DECIDE_MS`], by the largest share seen since:
+//! zero current to saturation. As soon as a share is above [`BRIGHT`] the levels change at
+//! once; otherwise every [`DECIDE_MS`], by the largest share since the last decision:
 //!
 //! | largest share | level |
 //! |---|---|
 //! | saturated | halved |
 //! | above [`BRIGHT`] | so that the share becomes [`TARGET`] |
-//! | up to there | as it is |
-//! | below [`FAINT`] | so that the share becomes [`TARGET`], as far as the emitter goes |
-//! | below [`BLIND`] | nominal: the light does not reach the detector, more does not help |
+//! | between [`FAINT`] and [`BRIGHT`] | as it is |
+//! | below [`FAINT`] | so that the share becomes [`TARGET`] |
+//! | below [`BLIND`] | nominal: the light does not reach the detector, so more of it does not help |
 //!
-//! A change of levels starts a new frame, so it costs the frame it interrupts.
+//! Levels end at [`LOWEST`] and at the limits of the hardware. A change of levels starts a
+//! new frame, so it costs the frame it interrupts.
 
 use slitpose_protocol::{AdcScaling, Configuration, Level, Levels, MAX_CELLS, RawScan, Schedule};
-
-use crate::wiring::{agree, highest_level};
 
 /// Milliseconds between decisions that can wait.
 const DECIDE_MS: u64 = 20;
@@ -26,7 +25,7 @@ const TARGET: f32 = 0.6;
 const FAINT: f32 = 0.3;
 const BLIND: f32 = 0.01;
 
-/// Nothing is driven lower than this: an eighth of nominal.
+/// No emitter is driven at a lower level: an eighth of nominal.
 const LOWEST: Level = Level(Level::NOMINAL.0 / 8);
 
 #[derive(Debug)]
@@ -47,7 +46,7 @@ impl AutomaticExposure {
         Self { scaling, zero: 0, range: 1, largest: [0; MAX_CELLS], decide_at: 0, is_urgent: false }
     }
 
-    /// Scans of `schedule` follow, from `now` on.
+    /// Begins anew: scans of `schedule` follow, from the device tick `now` on.
     pub fn begin(&mut self, now: u64, schedule: &Schedule) {
         let oversampling = f32::from(schedule.oversampling);
         let zero = self.scaling.zero_code as f32;
@@ -56,7 +55,7 @@ impl AutomaticExposure {
         self.restart(now, schedule.tick_hz);
     }
 
-    /// Takes notice of a scan.
+    /// Takes the currents of a scan into account.
     pub fn watch(&mut self, scan: &RawScan) {
         // Divided first: the range may have either sign.
         let near_the_end = (self.range.abs() as f32 * BRIGHT) as i32;
@@ -68,19 +67,24 @@ impl AutomaticExposure {
         }
     }
 
-    /// The levels to go on with, if they are to change.
-    pub fn levels(&mut self, now: u64, configuration: &Configuration) -> Option<Levels> {
+    /// The levels to go on with from the device tick `now` on, if they are to change.
+    /// `limit` lowers levels to the nearest ones that the hardware can drive by a schedule.
+    pub fn levels(
+        &mut self,
+        now: u64,
+        configuration: &Configuration,
+        limit: impl FnOnce(&Schedule, &mut [Level]),
+    ) -> Option<Levels> {
         if now < self.decide_at && !self.is_urgent {
             return None;
         }
         let Configuration { schedule, levels: old, .. } = configuration;
-        let highest = highest_level(schedule);
         let mut new = old.clone();
         for (level, &largest) in new.iter_mut().zip(&self.largest) {
             let share = largest as f32 / self.range.abs() as f32;
-            *level = decide(*level, share).clamp(LOWEST, highest);
+            *level = decide(*level, share).max(LOWEST);
         }
-        agree(schedule, &mut new);
+        limit(schedule, &mut new);
         self.restart(now, schedule.tick_hz);
         (new != *old).then_some(new)
     }
@@ -108,18 +112,25 @@ fn decide(level: Level, share: f32) -> Level {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::default_configuration;
+    use crate::fixture::{TICKS_PER_MS, configuration};
+
+    /// The highest level of the tests' hardware: 1.875 times nominal.
+    const HIGHEST: Level = Level(0xf000);
+
+    fn limit(_: &Schedule, levels: &mut [Level]) {
+        levels.iter_mut().for_each(|level| *level = (*level).min(HIGHEST));
+    }
 
     const FALLING: AdcScaling =
         AdcScaling { zero_code: 4031.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 31 };
     const RISING: AdcScaling =
         AdcScaling { zero_code: 64.0, amperes_per_code: 2.5e-9, bits: 12, saturation_code: 4064 };
-    const MS: u64 = 170_000;
 
-    /// What comes of scans in which cell 2 shows `share` of the range at nominal level and
-    /// the others half of it, when the detector follows the level.
+    /// The levels after `scans` scans, and the share of the range that cell 2 then shows.
+    /// At nominal level cell 2 shows `share` and the others half of the range; the
+    /// photocurrents follow the levels.
     fn settle(scaling: AdcScaling, share: f32, scans: u64) -> (Levels, f32) {
-        let mut configuration = default_configuration();
+        let mut configuration = configuration();
         let mut exposure = AutomaticExposure::new(scaling);
         exposure.begin(0, &configuration.schedule);
         let (zero, end) = (scaling.zero_code as f32, f32::from(scaling.saturation_code));
@@ -137,7 +148,7 @@ mod tests {
                 }
             }
             exposure.watch(&scan);
-            if let Some(levels) = exposure.levels(n * MS / 4, &configuration) {
+            if let Some(levels) = exposure.levels(n * TICKS_PER_MS / 4, &configuration, limit) {
                 configuration.levels = levels;
             }
         }
@@ -145,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn brings_light_into_the_range_and_leaves_the_others_alone() {
+    fn a_cell_out_of_range_comes_into_range_and_the_others_keep_their_levels() {
         for scaling in [FALLING, RISING] {
             for (share, expected) in [(0.16, 0.30), (0.4, 0.4), (0.86, 0.6), (0.95, 0.6), (3.0, 0.75)] {
                 let (levels, seen) = settle(scaling, share, 400);
@@ -157,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn saturation_does_not_wait() {
+    fn a_saturated_cell_is_lowered_at_once_a_faint_one_after_20_ms() {
         let (_, seen) = settle(FALLING, 3.0, 3);
         assert!(seen < 1.0, "two halvings, a scan each: {seen}");
         let (levels, _) = settle(FALLING, 0.2, 40);
@@ -165,15 +176,15 @@ mod tests {
     }
 
     #[test]
-    fn a_blind_cell_is_driven_as_usual() {
+    fn a_blind_cell_is_driven_at_nominal_level() {
         let (levels, _) = settle(FALLING, 0.005, 400);
         assert_eq!(levels[2], Level::NOMINAL);
     }
 
     #[test]
-    fn nothing_is_driven_beyond_its_limits() {
+    fn very_faint_and_very_bright_cells_end_at_the_limits_of_the_levels() {
         let (levels, _) = settle(FALLING, 0.02, 400);
-        assert_eq!(levels[2], highest_level(&default_configuration().schedule));
+        assert_eq!(levels[2], HIGHEST);
         let (levels, _) = settle(FALLING, 100.0, 400);
         assert_eq!(levels[2], LOWEST);
     }
@@ -181,8 +192,8 @@ mod tests {
     /// The table of this module, at the words where one row ends and the next begins. Of FALLING, with
     /// four conversions a word, zero is 4031 · 4 = 16 124 and the range (4031 − 31) · 4 = 16 000.
     #[test]
-    fn the_rows_of_the_table_meet_at_their_words() {
-        let configuration = default_configuration();
+    fn shares_at_the_ends_of_the_tables_rows_are_decided_by_their_rows() {
+        let configuration = configuration();
         let decided = |excursion: u16, now: u64| {
             let mut exposure = AutomaticExposure::new(FALLING);
             exposure.begin(0, &configuration.schedule);
@@ -190,11 +201,11 @@ mod tests {
             scan.lit_mut().fill([16_124; 2]);
             scan.lit_mut()[2][1] = 16_124 - excursion;
             exposure.watch(&scan);
-            exposure.levels(now, &configuration).map(|levels| levels[2].0)
+            exposure.levels(now, &configuration, limit).map(|levels| levels[2].0)
         };
         let scaled = |excursion: u16| Some((32_768.0 * (0.6 * 16_000.0 / f32::from(excursion))) as u16);
-        let highest = Some(highest_level(&configuration.schedule).0);
-        let due = 20 * MS;
+        let highest = Some(HIGHEST.0);
+        let due = 20 * TICKS_PER_MS;
         for (excursion, now, level) in [
             (16_001, 0, Some(16_384)),
             (16_000, 0, Some(16_384)),

@@ -1,63 +1,86 @@
-//! The hardware edge: all a board core needs from below.
+//! The hardware edge: all that the core needs from below, one trait for each purpose.
+//!
+//! | trait | covers |
+//! |---|---|
+//! | [`Acquisition`] | emitters and converters |
+//! | [`Storage`] | memory that outlives the supply |
+//! | [`System`] | clock, indicator, sensors, reset |
 
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, RawScan};
+use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule};
 
 use crate::settings::Settings;
 
-/// Emitters, converters, clock and sensors of one board, real or simulated.
-pub trait Hardware {
-    /// Device ticks since reset, in ticks of the configuration the board was made with.
-    /// Never goes backwards.
-    fn now_ticks(&mut self) -> u64;
+/// All hardware of one board, real or simulated: a type has it by implementing the three
+/// traits.
+pub trait Hardware: Acquisition + Storage + System {}
 
-    /// Whether the hardware can run a valid configuration. Changes nothing.
+impl<T: Acquisition + Storage + System> Hardware for T {}
+
+/// Emitters that light slot by slot, and the converters that sample them.
+pub trait Acquisition {
+    /// Whether the hardware can run `configuration`, which is valid. Changes nothing.
     ///
     /// # Errors
-    /// What it cannot do.
+    /// What the hardware cannot do.
     fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault>;
 
+    /// Lowers `levels`, one for each emitter, to the nearest ones that the hardware can
+    /// drive by `schedule`. Changes nothing else.
+    fn limit_levels(&self, schedule: &Schedule, levels: &mut [Level]);
+
     /// `Some`: light and sample by this configuration from the next frame on. `None`:
-    /// emitters off and sampling stopped, both done when the call returns. With any fault
-    /// but [`HardwareFault::Emitters`] the emitters are off all the same.
+    /// switch the emitters off and stop sampling, both before the call returns. The
+    /// emitters are off after every fault but [`HardwareFault::Emitters`].
     ///
-    /// Scans of an earlier configuration are not handed out after this call. Those that
-    /// were there at the last [`next_scan`](Self::next_scan) are gone, and the sequence
-    /// shows it; what has been sampled since is cut off like the frame under way and does
-    /// not count.
+    /// After the call no scan of an earlier configuration is handed out. Scans that were
+    /// finished at the last [`next_scan`](Self::next_scan) and have not been handed out are
+    /// lost, and the sequence shows the gap. Frames that have finished since then are cut off
+    /// like the frame under way, and get no number.
     ///
     /// # Errors
-    /// What cannot be done or has failed. The caller then asks for `None`.
+    /// What the hardware cannot do, or what has failed. The caller then asks for `None`.
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault>;
 
     /// Fills in the oldest finished scan that has not been handed out; `false` if there
-    /// is none. `scan` arrives in the shape of the configuration in force and holds
-    /// whatever was in it; sequence, tick, levels and words are all to be written.
+    /// is none. `scan` has the shape of the configuration in force and arbitrary content;
+    /// the hardware writes its sequence, tick, levels and words.
     ///
-    /// `sequence` counts every frame sampled since reset, from 0 and without restart,
-    /// and comes from a counter that an overrun does not stop: it is what shows how much
+    /// `sequence` counts every frame sampled since reset, from 0 and without restart. It
+    /// comes from a counter that an overrun does not stop, so that it shows how many scans
     /// an overrun has cost.
     ///
     /// # Errors
     /// [`ScanError::Overrun`] if scans were overwritten before they were collected; the
-    /// next call goes on with what is left. [`ScanError::Fault`] if there will be no more.
+    /// next call goes on with the scans that are left. [`ScanError::Fault`] if there will
+    /// be no more scans.
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError>;
+}
 
-    /// Shows the indicator and measures the board's health. Called when the indicator
-    /// changes and twice a second.
-    fn housekeeping(&mut self, indicator: Indicator) -> Health;
-
-    /// Begins to keep `settings` beyond the loss of supply, or to forget what is kept.
+/// Memory that keeps settings beyond the loss of supply.
+pub trait Storage {
+    /// Begins to keep `settings`, or with `None` to forget the settings that are kept.
     /// Sampling goes on meanwhile.
     fn store(&mut self, settings: Option<&Settings>);
 
-    /// Whether that has been done: `None` while it is under way.
+    /// How the last [`store`](Self::store) ended; `None` while it is under way.
     ///
     /// # Errors
-    /// [`StorageError`] if it cannot be done.
+    /// [`StorageError`] if it has failed.
     fn stored(&mut self) -> Option<Result<(), StorageError>>;
+}
 
-    /// Starts anew. Everything said has been sent when this is called, or waited for long
-    /// enough. A simulator may have nothing to start.
+/// Clock, indicator, sensors and reset.
+pub trait System {
+    /// Device ticks since reset, at the tick rate of the configuration that the board was
+    /// made with. Never goes backwards.
+    fn now_ticks(&mut self) -> u64;
+
+    /// Shows `indicator` and measures the board's health. Called when the indicator
+    /// changes and twice a second.
+    fn housekeeping(&mut self, indicator: Indicator) -> Health;
+
+    /// Resets the board. Called when everything the board had to say has been sent, or has
+    /// waited long enough. A simulator may have nothing to reset.
     fn reboot(&mut self, target: BootTarget);
 }
 
@@ -67,34 +90,34 @@ pub enum ScanError {
     /// Scans were overwritten before they were collected, or the converters lost a
     /// conversion; the hardware is back in step.
     Overrun,
-    /// The hardware cannot go on; what it lights is off.
+    /// The hardware cannot go on; its emitters are off.
     Fault(HardwareFault),
 }
 
-/// The memory did not take what it was given.
+/// The memory did not keep, or did not forget, the settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StorageError;
 
-/// What the board's indicator light shows; how is the hardware's choice.
+/// The state that the board's indicator light shows; the hardware chooses how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Indicator {
     /// Waiting for a Start.
     Idle,
     /// Lighting and sampling.
     Acquiring,
-    /// "It is me": the host asked which board this is.
+    /// The host asked which board this is.
     Identify,
-    /// The hardware failed: acquisition ended by it, or emitters may be lit that should
-    /// not be. Until the next successful Start.
+    /// A hardware fault ended acquisition, or emitters may be lit that should be off.
+    /// Lasts until the next successful Start.
     Fault,
 }
 
-/// What the board's own sensors say.
+/// Readings of the board's own sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Health {
     /// Supply voltage in volts.
     pub supply_v: f32,
-    /// Temperature of the controller in kelvin.
+    /// Temperature of the MCU in kelvin.
     pub temperature_k: f32,
     /// Share of processor time in use, in thousandths.
     pub cpu_load_permille: u16,

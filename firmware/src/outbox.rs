@@ -1,13 +1,13 @@
 //! Packets waiting for the link.
 //!
-//! Scans and everything else have a queue each. When the scan queue is full its oldest
-//! packets go, for whoever tracks a moving tool wants the newest; they are counted. The
-//! other queue only ever holds answers to commands and a few events, so it fills only if
-//! a host keeps commanding without reading.
+//! Scans have one queue, and all other messages another. When the scan queue is full its
+//! oldest packets are dropped and counted, because a host that tracks a moving tool wants
+//! the newest. The queue of answers holds answers to commands and a few events, so it fills
+//! only if a host keeps commanding without reading.
 //!
-//! Packets leave in the order they arose, whatever queue they are in: each one of the
-//! second queue is tagged with the number of scan packets that came before it. That is
-//! what lets a recording be read with the last Hello seen.
+//! Packets leave in the order in which they arose, whatever their queue: each answer is
+//! tagged with the number of scan packets that came before it. Therefore every batch of a
+//! recording can be read by the last Hello before it.
 
 use slitpose_protocol::{Batch, DELIMITER, MAX_MESSAGE_BYTES, Message, encode};
 
@@ -25,18 +25,18 @@ pub(crate) struct Outbox<M> {
     batches: PacketQueue<M>,
     /// Tag: `arrived` when the packet was queued.
     answers: PacketQueue<[u8; ANSWER_BYTES]>,
-    /// Batches ever queued, and batches that have left, one way or the other.
+    /// Batches ever queued, and batches ever sent or dropped.
     arrived: u32,
     left: u32,
     open: bool,
-    /// A listener has come and nothing has been sent to it yet.
+    /// A host has opened the link and no byte has been sent to it yet.
     fresh: bool,
     dropped: Dropped,
-    /// Where packets are made.
+    /// Buffer in which packets are encoded.
     scratch: [u8; MAX_MESSAGE_BYTES],
 }
 
-/// What an outbox could not keep, since reset.
+/// Numbers of scans, batches and answers dropped since reset.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Dropped {
     pub scans: u64,
@@ -59,13 +59,13 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         }
     }
 
-    /// Somebody listens from now on.
+    /// A host listens from now on.
     pub fn open(&mut self) {
         self.open = true;
         self.fresh = true;
     }
 
-    /// Nobody listens any more: what was meant for the one who left goes with them.
+    /// No host listens any more: packets meant for the last host are dropped.
     pub fn close(&mut self) {
         self.open = false;
         self.fresh = false;
@@ -73,8 +73,8 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.answers.clear();
     }
 
-    /// Queues a batch, at the cost of the oldest ones if need be; without a listener it
-    /// is counted as dropped at once.
+    /// Queues a batch, and drops the oldest batches if it needs their room. While no host
+    /// listens the new batch itself is dropped.
     pub fn push_batch(&mut self, batch: Batch<'_>, scans: usize) {
         let scans = scans as u32;
         if !self.open {
@@ -92,7 +92,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.arrived = self.arrived.wrapping_add(1);
     }
 
-    /// Queues anything but a batch.
+    /// Queues any message but a batch.
     pub fn push_answer(&mut self, message: &Message<'_>) {
         match encode(message, &mut self.scratch).map(<[u8]>::len) {
             Ok(length) => self.queue_answer(length),
@@ -107,7 +107,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         if self.fresh
             && let Some(first) = out.first_mut()
         {
-            // Ends whatever half a packet the last listener left in the link.
+            // Ends the part of a packet that the last host may have left in the link.
             *first = DELIMITER;
             self.fresh = false;
             filled = 1;
@@ -118,20 +118,20 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         filled
     }
 
-    /// Whether everything has been handed out.
+    /// Whether all packets have been handed out.
     pub fn is_empty(&self) -> bool {
         self.batches.front().is_none() && self.answers.front().is_none()
     }
 
-    /// What could not be kept.
+    /// Numbers of scans, batches and answers dropped since reset.
     pub fn dropped(&self) -> Dropped {
         self.dropped
     }
 
     fn pop(&mut self, out: &mut [u8]) -> Option<usize> {
         // An answer is next once every batch queued before it has left, that is, once
-        // `left` has reached or passed its tag. The counts wrap, so this asks instead
-        // whether the tag is beyond the batches that are still here.
+        // `left` has reached or passed its tag. The counts wrap, so the comparison is
+        // whether the tag lies beyond the batches that are still queued.
         let answer_is_next = self.answers.front().is_some_and(|answer| {
             let ahead = answer.tag.wrapping_sub(self.left);
             ahead == 0 || ahead > self.arrived.wrapping_sub(self.left)
@@ -144,7 +144,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         Some(length)
     }
 
-    /// Queues the answer of `length` bytes that was just made.
+    /// Queues the answer whose `length` bytes are in the buffer.
     fn queue_answer(&mut self, length: usize) {
         // Ends because an empty queue takes any packet.
         while !self.answers.push(&self.scratch[..length], self.arrived) {

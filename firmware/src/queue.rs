@@ -1,19 +1,19 @@
 //! A byte ring of whole packets, first in, first out.
 //!
 //! Each packet is stored behind a header of [`HEADER_BYTES`]: its length (u16) and a tag
-//! (u32) whose meaning is the owner's. Packets may wrap round the end of the ring; they
-//! are copied once in and once out.
+//! (u32) whose meaning is the owner's. Packets may wrap round the end of the ring. Each
+//! packet is copied once in and once out.
 
-/// Bytes a packet takes in the ring besides its own.
+/// Bytes that each packet takes in the ring besides its own.
 pub(crate) const HEADER_BYTES: usize = 6;
 
-/// The ring; its bytes hold packets and headers.
+/// A queue of packets in the ring `M`.
 #[derive(Debug)]
 pub(crate) struct PacketQueue<M> {
     ring: M,
-    /// Where the oldest header starts.
+    /// Index of the oldest header.
     head: usize,
-    /// Bytes in use from there on.
+    /// Bytes in use from `head` on.
     used: usize,
 }
 
@@ -22,12 +22,12 @@ pub(crate) struct PacketQueue<M> {
 pub(crate) struct Front {
     /// Length of the packet in bytes.
     pub length: usize,
-    /// What its owner tagged it with.
+    /// Tag of the packet.
     pub tag: u32,
 }
 
 impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
-    /// An empty queue in `ring`, whatever that holds.
+    /// An empty queue in `ring`, of any content.
     pub fn new(ring: M) -> Self {
         Self { ring, head: 0, used: 0 }
     }
@@ -36,7 +36,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
         self.ring.as_ref().len()
     }
 
-    /// Appends a packet; `false`, and nothing done, if there is no room for it.
+    /// Appends a packet; `false`, and nothing changed, if there is no room for it.
     #[must_use]
     pub fn push(&mut self, packet: &[u8], tag: u32) -> bool {
         let Ok(length) = u16::try_from(packet.len()) else {
@@ -63,7 +63,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
     }
 
     /// Moves the oldest packet to the start of `out` and gives its length; `None`, and
-    /// nothing done, if there is none or `out` is too small for it.
+    /// nothing changed, if the queue is empty or `out` is too small.
     pub fn pop(&mut self, out: &mut [u8]) -> Option<usize> {
         let length = self.front()?.length;
         self.copy_out(HEADER_BYTES, out.get_mut(..length)?);
@@ -84,7 +84,7 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> PacketQueue<M> {
         self.used = 0;
     }
 
-    /// The caller has seen to it that `bytes` fit.
+    /// Appends `bytes`, which the caller has checked to fit.
     fn append(&mut self, bytes: &[u8]) {
         let at = (self.head + self.used) % self.size();
         let (until_end, rest) = bytes.split_at(bytes.len().min(self.size() - at));
@@ -132,7 +132,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn behaves_like_a_deque_with_a_budget(steps in vec(step(), 1..200)) {
+        fn a_queue_of_limited_bytes_behaves_like_a_deque(steps in vec(step(), 1..200)) {
             let mut queue = PacketQueue::new([0; ROOM]);
             let mut model = VecDeque::<(Vec<u8>, u32)>::new();
             for step in steps {

@@ -1,14 +1,14 @@
-//! What a board keeps without supply: a log of records in two pages of flash memory.
+//! Settings that outlive the supply: a log of records in two pages of flash memory.
 //!
-//! A record is written behind the last one of the page in use; when the page is full the
-//! other one is erased and takes over. The newest whole record counts. At every instant
-//! of writing or erasing it is still there, so that a power cut costs at most the record
-//! being written.
+//! A record is written behind the last record of the page in use. When that page is full,
+//! the other page is erased and used. The newest whole record counts. It stays readable
+//! while the next one is written or a page is erased, so that a power cut costs at most the
+//! record being written.
 //!
 //! ```text
 //! record = magic u32 ‖ version u16 ‖ payload bytes u16 ‖ number u32 ‖ checksum u32 ‖ payload ‖ 0xff…
 //! ```
-//! little endian, padded to whole double words, which is what the memory writes at once.
+//! little endian, padded to whole double words, the unit in which the memory is written.
 //! The checksum is CRC-32/ISO-HDLC of version, length, number and payload. An empty
 //! payload says that settings were forgotten.
 
@@ -38,30 +38,30 @@ const HEADER_BYTES: usize = 16;
 const ERASED: u8 = 0xff;
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
-/// What a board starts with.
+/// Settings that a board starts with.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Settings {
-    /// What it acquires by.
+    /// Schedule, levels and exposure.
     pub configuration: Configuration,
-    /// What it belongs to.
+    /// Hashes of the scene and the calibration that the board belongs to.
     pub hashes: Hashes,
 }
 
-/// How to keep settings: erase if asked to, then write `record` at `offset` of `page`.
+/// Work that keeps settings: erase `page` if `erase`, then write `record` at `offset` of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Append {
     /// Index of the page.
     pub page: usize,
     /// Whether the page must be erased first.
     pub erase: bool,
-    /// Where the record goes, in bytes from the start of the page.
+    /// Place of the record, in bytes from the start of the page.
     pub offset: usize,
     /// Whole double words.
     pub record: Vec<u8, RECORD_BYTES>,
 }
 
-/// What is stored in `pages`; `None` if nothing is, or it was forgotten, or it is not of
-/// this firmware's version.
+/// Settings stored in `pages`; `None` if there are none, if they were forgotten, or if
+/// they are of another version than this firmware's.
 pub fn stored(pages: &Pages) -> Option<Settings> {
     let newest = newest(pages)?;
     if newest.version != VERSION || newest.payload.is_empty() {
@@ -71,7 +71,8 @@ pub fn stored(pages: &Pages) -> Option<Settings> {
     Some(Settings { configuration, hashes })
 }
 
-/// Where and how `settings` (`None`: that they are forgotten) go into `pages`.
+/// Work that stores `settings` in `pages`; with `None` it marks the settings there as
+/// forgotten.
 pub fn append(pages: &Pages, settings: Option<&Settings>) -> Append {
     let newest = newest(pages);
     let number = newest.as_ref().map_or(0, |newest| newest.number.wrapping_add(1));
@@ -89,7 +90,7 @@ pub fn append(pages: &Pages, settings: Option<&Settings>) -> Append {
 fn record(number: u32, settings: Option<&Settings>) -> Vec<u8, RECORD_BYTES> {
     let mut payload = [0; RECORD_BYTES - HEADER_BYTES];
     let payload: &[u8] = match settings {
-        // A configuration of any content is shorter than its request; see the test below.
+        // The largest settings fit; see the test below.
         Some(Settings { configuration, hashes }) => {
             postcard::to_slice(&(configuration, hashes), &mut payload).map_or(&[], |bytes| bytes)
         }
@@ -136,7 +137,7 @@ fn newest(pages: &Pages) -> Option<Record<'_>> {
     records.max_by_key(|record| record.number)
 }
 
-/// The whole records of a page, up to the first that is none.
+/// The whole records of a page, up to the first record that is damaged.
 #[derive(Debug)]
 struct Records<'a> {
     page: usize,
@@ -148,8 +149,8 @@ impl<'a> Records<'a> {
         Self { page, rest: bytes }
     }
 
-    /// Where the next record can be written; `None` if what follows the last whole record
-    /// is not erased, for then a write was interrupted there.
+    /// Offset at which the next record can be written; `None` if the bytes behind the last
+    /// whole record are not erased, because a write was interrupted there.
     fn free_from(mut self) -> Option<usize> {
         while self.next().is_some() {}
         self.rest.iter().all(|&byte| byte == ERASED).then_some(PAGE_BYTES - self.rest.len())
@@ -181,18 +182,18 @@ mod tests {
     use slitpose_protocol::{EmitterSet, Exposure, Level, Schedule};
 
     use super::*;
-    use crate::default_configuration;
+    use crate::fixture;
 
     const BLANK: Pages = [[ERASED; PAGE_BYTES]; 2];
 
     fn settings(scene: u64) -> Settings {
         let hashes = Hashes { scene: Some(scene), calibration: None };
-        Settings { configuration: default_configuration(), hashes }
+        Settings { configuration: fixture::configuration(), hashes }
     }
 
-    /// Carries out an append, of which only the first `steps` pieces of work get done
-    /// before the power is cut: an erased page is one piece, a double word one. The piece
-    /// under way at the cut leaves `debris`.
+    /// Carries out the first `steps` pieces of an append, until the power is cut: an erased
+    /// page is one piece, a double word another. The piece under way at the cut leaves
+    /// `debris`.
     fn carry_out(pages: &mut Pages, append: &Append, steps: usize, debris: u8) {
         let page = &mut pages[append.page];
         let mut steps = steps;
@@ -221,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_stored_last_counts() {
+    fn settings_stored_last_are_read_and_forgotten_ones_are_not() {
         let mut pages = BLANK;
         assert_eq!(stored(&pages), None);
         for n in 0..60 {
@@ -235,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn rubbish_and_other_versions_are_passed_over() {
+    fn damaged_records_and_records_of_other_versions_are_passed_over() {
         let mut pages = [[0; PAGE_BYTES]; 2];
         assert_eq!(stored(&pages), None);
         let first = append(&pages, Some(&settings(1)));
@@ -253,7 +254,7 @@ mod tests {
         assert_eq!(stored(&pages), None, "a newer firmware's settings are not read as ours");
     }
 
-    /// All of a record is under its checksum: its number too, by which the newest is found.
+    /// The checksum covers the number too, by which the newest record is found.
     #[test]
     fn a_flipped_bit_costs_its_record_and_no_other() {
         let records = [record(8, Some(&settings(8))), record(9, Some(&settings(9)))];
@@ -298,10 +299,10 @@ mod tests {
     }
 
     proptest! {
-        /// Power is cut again and again; what was stored before the cut, or what was being
-        /// stored, is always there.
+        /// After each of many power cuts, either the settings stored before the cut or the
+        /// settings being stored are read.
         #[test]
-        fn a_power_cut_costs_at_most_what_was_being_stored(
+        fn a_power_cut_costs_at_most_the_record_being_written(
             cuts in prop::collection::vec((0_usize..30, any::<u8>(), any::<bool>()), 1..120),
         ) {
             let mut pages = BLANK;

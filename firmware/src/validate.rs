@@ -1,16 +1,13 @@
-//! What a board could run.
+//! Checks of a configuration that hold for every board.
 
 use slitpose_protocol::{Configuration, Rejection};
 
-use crate::defaults::TICK_HZ;
-use crate::timing::FramePlan;
-
-/// Whether the board of the image could run `configuration`.
-pub fn can_run(configuration: &Configuration) -> bool {
-    check(configuration, TICK_HZ).is_ok() && FramePlan::new(configuration).is_ok()
-}
-
-/// Whether a board of `board_hz` ticks a second could run `configuration`, hardware aside.
+/// Checks that a board of `board_hz` ticks a second could run `configuration`, apart from
+/// the limits of its hardware.
+///
+/// # Errors
+/// If the schedule contradicts itself or is in other ticks, or if there is not one level
+/// for each cell.
 pub(crate) fn check(configuration: &Configuration, board_hz: u32) -> Result<(), Rejection> {
     let Configuration { schedule, levels, .. } = configuration;
     schedule.validate().map_err(Rejection::Schedule)?;

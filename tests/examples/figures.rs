@@ -17,7 +17,7 @@ use slitpose::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image};
 use slitpose_emulator::world::NoiseSource;
-use slitpose_firmware::default_configuration;
+use slitpose_firmware::pcb::default_configuration;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::{Command, Configuration, Decoder, Exposure, Hashes, MAX_MESSAGE_BYTES, Message, Schedule};

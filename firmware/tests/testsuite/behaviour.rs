@@ -1,13 +1,11 @@
-//! What a board does, told one story at a time.
+//! Behaviour of a board, one command sequence a test.
 
 use crate::common::{
     Fake, Finished, Heard, Listener, TICK_HZ, board, configuration, identity, request, sequences, turn, without_dark,
     words,
 };
-use slitpose_firmware::{
-    Board, DEFAULT_QUEUE_BYTES, HOST_GONE_MS, Identity, Indicator, Link, STATUS_MS, TRANSFER_BYTES, can_run,
-    default_configuration,
-};
+use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration};
+use slitpose_firmware::{Board, HOST_GONE_MS, Identity, Indicator, Link, STATUS_MS, TRANSMIT_BYTES};
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
     AdcScaling, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault, Hashes,
@@ -17,7 +15,7 @@ use slitpose_protocol::{
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
 
-/// A board whose link has just been opened and whose first words have been heard.
+/// A board whose link has just been opened and whose hello has been heard.
 fn opened() -> (Board<Fake, [u8; 2_048]>, Listener) {
     let (mut board, mut listener) = (board(Fake::default()), Listener::default());
     let heard = turn(&mut board, &mut listener);
@@ -51,7 +49,7 @@ fn status<const QUEUE: usize>(board: &mut Board<Fake, [u8; QUEUE]>, listener: &m
 }
 
 #[test]
-fn a_hello_says_all_that_the_board_is_of_its_own() {
+fn a_hello_carries_identity_keys_and_schedule() {
     let identity = Identity {
         device_id: *b"twelve bytes",
         kind: BoardKind::Physical,
@@ -62,7 +60,7 @@ fn a_hello_says_all_that_the_board_is_of_its_own() {
     };
     let mut board = Board::new(Fake::default(), identity, without_dark(), [0; 2_048]).unwrap();
     board.poll(Link::Open);
-    let mut transfer = [0; TRANSFER_BYTES];
+    let mut buffer = [0; TRANSMIT_BYTES];
     let hello = Message::Hello(Hello {
         protocol: PROTOCOL,
         message_keys: SchemaKeys::messages(),
@@ -78,11 +76,11 @@ fn a_hello_says_all_that_the_board_is_of_its_own() {
         schedule: without_dark().schedule,
     });
     let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
-    assert_eq!(decoder.next(&mut board.transmit(&mut transfer)), Some(Ok(hello)));
+    assert_eq!(decoder.next(&mut board.transmit(&mut buffer)), Some(Ok(hello)));
 }
 
 #[test]
-fn a_status_says_what_the_sensors_say_now() {
+fn a_status_carries_the_readings_at_its_time() {
     let (mut board, mut listener) = opened();
     for (supply_v, temperature_k, load) in [(3.1, 305.0, 250), (2.9, 310.0, 400)] {
         board.hardware_mut().health = (supply_v, temperature_k, load);
@@ -95,7 +93,7 @@ fn a_status_says_what_the_sensors_say_now() {
 }
 
 #[test]
-fn the_number_of_the_configuration_goes_round() {
+fn the_number_of_the_configuration_wraps_after_65535() {
     let (mut board, mut listener) = opened();
     let configure = request(1, Command::Configure(configuration()));
     for _ in 0..=u16::MAX {
@@ -109,7 +107,7 @@ fn the_number_of_the_configuration_goes_round() {
 }
 
 #[test]
-fn scans_come_in_batches_of_four_and_a_stop_sends_the_rest() {
+fn scans_at_4_khz_come_in_batches_of_four_and_a_stop_sends_the_rest() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     assert_eq!(turn(&mut board, &mut listener), [accepted(1)]);
@@ -135,7 +133,7 @@ fn scans_come_in_batches_of_four_and_a_stop_sends_the_rest() {
 }
 
 #[test]
-fn the_first_poll_makes_sure_that_it_is_dark() {
+fn emitters_lit_before_the_first_poll_are_switched_off_until_confirmed() {
     let lit = Fake { running: Some(configuration()), refuse_dark: 2, ..Fake::default() };
     let mut board = board(lit);
     board.poll(Link::Closed);
@@ -184,7 +182,7 @@ fn a_new_configuration_starts_a_new_batch_behind_its_hello() {
 }
 
 #[test]
-fn what_cannot_run_is_rejected_and_changes_nothing() {
+fn a_configuration_that_cannot_run_is_rejected_and_changes_nothing() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     turn(&mut board, &mut listener);
@@ -254,7 +252,7 @@ fn hardware_that_refuses_leaves_the_board_dark() {
 }
 
 #[test]
-fn a_stop_that_fails_is_tried_until_it_is_dark() {
+fn a_stop_that_fails_is_tried_until_the_emitters_are_off() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     turn(&mut board, &mut listener);
@@ -296,7 +294,7 @@ fn counters_that_contradict_themselves_end_acquisition() {
 }
 
 #[test]
-fn a_host_that_is_gone_turns_the_light_off_and_hears_of_it() {
+fn a_link_closed_for_500_ms_ends_acquisition_and_the_next_host_hears_of_it() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     turn(&mut board, &mut listener);
@@ -319,7 +317,7 @@ fn a_host_that_is_gone_turns_the_light_off_and_hears_of_it() {
 }
 
 #[test]
-fn nothing_meant_for_one_host_reaches_the_next() {
+fn packets_for_one_host_do_not_reach_the_next() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     board.hardware_mut().sample(4);
@@ -336,7 +334,7 @@ fn nothing_meant_for_one_host_reaches_the_next() {
 }
 
 #[test]
-fn the_oldest_scans_go_when_nobody_reads_and_replies_stay() {
+fn a_full_queue_drops_its_oldest_scans_and_keeps_replies() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     for _ in 0..50 {
@@ -356,7 +354,7 @@ fn the_oldest_scans_go_when_nobody_reads_and_replies_stay() {
 }
 
 #[test]
-fn a_host_that_never_reads_loses_replies_and_is_told_how_many() {
+fn a_host_that_never_reads_loses_replies_and_the_status_counts_them() {
     let (mut board, mut listener) = opened();
     for number in 0..1_000 {
         board.receive(&request(number, Command::Start));
@@ -381,7 +379,7 @@ fn a_queue_without_room_for_a_batch_keeps_none_and_counts() {
 }
 
 #[test]
-fn the_image_can_run_what_is_consistent_and_what_its_parts_can_do() {
+fn the_pcb_can_run_its_default_and_nothing_beyond_its_parts() {
     let changed = |change: fn(&mut Configuration)| {
         let mut configuration = default_configuration();
         change(&mut configuration);
@@ -396,7 +394,7 @@ fn the_image_can_run_what_is_consistent_and_what_its_parts_can_do() {
 #[test]
 fn the_default_queue_holds_a_tenth_of_a_second() {
     let fake = Fake { sampled: 1 << 40, now: 1 << 60, ..Fake::default() };
-    let mut board = Board::new(fake, identity(), default_configuration(), [0; DEFAULT_QUEUE_BYTES]).unwrap();
+    let mut board = Board::new(fake, identity(), default_configuration(), [0; QUEUE_BYTES]).unwrap();
     board.poll(Link::Open);
     board.receive(&request(1, Command::Start));
     board.receive(&request(2, Command::Hello));
@@ -423,7 +421,7 @@ fn identify_lasts_as_long_as_asked() {
 }
 
 #[test]
-fn status_comes_twice_a_second_to_whoever_listens() {
+fn a_status_comes_twice_a_second_while_the_link_is_open() {
     let (mut board, mut listener) = opened();
     let mut statuses = 0;
     for _ in 0..=10_000 {
@@ -439,7 +437,7 @@ fn status_comes_twice_a_second_to_whoever_listens() {
 }
 
 #[test]
-fn settings_are_answered_when_they_are_safe() {
+fn a_store_is_answered_once_its_settings_are_kept() {
     let (mut board, mut listener) = opened();
     let hashes = Hashes { scene: Some(7), calibration: Some(8) };
     board.hardware_mut().storing_polls = 2;
@@ -467,7 +465,7 @@ fn settings_are_answered_when_they_are_safe() {
 }
 
 #[test]
-fn a_reboot_waits_for_its_reply_but_not_for_ever() {
+fn a_reboot_waits_for_its_reply_for_200_ms_at_most() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     board.hardware_mut().sample(1);
@@ -487,7 +485,7 @@ fn a_reboot_waits_for_its_reply_but_not_for_ever() {
     board.receive(&request(3, Command::Reboot(BootTarget::Firmware)));
     board.poll(Link::Open);
     assert_eq!(board.hardware_mut().rebooted, None);
-    // Nobody reads; and what was started meanwhile is stopped.
+    // No host reads the reply; acquisition that was started meanwhile is stopped.
     board.receive(&request(4, Command::Start));
     board.hardware_mut().now += 200 * MS;
     board.poll(Link::Open);
@@ -505,7 +503,7 @@ fn a_reboot_waits_for_its_reply_but_not_for_ever() {
 }
 
 #[test]
-fn a_reboot_waits_until_settings_are_safe_and_until_its_reply_is_read() {
+fn a_reboot_waits_until_settings_are_kept_and_its_reply_is_read() {
     // The reply has been read, the settings are not safe yet; and the other way round.
     for storing in [true, false] {
         let (mut board, mut listener) = opened();
@@ -530,7 +528,7 @@ fn a_reboot_waits_until_settings_are_safe_and_until_its_reply_is_read() {
 }
 
 #[test]
-fn hardware_that_cannot_go_on_ends_acquisition() {
+fn a_hardware_fault_ends_acquisition_with_an_event() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     board.hardware_mut().sample(2);
@@ -541,14 +539,18 @@ fn hardware_that_cannot_go_on_ends_acquisition() {
     assert!(board.hardware_mut().running.is_none());
 }
 
-/// Long pauses between short pulses, so that levels above nominal are allowed; both emitters are on
-/// one line.
+/// Both emitters lit together, under automatic exposure.
 fn automatic() -> Configuration {
     let mut automatic = configuration();
     automatic.exposure = Exposure::Automatic;
     automatic.schedule.frame_ticks = 1_000;
     automatic.schedule.slots = [EmitterSet::of(&[0, 1]), EmitterSet::DARK].into_iter().collect();
     automatic
+}
+
+/// The scripted board's words are a quarter of this one's range.
+fn faint() -> Identity {
+    Identity { scaling: AdcScaling { saturation_code: u16::MAX, ..identity().scaling }, ..identity() }
 }
 
 const HALVED: [Level; 2] = [Level(Level::NOMINAL.0 / 2); 2];
@@ -571,7 +573,24 @@ fn exposure_changes_levels_between_batches() {
 }
 
 #[test]
-fn fixed_levels_stay() {
+fn exposure_ends_at_the_highest_level_of_the_hardware() {
+    let highest = Level(0x9000);
+    let mut board =
+        Board::new(Fake { highest: Some(highest), ..Fake::default() }, faint(), automatic(), [0; 2_048]).unwrap();
+    let mut listener = Listener::default();
+    turn(&mut board, &mut listener);
+    board.receive(&request(1, Command::Start));
+    // Faint light waits for its decision, 20 ms.
+    for _ in 0..=20 {
+        board.hardware_mut().sample(1);
+        turn(&mut board, &mut listener);
+    }
+    let running = board.hardware_mut().running.clone().expect("still lit");
+    assert_eq!(running.levels[..], [highest; 2]);
+}
+
+#[test]
+fn fixed_exposure_keeps_the_levels_of_saturated_cells() {
     let mut dim = automatic();
     dim.exposure = Exposure::Fixed;
     dim.levels.fill(Level(0x3000));
@@ -620,7 +639,7 @@ fn a_host_that_has_gone_gets_no_reply_through_the_next_one() {
 }
 
 #[test]
-fn converters_that_do_not_stop_leave_no_doubt_about_the_light() {
+fn converters_that_do_not_stop_are_reported_and_the_emitters_count_as_off() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     board.hardware_mut().deaf_converters = true;

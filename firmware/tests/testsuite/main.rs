@@ -1,4 +1,4 @@
-//! The tests of what the board does, in one program.
+//! Tests of the behaviour of a board, in one program.
 
 mod behaviour;
 mod common;

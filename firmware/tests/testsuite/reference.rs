@@ -1,7 +1,7 @@
-//! Random lives of a board against a reference that says what ought to happen.
+//! Random steps of a board, compared with a reference.
 //!
-//! The reference knows neither queues nor batches: only who lights, who listens, which
-//! replies are owed, and that every scan is delivered, dropped or lost.
+//! The reference knows neither queues nor batches: only whether emitters are lit, whether
+//! a host listens, which replies are owed, and that every scan is delivered, dropped or lost.
 
 use crate::common::{Fake, Heard, Listener, TICK_HZ, board, configuration, request, sequences, without_dark, words};
 use proptest::collection::vec;
@@ -57,7 +57,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// What ought to be so.
+/// The expected state of a board.
 struct Reference {
     acquiring: bool,
     open: bool,
@@ -66,12 +66,12 @@ struct Reference {
     /// Commands without an answer heard, and whether they ought to be accepted.
     owed: Vec<(u16, bool)>,
     rejected: u32,
-    /// What is kept on the board.
+    /// Hashes kept on the board.
     hashes: Hashes,
 }
 
 impl Reference {
-    /// Whether `command` ought to be accepted; does what it does.
+    /// Carries out `command`. Whether it ought to be accepted.
     fn order(&mut self, command: &Command, now: u64) -> bool {
         self.heard_from_host = now;
         let lights = match command {
@@ -157,7 +157,7 @@ impl Life {
         self.board.poll(if self.reference.open { Link::Open } else { Link::Closed });
         self.reference.poll(now);
         if self.board.hardware_mut().rebooted.take().is_some() {
-            // Whatever was started between the command and the reboot.
+            // Acquisition may have been started between the command and the reboot.
             self.reference.acquiring = false;
         }
         assert_eq!(self.board.is_acquiring(), self.reference.acquiring);
@@ -224,7 +224,7 @@ impl Life {
     }
 
     /// Takes one last scan, so that every loss shows in a sequence number, and listens to
-    /// everything that is left.
+    /// all packets left.
     fn account(&mut self) -> Status {
         self.board.hardware_mut().refuse_light = None;
         self.reference.light_refused = false;
@@ -241,7 +241,7 @@ impl Life {
 
 proptest! {
     #[test]
-    fn a_board_lives_as_the_reference_says(steps in vec(step(), 1..120)) {
+    fn a_board_agrees_with_the_reference_over_random_steps(steps in vec(step(), 1..120)) {
         let mut life = Life::new();
         for step in steps {
             life.step(step);
@@ -257,7 +257,7 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_and_no_scans_make_it_panic(
+    fn a_board_does_not_panic_at_random_bytes_and_scans(
         bytes in vec(any::<u8>(), 0..400),
         scans in vec(any::<(u64, u64, u8, bool)>(), 0..20),
     ) {

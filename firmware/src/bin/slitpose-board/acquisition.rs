@@ -1,19 +1,19 @@
-//! Frames made by one timer: it lights the slots, triggers the converters, and never
-//! waits for the program.
+//! Frames by one timer, which lights the slots and triggers the converters without the
+//! firmware.
 //!
 //! ```text
-//! frame timer ─update────▶ transfer ─▶ emitter gates           (table: one word a slot)
-//!             ─compare 2─▶ converters ─▶ transfers ─▶ rings of words
-//!             ─compare 2─▶ transfer ─▶ its own next period     (only with an idle rest)
-//!             ─compare 4─▶ transfer ─▶ all gates off           (only with a rest behind a lit slot)
-//!             ─compare 1, 3─▶ transfers ─▶ level lines         (only where levels differ)
+//! frame timer ─update───────▶ DMA ─▶ emitter gates           (table: one word a slot)
+//!             ─compare 2────▶ converters ─▶ DMA ─▶ rings of words
+//!             ─compare 2────▶ DMA ─▶ the timer's next period   (only with an idle rest)
+//!             ─compare 4────▶ DMA ─▶ all gates off             (only with a rest behind a lit slot)
+//!             ─compare 1, 3─▶ DMA ─▶ level lines               (only where levels differ)
 //! ```
-//! Which frame a word belongs to follows from the device clock, which runs from the same
-//! oscillator: frame n of a run starts n periods after the run did. Where all transfers are
-//! in their tables is compared with that at every poll, before anything is handed out; when
-//! they disagree, or words were lost on the way, everything is stopped and started again in
-//! step, and the frames in between are missing from the sequence. If that does not help
-//! either, it ends in a fault.
+//! The frame of a word follows from the device clock, which runs from the same oscillator:
+//! frame n of a run starts n periods after the run. At every poll, before any scan is handed
+//! out, the position of each DMA channel in its table is compared with the clock. If a
+//! position and the clock disagree, or words have been lost, timer, converters and DMA are
+//! stopped and started again in step; the frames in between are missing from the sequence.
+//! After too many such restarts acquisition ends in a fault.
 
 use core::sync::atomic::{AtomicU16, AtomicU32, Ordering, fence};
 
@@ -22,27 +22,27 @@ use embassy_stm32::peripherals::{ADC1, ADC2, DMA1_CH1, TIM2};
 use embassy_stm32::{Peri, pac, rcc};
 use heapless::Vec;
 use slitpose_firmware::ScanError;
-use slitpose_firmware::timing::{BOARD_SLOTS, FramePlan};
-use slitpose_firmware::wiring::LEVEL_LINES;
+use slitpose_firmware::pcb::frame_plan::{BOARD_SLOTS, FramePlan};
+use slitpose_firmware::pcb::wiring::LEVEL_LINES;
 use slitpose_protocol::{Configuration, HardwareFault, Levels, RawScan};
 
 use crate::clock::Clock;
 use crate::converters::{Converters, Unresponsive};
-use crate::emitters::{Emitters, GATE_TRANSFER, LATE_TRANSFER};
+use crate::dma::{Channel, Table};
+use crate::emitters::{Emitters, GATE_DMA, LATE_GATE_DMA};
 use crate::supply;
-use crate::transfers::{Channel, Table};
 
 /// Words in the ring of a converter: 85 frames of the default, 21 ms.
 const RING_WORDS: usize = 2048;
 
-/// Frames of a ring that are not read any more because they may be overwritten meanwhile.
+/// The oldest frames of a ring, which are not read because the DMA may overwrite them.
 const MARGIN_FRAMES: u64 = 2;
 
-/// Ticks around an event in which its transfer may be done or not: looking at the clock and
-/// at all transfers takes less than half of that.
+/// Ticks around an event within which its DMA may or may not have made its step: reading
+/// the clock and all DMA positions takes less than half of them.
 const EDGE_TICKS: u32 = 128;
 
-/// So many restarts without a frame in between are a fault.
+/// More restarts than this without a whole frame in between are a fault.
 const RESTARTS: u32 = 3;
 
 static WORDS: [[AtomicU16; RING_WORDS]; 2] = [const { [const { AtomicU16::new(0) }; RING_WORDS] }; 2];
@@ -50,38 +50,38 @@ static PERIODS: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_S
 static LEVELS: [[AtomicU32; BOARD_SLOTS]; LEVEL_LINES] = [const { [const { AtomicU32::new(0) }; BOARD_SLOTS] }; 2];
 
 /// Request lines: RM0440, DMAMUX, assignment of multiplexer inputs.
-const WORD_TRANSFERS: [Channel; 2] = [Channel::new(0, 5), Channel::new(1, 36)];
-const PERIOD_TRANSFER: Channel = Channel::new(4, 57);
-const LEVEL_TRANSFERS: [Channel; LEVEL_LINES] = [Channel::new(5, 56), Channel::new(6, 58)];
+const WORD_DMA: [Channel; 2] = [Channel::new(0, 5), Channel::new(1, 36)];
+const PERIOD_DMA: Channel = Channel::new(4, 57);
+const LEVEL_DMA: [Channel; LEVEL_LINES] = [Channel::new(5, 56), Channel::new(6, 58)];
 
-/// Frame timer and converters.
+/// Frame timer, converters and their DMA.
 #[derive(Debug)]
-pub struct Acquisition {
+pub struct Sampler {
     converters: Converters,
     run: Option<Run>,
     /// Sequence number of the first frame of the next run.
     next_sequence: u64,
 }
 
-/// Frames under way.
+/// An acquisition under way.
 #[derive(Debug)]
 struct Run {
     plan: FramePlan,
     levels: Levels,
     frames_in_ring: u32,
-    /// The next frame to be handed out: its number, start, and place in the rings.
+    /// The next frame to be handed out: its number, its first tick, and its index in the rings.
     sequence: u64,
     tick: u64,
     place: u32,
-    /// Frames from there on that are known to be whole.
+    /// Frames from the next one on that are known to be whole.
     proven: u64,
     /// Restarts since the last whole frame.
     restarts: u32,
-    /// Transfers that make a round of the slots, and when in a slot they do their step.
+    /// DMA channels that make one step a slot, and the tick of the step in its slot.
     rounds: Vec<(Channel, u32), 5>,
 }
 
-/// Where everything was at one instant.
+/// Device tick and DMA positions at one instant.
 #[derive(Debug, Clone, Copy)]
 struct Look {
     now: u64,
@@ -89,14 +89,14 @@ struct Look {
     rounds_left: [u16; 5],
 }
 
-impl Acquisition {
-    /// Takes the timer, both converters, and the first transfer controller as a whole, of
-    /// which its first channel stands for all.
+impl Sampler {
+    /// Takes the timer, both converters, and DMA1 as a whole, represented by its first
+    /// channel.
     pub fn new(
         adc1: Peri<'static, ADC1>,
         adc2: Peri<'static, ADC2>,
         _timer: Peri<'static, TIM2>,
-        _transfers: Peri<'static, DMA1_CH1>,
+        _dma: Peri<'static, DMA1_CH1>,
     ) -> Self {
         rcc::enable_and_reset::<TIM2>();
         Self { converters: Converters::new(adc1, adc2), run: None, next_sequence: 0 }
@@ -110,9 +110,9 @@ impl Acquisition {
         clock: &mut Clock,
     ) -> Result<(), HardwareFault> {
         let plan = FramePlan::new(configuration)?;
-        // What the supply once did is forgiven at a start, not at a change under way.
+        // A start clears the record of a low supply; a change under way does not.
         if self.run.is_none() {
-            supply::forgive();
+            supply::clear();
         }
         self.stop(emitters)?;
         let run = Run {
@@ -129,9 +129,9 @@ impl Acquisition {
         self.launch(run, emitters, clock)
     }
 
-    /// Dark and still when it returns without an error.
+    /// Switches the emitters off and stops sampling, both before it returns without an error.
     pub fn stop(&mut self, emitters: &mut Emitters) -> Result<(), HardwareFault> {
-        // What has finished since the last look is cut off like the frame under way.
+        // Frames that have finished since the last look are cut off like the frame under way.
         if let Some(run) = self.run.take() {
             self.next_sequence = run.sequence + run.proven;
         }
@@ -152,7 +152,7 @@ impl Acquisition {
             return Ok(false);
         };
         if run.proven == 0 {
-            // Behind an overrun the converters' words move up in the rings.
+            // After an overrun the words that follow are in the wrong places of the rings.
             let proven = if self.converters.has_overrun() { None } else { run.prove(run.look(clock)) };
             match proven {
                 Some(0) => return Ok(false),
@@ -173,7 +173,7 @@ impl Acquisition {
         Some(due.saturating_sub(clock.now()))
     }
 
-    /// Back in step after words were lost.
+    /// Starts again in step after words were lost.
     fn restart(&mut self, emitters: &mut Emitters, clock: &mut Clock) -> Result<bool, ScanError> {
         let Some(mut run) = self.run.take() else {
             return Ok(false);
@@ -193,7 +193,7 @@ impl Acquisition {
         let is_dark = emitters.darken();
         pac::TIM2.dier().write(|_| {});
         let converters = self.converters.stop();
-        for channel in WORD_TRANSFERS.into_iter().chain(LEVEL_TRANSFERS).chain([PERIOD_TRANSFER]) {
+        for channel in WORD_DMA.into_iter().chain(LEVEL_DMA).chain([PERIOD_DMA]) {
             channel.stop();
         }
         if !is_dark {
@@ -202,11 +202,11 @@ impl Acquisition {
         converters.map_err(|Unresponsive| HardwareFault::Converters)
     }
 
-    /// Sets everything up at a standstill and lets go.
+    /// Sets timer, converters and DMA up while the timer stands still, then starts the timer.
     fn launch(&mut self, mut run: Run, emitters: &mut Emitters, clock: &mut Clock) -> Result<(), HardwareFault> {
         (run.place, run.proven) = (0, 0);
-        // The timer starts at the very end of a period: its first update begins slot 0, like
-        // all that follow.
+        // The timer starts at the very end of a period, so that an update begins slot 0 of the
+        // first frame as of all others.
         let timer = pac::TIM2;
         pac::RCC.apb1rstr1().modify(|w| w.set_tim2rst(true));
         pac::RCC.apb1rstr1().modify(|w| w.set_tim2rst(false));
@@ -228,12 +228,12 @@ impl Acquisition {
         emitters.arm(&plan.emitters, plan.off_ticks.is_some());
         let has_rest = plan.periods.iter().any(|&period| period != plan.periods[0]);
         if has_rest {
-            // Written in one slot for the next, which takes it over at the update.
+            // Each slot writes the period of the next, which takes effect at the update.
             for (slot, item) in PERIODS.iter().take(plan.periods.len()).enumerate() {
                 let next = (slot + 1) % plan.periods.len();
                 item.store(plan.periods[next] - 1, Ordering::Relaxed);
             }
-            PERIOD_TRANSFER.feed(timer.arr().as_ptr().cast(), Table::of_words(&PERIODS[..plan.periods.len()]));
+            PERIOD_DMA.feed(timer.arr().as_ptr().cast(), Table::of_words(&PERIODS[..plan.periods.len()]));
         }
         let varies: [bool; LEVEL_LINES] = core::array::from_fn(|line| !plan.is_level_constant(line));
         for (line, codes) in plan.level_codes.iter().enumerate() {
@@ -243,13 +243,13 @@ impl Acquisition {
             if varies[line] {
                 LEVELS[line].iter().zip(codes).for_each(|(item, &code)| item.store(code.into(), Ordering::Relaxed));
                 let table = Table::of_words(&LEVELS[line][..codes.len()]);
-                LEVEL_TRANSFERS[line].feed(Emitters::level_register(line), table);
+                LEVEL_DMA[line].feed(Emitters::level_register(line), table);
             }
         }
         run.rounds = rounds(plan, has_rest, varies);
         self.converters.prepare(plan).map_err(|Unresponsive| HardwareFault::Converters)?;
         let ring = run.frames_in_ring as usize * plan.words();
-        for ((channel, register), words) in WORD_TRANSFERS.into_iter().zip(Converters::data()).zip(&WORDS) {
+        for ((channel, register), words) in WORD_DMA.into_iter().zip(Converters::data()).zip(&WORDS) {
             channel.collect(register, Table::of_halves(&words[..ring]));
         }
         self.converters.start();
@@ -261,8 +261,8 @@ impl Acquisition {
             w.set_ccde(2, varies[1]);
             w.set_ccde(3, plan.off_ticks.is_some());
         });
-        // Nothing may come between the start of the timer and the look at the clock. The
-        // supply may have gone meanwhile, and with it the right to light anything.
+        // No interrupt may come between the start of the timer and the reading of the clock.
+        // The timer does not start if the supply has become too low meanwhile.
         let is_supplied = cortex_m::interrupt::free(|_| {
             let is_supplied = !supply::is_low();
             timer.cr1().modify(|w| w.set_cen(is_supplied));
@@ -294,7 +294,7 @@ impl Run {
     }
 
     fn read(&self, scan: &mut RawScan) {
-        // What the transfers wrote before the clock passed is read after it.
+        // The words are read after the clock, which proved that the DMA had written them.
         fence(Ordering::Acquire);
         scan.sequence = self.sequence;
         scan.tick = self.tick;
@@ -313,7 +313,7 @@ impl Run {
         }
     }
 
-    /// Looks at the clock and at all transfers, with nothing in between.
+    /// Reads the clock and all DMA positions, without an interrupt in between.
     fn look(&self, clock: &mut Clock) -> Look {
         cortex_m::interrupt::free(|_| {
             let mut rounds_left = [0; 5];
@@ -321,13 +321,13 @@ impl Run {
             for (left, (channel, _)) in rounds_left.iter_mut().zip(&self.rounds) {
                 *left = channel.remaining();
             }
-            Look { now, words_left: WORD_TRANSFERS.map(|channel| channel.remaining().into()), rounds_left }
+            Look { now, words_left: WORD_DMA.map(|channel| channel.remaining().into()), rounds_left }
         })
     }
 
-    /// The number of whole frames there are, if all transfers are where they must be.
+    /// Number of whole frames in the rings; `None` if a DMA position contradicts the clock.
     fn prove(&self, look: Look) -> Option<u64> {
-        if WORD_TRANSFERS.iter().chain(self.rounds.iter().map(|(channel, _)| channel)).any(|c| c.has_failed()) {
+        if WORD_DMA.iter().chain(self.rounds.iter().map(|(channel, _)| channel)).any(|c| c.has_failed()) {
             return None;
         }
         let finished = self.finished(look.now);
@@ -341,12 +341,12 @@ impl Run {
             written.wrapping_sub(finished as u32 * words)
         });
         let Some(at) = self.slot_at(look.now, finished) else {
-            // In the idle rest before the next frame, which may begin while one looks.
+            // In the idle rest before the next frame, which may begin during the look.
             let start = self.tick + finished * u64::from(self.plan.frame_ticks);
             let most = if start - look.now < u64::from(EDGE_TICKS) { ranks } else { 0 };
             return (first <= most && second <= most).then_some(finished);
         };
-        // Within a slot its words come in; at its edges it may be the one before or after.
+        // Words of the slot are coming in; near its edges also words of a neighbouring slot.
         let slack = if at.is_at_edge { ranks } else { 0 };
         let expected = (at.slot * ranks).saturating_sub(slack)..=(at.slot + 1) * ranks + slack;
         let is_in_step = first.abs_diff(second) <= 1 && expected.contains(&first) && self.rounds_fit(&at, look);
@@ -362,13 +362,13 @@ impl Run {
         })
     }
 
-    /// Where `now` lies in the frame behind `finished` ones; `None` before that begins.
+    /// Place of `now` in the frame after `finished` frames; `None` before that frame begins.
     fn slot_at(&self, now: u64, finished: u64) -> Option<At> {
         let start = self.tick + finished * u64::from(self.plan.frame_ticks);
         let into_frame = now.checked_sub(start)? as u32;
         let last = self.plan.periods.len() as u32 - 1;
         let period = self.plan.periods[0];
-        // All slots but the last are as long as the first.
+        // All slots but the last have the period of the first.
         let slot = if last == 0 { 0 } else { (into_frame / period).min(last) };
         let into_slot = into_frame - slot * period;
         let to_next = self.plan.periods[slot as usize].saturating_sub(into_slot);
@@ -385,17 +385,17 @@ struct At {
     is_at_edge: bool,
 }
 
-/// The transfers of a run that make one step a slot, and when they do.
+/// DMA channels of a run that make one step a slot, and the tick of the step in its slot.
 fn rounds(plan: &FramePlan, has_rest: bool, varies: [bool; LEVEL_LINES]) -> Vec<(Channel, u32), 5> {
     let mut rounds = Vec::new();
-    let levels = LEVEL_TRANSFERS.into_iter().zip(varies).filter(|&(_, varies)| varies);
-    let all = [(GATE_TRANSFER, 0)]
+    let levels = LEVEL_DMA.into_iter().zip(varies).filter(|&(_, varies)| varies);
+    let all = [(GATE_DMA, 0)]
         .into_iter()
         .chain(levels.map(|(channel, _)| (channel, 1)))
-        .chain(has_rest.then_some((PERIOD_TRANSFER, plan.trigger_ticks)))
-        .chain(plan.off_ticks.map(|off_ticks| (LATE_TRANSFER, off_ticks)));
+        .chain(has_rest.then_some((PERIOD_DMA, plan.trigger_ticks)))
+        .chain(plan.off_ticks.map(|off_ticks| (LATE_GATE_DMA, off_ticks)));
     for round in all {
-        // One of each: they fit.
+        // At most five: gates, two level lines, period, late gates.
         let _ = rounds.push(round);
     }
     rounds

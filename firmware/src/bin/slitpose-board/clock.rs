@@ -1,4 +1,4 @@
-//! The device clock: a counter of 170 MHz that never stops, widened to 64 bits.
+//! The device clock: a 170 MHz counter that never stops, widened to 64 bits.
 
 use embassy_stm32::peripherals::TIM5;
 use embassy_stm32::{Peri, pac, rcc};
@@ -10,7 +10,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Starts the counter. It must be read at least every 25 seconds, before it wraps.
+    /// Starts the counter. Its owner must read it at least every 25 seconds, before it wraps.
     pub fn start(_timer: Peri<'static, TIM5>) -> Self {
         rcc::enable_and_reset::<TIM5>();
         let timer = pac::TIM5;

@@ -1,14 +1,14 @@
-//! The two converters: I_X1 of every cell on the first, I_X2 on the second, both started
-//! by the same edge, so that the two currents of a cell are held at the same instant.
+//! The two converters: I_X1 of every cell on ADC1, I_X2 on ADC2. The same edge starts both,
+//! so that the two currents of a cell are held at the same instant.
 
 use embassy_stm32::pac::adc::Adc;
 use embassy_stm32::pac::adc::vals::{Adstp, Dmacfg, Dmaen, Exten, Ovrmod, Rovsm, SampleTime, Trovs};
 use embassy_stm32::pac::adccommon::vals::Ckmode;
 use embassy_stm32::peripherals::{ADC1, ADC2};
 use embassy_stm32::{Peri, pac, rcc};
-use slitpose_firmware::TICK_HZ;
-use slitpose_firmware::timing::FramePlan;
-use slitpose_firmware::wiring::CHANNELS;
+use slitpose_firmware::pcb::TICK_HZ;
+use slitpose_firmware::pcb::frame_plan::FramePlan;
+use slitpose_firmware::pcb::wiring::CHANNELS;
 
 /// Inputs of the converters by rank (RM0440 and data sheet, ADC channels): PA0 PA1 PC0 PC1
 /// PC2 PC3, and PA7 PC4 PC5 PB2 PB11 PB15.
@@ -18,21 +18,21 @@ const INPUTS: [[u8; CHANNELS as usize]; 2] = [[1, 2, 6, 7, 8, 9], [4, 5, 11, 12,
 /// external triggers).
 const TRIGGER: u8 = 11;
 
-/// Core cycles the converters' regulator takes to come up: 20 µs (data sheet, t_ADCVREG).
+/// Processor cycles the converters' regulator takes to come up: 20 µs (data sheet, t_ADCVREG).
 const REGULATOR_CYCLES: u32 = TICK_HZ / 1_000_000 * 20;
 
-/// Core cycles between the last change at the trigger's input and listening to it: several
+/// Processor cycles between the last change at the trigger's input and the start: several
 /// periods of the converters' clock.
 const TRIGGER_CYCLES: u32 = 64;
 
-/// How often a flag is looked at before it is given up: some 60 µs, several times what
-/// any of them takes but calibration.
+/// Number of polls of a flag before a time-out: some 60 µs, several times what any step but
+/// calibration takes.
 const PATIENCE: u32 = 1_000;
 
-/// Calibration takes 116 periods of the converters' clock; looked at with more patience.
+/// The same for calibration, which takes 116 periods of the converters' clock.
 const CALIBRATION_PATIENCE: u32 = 10_000;
 
-/// Something did not happen in time.
+/// A flag of the converters did not change in time.
 #[derive(Debug, Clone, Copy)]
 pub struct Unresponsive;
 
@@ -51,19 +51,19 @@ fn wait(patience: u32, mut done: impl FnMut() -> bool) -> Result<(), Unresponsiv
 }
 
 impl Converters {
-    /// Both, not yet powered.
+    /// Both converters, not yet powered.
     pub fn new(_first: Peri<'static, ADC1>, _second: Peri<'static, ADC2>) -> Self {
-        // One clock and one reset for both.
+        // ADC1 and ADC2 share one clock and one reset.
         rcc::enable_and_reset::<ADC1>();
         Self { is_up: false }
     }
 
-    /// Addresses of the data registers, for transfers.
+    /// Addresses of the data registers, for the DMA.
     pub fn data() -> [*mut (); 2] {
         both().map(|adc| adc.dr().as_ptr().cast())
     }
 
-    /// Readies both for scans of `plan`, with no word and no request left of earlier ones.
+    /// Prepares both for scans of `plan`, with no word and no request left of earlier scans.
     pub fn prepare(&mut self, plan: &FramePlan) -> Result<(), Unresponsive> {
         if !self.is_up {
             power_up()?;
@@ -75,7 +75,7 @@ impl Converters {
         Ok(())
     }
 
-    /// From now on each edge of the trigger starts a scan. Whoever takes the words is ready.
+    /// From now on each edge of the trigger starts a scan. The DMA must be running.
     pub fn start(&mut self) {
         for adc in both() {
             adc.cfgr().modify(|w| w.set_dmaen(Dmaen::ENABLE));
@@ -86,8 +86,9 @@ impl Converters {
         }
     }
 
-    /// Ends sampling; a conversion under way is dropped, and so is a word that has not been
-    /// fetched: its request would outlive the stop and put it ahead of the next run's words.
+    /// Ends sampling. Drops the conversion under way, and also a word that the DMA has not
+    /// fetched: the request for that word would outlive the stop and put the word ahead of
+    /// the next run's words.
     pub fn stop(&mut self) -> Result<(), Unresponsive> {
         let mut outcome = Ok(());
         for adc in both() {
@@ -97,24 +98,24 @@ impl Converters {
             }
             adc.cfgr().modify(|w| w.set_dmaen(Dmaen::DISABLE));
             let _ = adc.dr().read();
-            forget(adc);
+            clear_flags(adc);
         }
         outcome
     }
 
-    /// Whether a word of either was overwritten before it was fetched.
+    /// Whether a word of either converter was overwritten before the DMA fetched it.
     pub fn has_overrun(&self) -> bool {
         both().into_iter().any(|adc| adc.isr().read().ovr())
     }
 }
 
-/// RM0440, ADC: regulator, calibration, enable, in this order, each waited for.
+/// Powers both up (RM0440, ADC): regulator, calibration, enable; each step is waited for.
 fn power_up() -> Result<(), Unresponsive> {
-    // From the beginning, also if an earlier attempt got half-way.
+    // The reset undoes the first steps of an attempt that failed.
     pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(true));
     pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(false));
-    // A quarter of the bus clock: with slots of whole periods of it the trigger has no
-    // jitter, with others up to one period.
+    // A quarter of the bus clock. Slots of whole periods of this clock have no jitter of the
+    // trigger, other slots have up to one period.
     pac::ADC12_COMMON.ccr().modify(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
     for adc in both() {
         adc.cr().modify(|w| w.set_deeppwd(false));
@@ -160,7 +161,7 @@ fn configure(adc: Adc, inputs: &[u8], plan: &FramePlan) {
         }
     });
     adc.cfgr2().write(|w| {
-        // All conversions of a word follow one another behind one trigger, and are summed.
+        // One trigger starts all conversions of a word, and the converter sums them.
         w.set_rovse(plan.oversampling_log2 > 0);
         w.set_ovsr(plan.oversampling_log2.saturating_sub(1));
         w.set_trovs(Trovs::AUTOMATIC);
@@ -174,11 +175,11 @@ fn configure(adc: Adc, inputs: &[u8], plan: &FramePlan) {
         w.set_ovrmod(Ovrmod::PRESERVE);
         w.set_jqdis(true);
     });
-    forget(adc);
+    clear_flags(adc);
 }
 
-/// Clears the flags of what has been converted.
-fn forget(adc: Adc) {
+/// Clears the flags of past conversions.
+fn clear_flags(adc: Adc) {
     adc.isr().write(|w| {
         w.set_eoc(true);
         w.set_eos(true);

@@ -7,11 +7,11 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::dac::Dac;
 use embassy_stm32::peripherals::{DAC1, DAC2};
 use embassy_stm32::{Peri, rcc};
-use slitpose_firmware::TICK_HZ;
-use slitpose_firmware::timing::BOARD_SLOTS;
-use slitpose_firmware::wiring::{CHANNELS, LEVEL_LINES};
+use slitpose_firmware::pcb::TICK_HZ;
+use slitpose_firmware::pcb::frame_plan::BOARD_SLOTS;
+use slitpose_firmware::pcb::wiring::{CHANNELS, LEVEL_LINES};
 
-use crate::transfers::{Channel, Table};
+use crate::dma::{Channel, Table};
 
 /// Emitter k is gated by this pin of port C and the ones above.
 const FIRST_PIN: u32 = 6;
@@ -19,27 +19,27 @@ const FIRST_PIN: u32 = 6;
 /// All gates, as bits of the port.
 const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
 
-/// Core cycles in which a pin surely follows: a microsecond.
+/// Processor cycles within which a pin surely follows its register: a microsecond.
 const PIN_CYCLES: u32 = TICK_HZ / 1_000_000;
 
-/// What to write to the port for each slot: gates to set in the lower half word, gates to
-/// clear in the upper.
+/// The word for the port in each slot: gates to set in its lower half, gates to clear in
+/// its upper half.
 static SLOT_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
 
-/// What to write to the port near the end of each slot: nothing, but all gates off in the
-/// last one.
+/// The word for the port near the end of each slot: all gates off in the last slot, no
+/// change in the others.
 static LATE_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
 
-/// On every update of the frame timer: gates of the slot that begins.
-pub const GATE_TRANSFER: Channel = Channel::new(2, 60);
-/// On compare 4 of the frame timer, once a slot: all gates off, if it is the last.
-pub const LATE_TRANSFER: Channel = Channel::new(3, 59);
+/// Writes the gates of the slot that begins, on every update of the frame timer.
+pub const GATE_DMA: Channel = Channel::new(2, 60);
+/// Switches all gates off near the end of the last slot, on compare 4 of the frame timer.
+pub const LATE_GATE_DMA: Channel = Channel::new(3, 59);
 
-/// Gates, as outputs, and the converters behind the level lines.
+/// Gates, as outputs, and the DACs behind the level lines.
 pub struct Emitters {
     _gates: [Output<'static>; CHANNELS as usize],
-    /// Switches the emitters' supply on: a pin that the controller's own boot loader leaves
-    /// alone, unlike the gates.
+    /// Switches the emitters' supply on: a pin that the MCU's boot loader leaves alone,
+    /// unlike the gates.
     _supply: Output<'static>,
 }
 
@@ -62,31 +62,32 @@ impl Emitters {
         Self { _gates: gates, _supply: supply }
     }
 
-    /// Readies the gates for the first slot of `slots` at the next update of the frame
-    /// timer; with `goes_dark`, the last slot ends at its compare 4.
+    /// Prepares the gates: at its next update the frame timer begins the first of `slots`.
+    /// With `goes_dark`, the emitters of the last slot go off at compare 4.
     pub fn arm(&mut self, slots: &[u8], goes_dark: bool) {
         for (word, &lit) in SLOT_GATES.iter().zip(slots) {
             let set = u32::from(lit) << FIRST_PIN;
             word.store(set | (GATES & !set) << 16, Ordering::Relaxed);
         }
         let port = pac::GPIOC.bsrr().as_ptr().cast();
-        GATE_TRANSFER.feed(port, Table::of_words(&SLOT_GATES[..slots.len()]));
+        GATE_DMA.feed(port, Table::of_words(&SLOT_GATES[..slots.len()]));
         if goes_dark {
             let late = &LATE_GATES[..slots.len()];
             for (slot, word) in late.iter().enumerate() {
                 let is_last = slot + 1 == slots.len();
                 word.store(if is_last { GATES << 16 } else { 0 }, Ordering::Relaxed);
             }
-            LATE_TRANSFER.feed(port, Table::of_words(late));
+            LATE_GATE_DMA.feed(port, Table::of_words(late));
         }
     }
 
-    /// Sets a level line.
+    /// Sets a level line to a code of its DAC.
     pub fn set_level(&mut self, line: usize, code: u16) {
         lines()[line].dhr12r(0).write(|w| w.set_dhr(code));
     }
 
-    /// Dark, and level lines at zero. Whether the gates are low is read back at the pins.
+    /// Switches all emitters off and sets the level lines to zero. Gives whether the gates,
+    /// read back at their pins, are low.
     pub fn darken(&mut self) -> bool {
         darken();
         for line in lines() {
@@ -106,11 +107,11 @@ fn lines() -> [Dac; LEVEL_LINES] {
     [pac::DAC1, pac::DAC2]
 }
 
-/// Ends whatever switches emitters on and switches them off. Valid at any time, also from
-/// interrupts and when everything else has failed.
+/// Stops the frame timer and the DMA of the gates, and switches all emitters off. Valid at
+/// any time, also in an interrupt or after a fault.
 pub fn darken() {
     pac::TIM2.cr1().modify(|w| w.set_cen(false));
-    GATE_TRANSFER.stop();
-    LATE_TRANSFER.stop();
+    GATE_DMA.stop();
+    LATE_GATE_DMA.stop();
     pac::GPIOC.bsrr().write_value(pac::gpio::regs::Bsrr(GATES << 16));
 }

@@ -1,6 +1,6 @@
-//! Why the board started, and how it ends: always dark.
+//! The cause of the last reset, and the ways to the next one: always with emitters off.
 //!
-//! A word that survives resets but not the loss of supply says what the last start did.
+//! A word that survives resets but not the loss of supply records how the last run ended.
 
 use core::panic::PanicInfo;
 
@@ -13,18 +13,19 @@ use crate::emitters;
 
 /// The board has been running.
 const RUNNING: u32 = 0x736c_6974;
-/// It ended in a panic or a fault.
+/// The run ended in a panic or a fault.
 const PANICKED: u32 = 0x736c_6970;
-/// It ended to start the boot loader.
+/// The run ended to start the boot loader.
 const BOOT_LOADER: u32 = 0x736c_6962;
 
-/// How often the access to the word is looked at before it is taken for granted.
+/// Number of polls of the write access to the word before it is taken for granted.
 const WRITE_ACCESS_LOOKS: u32 = 100;
 
-/// The controller's boot loader in system memory.
+/// Vector table of the MCU's boot loader in system memory.
 const BOOT_LOADER_VECTORS: *const u32 = 0x1fff_0000 as *const u32;
 
-/// Why the board has started. Comes first: does not return if the boot loader was asked for.
+/// Why the board has started. To be called first. Does not return if the last run ended to
+/// start the boot loader.
 pub fn reset_cause() -> ResetCause {
     let flags = pac::RCC.csr().read();
     pac::RCC.csr().modify(|w| w.set_rmvf(true));
@@ -46,15 +47,15 @@ pub fn reset_cause() -> ResetCause {
     }
 }
 
-/// From now on the board counts as running.
+/// Records that the board is running.
 pub fn running() {
-    // A debugger that halts the core halts the watchdog, too.
+    // A debugger that halts the processor halts the watchdog, too.
     #[cfg(feature = "defmt")]
     pac::DBGMCU.apb1lfzr().modify(|w| w.set_iwdg(true));
     remember(RUNNING);
 }
 
-/// Starts anew.
+/// Switches the emitters off and resets the board into `target`.
 pub fn restart(target: BootTarget) -> ! {
     emitters::darken();
     remember(match target {
@@ -64,7 +65,7 @@ pub fn restart(target: BootTarget) -> ! {
     SCB::sys_reset()
 }
 
-/// Ends what cannot go on, in the dark, and starts anew.
+/// Switches the emitters off and resets the board as after a panic.
 pub fn give_up() -> ! {
     emitters::darken();
     remember(PANICKED);
@@ -82,26 +83,26 @@ fn remember(word: u32) {
         w.set_rtcapben(true);
         w.set_pwren(true);
     });
-    // Read back, so that the clocks are on before they are needed.
+    // The read makes sure that both clocks are on.
     let _ = pac::RCC.apb1enr1().read();
     pac::PWR.cr1().modify(|w| w.set_dbp(true));
-    // Takes effect a few cycles later.
+    // The write access takes effect a few cycles later.
     let _ = (0..WRITE_ACCESS_LOOKS).any(|_| pac::PWR.cr1().read().dbp());
     pac::TAMP.bkpr(0).write(|w| w.set_bkp(word));
-    // Read back, so that it has been written before anything else happens.
+    // The read makes sure that the word has been written.
     let _ = pac::TAMP.bkpr(0).read();
 }
 
 fn start_boot_loader() -> ! {
-    // It takes its interrupts from address 0, where system memory is to be seen for that
-    // (RM0440, SYSCFG_MEMRMP).
+    // The boot loader takes its interrupt vectors from address 0, so system memory must
+    // appear there (RM0440, SYSCFG_MEMRMP).
     pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
     let _ = pac::RCC.apb2enr().read();
     pac::SYSCFG.memrmp().modify(|w| w.set_mem_mode(1));
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
-    // SAFETY: system memory starts with a vector table, and nothing has been set up yet
-    // that the boot loader would have to find undone.
+    // SAFETY: system memory starts with a vector table, and the firmware has not set up
+    // anything yet that the boot loader expects in its reset state.
     #[allow(unsafe_code)]
     unsafe {
         cortex_m::asm::bootload(BOOT_LOADER_VECTORS)
@@ -116,17 +117,17 @@ fn panic(_info: &PanicInfo<'_>) -> ! {
     give_up()
 }
 
-// SAFETY: it neither returns nor uses what the fault may have left broken.
+// SAFETY: the handler does not return, and uses no state that the fault may have broken.
 #[allow(unsafe_code)]
 #[exception]
 unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
     give_up()
 }
 
-/// Flash memory that was torn by a power cut answers with two wrong bits. In the second
-/// bank, which holds settings only, what is read is rubbish, and its reader finds out. In
-/// the first bank it is the program itself that cannot be trusted.
-// SAFETY: it only looks at the memory's error flags.
+/// Flash memory that was torn by a power cut reports an error of two bits. In the second
+/// bank, which holds settings only, the checksum of the settings shows the damage. In the
+/// first bank the firmware itself cannot be trusted.
+// SAFETY: the handler only accesses the error flags of the flash memory.
 #[allow(unsafe_code)]
 #[exception]
 unsafe fn NonMaskableInt() {
@@ -139,7 +140,7 @@ unsafe fn NonMaskableInt() {
         w.set_eccd(true);
         w.set_eccd2(true);
     });
-    // Cleared before the way back, or it would come again.
+    // Cleared before the return, or the interrupt would come again.
     let _ = pac::FLASH.eccr().read();
     cortex_m::asm::dsb();
 }

@@ -1,13 +1,14 @@
-//! The parts of the board, as the core sees them.
+//! The hardware edge of the core, over the parts of this board.
 
 use cortex_m::peripheral::{DCB, DWT, Peripherals as Core};
 use embassy_stm32::gpio::Output;
+use slitpose_firmware::pcb::frame_plan::FramePlan;
+use slitpose_firmware::pcb::wiring;
 use slitpose_firmware::settings::Settings;
-use slitpose_firmware::timing::FramePlan;
-use slitpose_firmware::{Hardware, Health, Indicator, ScanError, StorageError};
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, RawScan};
+use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, StorageError, System};
+use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule};
 
-use crate::acquisition::Acquisition;
+use crate::acquisition::Sampler;
 use crate::clock::Clock;
 use crate::emitters::Emitters;
 use crate::faults;
@@ -16,10 +17,10 @@ use crate::sensors::Sensors;
 #[cfg(feature = "storage")]
 use crate::storage;
 
-/// Everything the core commands.
+/// All parts that the core commands.
 pub struct BoardHardware {
     emitters: Emitters,
-    acquisition: Acquisition,
+    sampler: Sampler,
     clock: Clock,
     light: Output<'static>,
     load: Load,
@@ -28,17 +29,17 @@ pub struct BoardHardware {
 }
 
 impl BoardHardware {
-    /// Idle and dark.
+    /// The parts, idle and with emitters off.
     pub fn new(
         emitters: Emitters,
-        acquisition: Acquisition,
+        sampler: Sampler,
         clock: Clock,
         light: Output<'static>,
         #[cfg(feature = "sensors")] sensors: Sensors,
     ) -> Self {
         Self {
             emitters,
-            acquisition,
+            sampler,
             clock,
             light,
             load: Load::new(),
@@ -47,50 +48,34 @@ impl BoardHardware {
         }
     }
 
-    /// Ticks until `scans` more scans are finished; `None` if none are under way.
+    /// Ticks until `scans` more scans are finished; `None` while the board does not sample.
     pub fn ticks_to(&mut self, scans: usize) -> Option<u64> {
-        self.acquisition.ticks_to(scans, &mut self.clock)
+        self.sampler.ticks_to(scans, &mut self.clock)
     }
 }
 
-impl Hardware for BoardHardware {
-    fn now_ticks(&mut self) -> u64 {
-        self.clock.now()
-    }
-
+impl Acquisition for BoardHardware {
     fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
         FramePlan::new(configuration).map(|_| ())
     }
 
+    fn limit_levels(&self, schedule: &Schedule, levels: &mut [Level]) {
+        wiring::limit_levels(schedule, levels);
+    }
+
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
         match configuration {
-            Some(configuration) => self.acquisition.start(configuration, &mut self.emitters, &mut self.clock),
-            None => self.acquisition.stop(&mut self.emitters),
+            Some(configuration) => self.sampler.start(configuration, &mut self.emitters, &mut self.clock),
+            None => self.sampler.stop(&mut self.emitters),
         }
     }
 
     fn next_scan(&mut self, scan: &mut RawScan) -> Result<bool, ScanError> {
-        self.acquisition.next_scan(scan, &mut self.emitters, &mut self.clock)
+        self.sampler.next_scan(scan, &mut self.emitters, &mut self.clock)
     }
+}
 
-    fn housekeeping(&mut self, indicator: Indicator) -> Health {
-        // One light: on while acquiring, and blinking, at the pace of the calls, for
-        // attention.
-        match indicator {
-            Indicator::Idle => self.light.set_low(),
-            Indicator::Acquiring => self.light.set_high(),
-            Indicator::Identify | Indicator::Fault => self.light.toggle(),
-        }
-        let cpu_load_permille = self.load.permille(self.clock.now());
-        #[cfg(feature = "sensors")]
-        {
-            let readings = self.sensors.read();
-            Health { supply_v: readings.supply_v, temperature_k: readings.temperature_k, cpu_load_permille }
-        }
-        #[cfg(not(feature = "sensors"))]
-        Health { supply_v: f32::NAN, temperature_k: f32::NAN, cpu_load_permille }
-    }
-
+impl Storage for BoardHardware {
     #[cfg(feature = "storage")]
     fn store(&mut self, settings: Option<&Settings>) {
         storage::begin(settings.cloned());
@@ -108,13 +93,36 @@ impl Hardware for BoardHardware {
     fn stored(&mut self) -> Option<Result<(), StorageError>> {
         Some(Err(StorageError))
     }
+}
+
+impl System for BoardHardware {
+    fn now_ticks(&mut self) -> u64 {
+        self.clock.now()
+    }
+
+    fn housekeeping(&mut self, indicator: Indicator) -> Health {
+        // One light: on while acquiring; for attention it toggles at every call.
+        match indicator {
+            Indicator::Idle => self.light.set_low(),
+            Indicator::Acquiring => self.light.set_high(),
+            Indicator::Identify | Indicator::Fault => self.light.toggle(),
+        }
+        let cpu_load_permille = self.load.permille(self.clock.now());
+        #[cfg(feature = "sensors")]
+        {
+            let readings = self.sensors.read();
+            Health { supply_v: readings.supply_v, temperature_k: readings.temperature_k, cpu_load_permille }
+        }
+        #[cfg(not(feature = "sensors"))]
+        Health { supply_v: f32::NAN, temperature_k: f32::NAN, cpu_load_permille }
+    }
 
     fn reboot(&mut self, target: BootTarget) {
         faults::restart(target)
     }
 }
 
-/// Share of time the core is awake: its cycle counter stands still while it sleeps.
+/// Share of time the processor is awake: its cycle counter stands still while it sleeps.
 #[derive(Debug)]
 struct Load {
     cycles: u32,
@@ -129,7 +137,7 @@ impl Load {
         Self { cycles: DWT::cycle_count(), ticks: 0 }
     }
 
-    /// Since the last call.
+    /// The share since the last call, in thousandths.
     fn permille(&mut self, now: u64) -> u16 {
         let cycles = DWT::cycle_count();
         let awake = u64::from(cycles.wrapping_sub(self.cycles));

@@ -1,14 +1,15 @@
-//! The image that is flashed: the board's core over the parts of an STM32G474.
+//! The image: the board's core over the parts of an STM32G474.
 //!
-//! Tasks share the core, and none waits while it holds it:
+//! Tasks share the core, and no task waits while it holds the core:
 //!
 //! * *polling* (the main task) collects when a batch is due, at least every millisecond,
 //!   and feeds the watchdog;
-//! * the *links* hand the core what the host sends and take what it has to say;
-//! * *storage* writes what the core wants to keep.
+//! * the *links* hand the bytes of the host to the core, and the bytes of the core to the
+//!   host;
+//! * *storage* writes the settings that the core keeps.
 //!
-//! Everything with a deadline shorter than a millisecond is done by timers, converters
-//! and memory transfers: see [`acquisition`].
+//! Timers, converters and DMA meet all deadlines shorter than a millisecond: see
+//! [`acquisition`].
 
 #![no_std]
 #![no_main]
@@ -16,6 +17,7 @@
 mod acquisition;
 mod clock;
 mod converters;
+mod dma;
 mod emitters;
 mod faults;
 mod hardware;
@@ -25,7 +27,6 @@ mod sensors;
 #[cfg(feature = "storage")]
 mod storage;
 mod supply;
-mod transfers;
 
 use core::cell::RefCell;
 
@@ -36,11 +37,12 @@ use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Timer};
-use slitpose_firmware::{Board, DEFAULT_QUEUE_BYTES, Identity, can_run, default_configuration, default_scaling};
+use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
+use slitpose_firmware::{Board, Identity};
 use slitpose_protocol::{BoardKind, Hashes};
 use static_cell::{ConstStaticCell, StaticCell};
 
-use crate::acquisition::Acquisition;
+use crate::acquisition::Sampler;
 use crate::hardware::BoardHardware;
 use crate::link::Links;
 
@@ -98,7 +100,7 @@ async fn main(spawner: Spawner) {
 
     let hardware = BoardHardware::new(
         emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
-        Acquisition::new(p.ADC1, p.ADC2, p.TIM2, p.DMA1_CH1),
+        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.DMA1_CH1),
         clock::Clock::start(p.TIM5),
         Output::new(p.PA5, Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]
@@ -112,10 +114,10 @@ async fn main(spawner: Spawner) {
         hashes: settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes),
         scaling: default_scaling(),
     };
-    // Settings that this board cannot run, if another firmware left them, are passed over.
+    // Another firmware may have left settings that this board cannot run.
     let configuration = settings.map(|settings| settings.configuration).filter(|stored| can_run(stored));
     let configuration = configuration.unwrap_or_else(default_configuration);
-    static QUEUE: ConstStaticCell<[u8; DEFAULT_QUEUE_BYTES]> = ConstStaticCell::new([0; DEFAULT_QUEUE_BYTES]);
+    static QUEUE: ConstStaticCell<[u8; QUEUE_BYTES]> = ConstStaticCell::new([0; QUEUE_BYTES]);
     let queue: &'static mut [u8] = QUEUE.take();
     let Ok(board) = Board::new(hardware, identity, configuration, queue) else {
         faults::give_up();
@@ -143,17 +145,17 @@ async fn main(spawner: Spawner) {
     }
 }
 
-/// The controller starts at 16 MHz.
+/// Configuration for the start: the MCU runs at 16 MHz.
 fn config() -> Config {
     let mut config = Config::default();
-    // The core's cycle counter stands still while it sleeps: that is how its load is
-    // measured. With a debugger attached the clock stays on and the load reads full.
+    // The processor's load is measured by its cycle counter, which stands still in sleep.
+    // With a debugger attached the counter runs on and the load reads full.
     config.enable_debug_during_sleep = cfg!(feature = "defmt");
     config
 }
 
-/// 170 MHz from the internal oscillator for everything but USB, which has its own
-/// oscillator, trimmed by the host's frames.
+/// Clocks while running: 170 MHz from the internal oscillator for all but USB, which has an
+/// oscillator of its own, trimmed by the host's frames.
 fn clocks() -> embassy_stm32::rcc::Config {
     use embassy_stm32::rcc::{Config, Hsi48Config, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk, mux};
     let mut config = Config::new();

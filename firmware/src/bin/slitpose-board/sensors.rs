@@ -1,22 +1,23 @@
-//! Supply voltage and temperature, by the controller's own reference and sensor on a
-//! converter of its own.
+//! Supply voltage and temperature, by the MCU's own reference and sensor on ADC5.
 
 use embassy_stm32::adc::{Adc, AdcConfig, SampleTime, Temperature, VrefInt};
 use embassy_stm32::peripherals::ADC5;
 use embassy_stm32::{Peri, pac};
 
-/// Long enough for the sensor, which needs 5 µs (data sheet, t_S_temp).
+/// Sampling time: the sensor needs 5 µs (data sheet, t_S_temp).
 const SAMPLING: SampleTime = SampleTime::CYCLES640_5;
 
-/// Supply at which the factory took its reference values, in volts, and the temperatures
-/// of the two sensor values in kelvin (data sheet, temperature sensor calibration).
+/// Supply in volts at which the factory measured reference and sensor (data sheet,
+/// temperature sensor calibration).
 const FACTORY_V: f32 = 3.0;
+
+/// Temperatures in kelvin at which the factory measured the sensor (same place).
 const FACTORY_K: [f32; 2] = [303.15, 403.15];
 
 /// Addresses of the two sensor values in system memory.
 const FACTORY_SENSOR: [*const u16; 2] = [0x1fff_75a8 as *const u16, 0x1fff_75ca as *const u16];
 
-/// The converter, its internal channels, and the factory's values.
+/// ADC5, its internal channels, and the factory's values.
 pub struct Sensors {
     adc: Adc<'static, ADC5>,
     reference: VrefInt,
@@ -25,22 +26,22 @@ pub struct Sensors {
     factory_sensor: [f32; 2],
 }
 
-/// What the sensors say.
+/// Readings of both sensors.
 #[derive(Debug, Clone, Copy)]
 pub struct Readings {
-    /// Volts.
+    /// Supply voltage in volts.
     pub supply_v: f32,
-    /// Kelvin.
+    /// Temperature of the MCU in kelvin.
     pub temperature_k: f32,
 }
 
 impl Sensors {
-    /// Powers the converter up.
+    /// Powers ADC5 up.
     pub fn new(adc: Peri<'static, ADC5>) -> Self {
         let adc = Adc::new(adc, AdcConfig::default());
         let reference = adc.enable_vrefint();
         let sensor = adc.enable_temperature();
-        // SAFETY: both are aligned addresses in the controller's read-only system memory.
+        // SAFETY: both are aligned addresses in the MCU's read-only system memory.
         #[allow(unsafe_code)]
         let factory_sensor = FACTORY_SENSOR.map(|value| f32::from(unsafe { value.read_volatile() }));
         Self { adc, reference, sensor, factory_reference: f32::from(pac::VREFINTCAL.data().read()), factory_sensor }

@@ -1,4 +1,4 @@
-//! Settings in the flash memory's second bank, written while the program runs from the
+//! Settings in the flash memory's second bank, written while the firmware runs from the
 //! first.
 
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -16,13 +16,13 @@ use crate::Interrupts;
 
 type Bank = Bank2Region<'static, Async>;
 
-/// What is to be kept next.
+/// The settings to keep next; `None`: forget.
 static WANTED: Signal<ThreadModeRawMutex, Option<Settings>> = Signal::new();
 
-/// How it went.
+/// How the last write ended.
 static DONE: Signal<ThreadModeRawMutex, Result<(), StorageError>> = Signal::new();
 
-/// A copy of the two pages, as they are read.
+/// A copy of the two pages.
 static PAGES: ConstStaticCell<Pages> = ConstStaticCell::new([[0; PAGE_BYTES]; 2]);
 
 /// The memory, and the copy of its pages.
@@ -31,10 +31,10 @@ pub struct Store {
     pages: &'static mut Pages,
 }
 
-/// Whether there is a second bank: without it the settings' pages are the program's.
+/// Whether there is a second bank: without it the firmware itself occupies the pages.
 static HAS_BANK: AtomicBool = AtomicBool::new(false);
 
-/// Opens the memory and reads what is kept there; `None` without a second bank.
+/// Opens the memory and reads the settings kept there; `None` without a second bank.
 pub fn open(flash: Peri<'static, FLASH>) -> Option<(Store, Option<Settings>)> {
     if !pac::FLASH.optr().read().dbank() {
         return None;
@@ -46,7 +46,7 @@ pub fn open(flash: Peri<'static, FLASH>) -> Option<(Store, Option<Settings>)> {
     Some((store, settings))
 }
 
-/// Begins to keep `settings`.
+/// Begins to keep `settings`, or with `None` to forget the settings kept.
 pub fn begin(settings: Option<Settings>) {
     DONE.reset();
     if HAS_BANK.load(Ordering::Relaxed) {
@@ -56,12 +56,12 @@ pub fn begin(settings: Option<Settings>) {
     }
 }
 
-/// How it went, once it is over.
+/// How the last write ended; `None` while it is under way.
 pub fn poll() -> Option<Result<(), StorageError>> {
     DONE.try_take()
 }
 
-/// Keeps what it is given, one after the other.
+/// Keeps the settings given to [`begin`], one after the other.
 #[embassy_executor::task]
 pub async fn keep(mut store: Store) {
     loop {
@@ -91,8 +91,8 @@ impl Store {
         }
         let offset = page + append.offset as u32;
         self.bank.write(offset, &append.record).await.map_err(|_| StorageError)?;
-        // Believed only when read back: the driver's interrupt clears the error flags before
-        // the driver looks at them (embassy-stm32 0.6.0).
+        // Only reading back proves the write: the driver's interrupt clears the error flags
+        // before the driver looks at them (embassy-stm32 0.6.0).
         let is_kept = self.load() && settings::stored(self.pages).as_ref() == settings;
         if is_kept { Ok(()) } else { Err(StorageError) }
     }

@@ -1,4 +1,4 @@
-//! Emitters off as the supply falls, before anything measured by it is wrong.
+//! Switches the emitters off when the supply falls, before measurements become wrong.
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
@@ -18,8 +18,8 @@ const NORMAL_MODE: u32 = 1 << 8;
 
 static FELL: AtomicBool = AtomicBool::new(false);
 
-/// Raises the core's voltage. Comes before the clock is made fast, and after anything that
-/// resets the power controller. The HAL means to do this itself, but its register map
+/// Raises the core voltage. To be called before the clock is raised, and after every reset
+/// of the power control (PWR). The HAL attempts this itself, but its register map
 /// (stm32-metapac 21.0.0) has the bit in the wrong place.
 pub fn boost() {
     pac::PWR.cr5().modify(|w| w.0 &= !NORMAL_MODE);
@@ -31,24 +31,24 @@ pub fn watch() {
         w.set_pls(THRESHOLD);
         w.set_pvde(true);
     });
-    // The detector's output rises as the supply falls.
+    // The detector's output rises when the supply falls.
     pac::EXTI.rtsr(0).modify(|w| w.set_line(LINE, true));
     pac::EXTI.imr(0).modify(|w| w.set_line(LINE, true));
     // SAFETY: the handler below only switches emitters off; no critical section relies on
-    // it being masked.
+    // this interrupt being masked.
     #[allow(unsafe_code)]
     unsafe {
         interrupt::PVD_PVM.enable();
     }
 }
 
-/// Whether the supply is too low, or was since [`forgive`].
+/// Whether the supply is too low, or has been too low since the last [`clear`].
 pub fn is_low() -> bool {
     pac::PWR.sr2().read().pvdo() || FELL.load(Ordering::Relaxed)
 }
 
-/// What is past does not count any more.
-pub fn forgive() {
+/// Clears the record of a low supply in the past.
+pub fn clear() {
     FELL.store(false, Ordering::Relaxed);
 }
 

@@ -1,9 +1,11 @@
-//! A scripted board: hardware that does as it is told, and a host that reads everything.
+//! A scripted board: hardware that follows a script, and a host that reads all packets.
 
 use std::collections::VecDeque;
 
 use slitpose_firmware::settings::Settings;
-use slitpose_firmware::{Board, Hardware, Health, Identity, Indicator, Link, ScanError, StorageError, TRANSFER_BYTES};
+use slitpose_firmware::{
+    Acquisition, Board, Health, Identity, Indicator, Link, ScanError, Storage, StorageError, System, TRANSMIT_BYTES,
+};
 use slitpose_protocol::{
     AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault,
     Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request, ResetCause,
@@ -13,7 +15,7 @@ use slitpose_protocol::{
 /// Ticks per second of the scripted board.
 pub const TICK_HZ: u32 = 1_000_000;
 
-/// What the hardware will say next.
+/// What the hardware gives out next.
 #[derive(Debug, Clone)]
 pub enum Finished {
     Scan(RawScan),
@@ -21,27 +23,29 @@ pub enum Finished {
     Fault(HardwareFault),
 }
 
-/// Hardware that does as it is told.
+/// Hardware that follows a script.
 #[derive(Debug, Default)]
 pub struct Fake {
     pub now: u64,
-    /// What is lit and sampled; `None`: emitters off.
+    /// The configuration under way; `None`: emitters off.
     pub running: Option<Configuration>,
     /// Frames sampled so far.
     pub sampled: u64,
-    /// What the next attempt to light will fail with.
+    /// The fault of the next attempt to light.
     pub refuse_light: Option<HardwareFault>,
+    /// The highest level it can drive; `None`: any.
+    pub highest: Option<Level>,
     /// How many attempts to go dark will fail.
     pub refuse_dark: u32,
     /// The next attempt to stop goes dark, but the converters do not answer.
     pub deaf_converters: bool,
-    /// How often the core asked for darkness.
+    /// How often the core asked to switch the emitters off.
     pub asked_dark: u32,
     pub indicator: Option<Indicator>,
-    /// What the sensors say: volts, kelvin, thousandths.
+    /// Readings of the sensors: volts, kelvin, thousandths.
     pub health: (f32, f32, u16),
     pub finished: VecDeque<Finished>,
-    /// What is kept, and how many polls the next Store or Forget takes.
+    /// The settings kept, and how many polls the next Store or Forget takes.
     pub kept: Option<Settings>,
     pub storing_polls: u32,
     pub refuse_store: bool,
@@ -87,16 +91,18 @@ pub fn words(sequence: u64, cell: usize) -> [u16; 2] {
     [sequence as u16, !(sequence as u16).rotate_left(cell as u32)]
 }
 
-impl Hardware for Fake {
-    fn now_ticks(&mut self) -> u64 {
-        self.now
-    }
-
+impl Acquisition for Fake {
     fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
         if configuration.schedule.oversampling == 3 {
             return Err(HardwareFault::Oversampling { oversampling: 3 });
         }
         Ok(())
+    }
+
+    fn limit_levels(&self, _: &Schedule, levels: &mut [Level]) {
+        if let Some(highest) = self.highest {
+            levels.iter_mut().for_each(|level| *level = (*level).min(highest));
+        }
     }
 
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
@@ -133,13 +139,9 @@ impl Hardware for Fake {
             None => Ok(false),
         }
     }
+}
 
-    fn housekeeping(&mut self, indicator: Indicator) -> Health {
-        self.indicator = Some(indicator);
-        let (supply_v, temperature_k, cpu_load_permille) = self.health;
-        Health { supply_v, temperature_k, cpu_load_permille }
-    }
-
+impl Storage for Fake {
     fn store(&mut self, settings: Option<&Settings>) {
         if !self.refuse_store {
             self.kept = settings.cloned();
@@ -152,6 +154,18 @@ impl Hardware for Fake {
             return None;
         }
         Some(if std::mem::take(&mut self.refuse_store) { Err(StorageError) } else { Ok(()) })
+    }
+}
+
+impl System for Fake {
+    fn now_ticks(&mut self) -> u64 {
+        self.now
+    }
+
+    fn housekeeping(&mut self, indicator: Indicator) -> Health {
+        self.indicator = Some(indicator);
+        let (supply_v, temperature_k, cpu_load_permille) = self.health;
+        Health { supply_v, temperature_k, cpu_load_permille }
     }
 
     fn reboot(&mut self, target: BootTarget) {
@@ -185,7 +199,7 @@ pub fn without_dark() -> Configuration {
     configuration
 }
 
-/// Who the scripted board is.
+/// Identity of the scripted board.
 pub fn identity() -> Identity {
     Identity {
         device_id: *b"scripted 001",
@@ -219,7 +233,7 @@ pub enum Heard {
     Pong(Pong),
 }
 
-/// The other end of the link: reads scans by the last hello it has seen, as a player of
+/// The other end of the link: reads scans by the last hello before them, as a player of
 /// recordings does.
 pub struct Listener {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
@@ -234,14 +248,14 @@ impl Default for Listener {
 }
 
 impl Listener {
-    /// Everything the board has to say now.
+    /// All messages that the board has to send now.
     pub fn listen<const QUEUE: usize>(&mut self, board: &mut Board<Fake, [u8; QUEUE]>) -> Vec<Heard> {
         let mut heard = Vec::new();
-        let mut transfer = [0; TRANSFER_BYTES];
+        let mut buffer = [0; TRANSMIT_BYTES];
         loop {
-            let mut bytes = board.transmit(&mut transfer);
+            let mut bytes = board.transmit(&mut buffer);
             if bytes.is_empty() {
-                assert_eq!(self.decoder.pending_bytes(), 0, "a transfer ends with a whole packet");
+                assert_eq!(self.decoder.pending_bytes(), 0, "the bytes end with a whole packet");
                 return heard;
             }
             while let Some(message) = self.decoder.next::<Message>(&mut bytes) {

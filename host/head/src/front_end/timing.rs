@@ -1,12 +1,15 @@
 //! From a scene's lighting and electronics to the schedule a board runs.
 
-use slitpose_firmware::TICK_HZ;
 use slitpose_protocol::{
     Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
 };
 use thiserror::Error;
 
 use crate::scene_file::SceneFile;
+
+/// Device ticks a second of the schedules made from scenes. A board whose timers count at another rate
+/// rejects them, and names both rates.
+const TICK_HZ: u32 = 170_000_000;
 
 /// Why a scene cannot be run by a board.
 #[derive(Debug, Error)]

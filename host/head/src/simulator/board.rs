@@ -1,6 +1,6 @@
 //! A simulated board as its host sees it: bytes in, bytes out, and time.
 
-use slitpose_firmware::{Board, DEFAULT_QUEUE_BYTES, Identity, Link, TRANSFER_BYTES, Transfer};
+use slitpose_firmware::{Board, Identity, Link, TRANSMIT_BYTES, TransmitBuffer};
 use slitpose_model::{Plan, SceneError, Tier};
 use slitpose_protocol::{BoardKind, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, encode};
 use thiserror::Error;
@@ -10,6 +10,10 @@ use super::hardware::SimulatedHardware;
 use super::trajectory::Trajectory;
 use crate::front_end::{self, TimingError};
 use crate::scene_file::SceneFile;
+
+/// Bytes of the queue for the link: 100 ms of six cells, lit and dark, at 4 kHz. The link is read after every
+/// frame, so the queue holds a batch at the most.
+const QUEUE_BYTES: usize = 25 * 1024;
 
 /// The firmware's core over simulated hardware.
 #[derive(Debug)]
@@ -69,7 +73,7 @@ impl SimulatedBoard {
         let plan = Plan::compile(&file.scene, tier)?;
         let hardware = SimulatedHardware::new(plan, trajectory, electronics, configuration.schedule.tick_hz, seed);
         let frame_ticks = u64::from(configuration.schedule.frame_ticks);
-        let memory = vec![0; DEFAULT_QUEUE_BYTES].into_boxed_slice();
+        let memory = vec![0; QUEUE_BYTES].into_boxed_slice();
         let board = Board::new(hardware, identity, configuration, memory).map_err(SimulatorError::Refused)?;
         Ok(Self { board: Box::new(board), frame_ticks })
     }
@@ -95,9 +99,9 @@ impl SimulatedBoard {
                 bytes.extend_from_slice(packet);
             }
         }
-        let mut transfer: Transfer = [0; TRANSFER_BYTES];
+        let mut buffer: TransmitBuffer = [0; TRANSMIT_BYTES];
         loop {
-            let sent = self.board.transmit(&mut transfer);
+            let sent = self.board.transmit(&mut buffer);
             if sent.is_empty() {
                 break;
             }

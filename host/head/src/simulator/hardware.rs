@@ -5,9 +5,9 @@ use std::collections::VecDeque;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use slitpose_firmware::settings::Settings;
-use slitpose_firmware::{Hardware, Health, Indicator, ScanError, StorageError};
+use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, StorageError, System};
 use slitpose_model::{Pair, Plan, Pose};
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, RawScan, Truth};
+use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule, Truth};
 
 use super::electronics::Electronics;
 use super::trajectory::Trajectory;
@@ -137,15 +137,14 @@ impl SimulatedHardware {
     }
 }
 
-impl Hardware for SimulatedHardware {
-    fn now_ticks(&mut self) -> u64 {
-        self.now_ticks
-    }
-
+impl Acquisition for SimulatedHardware {
     fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
         let (cells, channels) = (configuration.schedule.cells, self.plan.cell_count() as u8);
         if cells == channels { Ok(()) } else { Err(HardwareFault::Channels { cells, channels }) }
     }
+
+    /// Simulated emitters follow every level, each on its own.
+    fn limit_levels(&self, _: &Schedule, _: &mut [Level]) {}
 
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
         self.run = None;
@@ -181,16 +180,24 @@ impl Hardware for SimulatedHardware {
         self.run = Some(run);
         Ok(finished)
     }
+}
 
-    fn housekeeping(&mut self, _: Indicator) -> Health {
-        HEALTH
-    }
-
-    /// A simulated board keeps nothing beyond its own life.
+/// A simulated board keeps nothing beyond its own life.
+impl Storage for SimulatedHardware {
     fn store(&mut self, _: Option<&Settings>) {}
 
     fn stored(&mut self) -> Option<Result<(), StorageError>> {
         Some(Ok(()))
+    }
+}
+
+impl System for SimulatedHardware {
+    fn now_ticks(&mut self) -> u64 {
+        self.now_ticks
+    }
+
+    fn housekeeping(&mut self, _: Indicator) -> Health {
+        HEALTH
     }
 
     fn reboot(&mut self, _: BootTarget) {}

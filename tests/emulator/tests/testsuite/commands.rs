@@ -1,7 +1,7 @@
 //! Every command in every state of the board.
 
 use crate::common::talk::{FRAME_TICKS, Introduction, Said, Talk};
-use slitpose_firmware::default_configuration;
+use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::{
     Command, Configuration, DELIMITER, EmitterSet, HardwareFault, Hashes, Level, Rejection, Schedule,
 };

@@ -7,7 +7,7 @@ use slitpose_emulator::memory::FlashArray;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{open_image, request};
 use slitpose_emulator::world::{NoiseSource, World};
-use slitpose_firmware::{default_configuration, default_scaling};
+use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Plan, Tier};

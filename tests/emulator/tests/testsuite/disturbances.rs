@@ -2,7 +2,7 @@
 
 use crate::common::talk::{FRAME_TICKS, MS, Talk};
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_firmware::default_configuration;
+use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::{Command, Configuration, Level, RawScan};
 
 // Channels of DMA1, from 0, as the firmware uses them.

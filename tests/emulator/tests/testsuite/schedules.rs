@@ -6,7 +6,7 @@
 //! controller takes some ten ticks from request to write, and a few more when the bus is busy.
 
 use crate::common::light::{Bench, check_counters, check_pins, run, tick_offset, worst_codes};
-use slitpose_firmware::default_configuration;
+use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::{Command, Configuration, EmitterSet, Level, Schedule};
 
 /// Ticks from a frame's start on the pins to its tick in a batch: the program reads the clock just

@@ -2,7 +2,7 @@
 
 use crate::common::talk::{Introduction, MS, Talk};
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_firmware::default_configuration;
+use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::{Command, Configuration, Hashes, Level, ResetCause};
 
 /// From power-on to a serial port that listens, with much in hand: the clock starts within 1 ms.

@@ -1,4 +1,4 @@
-//! Links to the host: whoever opens one first has the board until it closes it.
+//! Links to the host: the port that is opened first has the board until it is closed.
 
 #[cfg(feature = "uart")]
 pub mod uart;
@@ -11,14 +11,15 @@ use embassy_executor::{SpawnError, SpawnToken, Spawner};
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_time::Duration;
-use slitpose_firmware::{Link, TICK_HZ, Transfer};
+use slitpose_firmware::pcb::TICK_HZ;
+use slitpose_firmware::{Link, TransmitBuffer};
 
 use crate::Core;
 
 /// A way to the host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Port {
-    /// The controller's own USB.
+    /// The MCU's own USB.
     #[cfg(feature = "usb")]
     Usb,
     /// The debugger's serial port.
@@ -26,23 +27,23 @@ pub enum Port {
     Uart,
 }
 
-/// The core and who talks to it.
+/// The core, and the port that has it.
 pub struct Links {
     core: &'static Core,
     owner: Cell<Option<Port>>,
-    /// There may be something to send by this port.
+    /// Raised when there may be bytes to send by a port.
     outgoing: [Signal<ThreadModeRawMutex, ()>; 2],
-    /// The board has become free.
+    /// Raised when the board has become free.
     freed: Signal<ThreadModeRawMutex, ()>,
 }
 
 impl Links {
-    /// Nobody talks yet.
+    /// Links to `core`, of which no port has it.
     pub fn new(core: &'static Core) -> Self {
         Self { core, owner: Cell::new(None), outgoing: [Signal::new(), Signal::new()], freed: Signal::new() }
     }
 
-    /// Polls the core; gives how long it can be left alone.
+    /// Polls the core; gives the time until the next batch is due.
     pub fn poll(&self) -> Duration {
         let link = if self.owner.get().is_some() { Link::Open } else { Link::Closed };
         let ticks = self.core.lock(|core| {
@@ -52,11 +53,11 @@ impl Links {
             core.hardware_mut().ticks_to(scans)
         });
         self.wake();
-        // Rounded up: a poll a little early would only have to come again.
+        // Rounded up: a poll that comes a little early finds no batch.
         ticks.map_or(Duration::MAX, |ticks| Duration::from_micros(ticks / TICKS_PER_US + 1))
     }
 
-    /// Whether `port` has the board, or has it from now on.
+    /// Gives the board to `port` if it is free; whether `port` has the board then.
     fn claim(&self, port: Port) -> bool {
         if self.owner.get().is_none() {
             self.owner.set(Some(port));
@@ -65,7 +66,7 @@ impl Links {
         self.owns(port)
     }
 
-    /// `port` has been closed.
+    /// Frees the board because `port` has been closed.
     fn release(&self, port: Port) {
         if self.owns(port) {
             self.owner.set(None);
@@ -84,8 +85,8 @@ impl Links {
         self.owner.get() == Some(port)
     }
 
-    /// Hands on what came in by `port`, if it has the board. Whether there was a command
-    /// in it.
+    /// Hands `bytes` from `port` to the core if `port` has the board. Whether a command
+    /// ended in them.
     fn receive(&self, port: Port, bytes: &[u8]) -> bool {
         if !self.owns(port) {
             return false;
@@ -95,24 +96,25 @@ impl Links {
         commands > 0
     }
 
-    /// What is to be sent by `port`, as soon as there is something.
-    async fn transmit<'t>(&self, port: Port, transfer: &'t mut Transfer) -> &'t [u8] {
+    /// Waits for bytes to send by `port`.
+    async fn transmit<'b>(&self, port: Port, buffer: &'b mut TransmitBuffer) -> &'b [u8] {
         let length = loop {
             if self.owns(port) {
-                let length = self.core.lock(|core| core.borrow_mut().transmit(transfer).len());
+                let length = self.core.lock(|core| core.borrow_mut().transmit(buffer).len());
                 if length > 0 {
                     break length;
                 }
             }
             self.outgoing[port as usize].wait().await;
         };
-        &transfer[..length]
+        &buffer[..length]
     }
 }
 
 const TICKS_PER_US: u64 = TICK_HZ as u64 / 1_000_000;
 
-/// Starts a task. Only one that runs already can be refused, and each is started once.
+/// Starts a task. The executor refuses only a task that runs already, and each is started
+/// once.
 fn start<S>(spawner: Spawner, task: Result<SpawnToken<S>, SpawnError>) {
     if let Ok(task) = task {
         spawner.spawn(task);

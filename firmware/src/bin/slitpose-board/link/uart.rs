@@ -1,7 +1,7 @@
 //! The link over the debugger's serial port: 3 Mbaud, eight bits, no parity, one stop bit.
 //!
-//! No line says whether anybody listens. The link is open while commands come, a ping at
-//! least every [`SILENCE`]; noise and other programs' probes are no commands.
+//! No line of the port shows whether a host listens. The link is open while commands come,
+//! at least one within [`SILENCE`]; noise and probes of other host programs are no commands.
 
 use embassy_executor::Spawner;
 use embassy_stm32::Peri;
@@ -10,7 +10,7 @@ use embassy_stm32::mode::Async;
 use embassy_stm32::peripherals::{DMA2_CH1, DMA2_CH2, LPUART1, PA2, PA3};
 use embassy_stm32::usart::{Config, RingBufferedUartRx, Uart, UartTx};
 use embassy_time::{Duration, Instant, with_deadline};
-use slitpose_firmware::TRANSFER_BYTES;
+use slitpose_firmware::TRANSMIT_BYTES;
 use slitpose_protocol::{Decoder, FrameError, MAX_REQUEST_BYTES, Request};
 use static_cell::StaticCell;
 
@@ -20,27 +20,27 @@ use crate::Interrupts;
 /// 4 000 frames of 60 bytes a second take 2.4 Mbaud.
 const BAUD: u32 = 3_000_000;
 
-/// A host that commands nothing for this long has gone.
+/// A host that sends no command for this long has gone.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// Bytes that may arrive between two looks: the longest command and some.
+/// Bytes that may arrive between two reads: more than the longest command.
 const RING_BYTES: usize = 512;
 
-/// Sets the port up and starts its tasks. Without it the board has one link fewer.
+/// Sets the port up and starts its tasks. If that fails, the board has one link fewer.
 pub fn spawn(
     spawner: Spawner,
     links: &'static Links,
     port: Peri<'static, LPUART1>,
     rx: Peri<'static, PA3>,
     tx: Peri<'static, PA2>,
-    tx_transfer: Peri<'static, DMA2_CH1>,
-    rx_transfer: Peri<'static, DMA2_CH2>,
+    tx_dma: Peri<'static, DMA2_CH1>,
+    rx_dma: Peri<'static, DMA2_CH2>,
 ) {
     let mut config = Config::default();
     config.baudrate = BAUD;
-    // Quiet also when the debugger is not powered.
+    // The pull-up keeps the line idle while the debugger is not powered.
     config.rx_pull = Pull::Up;
-    let Ok(uart) = Uart::new(port, rx, tx, tx_transfer, rx_transfer, Interrupts, config) else {
+    let Ok(uart) = Uart::new(port, rx, tx, tx_dma, rx_dma, Interrupts, config) else {
         return;
     };
     let (sender, receiver) = uart.split();
@@ -52,10 +52,10 @@ pub fn spawn(
 
 #[embassy_executor::task]
 async fn send(links: &'static Links, mut sender: UartTx<'static, Async>) {
-    let mut transfer = [0; TRANSFER_BYTES];
+    let mut buffer = [0; TRANSMIT_BYTES];
     loop {
-        let bytes = links.transmit(Port::Uart, &mut transfer).await;
-        // Fails only by a wrong configuration, which was refused at the start.
+        let bytes = links.transmit(Port::Uart, &mut buffer).await;
+        // Fails only for a wrong configuration, which `spawn` has refused.
         let _ = sender.write(bytes).await;
     }
 }
@@ -78,8 +78,8 @@ async fn receive(links: &'static Links, mut receiver: RingBufferedUartRx<'static
         match with_deadline(deadline, receiver.read(&mut bytes)).await {
             Ok(Ok(length)) => {
                 let bytes = &bytes[..length];
-                // The first command opens the link, and is carried out if it is whole here:
-                // hosts ask again.
+                // The first command opens the link. If it is not whole in these bytes it is
+                // lost, and the host asks again.
                 if !links.owns(Port::Uart) && holds_command(&mut probe, bytes) {
                     links.claim(Port::Uart);
                 }
@@ -87,7 +87,7 @@ async fn receive(links: &'static Links, mut receiver: RingBufferedUartRx<'static
                     deadline = Instant::now() + SILENCE;
                 }
             }
-            // Noise or too much at once: the checksum of what was hit fails.
+            // Noise or an overrun of the ring: damaged commands fail by their checksum.
             Ok(Err(_)) => {}
             Err(_) => {
                 links.release(Port::Uart);

@@ -1,7 +1,7 @@
-//! The link over the controller's own USB: a serial port (CDC-ACM) of full speed.
+//! The link over the MCU's own USB: a serial port (CDC-ACM) of full speed.
 //!
 //! The link is open while the host holds DTR, the device is configured and the bus is
-//! awake. There is no line that senses the cable; a bus without frames counts as asleep.
+//! awake. No line senses the cable; a bus without frames counts as asleep.
 
 use core::cell::Cell;
 
@@ -15,7 +15,7 @@ use embassy_sync::blocking_mutex::raw::{CriticalSectionRawMutex, ThreadModeRawMu
 use embassy_sync::signal::Signal;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Config, Handler, UsbDevice};
-use slitpose_firmware::TRANSFER_BYTES;
+use slitpose_firmware::TRANSMIT_BYTES;
 use static_cell::StaticCell;
 
 use super::{Links, Port, start};
@@ -24,14 +24,14 @@ use crate::Interrupts;
 /// Bytes of a packet at full speed.
 const PACKET: usize = 64;
 
-/// For tests and private use (pid.codes, 0x1209/0x0001); whoever sells boards needs a
+/// USB numbers for tests and private use (pid.codes, 0x1209/0x0001). Boards for sale need a
 /// number of their own.
 const VENDOR: u16 = 0x1209;
 const PRODUCT: u16 = 0x0001;
 
 type Bus = Driver<'static, USB>;
 
-/// Whether the bus is configured and awake.
+/// Whether the device is configured and the bus awake.
 static IS_AWAKE: Mutex<CriticalSectionRawMutex, Cell<bool>> = Mutex::new(Cell::new(false));
 static WAKING: Signal<ThreadModeRawMutex, ()> = Signal::new();
 static CLOSED: Signal<ThreadModeRawMutex, ()> = Signal::new();
@@ -48,7 +48,7 @@ pub fn spawn(
     config.manufacturer = Some("slitpose");
     config.product = Some("slitpose board");
     config.serial_number = Some(embassy_stm32::uid::uid_hex());
-    // The emitters are fed from elsewhere.
+    // In milliamperes; the emitters have another supply.
     config.max_power = 100;
 
     static CONFIGURATION: StaticCell<[u8; 128]> = StaticCell::new();
@@ -131,14 +131,14 @@ async fn open(links: &'static Links, control: ControlChanged<'static>) {
 
 #[embassy_executor::task]
 async fn send(links: &'static Links, mut sender: Sender<'static, Bus>) {
-    let mut transfer = [0; TRANSFER_BYTES];
+    let mut buffer = [0; TRANSMIT_BYTES];
     loop {
-        let bytes = links.transmit(Port::Usb, &mut transfer).await;
-        // A host waits for more behind a packet that is full, until one comes that is not.
+        let bytes = links.transmit(Port::Usb, &mut buffer).await;
+        // A full packet does not end a USB transfer: the host waits for a shorter one.
         let ends_full = bytes.len().is_multiple_of(PACKET);
         let end: &[&[u8]] = if ends_full { &[&[]] } else { &[] };
         for packet in bytes.chunks(PACKET).chain(end.iter().copied()) {
-            // A host that has gone does not fetch what waits for it.
+            // A host that has gone does not fetch the packet.
             match select(sender.write_packet(packet), CLOSED.wait()).await {
                 Either::First(Ok(())) => {}
                 Either::First(Err(_)) | Either::Second(()) => break,
@@ -152,7 +152,7 @@ async fn receive(links: &'static Links, mut receiver: Receiver<'static, Bus>) {
     let mut packet = [0; PACKET];
     loop {
         match receiver.read_packet(&mut packet).await {
-            // The first command may come before the link has been seen to open.
+            // The first command may come before `open` has seen DTR.
             Ok(length) => {
                 if receiver.dtr() && IS_AWAKE.lock(Cell::get) && links.claim(Port::Usb) {
                     links.receive(Port::Usb, &packet[..length]);

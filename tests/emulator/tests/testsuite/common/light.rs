@@ -6,7 +6,7 @@ use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
-use slitpose_firmware::wiring::{LEVEL_LINES, level_line};
+use slitpose_firmware::pcb::wiring::{LEVEL_LINES, level_line};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
@@ -116,7 +116,7 @@ impl Bench {
             rig: Rig::power_on(&image, recorder),
             image,
             scene,
-            scaling: slitpose_firmware::default_scaling(),
+            scaling: slitpose_firmware::pcb::default_scaling(),
             said: Vec::new(),
             decoder: Decoder::new(),
             schedules: Vec::new(),

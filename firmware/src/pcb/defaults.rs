@@ -1,25 +1,25 @@
-//! What a board does until its host says otherwise.
+//! What the board starts with: configuration, scaling, and the size of its queue.
 
 use slitpose_protocol::{AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, Schedule};
 
 use crate::collector::BATCH_SCANS;
 use crate::queue::HEADER_BYTES;
 
-/// Device ticks a second: the controller's clock.
+/// Device ticks a second: the MCU's clock.
 pub const TICK_HZ: u32 = 170_000_000;
 
-/// Bytes of the queue of a board that streams the default configuration: 100 ms.
-pub const DEFAULT_QUEUE_BYTES: usize = 25 * 1024;
+/// Bytes of the queue of packets for the link: 100 ms of the default configuration.
+pub const QUEUE_BYTES: usize = 25 * 1024;
 
 // 100 ms at 4 kHz are 400 scans or 100 batches. A packet of four scans of six cells, lit
 // and dark, has 4 · 6 · 8 = 192 bytes of samples; around them at most 1 (kind), 3
 // (configuration), 10 (sequence), 10 (tick), 1 + 6 · 3 (levels) and 2 (length) bytes, 4 of
 // checksum and 2 of framing: 243 bytes, and the queue's own header.
 const PACKET_BYTES: usize = BATCH_SCANS * 6 * 8 + 1 + 3 + 10 + 10 + (1 + 6 * 3) + 2 + 4 + 2;
-const _: () = assert!(DEFAULT_QUEUE_BYTES >= 400 / BATCH_SCANS * (PACKET_BYTES + HEADER_BYTES));
+const _: () = assert!(QUEUE_BYTES >= 400 / BATCH_SCANS * (PACKET_BYTES + HEADER_BYTES));
 
 /// Six cells in three slots of opposite pairs and a dark one, 4 000 frames a second, four
-/// conversions a word, nominal levels, in ticks of 170 MHz (the controller's clock).
+/// conversions a word, nominal levels, in ticks of [`TICK_HZ`].
 ///
 /// | | ticks | from |
 /// |---|---|---|
@@ -45,15 +45,15 @@ pub fn default_configuration() -> Configuration {
     }
 }
 
-/// What a word of the board's own front end is worth: 10 µA from the code at zero current,
-/// 64 codes below the top, down to code 0. The last 32 codes, 26 mV, are not relied on: an
+/// Scaling of the board's own front end: 10 µA from the code at zero current, 64 codes
+/// below the top, down to code 0. The last 32 codes, 26 mV, count as saturated: an
 /// amplifier does not swing to the very end of its supply.
 pub fn default_scaling() -> AdcScaling {
     let zero_code = 4095.0 - 64.0;
     AdcScaling { zero_code, amperes_per_code: -FULL_SCALE_A / zero_code, bits: 12, saturation_code: 32 }
 }
 
-/// Photocurrent of an electrode at the end of the converters' range.
+/// Photocurrent of an electrode at code 0, in amperes.
 const FULL_SCALE_A: f64 = 10e-6;
 
 #[cfg(test)]
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_is_valid() {
+    fn the_default_configuration_is_valid_at_4_khz() {
         let Configuration { schedule, levels, .. } = default_configuration();
         assert_eq!(schedule.validate(), Ok(()));
         assert_eq!(schedule.frame_rate_hz(), 4_000.0);
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn the_packet_arithmetic_is_that_of_the_encoder() {
+    fn the_longest_default_packet_takes_the_bytes_the_queue_counts_on() {
         let samples = [0xff; BATCH_SCANS * 6 * 8];
         let batch = Message::Batch(Batch {
             configuration: u16::MAX,

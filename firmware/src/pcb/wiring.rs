@@ -1,11 +1,11 @@
-//! How emitters and channels of the board are wired, as far as it limits what can be asked.
+//! The wiring of cells, emitters and level lines, as far as it limits a configuration.
 
 use slitpose_protocol::{Configuration, HardwareFault, Level, MAX_CELLS, Schedule};
 
 /// Cells the board has converters and emitter drivers for.
 pub const CHANNELS: u8 = 6;
 
-/// Level lines: each sets the current of its emitters together.
+/// Level lines: each sets the current of three emitters together.
 pub const LEVEL_LINES: usize = 2;
 
 /// The level line of an emitter: 0 to 2 are on the first, 3 to 5 on the second, so that
@@ -14,20 +14,20 @@ pub const fn level_line(emitter: usize) -> usize {
     if emitter < CHANNELS as usize / LEVEL_LINES { 0 } else { 1 }
 }
 
-/// As far as a level line follows: its converter's output buffer ends 0.2 V below the
-/// supply, at code 3847 of 4095.
+/// The highest level that a level line reaches: the output buffer of its DAC ends 0.2 V
+/// below the supply, at code 3847 of 4095; this level is code 3840.
 const HIGHEST: Level = Level(0xf000);
 
 /// Longest pulse for which the emitters may carry more than their continuous current,
-/// seconds. Of the same length as the pulse in data sheets' surge and peak ratings.
+/// seconds: the pulse of data sheets' surge and peak ratings.
 const PULSE_S: f32 = 100e-6;
 
 /// Largest share of time an emitter may be lit at more than its continuous current.
 const DUTY: f32 = 0.25;
 
 /// The highest level an emitter may be driven at by `schedule`: 1.875 times nominal in short
-/// pulses with long pauses, which on average is less than half the continuous current; else
-/// nominal, which is the emitters' continuous rating.
+/// pulses with long pauses, on average less than half the continuous current; otherwise
+/// nominal, the emitters' continuous rating.
 pub fn highest_level(schedule: &Schedule) -> Level {
     let (lit, frame) = (schedule.slot_ticks as f32, schedule.frame_ticks as f32);
     let is_pulse = lit <= PULSE_S * schedule.tick_hz as f32 && lit <= DUTY * frame;
@@ -57,8 +57,16 @@ pub fn check_levels(configuration: &Configuration) -> Result<(), HardwareFault> 
     Ok(())
 }
 
-/// Lowers levels until emitters that share a line in a slot agree.
-pub(crate) fn agree(schedule: &Schedule, levels: &mut [Level]) {
+/// Lowers `levels` to the highest that `schedule` allows, and to the lowest of the emitters
+/// that are lit together on a level line.
+pub fn limit_levels(schedule: &Schedule, levels: &mut [Level]) {
+    let highest = highest_level(schedule);
+    levels.iter_mut().for_each(|level| *level = (*level).min(highest));
+    agree(schedule, levels);
+}
+
+/// Lowers levels until emitters that are lit together on a level line agree.
+fn agree(schedule: &Schedule, levels: &mut [Level]) {
     for slot in &schedule.slots {
         let mut lowest = [Level(u16::MAX); LEVEL_LINES];
         for (emitter, level) in levels.iter().enumerate().filter(|&(emitter, _)| slot.contains(emitter)) {
@@ -78,10 +86,10 @@ mod tests {
     use slitpose_protocol::EmitterSet;
 
     use super::*;
-    use crate::default_configuration;
+    use crate::pcb::defaults::default_configuration;
 
     #[test]
-    fn short_pulses_may_be_brighter() {
+    fn short_rare_pulses_are_allowed_levels_above_nominal_and_others_are_not() {
         let mut configuration = default_configuration();
         configuration.levels[4] = HIGHEST;
         assert_eq!(check_levels(&configuration), Ok(()));
@@ -100,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn emitters_of_a_line_agree_when_lit_together() {
+    fn emitters_lit_together_on_a_line_are_refused_different_levels() {
         let mut configuration = default_configuration();
         configuration.levels[1] = Level(7);
         assert_eq!(check_levels(&configuration), Ok(()), "pairs have a line each");

@@ -6,21 +6,21 @@
 //! | Hello | a hello | a hello |
 //! | Start | acquiring, or rejected by the hardware | accepted, nothing changes |
 //! | Stop | accepted, nothing changes | idle |
-//! | Configure | replaced, and a hello | replaced from the next frame on, new batch, and a hello; if the hardware fails: idle, the old one stays |
+//! | Configure | replaced, and a hello | replaced from the next frame on, new batch, and a hello; if the hardware fails: idle, the old configuration stays |
 //! | Ping | a pong | a pong |
 //! | Identify | the indicator | the indicator |
 //! | Store, Forget | kept or forgotten beyond a reset, then a hello | the same; sampling goes on |
-//! | Reboot | the reply, then a new start | idle, the reply, then a new start |
+//! | Reboot | the reply, then a reset | idle, the reply, then a reset |
 //!
-//! A Configure with a schedule that contradicts itself, in other ticks than the board's,
-//! with the wrong number of levels, or beyond what the hardware can do changes nothing in
-//! either state.
+//! A Configure changes nothing in either state if its schedule contradicts itself or is in
+//! other ticks than the board's, if its number of levels is wrong, or if the hardware
+//! cannot run it.
 
 use slitpose_protocol::{
     Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request,
 };
 
-use crate::board::{Board, Emitters, Reboot, Storing};
+use super::{Board, Emitters, Reboot, Storing};
 use crate::hardware::{Hardware, StorageError};
 use crate::settings::Settings;
 use crate::validate::check;
@@ -30,8 +30,8 @@ const REBOOT_MS: u64 = 200;
 
 impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// Takes bytes from the host, cut anywhere, and carries out the commands that are
-    /// complete. A command is a sign of life, whatever the link is said to be.
-    /// The number of commands there were, carried out or not.
+    /// complete. Gives the number of commands, carried out or not. Every command is a sign
+    /// of life, also while the link counts as closed.
     pub fn receive(&mut self, mut bytes: &[u8]) -> usize {
         let mut commands = 0;
         while let Some(result) = self.decoder.next::<Request>(&mut bytes) {
@@ -83,8 +83,8 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             Command::Store(hashes) => return self.store(number, Some(hashes)),
             Command::Forget => return self.store(number, None),
             Command::Reboot(target) => {
-                // Nothing is darker than a reset: hardware that does not stop is no reason
-                // to refuse it.
+                // A reset is dark in any case, so hardware that does not stop is no reason
+                // to refuse the command.
                 let _ = self.stop();
                 let latest = self.hardware.now_ticks().saturating_add(self.ticks(REBOOT_MS));
                 self.reboot = Some(Reboot { target, latest });
@@ -104,7 +104,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     }
 
     /// Answers a Store or Forget once it is done.
-    pub(crate) fn answer_storing(&mut self) {
+    pub(super) fn answer_storing(&mut self) {
         let Some(Storing { number, hashes }) = self.storing else {
             return;
         };
@@ -141,8 +141,8 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         check(&new, self.configuration.schedule.tick_hz)?;
         self.hardware.check(&new).map_err(Rejection::Unsuited)?;
         if self.acquiring {
-            // What the old configuration has finished still belongs to it. Should that
-            // end in a fault, the board is idle and the rest is as for an idle one.
+            // Scans that have finished belong to the old configuration. If collecting them
+            // ends in a fault, the board is idle and the new one is taken as by an idle board.
             self.collect();
         }
         if self.acquiring

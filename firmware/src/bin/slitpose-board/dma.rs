@@ -1,12 +1,12 @@
-//! Memory transfers without the core: one request, one item, round and round a table.
+//! DMA in circular mode: each request moves one item of a table.
 
 use core::sync::atomic::{AtomicU16, AtomicU32};
 
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
 use embassy_stm32::pac::{DMA1, DMAMUX1};
 
-/// A table that a transfer reads or writes while the program goes on. Atomic items, so
-/// that both may touch it at any time.
+/// A table that the DMA reads or writes while the firmware runs. Its items are atomic, so
+/// that both may access them at any time.
 #[derive(Debug, Clone, Copy)]
 pub struct Table {
     address: u32,
@@ -26,26 +26,27 @@ impl Table {
     }
 }
 
-/// A channel of the first transfer controller.
+/// A channel of DMA1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Channel {
     index: usize,
-    /// Number of the request line that drives it (RM0440, DMAMUX requests).
+    /// Number of its request line (RM0440, DMAMUX requests).
     request: u8,
 }
 
 impl Channel {
-    /// Channel `index` (from 0), driven by `request`.
+    /// Channel `index` (from 0), driven by the request line `request`.
     pub const fn new(index: usize, request: u8) -> Self {
         Self { index, request }
     }
 
-    /// From now on each request moves an item of the table to `register`.
+    /// Starts the channel: each request moves the next item of `table` to `register`.
     pub fn feed(self, register: *mut (), table: Table) {
         self.start(register, table, Dir::FROM_MEMORY);
     }
 
-    /// From now on each request moves the content of `register` to the table.
+    /// Starts the channel: each request moves the content of `register` to the next item of
+    /// `table`.
     pub fn collect(self, register: *mut (), table: Table) {
         self.start(register, table, Dir::FROM_PERIPHERAL);
     }
@@ -68,7 +69,7 @@ impl Channel {
         channel.cr().modify(|w| w.set_en(true));
     }
 
-    /// Ends the transfer and forgets its flags.
+    /// Stops the channel and clears its flags.
     pub fn stop(self) {
         DMA1.ch(self.index).cr().modify(|w| w.set_en(false));
         DMA1.ifcr().write(|w| {
@@ -79,12 +80,12 @@ impl Channel {
         });
     }
 
-    /// Items left until the table is at its end.
+    /// Items left until the end of the table.
     pub fn remaining(self) -> u16 {
         DMA1.ch(self.index).ndtr().read().ndt()
     }
 
-    /// Whether the controller met an address that does not answer; it has then stopped.
+    /// Whether the channel has stopped at an address that does not answer.
     pub fn has_failed(self) -> bool {
         DMA1.isr().read().teif(self.index)
     }

@@ -1,4 +1,4 @@
-//! From a configuration to what timers, converters and memory transfers are set to.
+//! From a configuration to the settings of timers, converters and DMA.
 //!
 //! ```text
 //! timer    0────────────────────────────────────────period   one period a slot
@@ -7,15 +7,15 @@
 //! sampling time  └─24.5─┤hold                                 rest; emitters go off at
 //! conversions           │ 0 │ 1 │ … │ ranks · oversampling    slot_ticks
 //! ```
-//! A word belongs to the instant its samples are held (the end of the sampling time), so
-//! the trigger is early by the sampling time and the converters' latency.
-//! Times are in ticks of the timer, which is also the core's clock.
+//! A word belongs to the instant at which its samples are held, the end of the sampling
+//! time. The trigger is therefore early by the sampling time and the converters' latency.
+//! Times are in ticks of the timer, which runs at the processor's clock.
 
 use heapless::Vec;
 use slitpose_protocol::{Configuration, HardwareFault, Level, Schedule};
 
-use crate::defaults::TICK_HZ;
-use crate::wiring::{CHANNELS, LEVEL_LINES, check_levels, level_line};
+use super::defaults::TICK_HZ;
+use super::wiring::{CHANNELS, LEVEL_LINES, check_levels, level_line};
 
 /// Ticks of one period of the converters' clock: 170 MHz / 4 = 42.5 MHz, under the limit
 /// for several converters at once (STM32G474 data sheet, ADC characteristics).
@@ -25,8 +25,8 @@ pub const ADC_CLOCK_TICKS: u32 = 4;
 /// the converters' clock (RM0440, ADC timing: t_LATR).
 pub const TRIGGER_LATENCY_TICKS: u32 = 2 * ADC_CLOCK_TICKS;
 
-/// Sampling times the converters have, in half periods of their clock, in the order of the
-/// codes they are set by (RM0440, ADC_SMPR1).
+/// Sampling times of the converters, in half periods of their clock, in the order of their
+/// codes (RM0440, ADC_SMPR1).
 const SAMPLING_HALF_CLOCKS: [u32; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
 
 /// Half periods from the hold to the end of a conversion of twelve bits.
@@ -35,24 +35,25 @@ const CONVERSION_HALF_CLOCKS: u32 = 25;
 /// Slots of any schedule that lights each of the board's emitters once.
 pub const BOARD_SLOTS: usize = CHANNELS as usize + 1;
 
-/// Ticks after the end of the last conversion until its word is surely in memory.
-const TRANSFER_TICKS: u32 = 170;
+/// Ticks after the end of the last conversion until the DMA has surely written its word.
+const DMA_TICKS: u32 = 170;
 
-/// Shorter frames come faster than they can be read and sent: 20 kHz.
+/// Ticks of the shortest frame: above 20 kHz frames cannot be read and sent fast enough.
 pub const LEAST_FRAME_TICKS: u32 = TICK_HZ / 20_000;
 
-/// Longer frames are left to nobody: 12 seconds, within half the range of the counter.
+/// Ticks of the longest frame: 12.6 seconds, half the range of the counter.
 pub const LONGEST_FRAME_TICKS: u32 = i32::MAX as u32;
 
-/// By so much the emitters of a last slot with an idle rest go off early. The compare that
-/// does it comes in every slot, must stay clear of the next one's start, and is still
-/// behind the last hold: that is a conversion before the end, 60 ticks at least.
+/// Ticks by which the emitters of a last slot with an idle rest go off before its end. The
+/// compare event comes in every slot, so it must stay clear of the next slot's start. The
+/// event must also come after the last hold, one conversion before the slot's end: 60
+/// ticks at least.
 const OFF_LEAD_TICKS: u32 = 32;
 
-/// Code of the level converters at nominal level: the middle of their range.
+/// Code of the DACs at nominal level: the middle of their range.
 const NOMINAL_CODE: u32 = 2048;
 
-/// What a frame is made of, ready to be written to registers and transfer tables.
+/// One frame, ready to be written to registers and DMA tables.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FramePlan {
     /// Code of the sampling time.
@@ -67,8 +68,8 @@ pub struct FramePlan {
     pub periods: Vec<u32, BOARD_SLOTS>,
     /// Emitters lit in each slot, bit k for emitter k.
     pub emitters: Vec<u8, BOARD_SLOTS>,
-    /// Ticks after which the emitters of the last slot go off, well ahead of its period's
-    /// end; 0.2 µs ahead of the slot's.
+    /// Ticks from the start of the last slot until its emitters go off, if the slot is lit
+    /// and an idle rest follows: 0.2 µs before the slot's end.
     pub off_ticks: Option<u32>,
     /// Code of each level line in each slot.
     pub level_codes: [Vec<u16, BOARD_SLOTS>; LEVEL_LINES],
@@ -76,9 +77,9 @@ pub struct FramePlan {
     pub frame_ticks: u32,
     /// Ticks from the start of a frame until its last word is in memory.
     pub done_ticks: u32,
-    /// For each cell, where its lit word is among the words of a frame.
+    /// For each cell, the index of its lit word among the words of a frame.
     pub lit_at: Vec<u8, { CHANNELS as usize }>,
-    /// The same for dark words; empty without a dark slot.
+    /// For each cell, the index of its dark word; empty without a dark slot.
     pub dark_at: Vec<u8, { CHANNELS as usize }>,
 }
 
@@ -86,7 +87,7 @@ impl FramePlan {
     /// The plan of a valid configuration.
     ///
     /// # Errors
-    /// What the board's parts cannot do.
+    /// What the board cannot do.
     pub fn new(configuration: &Configuration) -> Result<Self, HardwareFault> {
         let Configuration { schedule, levels, .. } = configuration;
         if schedule.cells > CHANNELS {
@@ -102,7 +103,7 @@ impl FramePlan {
         let sampling_code = sampling_code(schedule.conversion_ticks)?;
         let trigger_ticks = trigger_ticks(schedule, sampling_code)?;
         let slots = schedule.slots.len();
-        // A frame of all emitters lit together, or of each alone and a dark slot.
+        // At most as many slots as emitters, and a dark slot.
         let mut periods: Vec<u32, BOARD_SLOTS> = (0..slots.min(BOARD_SLOTS)).map(|_| schedule.slot_ticks).collect();
         let idle = schedule.frame_ticks - slots as u32 * schedule.slot_ticks;
         match periods.last_mut() {
@@ -133,8 +134,7 @@ impl FramePlan {
         self.periods.len() * usize::from(self.ranks)
     }
 
-    /// Whether the level of a line is the same in all slots in which it matters, so that
-    /// it can be set once.
+    /// Whether the level of a line is the same in all slots, so that it can be set once.
     pub fn is_level_constant(&self, line: usize) -> bool {
         self.level_codes[line].windows(2).all(|pair| pair[0] == pair[1])
     }
@@ -161,7 +161,7 @@ fn sampling_code(asked_ticks: u32) -> Result<usize, HardwareFault> {
 
 fn trigger_ticks(schedule: &Schedule, sampling_code: usize) -> Result<u32, HardwareFault> {
     let lead = TRIGGER_LATENCY_TICKS + sampling_ticks(sampling_code);
-    // At the start of a period its edge would coincide with the update.
+    // A trigger at the very start of a period would coincide with the update.
     let least_ticks = lead + 1;
     let asked_ticks = schedule.settling_ticks;
     if asked_ticks >= least_ticks {
@@ -174,13 +174,13 @@ fn trigger_ticks(schedule: &Schedule, sampling_code: usize) -> Result<u32, Hardw
 fn done_ticks(schedule: &Schedule) -> u32 {
     let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
     let last_slot = (schedule.slots.len() as u32 - 1) * schedule.slot_ticks;
-    // Counted from the hold of the first conversion: one conversion more than to the hold
-    // of the last one covers its end.
-    last_slot + schedule.settling_ticks + conversions * schedule.conversion_ticks + TRANSFER_TICKS
+    // Counted from the hold of the first conversion. The hold of the last conversion is one
+    // conversion earlier than this sum, which therefore covers its end.
+    last_slot + schedule.settling_ticks + conversions * schedule.conversion_ticks + DMA_TICKS
 }
 
 /// Codes of a level line, slot by slot. A slot that lights no emitter of the line keeps the
-/// code of the slot before, so that lines settle while they do not matter.
+/// code of the slot before.
 fn line_codes(schedule: &Schedule, levels: &[Level], line: usize) -> Vec<u16, BOARD_SLOTS> {
     let of_slot = |slot: usize| {
         let emitter = schedule.slots[slot].emitters().find(|&emitter| level_line(emitter) == line)?;
@@ -205,7 +205,7 @@ mod tests {
     use slitpose_protocol::EmitterSet;
 
     use super::*;
-    use crate::default_configuration;
+    use crate::pcb::defaults::default_configuration;
 
     fn refused(change: impl FnOnce(&mut Configuration)) -> HardwareFault {
         let mut configuration = default_configuration();
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_frame_in_registers() {
+    fn the_default_configuration_gives_the_registers_of_its_table() {
         let plan = FramePlan::new(&default_configuration()).unwrap();
         // 24.5 + 12.5 periods of 4 ticks; trigger 98 + 8 ticks ahead of the hold.
         assert_eq!((plan.sampling_code, plan.oversampling_log2, plan.ranks), (3, 2, 6));
@@ -227,12 +227,12 @@ mod tests {
         assert_eq!(plan.dark_at[..], [18, 19, 20, 21, 22, 23]);
         assert_eq!(plan.words(), 24);
         assert!(plan.is_level_constant(0) && plan.is_level_constant(1));
-        // 23 200 ticks of slots less 38 in hand, and a microsecond for the transfer.
+        // 23 200 ticks of slots less 38 in hand, and a microsecond for the DMA.
         assert_eq!(plan.done_ticks, 23_200 - 38 + 170);
     }
 
     #[test]
-    fn one_slot_without_dark_goes_off_by_itself() {
+    fn a_lit_last_slot_goes_off_early_only_if_a_rest_follows() {
         let mut configuration = default_configuration();
         configuration.schedule.slots.clear();
         configuration.schedule.slots.push(EmitterSet::of(&[0, 1, 2, 3, 4, 5])).unwrap();
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_follow_the_slots() {
+    fn levels_that_differ_in_a_line_follow_the_slots() {
         let mut configuration = default_configuration();
         let levels = [0x8000, 0x4000, 0xf000, 0x8000, 0x8000, 0x8000].map(Level);
         configuration.levels = levels.into_iter().collect();
@@ -259,7 +259,7 @@ mod tests {
         assert!(!plan.is_level_constant(0) && plan.is_level_constant(1));
     }
 
-    /// In the first slots it has the last level of the frame before.
+    /// The first slots have the last level of the frame before.
     #[test]
     fn a_line_keeps_its_level_until_the_next_of_its_emitters() {
         let mut configuration = default_configuration();
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_parts_cannot_do_is_refused_with_numbers() {
+    fn a_configuration_beyond_the_parts_is_refused_with_the_numbers_that_disagree() {
         let nearest = |c: u32| HardwareFault::Conversion { asked_ticks: c, nearest_ticks: 148 };
         assert_eq!(refused(|c| c.schedule.conversion_ticks = 150), nearest(150));
         assert_eq!(refused(|c| c.schedule.oversampling = 3), HardwareFault::Oversampling { oversampling: 3 });
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_beyond_reading_or_counting_are_refused() {
+    fn frames_too_short_to_read_or_too_long_to_count_are_refused() {
         let frame = |ticks| {
             let mut configuration = default_configuration();
             let schedule = &mut configuration.schedule;
