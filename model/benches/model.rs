@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use glam::DVec3;
-use slitpose_model::{Photocurrents, Plan, Pose, Solver, Tier};
+use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Solver, Start, Tier};
 
 #[path = "../tests/testsuite/common/mod.rs"]
 mod common;
@@ -69,7 +69,7 @@ fn solve(c: &mut Criterion) {
         group.bench_function(format!("{name}, cold"), |b| {
             b.iter(|| {
                 for reading in &readings {
-                    black_box(solver.solve(black_box(reading)));
+                    black_box(solver.solve(black_box(reading), Start::Cold, &MotionPrior::AT_REST));
                 }
             });
         });
@@ -79,7 +79,7 @@ fn solve(c: &mut Criterion) {
         group.bench_function(format!("{name}, warm"), |b| {
             b.iter(|| {
                 for (reading, prior) in readings.iter().zip(&priors) {
-                    black_box(solver.solve_near(black_box(reading), prior, &Default::default()));
+                    black_box(solver.solve(black_box(reading), Start::Near(prior), &MotionPrior::AT_REST));
                 }
             });
         });

@@ -46,6 +46,6 @@ pub use scene::{
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, Cells, Directions, Effort, Estimate, MotionPrior, Outcome, Photocurrents, Reading, Smoothed, Solution,
-    Solver, Tracked, Tracker, TwistEstimate, Verified, Weakness,
+    AXES, Cells, Directions, Estimate, MotionPrior, Outcome, Photocurrents, Reading, Smoothed, Solution, Solver, Start,
+    Tracked, Tracker, TwistEstimate, Verified, Weakness,
 };

@@ -36,15 +36,15 @@ pub struct Scene {
 }
 
 /// A head whose emitters all sit at the tool's origin has no arm: any length scale serves.
-const NO_ARM_M: f64 = 0.01;
+const DEFAULT_LENGTH_SCALE_M: f64 = 0.01;
 
 impl Scene {
     /// Root-mean-square distance of the emitters from the tool's origin, metres: the length that
     /// makes turns and shifts of the tool comparable. A centimetre if it is zero.
-    pub fn arm_m(&self) -> f64 {
+    pub fn length_scale_m(&self) -> f64 {
         let squares: f64 = self.cells.iter().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
-        let arm_m = libm::sqrt(squares / self.cells.len() as f64);
-        if arm_m > 0.0 { arm_m } else { NO_ARM_M }
+        let length_scale_m = libm::sqrt(squares / self.cells.len() as f64);
+        if length_scale_m > 0.0 { length_scale_m } else { DEFAULT_LENGTH_SCALE_M }
     }
 }
 

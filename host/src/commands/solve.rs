@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use slitpose_model::{Pair, Photocurrents, Solver};
+use slitpose_model::{MotionPrior, Pair, Photocurrents, Solver, Start};
 
 use super::options::TierOptions;
 use super::{CommandError, Outcome, names};
@@ -55,7 +55,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             let pair = columns.pair(&row, cell)?;
             pairs.push(Pair { i_x1_a: pair.i_x1_a - half_dark, i_x2_a: pair.i_x2_a - half_dark });
         }
-        let solution = SolutionRow::of(&solver.solve(&Photocurrents::of_pairs(pairs)));
+        let solution =
+            SolutionRow::of(&solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST));
         table.text(row.text(id))?;
         table.text(solution.status)?;
         for number in solution.numbers {

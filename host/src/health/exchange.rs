@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 use slitpose_model::{
-    Effort, MAX_CELLS, MotionPrior, Outcome, Photocurrents, Pose, Reading, Solution, Solver, Twist, Weakness,
+    MAX_CELLS, MotionPrior, Outcome, Photocurrents, Pose, Reading, Solution, Solver, Start, Twist, Weakness,
 };
 use slitpose_protocol::Schedule;
 
@@ -133,7 +133,7 @@ impl Search {
         };
         Self {
             together: (0..exposures_s.len()).map(lit_with).collect(),
-            hasty: Box::new(solver.clone().with_effort(Effort::Steps(STEPS))),
+            hasty: Box::new(solver.clone().with_max_steps(STEPS)),
             thorough: Box::new(solver.clone()),
             exposures_s,
             samples: Default::default(),
@@ -245,9 +245,9 @@ impl Search {
                 let mut exposures_s = [0.0; MAX_CELLS];
                 exposures_s[..self.exposures_s.len()].copy_from_slice(&self.exposures_s);
                 exposures_s.swap(first, second);
-                solver.clone().with_exposures(&exposures_s).solve_moving(undone, &ANY_MOTION)
+                solver.clone().with_exposures(&exposures_s).solve(undone, Start::Cold, &ANY_MOTION)
             }
-            _ => solver.solve_moving(undone, &ANY_MOTION),
+            _ => solver.solve(undone, Start::Cold, &ANY_MOTION),
         }
     }
 }

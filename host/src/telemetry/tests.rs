@@ -56,7 +56,11 @@ fn record(sequence: u64, sampled_ns: u64) -> Record {
         device_time_s: sequence as f64 / 4000.0,
         host_time: Some(HostTime { monotonic_ns: sampled_ns, utc_ns: sampled_ns, uncertainty_ns: 35_000 }),
         arrival: None,
-        solution: solver.solve(&slitpose_model::Photocurrents::default()),
+        solution: solver.solve(
+            &slitpose_model::Photocurrents::default(),
+            slitpose_model::Start::Cold,
+            &slitpose_model::MotionPrior::AT_REST,
+        ),
         twist: None,
         smoothed: None,
         simulated: true,

@@ -4,6 +4,7 @@
 //! root of rounding; a triangle made of the rows themselves ([`Triangle`]) is good up to the inverse
 //! of rounding.
 
+use crate::real::Real;
 use crate::scalar::Scalar;
 
 /// A vector of the six pose coordinates (translation, rotation).
@@ -234,6 +235,42 @@ impl<S: Scalar, const N: usize> Triangle<S, N> {
     }
 }
 
+/// Whether a processor does a whole square sooner than its lower half: with more than one lane.
+const fn adds_squares<S: Scalar>() -> bool {
+    <S::Lanes as Real>::LANES > 1
+}
+
+/// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
+#[inline(always)]
+pub(super) fn add_outer<S: Scalar, const N: usize>(
+    matrix: &mut Matrix6<S>,
+    left: [&Vector6<S>; N],
+    right: [&Vector6<S>; N],
+) {
+    for i in 0..6 {
+        let end = if adds_squares::<S>() { 6 } else { i + 1 };
+        for j in 0..end {
+            let mut sum = matrix[i][j];
+            for k in 0..N {
+                sum += left[k][i] * right[k][j];
+            }
+            matrix[i][j] = sum;
+        }
+    }
+}
+
+/// Completes a symmetric matrix whose lower half [`add_outer`] has added up.
+#[inline(always)]
+pub(super) fn mirror<S: Scalar>(matrix: &mut Matrix6<S>) {
+    if !adds_squares::<S>() {
+        for i in 0..6 {
+            for j in i + 1..6 {
+                matrix[i][j] = matrix[j][i];
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -297,7 +334,7 @@ mod tests {
             let rows = rows(spread);
             let (factor, half_way) = triangle(&rows, &x).last_six();
             for (a, b) in factor.backward(&half_way).into_iter().zip(x) {
-                // Condition number times rounding, and some room.
+                // Condition number times rounding, and some workspace.
                 assert!((a - b).abs() < 2e-15 * spread.max(10.0), "{spread:e}: {a} {b}");
             }
         }

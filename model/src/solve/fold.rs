@@ -8,13 +8,15 @@
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
 
+use super::accept::{DISTINCT_SIGMAS, Fit};
 use super::algebra::square;
-use super::normal::Workspace;
+use super::levenberg_marquardt::Minimum;
+use super::normal_equations::Workspace;
+use super::observability;
 use super::outcome::Solution;
-use super::outlier::near;
 use super::readings::Sorted;
-use super::refine::Refined;
-use super::{DISTINCT_SIGMAS, Fit, MotionPrior, Solver, observability};
+use super::solver::{MotionPrior, Solver};
+use super::warm_start::near;
 
 /// How far the currents are probed along the direction they hold least, in σ of the pose there.
 const PROBE_SIGMAS: f64 = 2.0;
@@ -38,10 +40,10 @@ impl<S: Scalar> Solver<S> {
         motion: &MotionPrior,
         solution: &Solution<S>,
         is_expected: impl Fn(&Pose) -> bool,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> bool {
         solution.redundancy == 0
-            && self.twin(sorted, motion, solution, room).is_some_and(|twin| is_expected(&twin.to_pose()))
+            && self.twin(sorted, motion, solution, workspace).is_some_and(|twin| is_expected(&twin.to_pose()))
     }
 
     /// The twin of a solution without redundancy, if it is near and explains the currents as well. So
@@ -51,7 +53,7 @@ impl<S: Scalar> Solver<S> {
         sorted: &Sorted<S>,
         motion: &MotionPrior,
         solution: &Solution<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Option<Transform<S>> {
         let pose = Transform::of(&solution.estimate?.pose);
         let factor = solution.factor.as_ref()?;
@@ -64,11 +66,11 @@ impl<S: Scalar> Solver<S> {
         let sigma = factor.length(&loose).recip();
         let problem = self.problem(sorted, motion);
         let whiteners = problem.whiteners();
-        let here = problem.whitened(&pose, &whiteners, room);
+        let here = problem.whitened(&pose, &whiteners, workspace);
         let along = |share: S| loose.map(|value| value * (share * sigma));
         let probe = S::of(PROBE_SIGMAS).min(S::of(LONGEST_PROBE) / sigma);
         let [there, back] =
-            [probe, -probe].map(|share| problem.whitened(&problem.moved(&pose, &along(share)), &whiteners, room));
+            [probe, -probe].map(|share| problem.whitened(&problem.moved(&pose, &along(share)), &whiteners, workspace));
         // (j·probe)² and j·c·probe³, both by what one σ along v does.
         let (mut slope, mut bend) = (S::zero(), S::zero());
         for ((here, there), back) in here.iter().zip(&there).zip(&back) {
@@ -88,10 +90,11 @@ impl<S: Scalar> Solver<S> {
         if distance.abs() <= S::of(DISTINCT_SIGMAS) {
             return Some(twin);
         }
-        let twin = near(&problem, &whiteners, twin, room);
-        let own = Refined { pose, chi2: solution.chi2, factor: solution.factor, iterations: 0, converged: true };
-        let [own, its] = [&own, &twin].map(|refined| self.fit(sorted, &problem, refined));
-        let is_another = observability::sigmas_between(factor, &pose, &twin.pose, self.arm) > S::of(DISTINCT_SIGMAS);
+        let twin = near(&problem, &whiteners, twin, workspace);
+        let own = Minimum { pose, chi2: solution.chi2, factor: solution.factor, iterations: 0, converged: true };
+        let [own, its] = [&own, &twin].map(|minimum| self.fit(sorted, &problem, minimum));
+        let is_another =
+            observability::sigmas_between(factor, &pose, &twin.pose, self.length_scale_m) > S::of(DISTINCT_SIGMAS);
         (is_another && its != Fit::None && its >= own).then_some(twin.pose)
     }
 }

@@ -7,11 +7,12 @@
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
+use super::accept::DISTINCT_SIGMAS;
 use super::algebra::{Factor, Matrix6, Vector6, square};
-use super::normal::{Expansion, Problem, Whiteners, Workspace};
-use super::refine::Refined;
-use super::search::closing;
-use super::{DISTINCT_SIGMAS, observability};
+use super::cold_start::closing;
+use super::levenberg_marquardt::Minimum;
+use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
+use super::observability;
 
 /// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
 pub(super) const NEAR: f64 = 400.0;
@@ -27,7 +28,7 @@ pub(super) enum Astride<S: Scalar> {
     /// The first of them is the least of χ². The factor of the side that tells less: the truth may lie there.
     Least(Option<Factor<S>>),
     /// A pose with less χ², and its expansion.
-    Lower(Transform<S>, Expansion<S>),
+    Lower(Transform<S>, NormalEquations<S>),
     /// Nothing better.
     Nothing,
 }
@@ -36,7 +37,11 @@ pub(super) enum Astride<S: Scalar> {
 /// towards the other: the step from `at` to the least of the larger of both expansions, and that.
 ///
 /// It is the least of λ times the one and 1 − λ times the other for the λ at which both are equal.
-fn on_kink<S: Scalar>(at: &Expansion<S>, there: &Expansion<S>, step: &Vector6<S>) -> Option<(Vector6<S>, S)> {
+fn on_kink<S: Scalar>(
+    at: &NormalEquations<S>,
+    there: &NormalEquations<S>,
+    step: &Vector6<S>,
+) -> Option<(Vector6<S>, S)> {
     let (mut low, mut high) = (S::zero(), S::one());
     let beyond = there.times(step);
     let mut least = None;
@@ -45,8 +50,8 @@ fn on_kink<S: Scalar>(at: &Expansion<S>, there: &Expansion<S>, step: &Vector6<S>
         let mix = |a: S, b: S| share * a + (S::one() - share) * b;
         let information: Matrix6<S> =
             core::array::from_fn(|i| core::array::from_fn(|j| mix(at.information[i][j], there.information[i][j])));
-        let descent: Vector6<S> = core::array::from_fn(|i| mix(at.descent[i], there.descent[i] + beyond[i]));
-        let between = Factor::of_matrix(&information, S::zero(), S::zero())?.solve(&descent);
+        let gradient: Vector6<S> = core::array::from_fn(|i| mix(at.gradient[i], there.gradient[i] + beyond[i]));
+        let between = Factor::of_matrix(&information, S::zero(), S::zero())?.solve(&gradient);
         let rest: Vector6<S> = core::array::from_fn(|i| between[i] - step[i]);
         let (own, other) = (at.chi2_after(&between), there.chi2_after(&rest));
         if own > other {
@@ -66,56 +71,57 @@ impl<S: Scalar> Problem<'_, S> {
     pub(super) fn astride(
         &self,
         pose: &Transform<S>,
-        at: &Expansion<S>,
-        there: &Expansion<S>,
+        at: &NormalEquations<S>,
+        there: &NormalEquations<S>,
         step: &Vector6<S>,
         whiteners: &Whiteners<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Astride<S> {
         let Some((between, promised)) = on_kink(at, there, step) else { return Astride::Nothing };
         if at.chi2 - promised <= S::of(LITTLE) {
             if at.along(step) >= there.along(step) {
-                return Astride::Least(self.factor(there, room));
+                return Astride::Least(self.factor(there, workspace));
             }
-            let at = self.expand(pose, whiteners, room);
-            return Astride::Least(self.factor(&at, room));
+            let at = self.linearise(pose, whiteners, workspace);
+            return Astride::Least(self.factor(&at, workspace));
         }
         let nearer = self.moved(pose, &between);
-        let expansion = self.expand(&nearer, whiteners, room);
-        if expansion.chi2 < at.chi2 { Astride::Lower(nearer, expansion) } else { Astride::Nothing }
+        let there = self.linearise(&nearer, whiteners, workspace);
+        if there.chi2 < at.chi2 { Astride::Lower(nearer, there) } else { Astride::Nothing }
     }
 
-    /// `refined`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
+    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
     /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
     /// last expansion is at what is given.
     #[cold]
     #[inline(never)]
     pub(super) fn beyond_kink(
         &self,
-        refined: Refined<S>,
+        minimum: Minimum<S>,
         whiteners: &Whiteners<S>,
         doubted: S,
-        room: &mut Workspace<S>,
-    ) -> Refined<S> {
-        let Some(factor) = refined.factor.filter(|_| refined.chi2 > doubted) else { return refined };
-        let mut best = refined;
-        let mut iterations = refined.iterations;
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
+        let Some(factor) = minimum.factor.filter(|_| minimum.chi2 > doubted) else { return minimum };
+        let mut best = minimum;
+        let mut iterations = minimum.iterations;
         let axes = factor.singular();
         for sigmas in [DISTINCT_SIGMAS, -DISTINCT_SIGMAS] {
             for (value, direction) in axes {
                 let far = direction.map(|element| element * (S::of(sigmas) / value));
-                let may_cross = !observability::is_free(value) && !self.is_smooth(square(&far).square_root(), room);
-                if !may_cross || best.chi2 <= doubted || room.work == 0 {
+                let may_cross =
+                    !observability::is_free(value) && !self.is_smooth(square(&far).square_root(), workspace);
+                if !may_cross || best.chi2 <= doubted || workspace.work == 0 {
                     continue;
                 }
-                let other = self.refine(self.moved(&refined.pose, &far), whiteners, closing(), room);
+                let other = self.minimise(self.moved(&minimum.pose, &far), whiteners, closing(), workspace);
                 iterations += other.iterations;
                 if other.converged && other.chi2 < best.chi2 {
                     best = other;
                 }
-                self.expand(&best.pose, whiteners, room);
+                self.linearise(&best.pose, whiteners, workspace);
             }
         }
-        Refined { iterations, ..best }
+        Minimum { iterations, ..best }
     }
 }

@@ -19,7 +19,7 @@ const EVEN: f64 = 1e-3;
 
 /// Covariance in metres and radians from the information in scaled coordinates; `None` if a
 /// direction is free.
-pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix6<S>> {
+pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, length_scale_m: S) -> Option<Matrix6<S>> {
     if is_singular(factor) {
         return None;
     }
@@ -29,7 +29,7 @@ pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, arm: S) -> Option<Matrix
     if !is_bounded {
         return None;
     }
-    let scale = |axis: usize| if axis < 3 { arm } else { S::one() };
+    let scale = |axis: usize| if axis < 3 { length_scale_m } else { S::one() };
     Some(core::array::from_fn(|i| core::array::from_fn(|j| inverse[i][j] * (scale(i) * scale(j)))))
 }
 
@@ -59,8 +59,13 @@ pub(super) fn is_free<S: Scalar>(value: S) -> bool {
 }
 
 /// The displacement between two poses, in σ of the data of `factor`.
-pub(super) fn sigmas_between<S: Scalar>(factor: &Factor<S>, a: &Transform<S>, b: &Transform<S>, arm: S) -> S {
+pub(super) fn sigmas_between<S: Scalar>(
+    factor: &Factor<S>,
+    a: &Transform<S>,
+    b: &Transform<S>,
+    length_scale_m: S,
+) -> S {
     let (dt, dr) = b.to_pose().displacement_from(&a.to_pose());
-    let dt = dt / arm.as_f64();
+    let dt = dt / length_scale_m.as_f64();
     factor.length(&[dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].map(S::of))
 }

@@ -3,26 +3,25 @@
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
-use super::normal::{Problem, Whiteners, Workspace};
+use super::accept::Fit;
+use super::cold_start::{Search, approaching, closing};
+use super::levenberg_marquardt::Minimum;
+use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution, Weakness};
 use super::readings::Sorted;
-use super::refine::{Ending, Refined};
-use super::search::{Search, approaching, closing};
-use super::{Fit, MAX_ITERATIONS, MotionPrior, Solver, WARM_LEFTOVER};
+use super::solver::{MotionPrior, Solver};
+use super::warm_start::quickly;
 
 /// Cells that must be left to tell which one is the outlier: with four, two redundancies fit too much.
 const MIN_CELLS: usize = 5;
 
 /// χ² by which leaving out the outlier must beat leaving out any other cell: a likelihood ratio of
 /// 1 : 22 000.
-const CONVICTION: f64 = 20.0;
+const OUTLIER_THRESHOLD: f64 = 20.0;
 
 /// χ² that an expansion may promise beyond the gate, and the cells yet agree: what it leaves out is
 /// small where the others fit.
 const PROMISED_GATES: f64 = 4.0;
-
-/// Evaluations within which a minimum near the expected pose is reached, but after a jump.
-const QUICK: usize = 6;
 
 /// Evaluations without which leaving out one more cell is not begun.
 const LEAST_WORK: usize = 8;
@@ -33,7 +32,7 @@ pub(super) struct OutlierSearch<S: Scalar> {
     /// The next reading to be left out.
     next: usize,
     /// The cell without which χ² is least so far, and where; and whether in an earlier frame.
-    best: Option<(usize, Refined<S>)>,
+    best: Option<(usize, Minimum<S>)>,
     is_stale: bool,
     runner_up: S,
     may_pause: bool,
@@ -61,7 +60,7 @@ impl<S: Scalar> Solver<S> {
         sorted: &Sorted<S>,
         motion: &MotionPrior,
         search: &mut OutlierSearch<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
         search.is_paused = false;
         if sorted.usable.len() <= MIN_CELLS {
@@ -69,33 +68,33 @@ impl<S: Scalar> Solver<S> {
         }
         let mut iterations = 0;
         for index in search.next..sorted.usable.len() {
-            if search.may_pause && room.work < LEAST_WORK {
+            if search.may_pause && workspace.work < LEAST_WORK {
                 (search.next, search.is_paused, search.is_stale) = (index, true, true);
                 return None;
             }
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
             let start = self.on_planes(&others);
-            let approach = problem.refine(start, &problem.coarse_whiteners(), approaching(), room);
+            let approach = problem.minimise(start, &problem.coarse_whiteners(), approaching(), workspace);
             iterations += approach.iterations;
             // Rough weights are nowhere larger than the true ones, and neither is χ² by them.
-            if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(CONVICTION)) {
+            if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(OUTLIER_THRESHOLD)) {
                 search.runner_up = search.runner_up.min(approach.chi2);
                 continue;
             }
-            let refined = problem.refine(approach.pose, &problem.whiteners(), closing(), room);
-            iterations += refined.iterations;
-            if !refined.converged {
+            let minimum = problem.minimise(approach.pose, &problem.whiteners(), closing(), workspace);
+            iterations += minimum.iterations;
+            if !minimum.converged {
                 continue;
             }
             let cell = sorted.usable[index].cell;
             match &search.best {
-                Some((_, before)) if before.chi2 <= refined.chi2 => {
-                    search.runner_up = search.runner_up.min(refined.chi2);
+                Some((_, before)) if before.chi2 <= minimum.chi2 => {
+                    search.runner_up = search.runner_up.min(minimum.chi2);
                 }
                 _ => {
                     search.runner_up = search.best.map_or(search.runner_up, |(_, before)| before.chi2);
-                    search.best = Some((cell, refined));
+                    search.best = Some((cell, minimum));
                 }
             }
         }
@@ -104,12 +103,12 @@ impl<S: Scalar> Solver<S> {
         if search.is_stale {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            found = problem.refine(found.pose, &problem.whiteners(), closing(), room);
+            found = problem.minimise(found.pose, &problem.whiteners(), closing(), workspace);
         }
-        let mut solution = self.unless_alone(sorted, motion, index, &found, search.runner_up, room)?;
+        let mut solution = self.unless_alone(sorted, motion, index, &found, search.runner_up, workspace)?;
         iterations += solution.iterations;
         if self.has_images && solution.excluded.contains(cell) {
-            solution = self.search(&sorted.without(index), motion, &mut Search::at_once(), room);
+            solution = self.search(&sorted.without(index), motion, &mut Search::at_once(), workspace);
             exclude(&mut solution, cell);
             iterations += solution.iterations;
         }
@@ -123,16 +122,16 @@ impl<S: Scalar> Solver<S> {
         sorted: &Sorted<S>,
         motion: &MotionPrior,
         start: Transform<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
         if sorted.usable.len() <= MIN_CELLS {
             return None;
         }
         let all = self.problem(sorted, motion);
-        all.expand(&start, &all.whiteners(), room);
+        all.linearise(&start, &all.whiteners(), workspace);
         let mut ranked: [Option<(usize, S)>; 2] = [None; 2];
         for index in 0..sorted.usable.len() {
-            let Some(chi2) = all.least_chi2_without(index, room) else { continue };
+            let Some(chi2) = all.least_chi2_without(index, workspace) else { continue };
             if ranked[0].is_none_or(|(_, least)| chi2 < least) {
                 ranked = [Some((index, chi2)), ranked[0]];
             } else if ranked[1].is_none_or(|(_, second)| chi2 < second) {
@@ -145,8 +144,8 @@ impl<S: Scalar> Solver<S> {
             let (index, _) = ranked.filter(|(_, chi2)| promised(*chi2))?;
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let refined = quickly(&problem, &problem.whiteners(), start, room);
-            refined.converged.then_some((index, refined))
+            let minimum = quickly(&problem, &problem.whiteners(), start, workspace);
+            minimum.converged.then_some((index, minimum))
         });
         if let [Some((_, first)), Some((_, second))] = &tried
             && second.chi2 < first.chi2
@@ -156,11 +155,11 @@ impl<S: Scalar> Solver<S> {
         }
         let (index, found) = tried[0]?;
         let runner_up = match (&tried[1], &ranked[1]) {
-            (Some((_, refined)), _) => refined.chi2,
+            (Some((_, minimum)), _) => minimum.chi2,
             (None, Some((_, chi2))) if !promised(*chi2) => *chi2,
             _ => S::infinity(),
         };
-        self.unless_alone(sorted, motion, index, &found, runner_up, room)
+        self.unless_alone(sorted, motion, index, &found, runner_up, workspace)
     }
 
     /// The pose near `start` without `cell`, which was left out in the frame before; with it, if it
@@ -171,7 +170,7 @@ impl<S: Scalar> Solver<S> {
         motion: &MotionPrior,
         cell: usize,
         start: Transform<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
         let index = sorted.usable.iter().position(|reading| reading.cell == cell)?;
         if sorted.usable.len() <= MIN_CELLS {
@@ -180,20 +179,20 @@ impl<S: Scalar> Solver<S> {
         let others = sorted.without(index);
         let problem = self.problem(&others, motion);
         let whiteners = problem.whiteners();
-        let refined = quickly(&problem, &whiteners, start, room);
-        let fit = self.fit(&others, &problem, &refined);
+        let minimum = quickly(&problem, &whiteners, start, workspace);
+        let fit = self.fit(&others, &problem, &minimum);
         if fit == Fit::None {
             return None;
         }
-        let mut solution = self.conclude_near(&others, &problem, &whiteners, &refined, room, fit);
+        let mut solution = self.conclude_near(&others, &problem, &whiteners, &minimum, workspace, fit);
         let all = self.problem(sorted, motion);
         let whiteners = all.whiteners();
-        if self.may_agree(sorted, &all, &whiteners, refined.pose, room) {
-            let together = quickly(&all, &whiteners, refined.pose, room);
+        if self.may_agree(sorted, &all, &whiteners, minimum.pose, workspace) {
+            let together = quickly(&all, &whiteners, minimum.pose, workspace);
             let fit = self.fit(sorted, &all, &together);
             if fit != Fit::None {
-                solution = self.conclude_near(sorted, &all, &whiteners, &together, room, fit);
-                solution.iterations += refined.iterations;
+                solution = self.conclude_near(sorted, &all, &whiteners, &together, workspace, fit);
+                solution.iterations += minimum.iterations;
                 return Some(solution);
             }
         }
@@ -208,18 +207,18 @@ impl<S: Scalar> Solver<S> {
         sorted: &Sorted<S>,
         motion: &MotionPrior,
         index: usize,
-        found: &Refined<S>,
+        found: &Minimum<S>,
         runner_up: S,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
         let mut iterations = 0;
         let mut fit = Fit::None;
         let all = self.problem(sorted, motion);
         let whiteners = all.whiteners();
         let mut together = *found;
-        if self.may_agree(sorted, &all, &whiteners, found.pose, room) {
+        if self.may_agree(sorted, &all, &whiteners, found.pose, workspace) {
             // Honest cells may have been led astray by their planes: with a good start they agree.
-            together = all.refine(found.pose, &whiteners, closing(), room);
+            together = all.minimise(found.pose, &whiteners, closing(), workspace);
             iterations = together.iterations;
             fit = self.fit(sorted, &all, &together);
         }
@@ -227,17 +226,17 @@ impl<S: Scalar> Solver<S> {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
             let fit = self.fit(&others, &problem, found);
-            let is_convicted = runner_up - found.chi2 >= S::of(CONVICTION);
+            let is_convicted = runner_up - found.chi2 >= S::of(OUTLIER_THRESHOLD);
             if fit == Fit::None || !is_convicted {
                 return None;
             }
             let whiteners = problem.whiteners();
-            problem.expand(&found.pose, &whiteners, room);
-            let mut solution = self.conclude_near(&others, &problem, &whiteners, found, room, fit);
+            problem.linearise(&found.pose, &whiteners, workspace);
+            let mut solution = self.conclude_near(&others, &problem, &whiteners, found, workspace, fit);
             exclude(&mut solution, sorted.usable[index].cell);
             solution
         } else {
-            self.conclude_near(sorted, &all, &whiteners, &together, room, fit)
+            self.conclude_near(sorted, &all, &whiteners, &together, workspace, fit)
         };
         solution.iterations = iterations;
         Some(solution)
@@ -250,10 +249,10 @@ impl<S: Scalar> Solver<S> {
         all: &Problem<'_, S>,
         whiteners: &Whiteners<S>,
         pose: Transform<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> bool {
-        let at = all.expand(&pose, whiteners, room);
-        let promised = all.step(&at, S::zero(), room).map(|next| at.chi2 - next.gain);
+        let at = all.linearise(&pose, whiteners, workspace);
+        let promised = all.step(&at, S::zero(), workspace).map(|next| at.chi2 - next.predicted_reduction);
         promised.is_none_or(|chi2| chi2 <= S::of(PROMISED_GATES) * self.gates[sorted.usable.len()])
     }
 }
@@ -263,29 +262,4 @@ fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
     if solution.outcome.has_pose() {
         solution.outcome = Outcome::Degraded(Weakness::CellExcluded);
     }
-}
-
-/// A minimum of χ² near `start`.
-pub(super) fn near<S: Scalar>(
-    problem: &Problem<'_, S>,
-    whiteners: &Whiteners<S>,
-    start: Transform<S>,
-    room: &mut Workspace<S>,
-) -> Refined<S> {
-    let ending = Ending { max_iterations: MAX_ITERATIONS, leftover: S::of(WARM_LEFTOVER) };
-    problem.refine(start, whiteners, ending, room)
-}
-
-/// The same, given up when it takes long.
-pub(super) fn quickly<S: Scalar>(
-    problem: &Problem<'_, S>,
-    whiteners: &Whiteners<S>,
-    start: Transform<S>,
-    room: &mut Workspace<S>,
-) -> Refined<S> {
-    let held_back = room.work.saturating_sub(QUICK);
-    room.work -= held_back;
-    let refined = near(problem, whiteners, start, room);
-    room.work += held_back;
-    refined
 }

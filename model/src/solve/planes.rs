@@ -93,20 +93,26 @@ impl<S: Scalar> PlaneCell<S> {
 
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
     /// by (δt, arm·δθ).
-    pub(super) fn row(&self, reading: &Usable<S>, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
-        self.row_of(self.plane(reading).0, pose, arm_m)
+    pub(super) fn row(&self, reading: &Usable<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
+        self.row_of(self.plane(reading).0, pose, length_scale_m)
     }
 
-    fn row_of(&self, normal: S::Vec3, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
-        self.row_from(self.slit, normal, pose, arm_m)
+    fn row_of(&self, normal: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
+        self.row_from(self.slit, normal, pose, length_scale_m)
     }
 
     /// Distance of the emitter from `origin` along `normal` with the tool at `pose`, metres, and its
     /// derivatives by (δt, arm·δθ).
     #[inline(always)]
-    pub(super) fn row_from(&self, origin: S::Vec3, normal: S::Vec3, pose: &Transform<S>, arm_m: S) -> (Vector6<S>, S) {
+    pub(super) fn row_from(
+        &self,
+        origin: S::Vec3,
+        normal: S::Vec3,
+        pose: &Transform<S>,
+        length_scale_m: S,
+    ) -> (Vector6<S>, S) {
         let arm = pose.rotate(self.emitter_tool);
-        let turn = arm.cross(normal) * arm_m.recip();
+        let turn = arm.cross(normal) * length_scale_m.recip();
         let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
         (row, normal.dot(arm + pose.translation() - origin))
     }
@@ -125,19 +131,19 @@ impl<S: Scalar> PlaneCell<S> {
     }
 }
 
-/// The pose nearest `start` whose emitters lie in the planes of `readings`; `arm_m` scales
+/// The pose nearest `start` whose emitters lie in the planes of `readings`; `length_scale_m` scales
 /// rotations to metres.
 pub(super) fn pose_on_planes<S: Scalar>(
     cells: &[PlaneCell<S>],
     readings: &[Usable<S>],
     start: Transform<S>,
-    arm_m: S,
+    length_scale_m: S,
 ) -> Transform<S> {
     let planes: heapless::Vec<_, { crate::scene::MAX_CELLS }> =
         readings.iter().map(|reading| (reading.cell, cells[reading.cell].plane(reading))).collect();
-    settle(start, arm_m, MAX_STEPS, |pose| {
+    settle(start, length_scale_m, MAX_STEPS, |pose| {
         planes.iter().map(move |&(index, (normal, weight))| {
-            let (row, distance) = cells[index].row_of(normal, &pose, arm_m);
+            let (row, distance) = cells[index].row_of(normal, &pose, length_scale_m);
             (row, distance, weight)
         })
     })
@@ -148,7 +154,7 @@ pub(super) fn pose_on_planes<S: Scalar>(
 #[inline(always)]
 pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
     start: Transform<S>,
-    arm_m: S,
+    length_scale_m: S,
     steps: usize,
     rows: impl Fn(Transform<S>) -> Rows,
 ) -> Transform<S> {
@@ -173,7 +179,7 @@ pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
         let step = factor.solve(&right);
         pose = pose.moved(
             <S as Scalar>::Vec3::new(step[0], step[1], step[2]),
-            <S as Scalar>::Vec3::new(step[3], step[4], step[5]) * arm_m.recip(),
+            <S as Scalar>::Vec3::new(step[3], step[4], step[5]) * length_scale_m.recip(),
         );
         let size = step.iter().fold(S::zero(), |sum, &value| sum + value * value).sqrt();
         if size < S::of(STEP_M) {

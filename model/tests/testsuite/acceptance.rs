@@ -3,7 +3,9 @@
 use crate::common::{base, generator, pose_in_box, uniform, vector, wide};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Effort, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Tier, Weakness};
+use slitpose_model::{
+    MotionPrior, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Tier, Weakness,
+};
 
 const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
 
@@ -35,7 +37,7 @@ fn noisy(pairs: &[Pair<f64>], rng: &mut ChaCha8Rng) -> Photocurrents {
 fn chi2_without(solver: &Solver<f64>, readings: &Photocurrents, cell: usize, pose: &Pose) -> f64 {
     let mut readings = readings.clone();
     readings.cells[cell] = Reading::Missing;
-    let chi2 = solver.solve_near(&readings, pose, &Default::default()).chi2;
+    let chi2 = solver.solve(&readings, Start::Near(pose), &MotionPrior::AT_REST).chi2;
     if chi2.is_nan() { f64::INFINITY } else { chi2 }
 }
 
@@ -60,7 +62,10 @@ fn an_outlier_is_left_out_only_if_no_other_cell_would_do() {
             continue;
         }
         let margin = chi2[1] - chi2[0];
-        for solution in [solver.solve(&readings), solver.solve_near(&readings, &pose, &Default::default())] {
+        for solution in [
+            solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST),
+            solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST),
+        ] {
             let is_excluded = solution.outcome == Outcome::Degraded(Weakness::CellExcluded);
             // A likelihood ratio of e¹⁰; minima are found to a small part of σ.
             if margin < 19.0 {
@@ -88,7 +93,7 @@ fn the_light_of_a_saturated_detector_includes_its_dark_current() {
         let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 }).expect("scene");
         let cells = pairs(&solver, &Pose::HOME);
         let total_a = cells[0].i_x1_a + cells[0].i_x2_a;
-        (total_a, solver.solve(&Photocurrents::of_pairs(cells)).cells_used.count())
+        (total_a, solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST).cells_used.count())
     };
     let (light_a, _) = with_limit(1.0);
     // The detector carries light and dark current.
@@ -103,10 +108,14 @@ fn planes_are_those_of_the_light_whatever_the_dark_current() {
         for dark_current_a in [0.0, 0.2e-6, 2e-6] {
             let mut scene = wide();
             scene.cells.iter_mut().for_each(|cell| cell.detector.dark_current_a = dark_current_a);
-            let solver = Solver::<f64>::new(&scene, tier).expect("scene").with_effort(Effort::Planes);
+            let solver = Solver::<f64>::new(&scene, tier).expect("scene");
             for _ in 0..20 {
                 let pose = pose_in_box(&mut rng, 1.5, 5.0);
-                let solution = solver.solve(&Photocurrents::of_pairs(pairs(&solver, &pose)));
+                let solution = solver.solve(
+                    &Photocurrents::of_pairs(pairs(&solver, &pose)),
+                    Start::PlanesOnly,
+                    &MotionPrior::AT_REST,
+                );
                 let (dt, _) = solution.estimate.expect("pose").pose.displacement_from(&pose);
                 // Planes are exact for the paper's spot; the centroid of the exact tier is up to 7 µm
                 // off it far out. 0.2 µA of 6.8 taken for light shift X_A by 3 %: 30 µm at 1 mm.
@@ -121,7 +130,8 @@ fn planes_are_those_of_the_light_whatever_the_dark_current() {
 fn a_lie_that_fills_chi2_moves_the_pose_as_far_as_is_said() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
     let honest = pairs(&solver, &Pose::HOME);
-    let told = solver.solve(&Photocurrents::of_pairs(honest.clone())).unnoticed_sigmas;
+    let told =
+        solver.solve(&Photocurrents::of_pairs(honest.clone()), Start::Cold, &MotionPrior::AT_REST).unnoticed_sigmas;
     let mut farthest = 0.0_f64;
     for step in 0..720 {
         let turn = f64::from(step).to_radians() * 0.5;
@@ -129,7 +139,7 @@ fn a_lie_that_fills_chi2_moves_the_pose_as_far_as_is_said() {
             let mut cells = honest.clone();
             cells[0].i_x1_a += size * turn.cos();
             cells[0].i_x2_a += size * turn.sin();
-            let solution = solver.solve(&Photocurrents::of_pairs(cells));
+            let solution = solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST);
             (solution.outcome == Outcome::Converged)
                 .then(|| solution.estimate.and_then(|estimate| estimate.nees(&Pose::HOME)).expect("pose").sqrt())
         };
@@ -155,7 +165,7 @@ fn most_evaluations(
 ) -> usize {
     (0..count)
         .map(|_| {
-            let solution = solver.solve(&currents());
+            let solution = solver.solve(&currents(), Start::Cold, &MotionPrior::AT_REST);
             check(&solution);
             solution.evaluations
         })

@@ -2,7 +2,9 @@
 
 use crate::common::{base, generator, pose_in_box, uniform, wide};
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Reading, Solver, Status, Tier, Verified, Weakness};
+use slitpose_model::{
+    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Solver, Start, Status, Tier, Verified, Weakness,
+};
 
 /// Converter noise of the scene, amperes: it outweighs the rest.
 const NOISE_A: f64 = 0.6e-9;
@@ -28,8 +30,8 @@ fn a_cell_that_answers_for_another_pose_is_left_out_and_named() {
         tried += 1;
         for near in [None, Some(&pose)] {
             let solution = match near {
-                None => solver.solve(&Photocurrents::of_pairs(cells)),
-                Some(pose) => solver.solve_near(&Photocurrents::of_pairs(cells), pose, &Default::default()),
+                None => solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST),
+                Some(pose) => solver.solve(&Photocurrents::of_pairs(cells), Start::Near(pose), &MotionPrior::AT_REST),
             };
             assert_ne!(solution.outcome, Outcome::Converged, "cell {liar} at {pose:?} for {other:?}");
             if solution.outcome == Outcome::Degraded(Weakness::CellExcluded) {
@@ -56,7 +58,7 @@ fn five_cells_do_not_tell_which_of_them_lies() {
         let mut readings = Photocurrents::of_pairs(pairs(solver.plan(), &pose));
         readings.cells[0] = Reading::Missing;
         readings.cells[3] = Reading::Light(pairs(solver.plan(), &other)[3]);
-        let solution = solver.solve_near(&readings, &pose, &Default::default());
+        let solution = solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST);
         assert!(solution.excluded.is_empty());
         assert!(!matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(Weakness::FewerCells)));
     }
@@ -66,11 +68,11 @@ fn five_cells_do_not_tell_which_of_them_lies() {
 fn a_pose_says_how_well_it_was_checked() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
     let mut readings = Photocurrents::of_pairs(pairs(solver.plan(), &Pose::HOME));
-    let all = solver.solve(&readings);
+    let all = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
     for cell in [0, 2, 4] {
         readings.cells[cell] = Reading::Missing;
     }
-    let three = solver.solve_near(&readings, &Pose::HOME, &Default::default());
+    let three = solver.solve(&readings, Start::Near(&Pose::HOME), &MotionPrior::AT_REST);
     assert!(all.unnoticed_sigmas.is_finite() && all.verified() != Verified::Not, "{}", all.unnoticed_sigmas);
     assert_eq!((three.redundancy, three.verified()), (0, Verified::Not));
 
@@ -83,7 +85,7 @@ fn a_pose_says_how_well_it_was_checked() {
         let turn = uniform(&mut rng, 0.0, std::f64::consts::TAU);
         cells[trial % 6].i_x1_a += size * turn.cos();
         cells[trial % 6].i_x2_a += size * turn.sin();
-        let solution = solver.solve(&Photocurrents::of_pairs(cells));
+        let solution = solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST);
         if solution.outcome == Outcome::Converged {
             let shift = solution.estimate.and_then(|estimate| estimate.nees(&Pose::HOME)).expect("pose").sqrt();
             // The gate is for noise and lie together; without noise the lie alone may fill it.
@@ -110,7 +112,7 @@ fn gains_that_nobody_knows_leave_the_positions() {
                     if gain < 0.1 { 1.0 + uniform(&mut rng, -0.02, 0.02) } else { uniform(&mut rng, 0.5, 2.0) };
                 Pair { i_x1_a: factor * pair.i_x1_a, i_x2_a: factor * pair.i_x2_a }
             });
-            let solution = solver.solve(&Photocurrents::of_pairs(cells));
+            let solution = solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST);
             assert_eq!(solution.outcome, Outcome::Converged, "gain {gain}");
             let estimate = solution.estimate.expect("pose");
             let nees = estimate.nees(&pose).expect("covariance");
@@ -132,7 +134,7 @@ fn clipped_cells_are_left_out_where_that_is_asked_for() {
         let pose = pose_in_box(&mut rng, 4.0, 15.0);
         let readings = Photocurrents::of_pairs(pairs(solver.plan(), &pose));
         let status = |cell| solver.plan().respond(cell, &pose).status;
-        let used = careful.solve_near(&readings, &pose, &Default::default()).cells_used;
+        let used = careful.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST).cells_used;
         for cell in 0..6 {
             // The end of the unclipped range is that of an emitter at home, and moves with it.
             let reading = readings.cells[cell];

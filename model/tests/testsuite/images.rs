@@ -5,7 +5,8 @@ use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver, Tier, Weakness,
+    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver, Start, Tier,
+    Weakness,
 };
 
 const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
@@ -61,7 +62,7 @@ fn honest(name: &str, scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng, count: us
     let (mut right, mut refused) = (0, 0);
     for _ in 0..count {
         let pose = pose_in_box(rng, 2.5, 9.0);
-        let solution = solver.solve(&seen(&solver, &pose, rng));
+        let solution = solver.solve(&seen(&solver, &pose, rng), Start::Cold, &MotionPrior::AT_REST);
         match (solution.outcome, solution.estimate) {
             (Outcome::Ambiguous | Outcome::Unobservable(_), None) => refused += 1,
             (Outcome::Converged, Some(estimate)) => {
@@ -127,7 +128,8 @@ fn cells_that_are_there_twice_tell_no_more_than_once() {
         let solver = Solver::<f64>::new(&doubled(rolls_deg), Tier::Paper).expect("scene");
         let ambiguous = (0..30).filter(|_| {
             let pose = pose_in_box(&mut rng, 2.5, 9.0);
-            solver.solve(&seen(&solver, &pose, &mut rng)).outcome == Outcome::Ambiguous
+            solver.solve(&seen(&solver, &pose, &mut rng), Start::Cold, &MotionPrior::AT_REST).outcome
+                == Outcome::Ambiguous
         });
         let ambiguous = ambiguous.count();
         assert!(ambiguous > 25, "{rolls_deg:?}: {ambiguous} of 30");
@@ -141,11 +143,11 @@ fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
     for (roll_deg, free) in [(45.0, "tz;rz"), (90.0, "rz")] {
         let solver = Solver::<f64>::new(&rolled(roll_deg, 0.0), Tier::Paper).expect("scene");
         assert_eq!(solver.free_directions(&Pose::HOME).expect("singular").to_string(), free);
-        let at_home = solver.solve(&seen(&solver, &Pose::HOME, &mut rng));
+        let at_home = solver.solve(&seen(&solver, &Pose::HOME, &mut rng), Start::Cold, &MotionPrior::AT_REST);
         assert!(at_home.estimate.is_none(), "{roll_deg}°: {:?}", at_home.outcome);
         let found = (0..20).filter(|_| {
             let pose = pose_in_box(&mut rng, 2.5, 9.0);
-            let solution = solver.solve(&seen(&solver, &pose, &mut rng));
+            let solution = solver.solve(&seen(&solver, &pose, &mut rng), Start::Cold, &MotionPrior::AT_REST);
             solution.estimate.is_some_and(|estimate| estimate.nees(&pose).is_some_and(|nees| nees < 50.0))
         });
         let found = found.count();
@@ -160,9 +162,9 @@ fn found_at_home<S: Scalar>(scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng) -> 
     let solver = Solver::<S>::new(scene, tier).expect("scene");
     let mut solve = |_| {
         let prior = Pose::from_vectors(vector(rng, 3e-6), vector(rng, 3e-4));
-        solver.solve_near(&readings, &prior, &Default::default()).widened()
+        solver.solve(&readings, Start::Near(&prior), &MotionPrior::AT_REST).widened()
     };
-    (0..20).map(&mut solve).chain([solver.solve(&readings).widened()]).collect()
+    (0..20).map(&mut solve).chain([solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).widened()]).collect()
 }
 
 #[test]
@@ -206,7 +208,7 @@ fn ordinary_heads_are_not_searched_for_images() {
             assert!(!solver.has_mirror_images(), "{name}, {tier:?}");
             let evaluations = (0..50).map(|_| {
                 let pose = pose_in_box(&mut rng, 2.0, 8.0);
-                solver.solve(&seen(&solver, &pose, &mut rng)).evaluations
+                solver.solve(&seen(&solver, &pose, &mut rng), Start::Cold, &MotionPrior::AT_REST).evaluations
             });
             let evaluations: usize = evaluations.sum();
             assert!(evaluations < 50 * 6, "{name}, {tier:?}: {evaluations} for 50 poses");
@@ -228,12 +230,12 @@ fn five_cells_have_images_that_the_sixth_tells_apart() {
             let pose =
                 Pose::from_vectors(vector(&mut rng, 1e-3) * DVec3::new(1.0, 1.0, 0.0) + lift, vector(&mut rng, 0.05));
             let mut readings = seen(&solver, &pose, &mut rng);
-            let six = solver.solve(&readings);
+            let six = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
             if let Some(estimate) = six.estimate {
                 assert!(estimate.nees(&pose).is_some_and(|nees| nees < 60.0), "{tier:?} at {pose:?}");
             }
             readings.cells[0] = Reading::Missing;
-            let five = solver.solve(&readings);
+            let five = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
             assert_eq!(five.outcome, Outcome::Ambiguous, "{tier:?} at {pose:?}");
         }
     }
@@ -252,12 +254,12 @@ fn three_cells_alone_have_no_pose_from_nothing() {
             for (cell, reading) in [1, 3, 4].into_iter().zip(cells) {
                 readings.cells[cell] = reading;
             }
-            let solution = solver.solve(&readings);
+            let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
             assert!(solution.estimate.is_none(), "{pose:?}");
             assert!(matches!(solution.outcome, Outcome::Ambiguous | Outcome::Diverged), "{:?}", solution.outcome);
         }
         // Where the tool was followed to, it is known.
-        let followed = solver.solve_near(&readings, &pose, &Default::default());
+        let followed = solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST);
         assert!(followed.estimate.is_some() || followed.outcome == Outcome::Ambiguous, "{:?}", followed.outcome);
     }
 }

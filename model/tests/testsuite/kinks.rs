@@ -3,7 +3,9 @@
 use crate::common::{base, generator, pose_in_box, vector};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Solution, Solver, Status, Tier};
+use slitpose_model::{
+    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Solution, Solver, Start, Status, Tier,
+};
 
 /// Converter noise of a head at its full rate, amperes.
 const NOISE_A: f64 = 1.8e-9;
@@ -55,8 +57,8 @@ fn solved<S: Scalar>(noise_a: f64) -> [Vec<(Pose, Solution)>; 2] {
             Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
         }));
         let prior = pose.perturbed(vector(&mut rng, 5e-6), vector(&mut rng, 5e-4));
-        solved[0].push((pose, solver.solve(&readings).widened()));
-        solved[1].push((pose, solver.solve_near(&readings, &prior, &Default::default()).widened()));
+        solved[0].push((pose, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).widened()));
+        solved[1].push((pose, solver.solve(&readings, Start::Near(&prior), &MotionPrior::AT_REST).widened()));
     }
     solved
 }

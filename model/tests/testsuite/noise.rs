@@ -8,7 +8,9 @@ use crate::common::{generator, pose_in_box, wide};
 use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Effort, Noise, Outcome, Pair, Photocurrents, Plan, Pose, Scene, Solver, Tier, Uncertainty};
+use slitpose_model::{
+    MotionPrior, Noise, Outcome, Pair, Photocurrents, Plan, Pose, Scene, Solver, Start, Tier, Uncertainty,
+};
 
 /// CODATA 2018, exact: coulombs and joules per kelvin.
 const ELECTRON_C: f64 = 1.602_176_634e-19;
@@ -57,7 +59,7 @@ fn study(scene: &Scene, measure: impl Fn(&Plan<f64>, usize, &Pose, &mut ChaCha8R
             let pair = measure(solver.plan(), cell, &truth, &mut rng);
             Pair { i_x1_a: pair.i_x1_a + SOME_A * normal(&mut rng), i_x2_a: pair.i_x2_a + SOME_A * normal(&mut rng) }
         });
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs));
+        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
         assert_eq!(solution.outcome, Outcome::Converged, "{truth:?}");
         let estimate = solution.estimate.expect("pose");
         found.chi2 += solution.chi2 / TRIALS as f64;
@@ -197,17 +199,16 @@ fn dark_current_hides_neither_planes_nor_limits() {
         scene.cells.iter_mut().for_each(|cell| cell.detector.dark_current_a = dark_a);
         for (tier, far_m) in [(Tier::Paper, 1e-9), (Tier::Exact { tolerance: 1e-9 }, 60e-6)] {
             let solver = Solver::<f64>::new(&scene, tier).expect("scene");
-            let planes = solver.clone().with_effort(Effort::Planes);
             for _ in 0..50 {
                 let truth = pose_in_box(&mut rng, 2.0, 8.0);
                 let readings = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &truth)));
-                let off_m = |solver: &Solver<f64>| {
-                    let pose = solver.solve(&readings).estimate.expect("pose").pose;
+                let off_m = |start| {
+                    let pose = solver.solve(&readings, start, &MotionPrior::AT_REST).estimate.expect("pose").pose;
                     (pose.translation_m - truth.translation_m).length()
                 };
                 // The planes of the exact tier take the middle of a spot for its centroid.
-                assert!(off_m(&planes) < far_m, "{dark_a} {tier:?} {truth:?}: {}", off_m(&planes));
-                assert!(off_m(&solver) < 1e-9, "{dark_a} {tier:?} {truth:?}: {}", off_m(&solver));
+                assert!(off_m(Start::PlanesOnly) < far_m, "{dark_a} {tier:?} {truth:?}: {}", off_m(Start::PlanesOnly));
+                assert!(off_m(Start::Cold) < 1e-9, "{dark_a} {tier:?} {truth:?}: {}", off_m(Start::Cold));
             }
             // A detector saturates by all of its current, of which the dark one is no part of a reading.
             let readings = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &Pose::HOME)));
@@ -215,7 +216,11 @@ fn dark_current_hides_neither_planes_nor_limits() {
             for (limit_a, used) in [(total_a * 1.001, true), (total_a * 0.999, false)] {
                 scene.cells[2].detector.saturation_a = Some(limit_a);
                 let solver = Solver::<f64>::new(&scene, tier).expect("scene");
-                assert_eq!(solver.solve(&readings).cells_used.contains(2), used, "{dark_a} {tier:?}");
+                assert_eq!(
+                    solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).cells_used.contains(2),
+                    used,
+                    "{dark_a} {tier:?}"
+                );
                 assert_eq!(solver.plan().respond(2, &Pose::HOME).flags.saturated, !used, "{dark_a} {tier:?}");
             }
             scene.cells[2].detector.saturation_a = None;

@@ -5,7 +5,7 @@ use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Tier, Twist, Weakness,
+    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Tier, Twist, Weakness,
 };
 
 fn readings(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
@@ -47,7 +47,7 @@ fn cold_start_finds_noise_free_poses() {
                     continue;
                 }
                 tried += 1;
-                let solution = solver.solve(&readings(solver.plan(), &pose));
+                let solution = solver.solve(&readings(solver.plan(), &pose), Start::Cold, &MotionPrior::AT_REST);
                 iterations += solution.iterations;
                 let Some(estimate) = solution.estimate else {
                     println!("{name} {tier:?}: {:?} at {pose:?}", solution.outcome);
@@ -89,7 +89,8 @@ fn the_covariance_is_honest() {
         if !lit(solver.plan(), &pose) {
             continue;
         }
-        let solution = solver.solve(&noisy(&mut rng, &readings(solver.plan(), &pose), 0.6e-9));
+        let solution =
+            solver.solve(&noisy(&mut rng, &readings(solver.plan(), &pose), 0.6e-9), Start::Cold, &MotionPrior::AT_REST);
         let estimate = solution.estimate.expect("pose");
         sum += estimate.nees(&pose).expect("covariance");
         count += 1;
@@ -117,7 +118,7 @@ fn fewer_cells_still_make_a_pose() {
         let pose = pose_in_box(&mut rng, 2.0, 8.0);
         let mut readings = readings(solver.plan(), &pose);
         readings.cells[missing] = if missing % 2 == 0 { Reading::Missing } else { Reading::Saturated };
-        let solution = solver.solve(&readings);
+        let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
         assert_eq!(solution.outcome, Outcome::Degraded(Weakness::FewerCells));
         assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
         let (dt, _) = solution.estimate.expect("pose").pose.displacement_from(&pose);
@@ -129,7 +130,7 @@ fn fewer_cells_still_make_a_pose() {
 fn too_little_light_says_so() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
     let dark = Photocurrents::of_pairs([Pair { i_x1_a: 1e-9, i_x2_a: 1e-9 }; 6]);
-    let solution = solver.solve(&dark);
+    let solution = solver.solve(&dark, Start::Cold, &MotionPrior::AT_REST);
     assert_eq!(solution.outcome, Outcome::TooDark);
     assert!(solution.estimate.is_none());
 }
@@ -137,7 +138,7 @@ fn too_little_light_says_so() {
 #[test]
 fn equal_rolls_leave_directions_free() {
     let solver = Solver::<f64>::new(&six_cells(7.5, 0.4, [0.0, 0.0]), Tier::Paper).expect("scene");
-    let solution = solver.solve(&readings(solver.plan(), &Pose::HOME));
+    let solution = solver.solve(&readings(solver.plan(), &Pose::HOME), Start::Cold, &MotionPrior::AT_REST);
     let Outcome::Unobservable(free) = solution.outcome else {
         panic!("{:?}", solution.outcome);
     };
@@ -154,7 +155,7 @@ fn nonsense_is_no_pose() {
             let v = vector(&mut rng, 5e-6);
             Pair { i_x1_a: v.x.abs() + 1e-7, i_x2_a: v.y.abs() + 1e-7 }
         });
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs));
+        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
         if let Some(estimate) = solution.estimate {
             assert_eq!(solution.outcome, Outcome::Degraded(Weakness::Misfit), "{pairs:?}");
             assert!(estimate.pose.is_finite());
@@ -164,7 +165,7 @@ fn nonsense_is_no_pose() {
         let mut pairs = [Pair { i_x1_a: 3e-6, i_x2_a: 3e-6 }; 6];
         pairs[2].i_x1_a = bad;
         pairs[3].i_x2_a = bad;
-        let solution = solver.solve(&Photocurrents::of_pairs(pairs));
+        let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
         assert!(solution.estimate.is_none_or(|estimate| estimate.pose.is_finite()));
     }
 }
@@ -181,12 +182,12 @@ fn exposures_and_twist_are_inverted_together() {
         let readings = Photocurrents::of_pairs(pairs);
         let known = MotionPrior { twist, ..MotionPrior::default() };
         let prior = pose.perturbed(DVec3::splat(2e-5), DVec3::splat(1e-3));
-        let estimate = solver.solve_near(&readings, &prior, &known).estimate.expect("pose");
+        let estimate = solver.solve(&readings, Start::Near(&prior), &known).estimate.expect("pose");
         let (dt, dr) = estimate.pose.displacement_from(&pose);
         // Following a tool leaves a thousandth of σ: of 0.7 µm and 96 µrad, six axes together.
         assert!(dt.length() < 2e-9 && dr.length() < 3e-7, "{dt} {dr}");
         // Ignoring the order of exposure would be seen.
-        let ignored = solver.solve(&readings).estimate.expect("pose");
+        let ignored = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).estimate.expect("pose");
         assert!(ignored.pose.displacement_from(&pose).0.length() > 1e-7);
     }
 }
@@ -200,7 +201,7 @@ fn single_precision_finds_the_same_pose() {
     for _ in 0..500 {
         let pose = pose_in_box(&mut rng, 3.0, 10.0);
         let readings = readings(double.plan(), &pose);
-        let estimate = single.solve(&readings).estimate.expect("pose");
+        let estimate = single.solve(&readings, Start::Cold, &MotionPrior::AT_REST).estimate.expect("pose");
         let (dt, dr) = estimate.pose.displacement_from(&pose);
         // Rounding of f32: 6e-8 of lengths up to 25 mm, times a condition of some ten.
         assert!(dt.length() < 3e-8 && dr.length() < 4e-6, "{dt} {dr}");
@@ -212,7 +213,7 @@ fn a_solver_takes_another_scene_where_it_is() {
     let pose = Pose::from_vectors(DVec3::splat(1e-3), DVec3::splat(0.05));
     let same = |a: &Solver<f64>, b: &Solver<f64>| {
         let readings = readings(b.plan(), &pose);
-        let [a, b] = [a, b].map(|solver| solver.solve(&readings));
+        let [a, b] = [a, b].map(|solver| solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
         assert!(b.estimate.is_some());
         assert_eq!((a.outcome, a.estimate, a.chi2), (b.outcome, b.estimate, b.chi2));
     };
@@ -226,7 +227,10 @@ fn a_solver_takes_another_scene_where_it_is() {
     let seen = readings(solver.plan(), &pose);
     assert!(solver.set_scene(&Scene::default(), Tier::Paper).is_err());
     for none in [solver, Solver::empty()] {
-        assert_eq!((none.plan().cell_count(), none.solve(&seen).outcome.has_pose()), (0, false));
-        assert!(!none.solve_near(&seen, &pose, &MotionPrior::default()).outcome.has_pose());
+        assert_eq!(
+            (none.plan().cell_count(), none.solve(&seen, Start::Cold, &MotionPrior::AT_REST).outcome.has_pose()),
+            (0, false)
+        );
+        assert!(!none.solve(&seen, Start::Near(&pose), &MotionPrior::AT_REST).outcome.has_pose());
     }
 }

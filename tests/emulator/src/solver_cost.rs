@@ -140,7 +140,7 @@ impl Trial {
                 continue;
             }
             let readings = readings(&truth, &pose);
-            let solution = host.solve_near(&readings, &prior, &MotionPrior::default());
+            let solution = host.solve(&readings, slitpose_model::Start::Near(&prior), &MotionPrior::AT_REST);
             if let (Outcome::Converged, Some(estimate)) = (solution.outcome, solution.estimate) {
                 samples.push(Sample { pose, prior, readings, estimate });
             }

@@ -1,6 +1,6 @@
 //! slitpose itself.
 
-use slitpose_model::{Effort, MotionPrior, Scene, SceneError, Solution, Solver, Tier};
+use slitpose_model::{MotionPrior, Scene, SceneError, Solution, Solver, Start, Tier};
 
 use crate::contender::{Answer, Contender};
 use crate::problems::{Kind, Problem};
@@ -28,9 +28,9 @@ impl Contender for Ours {
 
     fn solve(&self, problem: &Problem) -> Answer {
         let solution = if self.cold {
-            self.solver.solve(&problem.readings)
+            self.solver.solve(&problem.readings, Start::Cold, &MotionPrior::AT_REST)
         } else {
-            self.solver.solve_near(&problem.readings, &problem.start, &MotionPrior::default())
+            self.solver.solve(&problem.readings, Start::Near(&problem.start), &MotionPrior::AT_REST)
         };
         answer(&solution, problem)
     }
@@ -47,7 +47,7 @@ impl Planes {
     /// # Errors
     /// Those of [`Solver::new`].
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
-        Ok(Self { solver: Solver::new(scene, Tier::Paper)?.with_effort(Effort::Planes) })
+        Ok(Self { solver: Solver::new(scene, Tier::Paper)? })
     }
 }
 
@@ -57,7 +57,7 @@ impl Contender for Planes {
     }
 
     fn solve(&self, problem: &Problem) -> Answer {
-        answer(&self.solver.solve(&problem.readings), problem)
+        answer(&self.solver.solve(&problem.readings, Start::PlanesOnly, &MotionPrior::AT_REST), problem)
     }
 }
 

@@ -5,7 +5,7 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Effort, Pair, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Status, Tier};
+use slitpose_model::{MotionPrior, Pair, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Start, Status, Tier};
 
 use crate::common;
 use crate::levenberg_marquardt;
@@ -81,7 +81,7 @@ impl Kind {
     /// Those of [`Plan::compile`].
     pub fn problems(self, scene: &Scene, seed: u64, count: usize) -> Result<Vec<Problem>, SceneError> {
         let plan = Plan::<f64>::compile(scene, Tier::Paper)?;
-        let planes = Solver::<f64>::new(scene, Tier::Paper)?.with_effort(Effort::Planes);
+        let solver = Solver::<f64>::new(scene, Tier::Paper)?;
         let noise = CellNoise::of(scene);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let problems = (0..count).map(|_| {
@@ -101,7 +101,7 @@ impl Kind {
             let start = match self {
                 Self::Cold => Pose::HOME,
                 Self::Planes | Self::ColdNoisy => {
-                    planes.solve(&readings).estimate.map_or(Pose::HOME, |estimate| estimate.pose)
+                    solver.solve(&readings, Start::PlanesOnly, &MotionPrior::AT_REST).estimate.map_or(Pose::HOME, |estimate| estimate.pose)
                 }
                 Self::Warm | Self::WarmNoisy => truth.perturbed(shift, turn),
             };

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use slitpose_model::{Outcome, Photocurrents, Scene, Solver, Tier};
+use slitpose_model::{MotionPrior, Outcome, Photocurrents, Scene, Solver, Start, Tier};
 
 use super::data::{lit_count, pairs};
 use super::tally::{Case, Tally, Verdict, list};
@@ -104,7 +104,11 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
             let row = one_in_box(rng, *half_mm, *half_deg);
             let pairs = pairs(solver.plan(), &pose(row));
             if *light == Light::Any || lit_count(scene, &pairs) == scene.cells.len() {
-                return Case::new(trial, row, solver.solve(&Photocurrents::of_pairs(pairs)));
+                return Case::new(
+                    trial,
+                    row,
+                    solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST),
+                );
             }
         }
     });

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use slitpose_model::{AXES, Scene, Solver, Tier, Uncertainty};
+use slitpose_model::{AXES, MotionPrior, Scene, Solver, Start, Tier, Uncertainty};
 
 use super::data::{Disturbance, displaced_pairs, lit_count, measured, pairs};
 use super::layout::Table;
@@ -70,7 +70,11 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
                 let position_m = scene.uncertainty.position_m;
                 let pairs =
                     if position_m > 0.0 { displaced_pairs(solver.plan(), &pose(row), position_m, rng) } else { pairs };
-                let case = Case::new(trial, row, solver.solve(&measured(&disturbance, &pairs, rng)));
+                let case = Case::new(
+                    trial,
+                    row,
+                    solver.solve(&measured(&disturbance, &pairs, rng), Start::Cold, &MotionPrior::AT_REST),
+                );
                 return Trial { case, bound: solver.bound(&pose(row)).map(|bound| sigma(&bound)) };
             }
         }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Tier};
+use slitpose_model::{MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Tier};
 
 use super::data::{Disturbance, lit_count, measured, pairs};
 use super::layout::Table;
@@ -76,10 +76,12 @@ pub fn study(scene: &Scene, tier: Tier, conduct: Conduct, trials: Trials) -> Rep
         let (row, pairs) = lit_pose(rng);
         let mut readings = measured(&disturbance, &pairs, rng);
         let (least_sigmas, most_sigmas) = match conduct {
-            Conduct::Honest => return Case::new(trial, row, solver.solve(&readings)),
+            Conduct::Honest => {
+                return Case::new(trial, row, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
+            }
             Conduct::OneMissing => {
                 thin_out(&mut readings, scene.cells.len() - 1, rng);
-                return Case::new(trial, row, solver.solve(&readings));
+                return Case::new(trial, row, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
             }
             Conduct::OtherPose { least_sigmas } => (least_sigmas, None),
             Conduct::Small { least_sigmas, most_sigmas } => (least_sigmas, Some(most_sigmas)),
@@ -98,7 +100,7 @@ pub fn study(scene: &Scene, tier: Tier, conduct: Conduct, trials: Trials) -> Rep
             }
         };
         add(&mut readings, liar, lie);
-        let mut case = Case::new(trial, row, solver.solve(&readings));
+        let mut case = Case::new(trial, row, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
         case.lie_sigmas = length(&whitened);
         case.least_chi2 = least_chi2(solver.plan(), &disturbance, &pose(row), liar, whitened);
         case

@@ -6,7 +6,7 @@ use std::fmt;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{AXES, MotionPrior, Outcome, Pose, Solution, Solver, Tracker, Twist};
+use slitpose_model::{AXES, MotionPrior, Outcome, Pose, Solution, Solver, Start, Tracker, Twist};
 
 use super::layout::Table;
 use super::trials::Trials;
@@ -134,7 +134,7 @@ fn follow(conditions: &Conditions, seed: u64) -> Run {
 
         let time_s = (scan.tick as f64 + schedule.reference_ticks()) / f64::from(schedule.tick_hz);
         let motion = MotionPrior { twist: twist(&trajectory, time_s), ..MotionPrior::default() };
-        known.extend(Frame::of(&solver.solve_near(&readings, truth, &motion), truth, &bound));
+        known.extend(Frame::of(&solver.solve(&readings, Start::Near(truth), &motion), truth, &bound));
     }
     (tracked, known, unconverged)
 }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Photocurrents, Reading, Scene, Solver, Tier};
+use slitpose_model::{MotionPrior, Photocurrents, Reading, Scene, Solver, Start, Tier};
 
 use super::data::{Disturbance, lit_count, measured, pairs};
 use super::tally::{Case, Tally, Verdict, WRONG_SIGMAS, list};
@@ -48,7 +48,7 @@ pub fn study(scene: &Scene, tier: Tier, cells: usize, trials: Trials) -> Report 
             if lit_count(scene, &pairs) == scene.cells.len() {
                 let mut readings = measured(&disturbance, &pairs, rng);
                 thin_out(&mut readings, cells, rng);
-                return Case::new(trial, row, solver.solve(&readings));
+                return Case::new(trial, row, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
             }
         }
     });

@@ -5,7 +5,7 @@ use slitpose::pipeline::Record;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{Estimate, Outcome, Pose, Solver, Tracker, Weakness};
+use slitpose_model::{Estimate, MotionPrior, Outcome, Pose, Solver, Start, Tracker, Weakness};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
 use slitpose_tests::consistency::{error, nees, sigma, whiten, worst_axis};
 use slitpose_tests::scenes::{front_end, parse, ring, wide_with};
@@ -112,7 +112,8 @@ fn covariance_at_rest_is_what_repetition_shows() {
         let scene = Stage::weighted_scene(&file, &decoded.schedule, &decoded.scaling);
         let solver = Solver::<f64>::new(&scene, STREAM).expect("scene");
         let solve_at_rest = |(scan, truth): (_, &Pose)| {
-            let Estimate { pose, covariance } = solver.solve(&stage.photocurrents(scan)).estimate.expect("lit");
+            let Estimate { pose, covariance } =
+                solver.solve(&stage.photocurrents(scan), Start::Cold, &MotionPrior::AT_REST).estimate.expect("lit");
             (error(&pose, truth), covariance)
         };
         let alone: Vec<_> = decoded.scans.iter().zip(&decoded.truths).map(solve_at_rest).collect();

@@ -25,7 +25,7 @@ pub(super) struct Attainable {
 impl Attainable {
     /// With the tool of `scene` at `pose`, from the cells that `used` lets pass.
     pub(super) fn at(scene: &Scene, plan: &Plan<f64>, pose: &Pose, used: impl Fn(usize) -> bool) -> Self {
-        let arm_m = scene.arm_m();
+        let arm_m = scene.length_scale_m();
         let mut rows = Vec::new();
         for (number, cell) in scene.cells.iter().enumerate().filter(|(number, _)| used(*number)) {
             let (_, pair, jacobian) = plan.linearise(number, pose);
@@ -74,7 +74,7 @@ mod tests {
         assert!((1.0..10.0).contains(&all.condition), "{}", all.condition);
         for precision in Precision::BOTH {
             // Detectors lie 25 mm from the middle.
-            let roundings = all.at_emitters_m(precision, scene.arm_m()) / (precision.unit_roundoff() * 25e-3);
+            let roundings = all.at_emitters_m(precision, scene.length_scale_m()) / (precision.unit_roundoff() * 25e-3);
             assert!((0.3..10.0).contains(&roundings), "{roundings}");
         }
         let half = Attainable::at(&scene, &plan, &Pose::HOME, |cell| cell > 1);

@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use glam::DVec3;
 use slitpose_model::{
-    MotionPrior, Noise, Photocurrents, Plan, Pose, Profile, Scene, Solution, Solver, Tier, Twist, Uncertainty,
+    MotionPrior, Noise, Photocurrents, Plan, Pose, Profile, Scene, Solution, Solver, Start, Tier, Twist, Uncertainty,
 };
 
 use super::head::{Head, STREAM, exponent, is_lit};
@@ -174,7 +174,7 @@ struct Bench {
 
 impl Bench {
     fn solve(&self, index: usize) -> Solution {
-        self.solver.solve_near(black_box(&self.readings[index]), &self.priors[index], &self.motion)
+        self.solver.solve(black_box(&self.readings[index]), Start::Near(&self.priors[index]), &self.motion)
     }
 }
 

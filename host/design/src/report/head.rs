@@ -1,6 +1,8 @@
 //! The head under study: its scene as a solver weighs it, and poses at which every cell has light.
 
-use slitpose_model::{Cell, Pair, Photocurrents, Plan, Pose, Profile, Scalar, Scene, Solver, Tier, Uncertainty};
+use slitpose_model::{
+    Cell, MotionPrior, Pair, Photocurrents, Plan, Pose, Profile, Scalar, Scene, Solver, Start, Tier, Uncertainty,
+};
 
 use super::{ReportError, Settings};
 use crate::survey::workspace_poses;
@@ -63,7 +65,11 @@ impl<'a> Head<'a> {
         let is_table = |cell: &Cell| matches!(cell.emitter.profile, Profile::Table(_));
         let truth_tier = if scene.cells.iter().any(is_table) { TRUTH_OF_TABLES } else { TRUTH };
         let truth = Plan::compile(&scene, truth_tier)?;
-        let home = Solver::<f64>::new(&scene, STREAM)?.solve(&currents(&truth, &Pose::HOME));
+        let home = Solver::<f64>::new(&scene, STREAM)?.solve(
+            &currents(&truth, &Pose::HOME),
+            Start::Cold,
+            &MotionPrior::AT_REST,
+        );
         if home.estimate.is_none() {
             let (scene, cells) = (file.name.clone(), file.scene.cells.len());
             return Err(ReportError::NoPose { scene, cells, outcome: home.outcome });

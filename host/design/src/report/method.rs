@@ -1,7 +1,7 @@
 //! One way to solve, out of many.
 
 use slitpose_model::{
-    Effort, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier,
+    self as model, MotionPrior, Outcome, Photocurrents, Pose, Scalar, Scene, SceneError, Solution, Solver, Tier,
 };
 
 /// The number type that is computed with.
@@ -61,6 +61,17 @@ impl Start {
     }
 }
 
+/// How far a solve goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Effort {
+    /// The pose on the planes.
+    Planes,
+    /// At most so many steps.
+    Steps(usize),
+    /// To the minimum.
+    Full,
+}
+
 /// A way to solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Method {
@@ -98,14 +109,19 @@ impl Method {
     }
 
     fn compile_for<S: Scalar>(&self, scene: &Scene) -> Result<Compiled, SceneError> {
-        let solver = Solver::<S>::new(scene, self.tier)?.with_effort(self.effort);
-        Ok(match self.start {
-            Start::Cold => Box::new(move |readings, _| solver.solve(readings).into()),
-            Start::Warm => {
-                let rest = MotionPrior::default();
-                Box::new(move |readings, prior| solver.solve_near(readings, prior, &rest).into())
-            }
-        })
+        let mut solver = Solver::<S>::new(scene, self.tier)?;
+        if let Effort::Steps(steps) = self.effort {
+            solver = solver.with_max_steps(steps);
+        }
+        let Self { start, effort, .. } = *self;
+        Ok(Box::new(move |readings, prior| {
+            let start = match (start, effort) {
+                (_, Effort::Planes) => model::Start::PlanesOnly,
+                (Start::Cold, _) => model::Start::Cold,
+                (Start::Warm, _) => model::Start::Near(prior),
+            };
+            solver.solve(readings, start, &MotionPrior::AT_REST).into()
+        }))
     }
 }
 

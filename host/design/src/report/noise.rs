@@ -94,7 +94,7 @@ impl NoiseSource {
 mod tests {
     use super::*;
     use slitpose_head::scene_file::WIDE;
-    use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, Noise, Solver, Tier};
+    use slitpose_model::{BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C, MotionPrior, Noise, Solver, Start, Tier};
 
     /// Variances of both electrodes and their covariance, in units of what the parts add up to.
     #[test]
@@ -144,7 +144,10 @@ mod tests {
         for _ in 0..POSES {
             let pose = source.near(&Pose::HOME, 1e-3, 0.05);
             let clean = Photocurrents::of_pairs((0..6).map(|cell| plan.photocurrents(cell, &pose)));
-            let estimate = solver.solve(&source.disturb(&scene, &plan, &pose, &clean)).estimate.unwrap();
+            let estimate = solver
+                .solve(&source.disturb(&scene, &plan, &pose, &clean), Start::Cold, &MotionPrior::AT_REST)
+                .estimate
+                .unwrap();
             sum += estimate.nees(&pose).unwrap();
         }
         let mean = sum / f64::from(POSES);

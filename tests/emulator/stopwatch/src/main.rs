@@ -13,7 +13,7 @@ use cortex_m::Peripherals;
 use cortex_m::asm::{dsb, isb};
 use cortex_m::peripheral::DWT;
 use cortex_m_rt::entry;
-use slitpose_model::{MotionPrior, Outcome, Photocurrents, Pose, Scene, Solver};
+use slitpose_model::{MotionPrior, Outcome, Photocurrents, Pose, Scene, Solver, Start};
 use slitpose_stopwatch::{Answer, Mailbox, Request, Solved, State};
 
 /// Found by its name, [`slitpose_stopwatch::MAILBOX_SYMBOL`].
@@ -124,8 +124,8 @@ fn time(solver: &Solver<f32>, readings: &Photocurrents, prior: Option<&Pose>) ->
     MAILBOX.set_state(State::Timing);
     let started = DWT::cycle_count();
     let solution = match prior {
-        Some(prior) => solver.solve_near(readings, prior, &MotionPrior::default()),
-        None => solver.solve(readings),
+        Some(prior) => solver.solve(readings, Start::Near(prior), &MotionPrior::AT_REST),
+        None => solver.solve(readings, Start::Cold, &MotionPrior::AT_REST),
     };
     // Looked at in place: the copy would be counted.
     black_box(&solution);

@@ -5,11 +5,11 @@ mod tables;
 
 use std::hint::black_box;
 
-use slitpose_model::{Effort, Photocurrents, Plan, Pose, Solver, Tier};
+use slitpose_model::{Photocurrents, Plan, Pose, Solver, Tier};
 
 use crate::report::accuracy::{Errors, rms_of_covariances};
 use crate::report::head::{Head, STREAM, currents};
-use crate::report::method::{Method, Precision, Start};
+use crate::report::method::{Effort, Method, Precision, Start};
 use crate::report::noise::NoiseSource;
 use crate::report::section::{Section, Value};
 use crate::report::stopwatch::{Candidate, RunTime, race};

@@ -1,13 +1,13 @@
 //! Error against time, drawn.
 
 use glam::dvec2;
-use slitpose_model::{Effort, Tier};
+use slitpose_model::Tier;
 
 use super::{Entry, Light, searched};
 use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, cell_colour};
 use crate::report::accuracy::Errors;
 use crate::report::head::{Head, STREAM};
-use crate::report::method::{Method, Precision, Start, effort_name, tier_name};
+use crate::report::method::{Effort, Method, Precision, Start, effort_name, tier_name};
 use crate::report::section::{Picture, Value};
 use crate::report::sheet::{Sheet, curve};
 

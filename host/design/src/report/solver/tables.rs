@@ -1,11 +1,11 @@
 //! The numbers of the solver's study.
 
-use slitpose_model::{Effort, Photocurrents, Plan, Pose, Scene, Tier};
+use slitpose_model::{Photocurrents, Plan, Pose, Scene, Tier};
 
 use super::{Entry, Light, PRIOR_M, PRIOR_RAD, Run};
 use crate::report::accuracy::Errors;
 use crate::report::head::{Head, STREAM, currents};
-use crate::report::method::{Method, Precision, Start, effort_name, tier_name};
+use crate::report::method::{Effort, Method, Precision, Start, effort_name, tier_name};
 use crate::report::noise::NoiseSource;
 use crate::report::section::{Column, Table, Value, column};
 use crate::report::{ReportError, Settings};

@@ -52,7 +52,7 @@ pub(super) fn layouts(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>,
 
 /// A pose must come back where rounding and noise leave one.
 fn telling(head: &Head<'_>) -> Expected {
-    Expected::ValueBelow(TELLS_A_POSE * head.scene.arm_m() * 1e6)
+    Expected::ValueBelow(TELLS_A_POSE * head.scene.length_scale_m() * 1e6)
 }
 
 /// The scene with its detectors turned about their normals: each long axis `roll_deg` out of the
@@ -184,7 +184,7 @@ pub(super) fn noises(head: &Head<'_>, settings: &Settings) -> Result<Vec<Case>, 
             .map(|(pose, clean)| noise.disturb(&trial.scene, &trial.plan, pose, clean))
             .collect();
         trial.readings = disturbed;
-        let (rounding, arm_m) = (trial.attainable(|_| true), trial.scene.arm_m());
+        let (rounding, arm_m) = (trial.attainable(|_| true), trial.scene.length_scale_m());
         let solvers = Precision::BOTH.map(|precision| Solver::<f64>::new(&trial.scene, precision.tightest_tier()));
         let [double, single] = solvers;
         let (double, single) = (double?, single?);

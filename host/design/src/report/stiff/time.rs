@@ -102,7 +102,7 @@ fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Resul
     if let Some(frame) = &head.frame {
         solver = solver.with_exposures(&frame.exposures_s);
     }
-    let arm_m = head.scene.arm_m();
+    let arm_m = head.scene.length_scale_m();
     let resting = Solver::<f64>::new(&head.scene, STREAM)?;
     let (bound_m, bound_rad) = rms_of_covariances(resting.bound(landed));
     let bound = bound_m.hypot(arm_m * bound_rad);

@@ -2,12 +2,12 @@
 
 use std::time::Instant;
 
-use slitpose_model::{Effort, Photocurrents, Plan, Pose, Scene, SceneError};
+use slitpose_model::{Photocurrents, Plan, Pose, Scene, SceneError};
 
 use super::case::Reached;
 use crate::report::attainable::Attainable;
 use crate::report::head::currents;
-use crate::report::method::{Method, Precision, Start};
+use crate::report::method::{Effort, Method, Precision, Start};
 use crate::report::noise::NoiseSource;
 
 /// Poses of one case.
@@ -59,7 +59,7 @@ impl Trial {
         start: Start,
         attainable_m: impl Fn(usize, Precision) -> f64,
     ) -> Result<Vec<(Precision, Reached)>, SceneError> {
-        let arm_m = self.scene.arm_m();
+        let arm_m = self.scene.length_scale_m();
         let of = |precision: Precision| {
             let tier = precision.tightest_tier();
             let solve = Method { tier, precision, start, effort: Effort::Full }.compile(&self.scene)?;
@@ -105,7 +105,7 @@ impl Trial {
         start: Start,
         attainable: &[Attainable],
     ) -> Result<Vec<(Precision, Reached)>, SceneError> {
-        let arm_m = self.scene.arm_m();
+        let arm_m = self.scene.length_scale_m();
         self.solve(start, |index, precision| attainable[index].at_emitters_m(precision, arm_m))
     }
 }

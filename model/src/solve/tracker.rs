@@ -16,11 +16,12 @@
 use crate::pose::{Pose, Transform, Twist};
 use crate::scalar::Scalar;
 
-use super::normal::Workspace;
-use super::readings::Sorted;
-use super::search::{COLD_WORK, Search};
-use super::smooth::{Prediction, Smoothed, Smoother, TwistEstimate};
-use super::{Effort, MotionPrior, Outcome, Photocurrents, Solution, Solver, Weakness};
+use super::cold_start::{COLD_WORK, Search};
+use super::filter::{FadingFilter, Prediction, Smoothed, TwistEstimate};
+use super::normal_equations::Workspace;
+use super::outcome::{Outcome, Solution, Weakness};
+use super::readings::{Photocurrents, Sorted};
+use super::solver::{MotionPrior, Solver};
 
 /// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to a pose's, short enough for the bends of a fast hand.
@@ -84,8 +85,8 @@ pub struct Tracked<S: Scalar = f64> {
 pub struct Tracker<S: Scalar> {
     solver: Solver<S>,
     period_s: f64,
-    motion: Smoother,
-    filter: Option<Smoother>,
+    motion: FadingFilter,
+    filter: Option<FadingFilter>,
     next_frame: u64,
     /// Of the tool before it was lost sight of: it may still be as fast.
     last_twist: Twist,
@@ -124,7 +125,7 @@ impl<S: Scalar> Tracker<S> {
         Self {
             solver,
             period_s,
-            motion: Smoother::new(period_s, MEMORY_FRAMES * period_s),
+            motion: FadingFilter::new(period_s, MEMORY_FRAMES * period_s),
             filter: None,
             next_frame: 0,
             last_twist: Twist::default(),
@@ -139,7 +140,7 @@ impl<S: Scalar> Tracker<S> {
     /// Tells a pose from many frames, too, with a memory of `memory_s` seconds: see [`Smoothed`].
     #[must_use]
     pub fn with_filter(mut self, memory_s: f64) -> Self {
-        self.filter = Some(Smoother::new(self.period_s, memory_s));
+        self.filter = Some(FadingFilter::new(self.period_s, memory_s));
         self
     }
 
@@ -203,21 +204,21 @@ impl<S: Scalar> Tracker<S> {
         if let Some(solution) = self.solver.too_few(&sorted) {
             return solution;
         }
-        let room = &mut Workspace::with_work(FRAME_WORK);
+        let workspace = &mut Workspace::with_work(FRAME_WORK);
         let solution = match self.motion.predict() {
-            Some(expected) => self.follow(&sorted, &expected, room),
-            None => self.find(&sorted, &unknown_motion(&self.last_twist), room),
+            Some(expected) => self.follow(&sorted, &expected, workspace),
+            None => self.find(&sorted, &unknown_motion(&self.last_twist), workspace),
         };
         if self.lost.saved_work < MOST_SAVED {
             self.lost.saved_work += SAVED_A_FRAME;
         }
-        Solution { evaluations: room.evaluations, ..solution }
+        Solution { evaluations: workspace.evaluations, ..solution }
     }
 
     /// The pose near the expected one; else wherever it is.
-    fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction, room: &mut Workspace<S>) -> Solution<S> {
+    fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction, workspace: &mut Workspace<S>) -> Solution<S> {
         let start = Transform::of(&expected.pose);
-        let mut solution = self.solver.follow(sorted, &self.motion_prior(expected), start, self.left_out, room);
+        let mut solution = self.solver.follow(sorted, &self.motion_prior(expected), start, self.left_out, workspace);
         // While the motion is not known yet, any is as expected.
         let is_expected = solution
             .estimate
@@ -225,7 +226,7 @@ impl<S: Scalar> Tracker<S> {
         if is_expected && !is_misfit(&solution) {
             let motion = self.motion_prior(expected);
             let is_expected = |twin: &Pose| self.is_near(twin, &solution, expected);
-            if self.solver.has_twin(sorted, &motion, &solution, is_expected, room) {
+            if self.solver.has_twin(sorted, &motion, &solution, is_expected, workspace) {
                 solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
             }
             return solution;
@@ -240,7 +241,7 @@ impl<S: Scalar> Tracker<S> {
             self.forget();
             self.last_twist = expected.twist;
             let before = solution.iterations;
-            solution = self.solver.follow(sorted, &unknown, start, self.left_out, room);
+            solution = self.solver.follow(sorted, &unknown, start, self.left_out, workspace);
             solution.iterations += before;
             let is_within_reach = |pose: &Pose| {
                 let (dt, dr) = pose.displacement_from(&expected.pose);
@@ -249,14 +250,14 @@ impl<S: Scalar> Tracker<S> {
             let is_believed = solution.estimate.is_some_and(|estimate| {
                 solution.redundancy > 0
                     || is_within_reach(&estimate.pose)
-                        && !self.solver.has_twin(sorted, &unknown, &solution, is_within_reach, room)
+                        && !self.solver.has_twin(sorted, &unknown, &solution, is_within_reach, workspace)
             });
             if !is_misfit(&solution) && is_believed {
                 return solution;
             }
         }
         // A misfit is followed where it is while better is looked for.
-        let mut found = self.find(sorted, &unknown, room);
+        let mut found = self.find(sorted, &unknown, workspace);
         let is_better = found.estimate.is_some()
             && !(is_misfit(&found) && is_misfit(&solution) && found.chi2 >= S::of(BETTER) * solution.chi2);
         if is_misfit(&solution) && !is_better {
@@ -276,13 +277,10 @@ impl<S: Scalar> Tracker<S> {
     }
 
     /// Looks for the tool everywhere, a piece of the search a frame.
-    fn find(&mut self, sorted: &Sorted<S>, motion: &MotionPrior, room: &mut Workspace<S>) -> Solution<S> {
-        if self.solver.effort != Effort::Full {
-            return self.solver.unfinished(sorted, &self.solver.problem(sorted, motion), self.solver.on_planes(sorted));
-        }
+    fn find(&mut self, sorted: &Sorted<S>, motion: &MotionPrior, workspace: &mut Workspace<S>) -> Solution<S> {
         let lost = &mut self.lost;
         if let Some(images) = lost.images.take() {
-            lost.images = self.solver.still_images(sorted, motion, images, room);
+            lost.images = self.solver.still_images(sorted, motion, images, workspace);
             if lost.images.is_some() {
                 return Solution::without_pose(Outcome::Ambiguous, sorted.used);
             }
@@ -291,9 +289,9 @@ impl<S: Scalar> Tracker<S> {
             lost.wait -= 1;
             return Solution::without_pose(Outcome::Diverged, sorted.used);
         }
-        room.work += lost.saved_work;
-        let solution = self.solver.search(sorted, motion, &mut lost.search, room);
-        lost.saved_work = lost.saved_work.min(room.work).min(MOST_SAVED);
+        workspace.work += lost.saved_work;
+        let solution = self.solver.search(sorted, motion, &mut lost.search, workspace);
+        lost.saved_work = lost.saved_work.min(workspace.work).min(MOST_SAVED);
         if lost.search.is_over() {
             lost.images = lost.search.images();
             lost.search = Search::in_pieces();

@@ -130,7 +130,7 @@ impl Gains {
 
 /// The filter.
 #[derive(Clone, Debug)]
-pub(super) struct Smoother {
+pub(super) struct FadingFilter {
     period_s: f64,
     /// Longest memory, frames.
     longest: f64,
@@ -169,7 +169,7 @@ pub(super) struct Prediction {
     pub(super) strain: f64,
 }
 
-impl Smoother {
+impl FadingFilter {
     /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
     /// m = `memory_s`/`period_s`.
     pub(super) fn new(period_s: f64, memory_s: f64) -> Self {
@@ -355,8 +355,8 @@ mod tests {
 
     /// Frames of a polynomial motion, through a filter.
     /// None of them is off by more than noise explains.
-    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> Smoother {
-        let mut smoother = Smoother::new(PERIOD, memory_s);
+    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter {
+        let mut smoother = FadingFilter::new(PERIOD, memory_s);
         for frame in 0..frames {
             smoother.update(&pose(f64::from(frame) * PERIOD), &UNIT, |_, _| 6.0);
         }
@@ -392,7 +392,7 @@ mod tests {
     #[test]
     fn gains_start_as_least_squares_and_end_fading() {
         // A parabola through five points of which the last is one off: the textbook's weights.
-        let mut smoother = Smoother::new(PERIOD, 1.0);
+        let mut smoother = FadingFilter::new(PERIOD, 1.0);
         for frame in 0..=PARABOLA_FROM {
             let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
             smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), &UNIT, |_, _| 6.0);
@@ -411,7 +411,7 @@ mod tests {
     #[test]
     fn a_sudden_bend_shortens_the_memory_within_a_few_frames_and_the_lag_told_with_it() {
         let mut smoother = run(0.1, 5_000, |_| Pose::HOME);
-        let lag_s = |smoother: &Smoother| smoother.smoothed(&UNIT).expect("many frames").lag_s;
+        let lag_s = |smoother: &FadingFilter| smoother.smoothed(&UNIT).expect("many frames").lag_s;
         assert!((lag_s(&smoother) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
         // Predictions err by twice what noise explains. The mean over 50 frames would need 12 to notice.
         (0..12).for_each(|_| smoother.update(&Pose::HOME, &UNIT, |_, _| 4.0 * 12.0));

@@ -1,54 +1,39 @@
 //! Cold starts: from the planes, from home, without a cell that lies, and from around.
 //!
-//! The first pose that the data fit is the one, unless it may have mirror images ([`super::images`]):
+//! The first pose that the data fit is the one, unless it may have mirror images ([`super::mirror_images`]):
 //! then those are looked for, the best counts, and where two fit alike there is no pose.
-
-use arrayvec::ArrayVec;
 
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Linear3, Scalar};
 
-use super::images::{IMAGES, image};
-use super::normal::{Problem, Whiteners, Workspace};
-use super::outcome::{Directions, Outcome, Solution};
-use super::outlier::{OutlierSearch, near};
-use super::readings::{Photocurrents, Sorted};
-use super::refine::{Ending, Refined};
-use super::{
-    COLD_LEFTOVER, DISTINCT_SIGMAS, Fit, MAX_ITERATIONS, MotionPrior, Solver, observability, redundancy, starts,
-};
+use super::accept::{Fit, is_elsewhere, redundancy};
+use super::levenberg_marquardt::{Minimum, Stopping};
+use super::minima::{Minima, Seen};
+use super::mirror_images::{IMAGES, image};
+use super::normal_equations::{Problem, Whiteners, Workspace};
+use super::outcome::{Outcome, Solution};
+use super::outlier::OutlierSearch;
+use super::readings::Sorted;
+use super::solver::{MAX_ITERATIONS, MotionPrior, Solver};
+use super::starts;
+use super::warm_start::near;
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
 /// 1e-6 and derivatives.
 pub(super) const COLD_WORK: usize = 600;
 
+/// Distance to the minimum that a cold start may leave, in σ of the pose: next to nothing, for noise-free data.
+pub(super) const TOLERANCE_SIGMAS: f64 = 1e-7;
+
 /// Cells below which mirror images are searched for on any head, unless the tool was followed to where
 /// it is. With six lit cells none but the truth keeps all of them lit, if their planes fix a pose.
 pub(super) const UNIQUE_FROM: usize = 6;
-
-/// χ² by which a pose must be worse than the best to be out of the question: a likelihood ratio of
-/// 1 : 22 000.
-const ALIKE: f64 = 20.0;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
 
 /// Steps of a rough approach before it is given up.
 const APPROACH_ITERATIONS: usize = 20;
-
-/// Rough approaches that are remembered, so that none is refined twice.
-const REMEMBERED: usize = 16;
-
-/// Displacement, in σ of a rough approach, up to which two approaches have led to one place.
-const SAME_SIGMAS: f64 = 0.3;
-
-/// Directions, the softest first, along which χ² of a pose that may have images must grow as its
-/// covariance says.
-const SOFT: usize = 3;
-
-/// χ² at a distance of [`DISTINCT_SIGMAS`], 36 by the covariance, from which on that says nothing: a pose
-/// where a head is singular has σ as large as you like, and the currents bend long before.
-const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
 
 /// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
 /// one in 10⁴ honest scans of six cells has more.
@@ -60,18 +45,14 @@ pub(super) const SOFT_STEPS: usize = 10;
 /// The first of them, in radians or its equivalent in translation.
 const SOFT_STEP: f64 = 0.03;
 
-/// A residual this large a share of a cell's current is no misfit but another place. Gains that
-/// calibration has not settled stay well below.
-const ELSEWHERE: f64 = 0.1;
-
 /// When a rough approach ends: it needs no more than its neighbourhood.
-pub(super) fn approaching<S: Scalar>() -> Ending<S> {
-    Ending { max_iterations: APPROACH_ITERATIONS, leftover: S::of(1e-2) }
+pub(super) fn approaching<S: Scalar>() -> Stopping<S> {
+    Stopping { max_iterations: APPROACH_ITERATIONS, tolerance_sigmas: S::of(1e-2) }
 }
 
 /// When a refinement without a prior ends.
-pub(super) fn closing<S: Scalar>() -> Ending<S> {
-    Ending { max_iterations: MAX_ITERATIONS, leftover: S::of(COLD_LEFTOVER) }
+pub(super) fn closing<S: Scalar>() -> Stopping<S> {
+    Stopping { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(TOLERANCE_SIGMAS) }
 }
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
@@ -171,102 +152,7 @@ impl Try {
     }
 }
 
-/// Where rough approaches have led.
-struct Seen<S: Scalar> {
-    places: ArrayVec<Transform<S>, REMEMBERED>,
-    /// How many led to one that was known.
-    again: usize,
-}
-
-impl<S: Scalar> Seen<S> {
-    fn new() -> Self {
-        Self { places: ArrayVec::new(), again: 0 }
-    }
-
-    /// Whether `approach` has led where another has before; it is remembered.
-    fn has(&mut self, approach: &Refined<S>, arm: S) -> bool {
-        let is_known = self.places.iter().any(|before| {
-            approach.factor.as_ref().is_some_and(|factor| {
-                observability::sigmas_between(factor, before, &approach.pose, arm) <= S::of(SAME_SIGMAS)
-            })
-        });
-        if is_known {
-            self.again += 1;
-        } else {
-            // One that does not fit only makes for more work.
-            let _ = self.places.try_push(approach.pose);
-        }
-        is_known
-    }
-}
-
-/// The best pose so far, and the best of those that are not the same.
-#[derive(Clone, Copy, Debug)]
-struct Minima<S: Scalar> {
-    best: Option<(Refined<S>, Fit)>,
-    rival: Option<(Refined<S>, Fit)>,
-    arm: S,
-}
-
-impl<S: Scalar> Minima<S> {
-    fn add(&mut self, refined: Refined<S>, fit: Fit) {
-        let is_better = |other: &Option<(Refined<S>, Fit)>| {
-            other.is_none_or(|(other, other_fit)| fit > other_fit || fit == other_fit && refined.chi2 < other.chi2)
-        };
-        let is_new = self.best.is_none_or(|(best, _)| are_distinct(&best, &refined, self.arm));
-        if is_better(&self.best) {
-            if is_new {
-                self.rival = self.best;
-            }
-            self.best = Some((refined, fit));
-        } else if is_new && is_better(&self.rival) {
-            self.rival = Some((refined, fit));
-        }
-    }
-
-    fn places(&self) -> [Option<Transform<S>>; 2] {
-        [self.best, self.rival].map(|found| found.map(|(refined, _)| refined.pose))
-    }
-
-    /// Whether the data leave directions free at the best pose.
-    fn is_singular(&self) -> bool {
-        self.best.is_some_and(|(best, _)| best.factor.as_ref().is_none_or(observability::is_singular))
-    }
-
-    fn best_fit(&self) -> Fit {
-        self.best.map_or(Fit::None, |(_, fit)| fit)
-    }
-
-    /// Whether two poses fit alike, and no third can be so much better that neither counts.
-    fn are_alike(&self) -> bool {
-        match (self.best, self.rival) {
-            (Some((best, fit)), Some((rival, rival_fit))) => {
-                fit != Fit::None && rival_fit == fit && rival.chi2 - best.chi2 < S::of(ALIKE)
-            }
-            _ => false,
-        }
-    }
-
-    fn cannot_be_beaten(&self) -> bool {
-        self.best.is_some_and(|(best, fit)| fit == Fit::Full && best.chi2 < S::of(ALIKE))
-    }
-}
-
 impl<S: Scalar> Solver<S> {
-    /// `search` on the currents of one frame, of at most `work` evaluations of all cells.
-    pub(super) fn search_on(
-        &self,
-        readings: &Photocurrents,
-        motion: &MotionPrior,
-        search: &mut Search<S>,
-        work: usize,
-    ) -> Solution<S> {
-        let sorted = Sorted::of(readings, &self.limits);
-        let room = &mut Workspace::with_work(work);
-        let solution = self.too_few(&sorted).unwrap_or_else(|| self.search(&sorted, motion, search, room));
-        Solution { evaluations: room.evaluations, ..solution }
-    }
-
     /// Two poses between which the currents of the frame before did not decide, on those of this one;
     /// `None` if these do.
     pub(super) fn still_images(
@@ -274,14 +160,14 @@ impl<S: Scalar> Solver<S> {
         sorted: &Sorted<S>,
         motion: &MotionPrior,
         images: [Transform<S>; 2],
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Option<[Transform<S>; 2]> {
         let problem = self.problem(sorted, motion);
         let whiteners = problem.whiteners();
-        let mut minima = Minima { best: None, rival: None, arm: self.arm };
+        let mut minima = Minima::new(self.length_scale_m);
         for image in images {
-            let refined = near(&problem, &whiteners, image, room);
-            minima.add(refined, self.fit(sorted, &problem, &refined));
+            let minimum = near(&problem, &whiteners, image, workspace);
+            minima.add(minimum, self.fit(sorted, &problem, &minimum));
         }
         match minima.places() {
             [Some(a), Some(b)] if minima.are_alike() => Some([a, b]),
@@ -289,48 +175,48 @@ impl<S: Scalar> Solver<S> {
         }
     }
 
-    /// Goes on with `search` until it is over or the work in `room` is used up. A search that is not
+    /// Goes on with `search` until it is over or the work in `workspace` is used up. A search that is not
     /// over has no pose yet.
     pub(super) fn search(
         &self,
         sorted: &Sorted<S>,
         motion: &MotionPrior,
         search: &mut Search<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let problem = &self.problem(sorted, motion);
         let whiteners = problem.whiteners();
         let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
         let on_planes = self.on_planes(sorted);
-        let mut minima = Minima { best: None, rival: None, arm: self.arm };
+        let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
         if !search.has_begun || !may_have_images {
             // What led nowhere in one frame may lead to it in another.
-            let mut refined = problem.refine(on_planes, &whiteners, closing(), room);
+            let mut minimum = problem.minimise(on_planes, &whiteners, closing(), workspace);
             let gate = self.gates[sorted.usable.len()];
-            if refined.converged && refined.chi2 <= gate {
-                refined = problem.beyond_kink(refined, &whiteners, S::of(DOUBTED) * gate, room);
+            if minimum.converged && minimum.chi2 <= gate {
+                minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
             }
-            let fit = self.fit(sorted, problem, &refined);
+            let fit = self.fit(sorted, problem, &minimum);
             if fit == Fit::Full && !may_have_images {
                 // By far the most frequent end, with the last expansion still at hand.
                 search.is_over = true;
-                return self.conclude(sorted, problem, &refined, room, fit);
+                return self.conclude(sorted, problem, &minimum, workspace, fit);
             }
-            iterations += refined.iterations;
-            minima.add(refined, fit);
+            iterations += minimum.iterations;
+            minima.add(minimum, fit);
         }
         for before in search.found.into_iter().flatten().filter(|_| may_have_images) {
-            let refined = problem.refine(before, &whiteners, closing(), room);
-            iterations += refined.iterations;
-            minima.add(refined, self.fit(sorted, problem, &refined));
+            let minimum = problem.minimise(before, &whiteners, closing(), workspace);
+            iterations += minimum.iterations;
+            minima.add(minimum, self.fit(sorted, problem, &minimum));
         }
         search.has_begun = true;
         // Of three cells alone no pose will come of it.
         let unfinished = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
         let mut seen = Seen::new();
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
-            if room.work == 0 {
+            if workspace.work == 0 {
                 if search.may_pause {
                     return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
                 }
@@ -338,7 +224,7 @@ impl<S: Scalar> Solver<S> {
             }
             let fit = minima.best_fit();
             if next == (Try::Exclusion { late: self.has_images }) && fit == Fit::None {
-                if let Some(solution) = self.without_outlier(sorted, motion, &mut search.outlier, room) {
+                if let Some(solution) = self.without_outlier(sorted, motion, &mut search.outlier, workspace) {
                     search.is_over = true;
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
@@ -353,7 +239,7 @@ impl<S: Scalar> Solver<S> {
                     Try::Home => (fit == Fit::None).then(|| (Transform::of(&Pose::HOME), true)),
                     Try::Soft(index) => best.and_then(|best| self.softened(&best, index)).map(|start| (start, false)),
                     Try::Image(index) => best
-                        .and_then(|best| image(&self.planes, &sorted.usable, &best.pose, self.arm, index))
+                        .and_then(|best| image(&self.planes, &sorted.usable, &best.pose, self.length_scale_m, index))
                         .map(|start| (start, false)),
                     Try::Around(index) => Some((starts::around(&on_planes, index), true)),
                     // Without redundancy a rough approach leads past too many poses.
@@ -363,34 +249,34 @@ impl<S: Scalar> Solver<S> {
             });
             search.next += 1;
             let Some((start, is_rough, before)) = start else { continue };
-            let ending = if is_rough { approaching() } else { closing() };
-            let mut refined = if is_rough {
-                problem.refine(start, &problem.coarse_whiteners(), ending, room)
+            let stopping = if is_rough { approaching() } else { closing() };
+            let mut minimum = if is_rough {
+                problem.minimise(start, &problem.coarse_whiteners(), stopping, workspace)
             } else {
-                problem.refine(start, &whiteners, ending, room)
+                problem.minimise(start, &whiteners, stopping, workspace)
             };
-            iterations += refined.iterations;
-            let steps = before + refined.iterations;
-            if room.work == 0 && search.may_pause && !refined.converged && steps < ending.max_iterations {
+            iterations += minimum.iterations;
+            let steps = before + minimum.iterations;
+            if workspace.work == 0 && search.may_pause && !minimum.converged && steps < stopping.max_iterations {
                 search.next -= 1;
-                search.under_way = Some((refined.pose, is_rough, steps));
+                search.under_way = Some((minimum.pose, is_rough, steps));
                 continue;
             }
             if is_rough {
-                if seen.has(&refined, self.arm) {
+                if seen.has(&minimum, self.length_scale_m) {
                     continue;
                 }
                 // By rough weights χ² is nowhere larger than by true ones: here nothing fits.
-                if refined.converged && refined.chi2 > self.gates[sorted.usable.len()] && next != Try::Home {
+                if minimum.converged && minimum.chi2 > self.gates[sorted.usable.len()] && next != Try::Home {
                     continue;
                 }
-                refined = problem.refine(refined.pose, &whiteners, closing(), room);
-                iterations += refined.iterations;
+                minimum = problem.minimise(minimum.pose, &whiteners, closing(), workspace);
+                iterations += minimum.iterations;
             }
-            minima.add(refined, self.fit(sorted, problem, &refined));
+            minima.add(minimum, self.fit(sorted, problem, &minimum));
         }
         search.is_over = true;
-        let solution = self.judge(sorted, problem, &whiteners, &minima, room);
+        let solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
         search.found = if solution.outcome == Outcome::Ambiguous { minima.places() } else { [None; 2] };
         Solution { iterations, ..solution }
     }
@@ -406,13 +292,13 @@ impl<S: Scalar> Solver<S> {
         }
     }
 
-    /// `refined` moved along the direction that its data hold least: one of [`SOFT_STEPS`].
-    pub(super) fn softened(&self, refined: &Refined<S>, index: usize) -> Option<Transform<S>> {
-        let (_, direction) = refined.factor.as_ref()?.singular()[0];
+    /// `minimum` moved along the direction that its data hold least: one of [`SOFT_STEPS`].
+    pub(super) fn softened(&self, minimum: &Minimum<S>, index: usize) -> Option<Transform<S>> {
+        let (_, direction) = minimum.factor.as_ref()?.singular()[0];
         let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
         let length = S::of(sign * SOFT_STEP * f64::from(1_u32 << (index / 2)));
         let [shift, turn] = [0, 3].map(|i| <S as Scalar>::Vec3::new(direction[i], direction[i + 1], direction[i + 2]));
-        Some(refined.pose.moved(shift * (length * self.arm), turn * length))
+        Some(minimum.pose.moved(shift * (length * self.length_scale_m), turn * length))
     }
 
     /// What to tell of the poses that a search has found.
@@ -422,7 +308,7 @@ impl<S: Scalar> Solver<S> {
         problem: &Problem<'_, S>,
         whiteners: &Whiteners<S>,
         minima: &Minima<S>,
-        room: &mut Workspace<S>,
+        workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let Some((best, fit)) = minima.best else {
             return nothing(sorted, Outcome::Diverged);
@@ -445,64 +331,13 @@ impl<S: Scalar> Solver<S> {
             return nothing(sorted, Outcome::Ambiguous);
         }
         // The last expansion is another start's.
-        problem.expand(&best.pose, whiteners, room);
-        let solution = self.conclude(sorted, problem, &best, room, fit);
+        problem.linearise(&best.pose, whiteners, workspace);
+        let solution = self.conclude(sorted, problem, &best, workspace, fit);
         if !may_have_images || fit == Fit::None && !is_valley {
             return solution;
         }
-        let solution = self.unless_soft(solution, problem, whiteners, &best, room);
+        let solution = self.unless_soft(solution, problem, whiteners, &best, workspace);
         if is_nowhere && solution.outcome.has_pose() { nothing(sorted, Outcome::Diverged) } else { solution }
-    }
-
-    /// [`Self::conclude`] where the tool is expected and images are not looked for: one that is so near that
-    /// the two are one minimum is.
-    pub(super) fn conclude_near(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S>,
-        whiteners: &Whiteners<S>,
-        refined: &Refined<S>,
-        room: &mut Workspace<S>,
-        fit: Fit,
-    ) -> Solution<S> {
-        let solution = self.conclude(sorted, problem, refined, room, fit);
-        if self.has_images && fit != Fit::None {
-            self.unless_soft(solution, problem, whiteners, refined, room)
-        } else {
-            solution
-        }
-    }
-
-    /// `solution`, if along its softest directions χ² grows as its covariance says; else an image is so
-    /// near that the two are one minimum, and the data leave those directions free.
-    fn unless_soft(
-        &self,
-        mut solution: Solution<S>,
-        problem: &Problem<'_, S>,
-        whiteners: &Whiteners<S>,
-        refined: &Refined<S>,
-        room: &mut Workspace<S>,
-    ) -> Solution<S> {
-        let is_free = matches!(solution.outcome, Outcome::Unobservable(_));
-        let Some(factor) = refined.factor.as_ref().filter(|_| is_free || solution.outcome.has_pose()) else {
-            return solution;
-        };
-        let mut soft = ArrayVec::<[f64; 6], SOFT>::new();
-        for (value, direction) in &factor.singular()[..SOFT] {
-            let grows = |sign: f64, room: &mut Workspace<S>| {
-                let far = direction.map(|element| element * (S::of(sign * DISTINCT_SIGMAS) / *value));
-                let there = problem.expand(&problem.moved(&refined.pose, &far), whiteners, room);
-                (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&(there.chi2 - refined.chi2))
-            };
-            if observability::is_free(*value) || !(grows(-1.0, room) && grows(1.0, room)) {
-                soft.push(direction.map(S::as_f64));
-            }
-        }
-        if !soft.is_empty() {
-            solution.outcome = Outcome::Unobservable(Directions::of_free(&soft));
-            solution.estimate = None;
-        }
-        solution
     }
 }
 
@@ -514,26 +349,4 @@ fn nothing<S: Scalar>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
 /// Of three cells alone nearly every pose has one, and no search is sure to find it.
 fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0 && sorted.faint.is_empty()
-}
-
-/// Whether two poses differ by more than the data of either allow.
-pub(super) fn are_distinct<S: Scalar>(a: &Refined<S>, b: &Refined<S>, arm: S) -> bool {
-    [a, b].iter().any(|by| {
-        by.factor.as_ref().is_none_or(|factor| {
-            let sigmas = observability::sigmas_between(factor, &a.pose, &b.pose, arm);
-            sigmas.is_nan() || sigmas > S::of(DISTINCT_SIGMAS)
-        })
-    })
-}
-
-/// Whether the best pose found is too far from the data to call it one.
-pub(super) fn is_elsewhere<S: Scalar>(problem: &Problem<'_, S>, refined: &Refined<S>) -> bool {
-    let predicted = problem.predicted(&refined.pose);
-    !refined.converged
-        || problem.readings.iter().any(|reading| {
-            let [first, second] = reading.pair;
-            let [i_x1_a, i_x2_a] = predicted[reading.cell];
-            let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
-            off > S::of(ELSEWHERE) * (first + second)
-        })
 }

@@ -12,11 +12,13 @@ use crate::scalar::{Linear3, Scalar};
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Factor, Matrix6};
-use super::normal::Workspace;
+use super::cold_start::{SOFT_STEPS, UNIQUE_FROM, approaching};
+use super::minima::are_distinct;
+use super::normal_equations::Workspace;
 use super::planes::{PlaneCell, settle};
-use super::readings::{Sorted, Usable};
-use super::search::{SOFT_STEPS, UNIQUE_FROM, approaching, are_distinct};
-use super::{MotionPrior, Photocurrents, Solver, starts};
+use super::readings::{Photocurrents, Sorted, Usable};
+use super::solver::{MotionPrior, Solver};
+use super::starts;
 
 /// Least singular value of the planes' derivatives at which they fix a pose: directions of planes and
 /// turns are counted in units of one, so that a head of six cells has some 1.4 if its planes are spread
@@ -66,7 +68,7 @@ impl<S: Scalar> Solver<S> {
         }
         let mut matrix: Matrix6<S> = [[S::zero(); 6]; 6];
         for reading in &sorted.usable {
-            let (row, _) = self.planes[reading.cell].row(reading, pose, self.arm);
+            let (row, _) = self.planes[reading.cell].row(reading, pose, self.length_scale_m);
             for i in 0..6 {
                 for j in 0..6 {
                     matrix[i][j] += row[i] * row[j];
@@ -79,16 +81,16 @@ impl<S: Scalar> Solver<S> {
 
     /// Whether `pose`, which the readings are of, has an image that fits them nearly as well.
     fn has_image_near(&self, sorted: &Sorted<S>, pose: &Transform<S>) -> bool {
-        let problem = self.problem(sorted, &MotionPrior::default());
-        let (whiteners, room) = (problem.whiteners(), &mut Workspace::new());
-        let here = problem.refine(*pose, &whiteners, approaching(), room);
+        let problem = self.problem(sorted, &MotionPrior::AT_REST);
+        let (whiteners, workspace) = (problem.whiteners(), &mut Workspace::new());
+        let here = problem.minimise(*pose, &whiteners, approaching(), workspace);
         (0..SOFT_STEPS)
             .map(|index| self.softened(&here, index))
-            .chain((0..IMAGES).map(|index| image(&self.planes, &sorted.usable, pose, self.arm, index)))
+            .chain((0..IMAGES).map(|index| image(&self.planes, &sorted.usable, pose, self.length_scale_m, index)))
             .flatten()
             .any(|start| {
-                let there = problem.refine(start, &whiteners, approaching(), room);
-                there.converged && there.chi2 < S::of(NEAR) && are_distinct(&here, &there, self.arm)
+                let there = problem.minimise(start, &whiteners, approaching(), workspace);
+                there.converged && there.chi2 < S::of(NEAR) && are_distinct(&here, &there, self.length_scale_m)
             })
     }
 }
@@ -119,7 +121,7 @@ pub(super) fn image<S: Scalar>(
     cells: &[PlaneCell<S>],
     readings: &[Usable<S>],
     pose: &Transform<S>,
-    arm_m: S,
+    length_scale_m: S,
     index: usize,
 ) -> Option<Transform<S>> {
     let mut three = widest(cells, readings, &[])?;
@@ -137,10 +139,10 @@ pub(super) fn image<S: Scalar>(
     let axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
         .map(|(x, y, z)| <S as Scalar>::Vec3::new(S::of(x), S::of(y), S::of(z)));
     let (places, axes) = (&places, &axes);
-    Some(settle(*pose, arm_m, STEPS, |pose| {
+    Some(settle(*pose, length_scale_m, STEPS, |pose| {
         places.iter().flat_map(move |(cell, [_, beyond])| {
             axes.iter().map(move |axis| {
-                let (row, distance) = cells[*cell].row_from(*beyond, *axis, &pose, arm_m);
+                let (row, distance) = cells[*cell].row_from(*beyond, *axis, &pose, length_scale_m);
                 (row, distance, S::one())
             })
         })

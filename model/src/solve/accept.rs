@@ -1,0 +1,221 @@
+//! Whether a minimum is believed, and what a solution says of itself.
+//!
+//! Of a right pose χ² follows the χ² distribution with as many degrees of freedom as there are currents beyond six
+//! unknowns; a minimum above its gate, the quantile for 1e-9, is a misfit. Beside χ² the cells without light
+//! count: a pose that would light them is a mirror image.
+//!
+//! An error of length e in the currents of one cell, in σ, has a share r in its residuals and 1 − r in the pose,
+//! r the redundancy number. The largest error that χ² leaves unnoticed, and what it does to the pose, are the
+//! minimal detectable bias and the external reliability of Baarda (A testing procedure for use in geodetic
+//! networks, 1968).
+
+use arrayvec::ArrayVec;
+
+use crate::scalar::Scalar;
+
+use super::levenberg_marquardt::Minimum;
+use super::normal_equations::{Problem, Whiteners, Workspace};
+use super::observability;
+use super::outcome::{Directions, Estimate, Outcome, Solution, Weakness};
+use super::readings::Sorted;
+use super::solver::Solver;
+
+/// Probability of a larger χ² by chance at which a fit is doubted: 1e-9, six one-sided σ.
+const GATE_SIGMAS: f64 = 6.0;
+
+/// Two poses this many σ apart are two poses.
+pub(super) const DISTINCT_SIGMAS: f64 = 6.0;
+
+/// χ² by which a pose must be worse than the best to be out of the question: a likelihood ratio of
+/// 1 : 22 000.
+pub(super) const ALIKE: f64 = 20.0;
+
+/// Directions, the softest first, along which χ² of a pose that may have images must grow as its
+/// covariance says.
+const SOFT: usize = 3;
+
+/// χ² at a distance of [`DISTINCT_SIGMAS`], 36 by the covariance, from which on that says nothing: a pose
+/// where a head is singular has σ as large as you like, and the currents bend long before.
+const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
+
+/// A residual this large a share of a cell's current is no misfit but another place. Gains that
+/// calibration has not settled stay well below.
+const ELSEWHERE: f64 = 0.1;
+
+/// How well a pose explains the data, worst first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Fit {
+    /// χ² is more than the noise explains.
+    None,
+    /// The cells that see light fit, but another should see some, too.
+    LitOnly,
+    /// All cells agree.
+    Full,
+}
+
+impl<S: Scalar> Solver<S> {
+    /// How well `minimum` explains the data: χ² by the noise, and no light where none was seen.
+    pub(super) fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, minimum: &Minimum<S>) -> Fit {
+        // Written so that NaN does not fit.
+        let fits = minimum.converged && minimum.chi2 <= self.gates[sorted.usable.len()];
+        if !fits {
+            Fit::None
+        } else if sorted.faint.count() == 0 || self.is_dark_where_dark(sorted, problem, minimum) {
+            Fit::Full
+        } else {
+            Fit::LitOnly
+        }
+    }
+
+    /// Whether cells that were found without light are without light at the pose, too.
+    fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, minimum: &Minimum<S>) -> bool {
+        let predicted = problem.predicted(&minimum.pose);
+        sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
+    }
+
+    /// What to tell of a refinement whose last expansion is in `workspace`.
+    pub(super) fn conclude(
+        &self,
+        sorted: &Sorted<S>,
+        problem: &Problem<'_, S>,
+        minimum: &Minimum<S>,
+        workspace: &Workspace<S>,
+        fit: Fit,
+    ) -> Solution<S> {
+        let redundancy = redundancy(sorted.usable.len());
+        let mut solution = Solution {
+            chi2: minimum.chi2,
+            redundancy,
+            iterations: minimum.iterations,
+            factor: minimum.factor,
+            ..Solution::without_pose(Outcome::Diverged, sorted.used)
+        };
+        let Some(factor) = &minimum.factor else {
+            return solution;
+        };
+        let Some(covariance) = observability::covariance(factor, self.length_scale_m) else {
+            let free = observability::free_directions(factor).unwrap_or_default();
+            solution.outcome = Outcome::Unobservable(free);
+            return solution;
+        };
+        let pose = minimum.pose.to_pose();
+        if !pose.is_finite() {
+            return solution;
+        }
+        let gate = self.gates[sorted.usable.len()];
+        solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, workspace));
+        solution.outcome = if fit == Fit::None {
+            Outcome::Degraded(Weakness::Misfit)
+        } else if sorted.usable.len() < self.plan.cell_count() {
+            Outcome::Degraded(Weakness::FewerCells)
+        } else {
+            Outcome::Converged
+        };
+        solution.estimate = Some(Estimate { pose, covariance });
+        solution
+    }
+
+    /// [`Self::conclude`] where the tool is expected and images are not looked for: one that is so near that
+    /// the two are one minimum is.
+    pub(super) fn conclude_near(
+        &self,
+        sorted: &Sorted<S>,
+        problem: &Problem<'_, S>,
+        whiteners: &Whiteners<S>,
+        minimum: &Minimum<S>,
+        workspace: &mut Workspace<S>,
+        fit: Fit,
+    ) -> Solution<S> {
+        let solution = self.conclude(sorted, problem, minimum, workspace, fit);
+        if self.has_images && fit != Fit::None {
+            self.unless_soft(solution, problem, whiteners, minimum, workspace)
+        } else {
+            solution
+        }
+    }
+
+    /// `solution`, if along its softest directions χ² grows as its covariance says; else an image is so
+    /// near that the two are one minimum, and the data leave those directions free.
+    pub(super) fn unless_soft(
+        &self,
+        mut solution: Solution<S>,
+        problem: &Problem<'_, S>,
+        whiteners: &Whiteners<S>,
+        minimum: &Minimum<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Solution<S> {
+        let is_free = matches!(solution.outcome, Outcome::Unobservable(_));
+        let Some(factor) = minimum.factor.as_ref().filter(|_| is_free || solution.outcome.has_pose()) else {
+            return solution;
+        };
+        let mut soft = ArrayVec::<[f64; 6], SOFT>::new();
+        for (value, direction) in &factor.singular()[..SOFT] {
+            let grows = |sign: f64, workspace: &mut Workspace<S>| {
+                let far = direction.map(|element| element * (S::of(sign * DISTINCT_SIGMAS) / *value));
+                let there = problem.linearise(&problem.moved(&minimum.pose, &far), whiteners, workspace);
+                (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&(there.chi2 - minimum.chi2))
+            };
+            if observability::is_free(*value) || !(grows(-1.0, workspace) && grows(1.0, workspace)) {
+                soft.push(direction.map(S::as_f64));
+            }
+        }
+        if !soft.is_empty() {
+            solution.outcome = Outcome::Unobservable(Directions::of_free(&soft));
+            solution.estimate = None;
+        }
+        solution
+    }
+}
+
+/// Whether the best pose found is too far from the data to call it one.
+pub(super) fn is_elsewhere<S: Scalar>(problem: &Problem<'_, S>, minimum: &Minimum<S>) -> bool {
+    let predicted = problem.predicted(&minimum.pose);
+    !minimum.converged
+        || problem.readings.iter().any(|reading| {
+            let [first, second] = reading.pair;
+            let [i_x1_a, i_x2_a] = predicted[reading.cell];
+            let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
+            off > S::of(ELSEWHERE) * (first + second)
+        })
+}
+
+/// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:
+/// of an error of length e in σ of its cell, r·e² stays visible and (1 − r)·e² is in the pose.
+fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
+    // Of next to nothing, rounding is what is left.
+    let negligible = S::of(1e-6).max(S::of(64.0) * S::epsilon());
+    if redundancy == 0 || visible <= negligible {
+        return S::infinity();
+    }
+    ((gate - S::of(redundancy as f64)) * (S::one() - visible) / visible).square_root()
+}
+
+/// Two currents a cell, less six unknowns.
+pub(super) fn redundancy(cells: usize) -> usize {
+    (2 * cells).saturating_sub(6)
+}
+
+/// The χ² that `freedom` degrees of freedom exceed with probability 1e-9 (Wilson and Hilferty
+/// 1931). Without redundancy a fit is exact, but for noise that leads past a fold of the currents:
+/// counted as one degree.
+pub(super) fn chi2_gate(freedom: usize) -> f64 {
+    let k = freedom.max(1) as f64;
+    let spread = 2.0 / (9.0 * k);
+    let root = 1.0 - spread + GATE_SIGMAS * libm::sqrt(spread);
+    k * root * root * root
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gate_of_chi2_is_passed_by_chance_once_in_a_billion() {
+        // Quantiles of χ² for 9.9e-10, from its closed form for even degrees of freedom. The cube root is
+        // a normal deviate to a few percent, least so for few degrees.
+        for (freedom, quantile) in [(2, 41.47), (4, 47.91), (6, 53.37), (10, 62.98), (26, 94.63)] {
+            let ratio = chi2_gate(freedom) / quantile;
+            assert!((0.99..1.2).contains(&ratio), "{freedom}: {ratio}");
+        }
+    }
+}

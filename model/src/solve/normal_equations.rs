@@ -1,0 +1,336 @@
+//! The whitened residuals, their Jacobian, and the normal equations of Gauss and Newton.
+//!
+//! With r the residuals of all currents divided by their noise ([`super::weights`]) and J their derivatives by the
+//! pose, χ² = rᵀr and a step s solves JᵀJ·s = Jᵀr (Gauss 1809; Björck, Numerical Methods for Least Squares
+//! Problems, 1996, section 9.2). JᵀJ is the Fisher information: its inverse is the covariance.
+//!
+//! Unknowns are (δt/ℓ, δθ), ℓ the length scale: translations are counted in units of the emitters' distance
+//! from the tool's origin, so that the matrix mixes like with like. A tool that moves within the frame adds six
+//! unknowns, which [`super::twist`] eliminates.
+
+// heapless clears the memory of a new vector; here that would take as long as the algebra.
+use arrayvec::ArrayVec;
+
+use crate::plan::{Instant, Plan};
+use crate::pose::Transform;
+use crate::scalar::Scalar;
+use crate::scene::MAX_CELLS;
+
+use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
+use super::planes::PlaneCell;
+use super::readings::Usable;
+use super::twist::{Elimination, Motion, ResidualSums};
+use super::weights::{CellNoise, Whitener};
+
+/// Distance from a guiding plane that counts as one σ.
+const GUIDE_M: f64 = 20e-6;
+
+/// Most guiding planes: more than three fix a pose.
+const MAX_GUIDES: usize = 4;
+
+/// The data of one minimisation.
+pub(super) struct Problem<'a, S: Scalar> {
+    pub(super) plan: &'a Plan<S>,
+    pub(super) planes: &'a [PlaneCell<S>],
+    pub(super) noise: &'a [CellNoise<S>],
+    /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
+    pub(super) offsets_s: &'a [S],
+    pub(super) readings: &'a [Usable<S>],
+    pub(super) motion: Motion<S>,
+    pub(super) length_scale_m: S,
+    /// Relative change of the derivatives per unit of a scaled step.
+    pub(super) jacobian_change_rate: S,
+}
+
+/// One whitening per usable reading.
+pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
+
+/// One whitened residual and its derivatives by the scaled pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row<S> {
+    pub(super) by_pose: Vector6<S>,
+    pub(super) residual: S,
+}
+
+/// Memory and budget of the minimisations of one frame: the rows of the last linearisation, with the residuals
+/// of the last evaluation.
+#[derive(Debug)]
+pub(super) struct Workspace<S: Scalar> {
+    /// Of each usable reading, in order, two each.
+    pub(super) rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
+    /// Index of a reading whose cell has no spot at the pose, and the row of its plane.
+    pub(super) plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
+    /// Weights at the last linearisation of cells whose parts may be displaced.
+    displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
+    /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
+    pub(super) slack_m: S,
+    /// M₁ and M₂ of [`super::twist`], if the twist is not known.
+    twist_moments: [Matrix6<S>; 2],
+    elimination: Option<Elimination<S>>,
+    /// Evaluations of all cells that may still be made: see [`Self::with_work`].
+    pub(super) work: usize,
+    /// Evaluations made.
+    pub(super) evaluations: usize,
+}
+
+impl<S: Scalar> Workspace<S> {
+    /// Empty, without a limit to the work.
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        Self::with_work(usize::MAX)
+    }
+
+    /// With a budget of `work` evaluations of all cells, with or without derivatives: the cost of a solve,
+    /// whatever the processor. Minimisations end when the budget is used up; one under way makes three more
+    /// evaluations at most.
+    #[inline(always)]
+    pub(super) fn with_work(work: usize) -> Self {
+        Self {
+            work,
+            evaluations: 0,
+            rows: ArrayVec::new(),
+            plane_rows: ArrayVec::new(),
+            displaced: ArrayVec::new(),
+            slack_m: S::zero(),
+            twist_moments: [[[S::zero(); 6]; 6]; 2],
+            elimination: None,
+        }
+    }
+
+    /// One more evaluation.
+    #[inline(always)]
+    fn count(&mut self) {
+        self.work = self.work.saturating_sub(1);
+        self.evaluations += 1;
+    }
+}
+
+/// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, the twist eliminated.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NormalEquations<S> {
+    pub(super) chi2: S,
+    pub(super) information: Matrix6<S>,
+    /// Jᵀr: minus half the gradient of χ².
+    pub(super) gradient: Vector6<S>,
+}
+
+impl<S: Scalar> NormalEquations<S> {
+    /// An estimate, low by √6 at most, of the norm of J: the most that a step of unit length changes the
+    /// whitened currents.
+    pub(super) fn steepness(&self) -> S {
+        (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).square_root()
+    }
+
+    /// The information times a step.
+    pub(super) fn times(&self, step: &Vector6<S>) -> Vector6<S> {
+        self.information.map(|row| dot(&row, step))
+    }
+
+    /// χ² after a step, by the linearisation.
+    pub(super) fn chi2_after(&self, step: &Vector6<S>) -> S {
+        self.chi2 - S::two() * dot(&self.gradient, step) + self.along(step)
+    }
+
+    /// The length of a step in σ, squared.
+    pub(super) fn along(&self, step: &Vector6<S>) -> S {
+        dot(step, &self.times(step))
+    }
+}
+
+impl<S: Scalar> Problem<'_, S> {
+    fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
+        Instant { pose, linear: self.motion.linear, angular: self.motion.angular, offsets_s: self.offsets_s }
+    }
+
+    fn wants(&self, cell: usize) -> bool {
+        self.readings.iter().any(|reading| reading.cell == cell)
+    }
+
+    /// Exposure of a reading's cell in units of the motion's duration.
+    #[inline(always)]
+    pub(super) fn share(&self, reading: &Usable<S>) -> S {
+        self.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
+    }
+
+    /// The currents above dark that all cells deliver with the tool at `pose` at the reference
+    /// instant.
+    pub(super) fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
+        let mut currents = heapless::Vec::new();
+        self.plan.currents_all(
+            &self.instant(pose),
+            |_| true,
+            |_, pair| {
+                // As many as there are cells.
+                let _ = currents.push(pair);
+            },
+        );
+        currents
+    }
+
+    /// The weights of the readings.
+    pub(super) fn whiteners(&self) -> Whiteners<S> {
+        self.readings.iter().map(|reading| self.noise[reading.cell].whitener(reading.pair)).collect()
+    }
+
+    /// Weights for a pose that is far off: see [`CellNoise::coarse`].
+    pub(super) fn coarse_whiteners(&self) -> Whiteners<S> {
+        self.readings
+            .iter()
+            .map(|reading| {
+                let length = self.planes[reading.cell].detector_length_m();
+                self.noise[reading.cell].coarse(length).whitener(reading.pair)
+            })
+            .collect()
+    }
+
+    /// χ² and the normal equations at `pose`.
+    pub(super) fn linearise(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        workspace: &mut Workspace<S>,
+    ) -> NormalEquations<S> {
+        workspace.count();
+        let Workspace { rows: all_rows, plane_rows, displaced, slack_m, twist_moments, .. } = workspace;
+        *slack_m = S::infinity();
+        displaced.clear();
+        all_rows.clear();
+        plane_rows.clear();
+        let mut information = [[S::zero(); 6]; 6];
+        let is_twist_known = self.motion.prior.is_none();
+        if !is_twist_known {
+            *twist_moments = [information; 2];
+        }
+        self.plan.linearise_all(
+            &self.instant(pose),
+            |cell| self.wants(cell),
+            |cell, terms| {
+                // Readings come in the order of their cells, as terms do.
+                let index = all_rows.len();
+                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                    return;
+                };
+                *slack_m = slack_m.min(terms.slack_m);
+                let variance = self.noise[cell].displacement;
+                let looser;
+                let whitener = if variance > S::zero() {
+                    looser = whiteners[index].displaced(&terms.jacobian, variance);
+                    displaced.push(looser);
+                    &looser
+                } else {
+                    &whiteners[index]
+                };
+                // Translations are counted in units of the length scale.
+                let scaled_whitener = whitener.scaled(self.length_scale_m);
+                let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
+                let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
+                for axis in 0..6 {
+                    let whitener = if axis < 3 { &scaled_whitener } else { whitener };
+                    let column = whitener.apply(terms.jacobian.map(|row| row[axis]));
+                    rows[0].by_pose[axis] = column[0];
+                    rows[1].by_pose[axis] = column[1];
+                }
+                let own = [&rows[0].by_pose, &rows[1].by_pose];
+                add_outer(&mut information, own, own);
+                if !is_twist_known {
+                    self.add_twist(twist_moments, reading, &rows);
+                }
+                if !terms.status.has_spot() {
+                    let guide = self.guide(reading, pose);
+                    add_outer(&mut information, [&guide.by_pose], [&guide.by_pose]);
+                    if !is_twist_known {
+                        self.add_twist(twist_moments, reading, &[guide]);
+                    }
+                    // A plane beyond the most that guide is not missed.
+                    let _ = plane_rows.try_push((index, guide));
+                }
+                // As many as readings.
+                all_rows.push(rows);
+            },
+        );
+        mirror(&mut information);
+        let sums = self.residual_sums(workspace);
+        let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
+        workspace.elimination = None;
+        if !is_twist_known {
+            workspace.elimination = self.elimination(&mut workspace.twist_moments);
+            if let Some(elimination) = &workspace.elimination {
+                elimination.reduce(&mut normal, &sums);
+            }
+        }
+        normal
+    }
+
+    /// The row of a cell that saw light and should see none at `pose`: its currents have no derivatives
+    /// there, but its plane leads back.
+    fn guide(&self, reading: &Usable<S>, pose: &Transform<S>) -> Row<S> {
+        let (row, distance) = self.planes[reading.cell].row(reading, pose, self.length_scale_m);
+        Row {
+            by_pose: row.map(|value| value * self.length_scale_m / S::of(GUIDE_M)),
+            residual: -distance / S::of(GUIDE_M),
+        }
+    }
+
+    /// χ² and gradients of the residuals in `workspace`.
+    #[inline]
+    fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
+        let mut sums = ResidualSums::zero();
+        for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
+            sums.add(rows, self.share(reading));
+        }
+        for (index, row) in &workspace.plane_rows {
+            sums.add(core::slice::from_ref(row), self.share(&self.readings[*index]));
+        }
+        sums
+    }
+
+    /// The whitened residuals at `pose`, in the order of the readings.
+    pub(super) fn whitened(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        workspace: &mut Workspace<S>,
+    ) -> ArrayVec<[S; 2], MAX_CELLS> {
+        workspace.count();
+        let currents = self.predicted(pose);
+        let of = |(reading, whitener): (&Usable<S>, &Whitener<S>)| {
+            let [first, second] = currents[reading.cell];
+            whitener.apply([reading.pair[0] - first, reading.pair[1] - second])
+        };
+        self.readings.iter().zip(whiteners).map(of).collect()
+    }
+
+    /// χ² and gradient at `pose`, with the Jacobian of the last linearisation.
+    pub(super) fn reevaluate(
+        &self,
+        pose: &Transform<S>,
+        whiteners: &Whiteners<S>,
+        workspace: &mut Workspace<S>,
+    ) -> (S, Vector6<S>) {
+        let mut index = 0;
+        workspace.count();
+        self.plan.currents_all(
+            &self.instant(pose),
+            |cell| self.wants(cell),
+            |cell, currents| {
+                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                    return;
+                };
+                let residual = [reading.pair[0] - currents[0], reading.pair[1] - currents[1]];
+                let whitener = workspace.displaced.get(index).unwrap_or(&whiteners[index]);
+                for (row, residual) in workspace.rows[index].iter_mut().zip(whitener.apply(residual)) {
+                    row.residual = residual;
+                }
+                index += 1;
+            },
+        );
+        for (index, row) in &mut workspace.plane_rows {
+            row.residual = self.guide(&self.readings[*index], pose).residual;
+        }
+        let sums = self.residual_sums(workspace);
+        match &workspace.elimination {
+            Some(elimination) => elimination.apply(&sums),
+            None => (sums.chi2, sums.by_pose),
+        }
+    }
+}

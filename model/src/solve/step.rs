@@ -1,0 +1,128 @@
+//! The Gauss–Newton step, and what the linearised problem says without taking it.
+//!
+//! The normal equations (JᵀJ + λ·diag JᵀJ)·s = Jᵀr are solved by Cholesky factorisation. They square the condition
+//! number of J; where that would cost more than half of the digits, J itself is triangulated by QR
+//! factorisation (Björck 1996, section 2.4).
+
+use crate::scalar::Scalar;
+
+use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
+use super::normal_equations::{NormalEquations, Problem, Row, Workspace};
+use super::twist::ResidualSums;
+
+/// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
+const MOST_MAGNIFICATION: f64 = 10.0;
+
+/// Least ratio of a pivot to its diagonal element, in units of rounding, at which normal equations
+/// are trusted: they then keep more than half of the digits.
+const SAFE_ROUNDINGS: f64 = 1e4;
+
+/// A Gauss–Newton step, damped or not.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step<S> {
+    /// L of JᵀJ + λ·diag JᵀJ = L·Lᵀ.
+    pub(super) factor: Factor<S>,
+    pub(super) step: Vector6<S>,
+    /// By how much χ² falls along the step if J stays the same.
+    pub(super) predicted_reduction: S,
+    /// Whether it comes from the QR factorisation: `factor` then is too inexact to solve with again.
+    pub(super) is_by_qr: bool,
+}
+
+impl<S: Scalar> Problem<'_, S> {
+    /// The step from `at`; `None` if a damped matrix is singular to the precision of the numbers.
+    #[inline]
+    pub(super) fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {
+        let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
+        match Factor::of_matrix(&at.information, damping, safe) {
+            Some(factor) => {
+                let half_way = factor.forward(&at.gradient);
+                let step = factor.backward(&half_way);
+                Some(Step { step, predicted_reduction: square(&half_way), factor, is_by_qr: false })
+            }
+            None if damping > S::zero() => None,
+            None => Some(self.qr_step(workspace)),
+        }
+    }
+
+    /// The undamped step by QR factorisation of the rows in `workspace`: slow, but right for any condition
+    /// number that the number type resolves.
+    #[cold]
+    fn qr_step(&self, workspace: &Workspace<S>) -> Step<S> {
+        let mut triangle = Triangle::<S, 12>::new();
+        if let Some(prior) = self.motion.prior {
+            for i in 0..6 {
+                let mut row = [S::zero(); 12];
+                row[i] = prior[i / 3].sqrt();
+                triangle.add(row, S::zero());
+            }
+        }
+        let mut add = |row: &Row<S>, share: S| {
+            let twist = if self.motion.prior.is_some() { share } else { S::zero() };
+            triangle.add(
+                core::array::from_fn(|i| if i < 6 { row.by_pose[i] * twist } else { row.by_pose[i - 6] }),
+                row.residual,
+            );
+        };
+        for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
+            rows.iter().for_each(|row| add(row, self.share(reading)));
+        }
+        for (index, row) in &workspace.plane_rows {
+            add(row, self.share(&self.readings[*index]));
+        }
+        let (factor, half_way) = triangle.last_six();
+        Step { step: factor.backward(&half_way), predicted_reduction: square(&half_way), factor, is_by_qr: true }
+    }
+
+    /// The factor of the undamped information.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn factor(&self, at: &NormalEquations<S>, workspace: &Workspace<S>) -> Option<Factor<S>> {
+        self.step(at, S::zero(), workspace).map(|next| next.factor)
+    }
+
+    /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
+    pub(super) fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
+        workspace.slack_m > S::of(MOST_MAGNIFICATION) * length * self.length_scale_m
+    }
+
+    /// The least share of an error in one cell's currents that stays visible in its residuals, over all
+    /// cells: the redundancy number of Baarda (1968), the smaller eigenvalue of I − A·C·Aᵀ, A the cell's rows
+    /// and C = (L·Lᵀ)⁻¹. The rest of the error goes into the pose.
+    pub(super) fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
+        workspace.rows.iter().fold(S::one(), |least, rows| {
+            let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
+            let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
+            let half_difference = S::half() * (uu - vv);
+            let radius = (half_difference * half_difference + uv * uv).square_root();
+            least.min(S::one() - S::half() * (uu + vv) - radius)
+        })
+    }
+
+    /// The least χ² without reading `index`, by the last linearisation; `None` if that leaves a direction
+    /// free.
+    #[inline(never)]
+    pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
+        let zero = [[S::zero(); 6]; 6];
+        let (mut information, mut moments) = (zero, [zero; 2]);
+        let mut sums = ResidualSums::zero();
+        let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
+        let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
+        for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {
+            let reading = &self.readings[reading];
+            for row in rows {
+                add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
+                self.add_twist(&mut moments, reading, &[*row]);
+            }
+            sums.add(rows, self.share(reading));
+        }
+        mirror(&mut information);
+        let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
+        if let Some(elimination) = self.elimination(&mut moments) {
+            elimination.reduce(&mut normal, &sums);
+        }
+        let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
+        let factor = Factor::of_matrix(&normal.information, S::zero(), safe)?;
+        Some(normal.chi2 - square(&factor.forward(&normal.gradient)))
+    }
+}

@@ -1,0 +1,153 @@
+//! The tool's motion within a frame, eliminated from the normal equations.
+//!
+//! A cell exposed τ after the reference instant sees the pose advanced by τ·twist. Of a twist that is known
+//! only with a covariance P the deviation w is six more unknowns with a prior. With A the whitened rows of one
+//! cell,
+//!
+//! M₀ = ΣAᵀA, M₁ = Στ·AᵀA, M₂ = Στ²·AᵀA, K = M₂ + P⁻¹, information = M₀ − M₁·K⁻¹·M₁,
+//!
+//! the Schur complement of K, and likewise for the gradient and χ²: the twist is marginalised exactly, with the
+//! correlation between cells that it brings.
+
+use crate::scalar::Scalar;
+
+use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
+use super::normal_equations::{NormalEquations, Problem, Row};
+use super::readings::Usable;
+
+/// Largest information a prior on the twist can have: it is then known.
+const KNOWN: f64 = 1e30;
+
+/// Motion of the tool within a frame, and how well it is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion<S: Scalar> {
+    pub(super) linear: S::Vec3,
+    pub(super) angular: S::Vec3,
+    /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
+    pub(super) duration: S,
+    /// P⁻¹ of (linear, angular) in units of length scale/duration and 1/duration; `None`: the twist is known.
+    pub(super) prior: Option<[S; 2]>,
+}
+
+impl<S: Scalar> Motion<S> {
+    /// With the standard deviations of a twist, m/s and rad/s.
+    pub(super) fn new(
+        linear: S::Vec3,
+        angular: S::Vec3,
+        [sigma_linear, sigma_angular]: [f64; 2],
+        offsets_s: &[S],
+        length_scale_m: S,
+    ) -> Self {
+        let duration = offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()));
+        let information = |sigma: f64, unit: S| {
+            let share = S::of(sigma) * duration / unit;
+            (share * share).recip().min(S::of(KNOWN))
+        };
+        let unknown = duration > S::zero() && (sigma_linear > 0.0 || sigma_angular > 0.0);
+        let prior = unknown.then(|| [information(sigma_linear, length_scale_m), information(sigma_angular, S::one())]);
+        Self { linear, angular, duration, prior }
+    }
+}
+
+/// Eliminates the twist from normal equations.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Elimination<S> {
+    /// L of K = L·Lᵀ.
+    factor: Factor<S>,
+    /// Columns of L⁻¹·M₁.
+    mixed: Matrix6<S>,
+}
+
+/// Sums over residuals r: χ² = rᵀr, Jᵀr by the pose, and Jᵀr by the twist.
+#[derive(Clone, Copy)]
+pub(super) struct ResidualSums<S> {
+    pub(super) chi2: S,
+    pub(super) by_pose: Vector6<S>,
+    pub(super) by_twist: Vector6<S>,
+}
+
+impl<S: Scalar> ResidualSums<S> {
+    #[inline(always)]
+    pub(super) fn zero() -> Self {
+        Self { chi2: S::zero(), by_pose: [S::zero(); 6], by_twist: [S::zero(); 6] }
+    }
+
+    /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
+    #[inline(always)]
+    pub(super) fn add(&mut self, rows: &[Row<S>], share: S) {
+        let mut own = [S::zero(); 6];
+        for row in rows {
+            self.chi2 += row.residual * row.residual;
+            for i in 0..6 {
+                own[i] += row.by_pose[i] * row.residual;
+            }
+        }
+        for i in 0..6 {
+            self.by_pose[i] += own[i];
+            self.by_twist[i] += share * own[i];
+        }
+    }
+}
+
+impl<S: Scalar> Elimination<S> {
+    /// The normal equations of the pose alone.
+    #[inline(never)]
+    pub(super) fn reduce(&self, normal: &mut NormalEquations<S>, sums: &ResidualSums<S>) {
+        for i in 0..6 {
+            for j in 0..6 {
+                for k in 0..6 {
+                    let known = self.mixed[i][k] * self.mixed[j][k];
+                    normal.information[i][j] -= known;
+                }
+            }
+        }
+        (normal.chi2, normal.gradient) = self.apply(sums);
+    }
+
+    /// χ² and gradient of the pose alone.
+    pub(super) fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
+        let twist = self.factor.forward(&sums.by_twist);
+        let mut gradient = sums.by_pose;
+        for i in 0..6 {
+            for k in 0..6 {
+                let known = self.mixed[i][k] * twist[k];
+                gradient[i] -= known;
+            }
+        }
+        (twist.iter().fold(sums.chi2, |chi2, &value| chi2 - value * value).max(S::zero()), gradient)
+    }
+}
+
+impl<S: Scalar> Problem<'_, S> {
+    /// Adds the `rows` of one reading to M₁ and M₂.
+    #[inline(never)]
+    pub(super) fn add_twist<const N: usize>(
+        &self,
+        moments: &mut [Matrix6<S>; 2],
+        reading: &Usable<S>,
+        rows: &[Row<S>; N],
+    ) {
+        let share = self.share(reading);
+        let own = rows.each_ref().map(|row| &row.by_pose);
+        let mut weight = share;
+        for moment in moments {
+            let weighted = own.map(|row| row.map(|value| weight * value));
+            add_outer(moment, weighted.each_ref(), own);
+            weight *= share;
+        }
+    }
+
+    /// The elimination for M₁ and M₂; `None` if the twist is known.
+    #[inline(never)]
+    pub(super) fn elimination(&self, [mixed, twist]: &mut [Matrix6<S>; 2]) -> Option<Elimination<S>> {
+        let prior = self.motion.prior?;
+        mirror(mixed);
+        // The factorisation of a symmetric matrix reads the lower half.
+        for (i, row) in twist.iter_mut().enumerate() {
+            row[i] += prior[i / 3];
+        }
+        // Positive definite, by the prior.
+        let factor = Factor::of_matrix(twist, S::zero(), S::zero())?;
+        Some(Elimination { mixed: mixed.map(|column| factor.forward(&column)), factor })
+    }
+}
