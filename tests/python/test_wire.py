@@ -8,7 +8,7 @@ import unittest
 
 import wire
 
-GOLDEN = os.path.join(os.path.dirname(wire.PAGE), "..", "tests", "golden.rs")
+GOLDEN = os.path.join(os.path.dirname(wire.PAGE), "..", "tests", "testsuite", "golden.rs")
 
 
 class Wire(unittest.TestCase):

@@ -1,6 +1,6 @@
 //! What stands in the output of each format.
 
-use slitpose_model::{Photocurrents, Solver};
+use slitpose_model::{MotionPrior, Photocurrents, Solver, Start};
 
 use super::{Account, Format, open};
 use crate::clock::HostTime;
@@ -14,7 +14,7 @@ fn record(host_time: Option<HostTime>) -> Record {
         device_time_s: 0.0,
         host_time,
         arrival: None,
-        solution: Solver::<f64>::empty().solve(&Photocurrents::default()),
+        solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
         twist: None,
         smoothed: None,
         simulated: true,
