@@ -9,7 +9,7 @@ use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
 
 /// How near poses are to the truth, where there is one.
 #[derive(Clone, Debug, Default)]
-pub struct Accuracy {
+pub(crate) struct Accuracy {
     count: u64,
     square_m2: f64,
     square_rad2: f64,
@@ -21,7 +21,7 @@ pub struct Accuracy {
 
 impl Accuracy {
     /// Takes the next pose and where the tool really was.
-    pub fn add(&mut self, estimate: &Estimate, truth: &Pose) {
+    pub(crate) fn add(&mut self, estimate: &Estimate, truth: &Pose) {
         let (dt, dr) = estimate.pose.displacement_from(truth);
         self.count += 1;
         self.square_m2 += dt.length_squared();
@@ -35,12 +35,12 @@ impl Accuracy {
     }
 
     /// How many poses were taken.
-    pub fn count(&self) -> u64 {
+    pub(crate) fn count(&self) -> u64 {
         self.count
     }
 
     /// Three lines for people; `against` names where the truth comes from.
-    pub fn lines(&self, against: &str) -> Vec<Line> {
+    pub(crate) fn lines(&self, against: &str) -> Vec<Line> {
         if self.count == 0 {
             return Vec::new();
         }
@@ -70,7 +70,7 @@ impl Accuracy {
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];
 
 /// Where the tool was, by a table.
-pub struct Comparison {
+pub(crate) struct Comparison {
     name: String,
     reference: Reference,
     accuracy: Accuracy,
@@ -100,7 +100,7 @@ impl Comparison {
     ///
     /// # Errors
     /// If it is no such table.
-    pub fn open(file: &str) -> Result<Self, PathError> {
+    pub(crate) fn open(file: &str) -> Result<Self, PathError> {
         let table = TableReader::open(file)?;
         let reference = match table.optional_column("seq")? {
             Some(sequence) => {
@@ -122,7 +122,7 @@ impl Comparison {
     ///
     /// # Errors
     /// If the table cannot be read on.
-    pub fn add(&mut self, record: &Record) -> Result<(), TableError> {
+    pub(crate) fn add(&mut self, record: &Record) -> Result<(), TableError> {
         let reference = match &mut self.reference {
             Reference::Scans { table, sequence, poses, next } => {
                 while next.is_none_or(|(number, _)| number < record.sequence) {
@@ -150,7 +150,7 @@ impl Comparison {
     }
 
     /// What came out, in lines for people.
-    pub fn lines(&self) -> Vec<String> {
+    pub(crate) fn lines(&self) -> Vec<String> {
         let count = self.accuracy.count();
         let mut lines =
             vec![format!("{count} poses compared with {}, {} scans without a counterpart", self.name, self.unmatched)];

@@ -2,42 +2,41 @@
 //! [`slitpose_head`], what its designer asks in [`slitpose_design`], the optics and the solver in
 //! [`slitpose_model`].
 //!
-//! * [`capture`] writes and reads captures;
+//! For other programs:
+//!
 //! * [`clock`] reads the clocks of the host;
-//! * [`comparison`] holds poses against a reference;
-//! * [`daemon`] follows boards live;
-//! * [`datagram`] hands the newest pose to control loops;
+//! * [`link`] is what a link has delivered, and from which board;
 //! * [`device`] carries bytes to boards and back, and speaks with them;
-//! * [`doctor`] says what may be wrong;
 //! * [`health`] watches the cells of a head;
-//! * [`link`] is what crosses between a link to a board and those who read it;
 //! * [`pipeline`] turns bytes into poses;
-//! * [`service`] tells a service manager how it goes;
-//! * [`sink`] is where poses go;
-//! * [`terminal`] draws for the person who gave the command;
-//! * [`telemetry`] tells how daemon, boards and heads do;
+//! * [`datagram`] hands the newest pose to control loops;
+//! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
 //! * [`commands`] has one file for each verb of the `slitpose` command.
+//!
+//! Behind the commands: `terminal` draws for the user, `comparison` holds poses against a reference, `capture` writes
+//! and reads captures, `sink` writes poses, `daemon` follows boards live, `service` notifies the service manager,
+//! `doctor` examines boards, heads and hosts.
 //!
 //! Inside, everything is SI. Millimetres and degrees appear in scene files, on the command line
 //! and in pictures, with the unit in the name.
 
 #![forbid(unsafe_code)]
 
-pub mod capture;
+mod capture;
 pub mod clock;
 pub mod commands;
-pub mod comparison;
-pub mod daemon;
+mod comparison;
+mod daemon;
 pub mod datagram;
 pub mod device;
-pub mod doctor;
+mod doctor;
 pub mod health;
 pub mod link;
 pub mod pipeline;
-pub mod service;
-pub mod sink;
+mod service;
+mod sink;
 pub mod telemetry;
-pub mod terminal;
+mod terminal;
 
 #[cfg(test)]
 mod tests {

@@ -10,17 +10,17 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
 /// The program is up and follows its boards, or waits for them.
-pub const READY: &str = "READY=1";
+pub(crate) const READY: &str = "READY=1";
 
 /// The program lives: to be said every [`Service::watchdog_every`].
-pub const ALIVE: &str = "WATCHDOG=1";
+pub(crate) const ALIVE: &str = "WATCHDOG=1";
 
 /// The program is about to end.
-pub const STOPPING: &str = "STOPPING=1";
+pub(crate) const STOPPING: &str = "STOPPING=1";
 
 /// Who wants to hear how it goes.
 #[derive(Debug, Default)]
-pub struct Service {
+pub(crate) struct Service {
     manager: Option<(UnixDatagram, SocketAddr)>,
     watchdog_every: Option<Duration>,
 }
@@ -30,7 +30,7 @@ impl Service {
     ///
     /// # Errors
     /// If it names one that cannot be spoken to.
-    pub fn from_environment() -> io::Result<Self> {
+    pub(crate) fn from_environment() -> io::Result<Self> {
         let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
         let manager = variable("NOTIFY_SOCKET").map(|name| open(&name)).transpose()?;
         let number = |name| variable(name)?.to_str()?.parse::<u64>().ok();
@@ -42,7 +42,7 @@ impl Service {
 
     /// How often the manager wants to hear [`ALIVE`], half the time after which it gives the program up;
     /// `None` if it does not watch.
-    pub fn watchdog_every(&self) -> Option<Duration> {
+    pub(crate) fn watchdog_every(&self) -> Option<Duration> {
         self.watchdog_every.filter(|_| self.manager.is_some())
     }
 
@@ -51,7 +51,7 @@ impl Service {
     ///
     /// # Errors
     /// If the manager does not take it; the next may do.
-    pub fn notify(&self, state: &str) -> io::Result<()> {
+    pub(crate) fn notify(&self, state: &str) -> io::Result<()> {
         match &self.manager {
             Some((socket, address)) => socket.send_to_addr(state.as_bytes(), address).map(drop),
             None => Ok(()),

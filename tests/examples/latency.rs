@@ -45,13 +45,7 @@ struct Options {
 
 fn main() -> ExitCode {
     if std::env::args_os().nth(1).as_deref() == Some(OsStr::new("run")) {
-        return match slitpose::commands::run(std::env::args_os()) {
-            Ok(outcome) => outcome.into(),
-            Err(error) => {
-                eprintln!("slitpose: {error}");
-                error.exit_code()
-            }
-        };
+        return slitpose::commands::main(std::env::args_os());
     }
     let options = Options::parse();
     let own = std::env::current_exe().expect("this program").to_str().expect("UTF-8").to_owned();

@@ -46,7 +46,7 @@ pub fn flag() -> io::Result<Arc<AtomicBool>> {
 }
 
 /// Whether the user has interrupted.
-pub fn is_asked() -> bool {
+pub(crate) fn is_asked() -> bool {
     STOP.get().is_some_and(|stop| stop.load(Ordering::Relaxed))
 }
 

@@ -5,7 +5,7 @@ use crate::link::DeviceId;
 
 /// What comes next in a capture.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Entry {
+pub(crate) enum Entry {
     /// A board, ahead of what it says.
     Setup(Box<Setup>),
     /// The last hello of a board, said before what follows; the segment holds its packet.

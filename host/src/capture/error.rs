@@ -9,7 +9,7 @@ use crate::link::DeviceId;
 
 /// What went wrong with a capture.
 #[derive(Debug, Error)]
-pub enum CaptureError {
+pub(crate) enum CaptureError {
     /// A capture of an earlier run would be lost.
     #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
     Exists {

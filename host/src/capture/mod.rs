@@ -34,16 +34,16 @@ mod setup;
 mod tests;
 mod window;
 
-pub use entry::Entry;
-pub use error::CaptureError;
-pub use naming::Existing;
-pub use reader::{CaptureReader, End};
-pub use series::{CaptureSeries, Limits, Recorded};
-pub use setup::{CapturedScene, Settings, Setup, SetupError};
+pub(crate) use entry::Entry;
+pub(crate) use error::CaptureError;
+pub(crate) use naming::Existing;
+pub(crate) use reader::{CaptureReader, End};
+pub(crate) use series::{CaptureSeries, Limits};
+pub(crate) use setup::{Settings, Setup, SetupError};
 
 /// What a capture says of the program that writes it.
 #[derive(Clone, Debug, Default)]
-pub struct About {
+pub(crate) struct About {
     /// JSON schema of all reports.
     pub report_schema: String,
 }

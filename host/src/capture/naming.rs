@@ -11,7 +11,7 @@ use slitpose_head::special_file;
 
 /// What becomes of a file that is there already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Existing {
+pub(crate) enum Existing {
     /// It is kept, and recording refused.
     Kept,
     /// It is replaced.

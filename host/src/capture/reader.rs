@@ -22,7 +22,7 @@ const BEGIN_BYTES: u64 = 1 << 16;
 
 /// How a capture ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct End {
+pub(crate) struct End {
     /// Whether the recorder ended the file. If not, it was cut off, or is still being recorded;
     /// what is missing came after the last flush, or after the cut.
     pub finished: bool,
@@ -43,18 +43,18 @@ pub struct End {
 
 impl End {
     /// Whether something is or may be missing.
-    pub fn has_loss(&self) -> bool {
+    pub(crate) fn has_loss(&self) -> bool {
         !self.finished || self.is_damaged() || self.refused.is_some()
     }
 
     /// Whether the file is not what was written.
-    pub fn is_damaged(&self) -> bool {
+    pub(crate) fn is_damaged(&self) -> bool {
         self.damaged_records > 0 || self.checksum_failed || self.index_damaged
     }
 }
 
 /// Reads a capture, or a plain byte stream as it comes from a port, which has no times.
-pub struct CaptureReader<R = File> {
+pub(crate) struct CaptureReader<R = File> {
     path: PathBuf,
     input: Input<R>,
     from_ns: u64,
@@ -87,7 +87,7 @@ impl CaptureReader {
     ///
     /// # Errors
     /// If it cannot be read.
-    pub fn open(path: &Path) -> Result<Self, CaptureError> {
+    pub(crate) fn open(path: &Path) -> Result<Self, CaptureError> {
         let error = |source| CaptureError::Open { path: path.to_owned(), source };
         let file = File::open(path).map_err(error)?;
         Self::new(path, file).map_err(error)
@@ -99,7 +99,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     ///
     /// # Errors
     /// If nothing can be read.
-    pub fn new(path: &Path, mut input: R) -> io::Result<Self> {
+    pub(crate) fn new(path: &Path, mut input: R) -> io::Result<Self> {
         let mut begin = Vec::new();
         input.by_ref().take(BEGIN_BYTES).read_to_end(&mut begin)?;
         let input = if is_capture(&begin) {
@@ -121,7 +121,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     /// goes on, its last hello from before comes first. A plain byte stream has no times and comes
     /// as a whole.
     #[must_use]
-    pub fn starting_at(mut self, log_ns: u64) -> Self {
+    pub(crate) fn starting_at(mut self, log_ns: u64) -> Self {
         self.from_ns = log_ns;
         self
     }
@@ -133,7 +133,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     ///
     /// # Errors
     /// Those of the disk.
-    pub fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
+    pub(crate) fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
         if let Some((entry, mut held)) = self.held.take() {
             std::mem::swap(segment, &mut held);
             return Ok(Some(entry));
@@ -157,7 +157,7 @@ impl<R: Read + Seek> CaptureReader<R> {
     }
 
     /// How the capture ended; so far, if it has not.
-    pub fn end(&self) -> End {
+    pub(crate) fn end(&self) -> End {
         self.end.clone()
     }
 

@@ -22,7 +22,7 @@ const FLUSH_EVERY: Duration = Duration::from_millis(900);
 
 /// When a file ends and the next begins. Without limits there is one file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// Before it is longer than this, summary at its end aside.
     pub max_bytes: Option<u64>,
     /// When it has been written for so long.
@@ -31,7 +31,7 @@ pub struct Limits {
 
 /// What was recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Recorded {
+pub(crate) struct Recorded {
     /// Files begun.
     pub files: u64,
     /// Bytes of links that were to be recorded and were not, because writing failed.
@@ -44,7 +44,7 @@ pub struct Recorded {
 /// flush, and recording [is over](Self::is_recording): all later calls do nothing but count.
 ///
 /// In memory it keeps less than 1 kB for each second of the file of the moment, for the index at its end.
-pub struct CaptureSeries {
+pub(crate) struct CaptureSeries {
     about: About,
     limits: Limits,
     output: Output,
@@ -83,7 +83,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// If there is such a file, or it cannot be written.
-    pub fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
+    pub(crate) fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
         let next = if limits == Limits::default() {
             None
         } else {
@@ -99,7 +99,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
+    pub(crate) fn in_file(file: File, path: &Path, about: About) -> Result<Self, CaptureError> {
         let mut output = Output::new(path.to_owned(), None);
         output.begin(file, &about)?;
         Ok(Self::over(output, Limits::default(), about))
@@ -117,7 +117,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk.
-    pub fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
+    pub(crate) fn add_device(&mut self, setup: Setup, hello: Option<&[u8]>, log_ns: u64) -> Result<(), CaptureError> {
         let device = setup.device;
         let mut added = None;
         self.output.attempt(0, |file| {
@@ -135,7 +135,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk; if the board was not [added](Self::add_device).
-    pub fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
+    pub(crate) fn segment(&mut self, device: DeviceId, segment: &Segment, log_ns: u64) -> Result<(), CaptureError> {
         let bytes = segment.bytes.len() as u64;
         if let Err(error) = self.rotate_if_due(log_ns) {
             self.output.recorded.dropped_bytes += bytes;
@@ -166,7 +166,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk; if the board was not [added](Self::add_device).
-    pub fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
+    pub(crate) fn pose(&mut self, record: &Record, log_ns: u64) -> Result<(), CaptureError> {
         let Some(channels) = self.channels(record.device)? else { return Ok(()) };
         self.output.attempt(0, |file| file.pose(channels, record, log_ns))?;
         self.tick()
@@ -176,7 +176,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk; if it cannot be JSON; if the board was not [added](Self::add_device).
-    pub fn report(
+    pub(crate) fn report(
         &mut self,
         device: Option<DeviceId>,
         report: &impl Serialize,
@@ -207,7 +207,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk.
-    pub fn tick(&mut self) -> Result<(), CaptureError> {
+    pub(crate) fn tick(&mut self) -> Result<(), CaptureError> {
         if self.output.flushed.elapsed() < FLUSH_EVERY || self.output.file.as_ref().is_some_and(CaptureFile::is_flushed)
         {
             return Ok(());
@@ -219,7 +219,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk.
-    pub fn flush(&mut self) -> Result<(), CaptureError> {
+    pub(crate) fn flush(&mut self) -> Result<(), CaptureError> {
         self.output.flushed = Instant::now();
         self.output.attempt(0, CaptureFile::flush)?;
         self.output.check()?;
@@ -228,7 +228,7 @@ impl CaptureSeries {
     }
 
     /// Times that all recorded until then was made to survive a power cut.
-    pub fn flushes(&self) -> u64 {
+    pub(crate) fn flushes(&self) -> u64 {
         self.output.flushes
     }
 
@@ -236,7 +236,7 @@ impl CaptureSeries {
     ///
     /// # Errors
     /// Those of the disk.
-    pub fn finish(mut self) -> Result<Recorded, CaptureError> {
+    pub(crate) fn finish(mut self) -> Result<Recorded, CaptureError> {
         for stream in self.devices.values_mut() {
             let message = &mut self.message;
             if stream.packets.take_rest(message) {
@@ -248,22 +248,22 @@ impl CaptureSeries {
     }
 
     /// Whether what is given is written: until writing fails.
-    pub fn is_recording(&self) -> bool {
+    pub(crate) fn is_recording(&self) -> bool {
         self.output.file.is_some()
     }
 
     /// The file of the moment.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.output.path
     }
 
     /// Length of that file, at most.
-    pub fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         self.output.file.as_ref().map_or(0, CaptureFile::bytes)
     }
 
     /// What has been recorded so far.
-    pub fn recorded(&self) -> Recorded {
+    pub(crate) fn recorded(&self) -> Recorded {
         self.output.recorded
     }
 

@@ -16,7 +16,7 @@ pub(super) const METADATA: &str = "slitpose.device";
 
 /// How scans were solved while they were recorded: a replay without options does the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Equations.
     pub tier: Tier,
     /// What follows them.
@@ -25,7 +25,7 @@ pub struct Settings {
 
 /// The scene of a board, as it was read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CapturedScene {
+pub(crate) struct CapturedScene {
     /// The scene's name.
     pub name: String,
     /// The path or the shipped scene's name it came from.
@@ -41,14 +41,14 @@ impl CapturedScene {
     ///
     /// # Errors
     /// If this version of the program does not know everything in it.
-    pub fn parse(&self) -> Result<SceneFile, SceneFileError> {
+    pub(crate) fn parse(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(&self.origin, &self.source)
     }
 }
 
 /// A board in a capture.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Setup {
+pub(crate) struct Setup {
     /// Which one.
     pub device: DeviceId,
     /// Its head.
@@ -68,7 +68,7 @@ pub(super) struct LinkChannels {
 
 impl Setup {
     /// A board with the head of `file`, recorded by this program.
-    pub fn new(device: DeviceId, file: &SceneFile, settings: Settings) -> Self {
+    pub(crate) fn new(device: DeviceId, file: &SceneFile, settings: Settings) -> Self {
         let scene = CapturedScene {
             name: file.name.clone(),
             origin: file.origin.clone(),
@@ -200,7 +200,7 @@ fn check_hash(map: &BTreeMap<String, String>) -> Result<(), SetupError> {
 
 /// Why the settings of a board cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum SetupError {
+pub(crate) enum SetupError {
     /// They are not what was written.
     #[error("settings of a board are damaged")]
     Damaged,

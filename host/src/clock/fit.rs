@@ -44,7 +44,7 @@ const STEERING_NS: f64 = 1e9;
 
 /// Finds the host's time of a board's ticks.
 #[derive(Debug)]
-pub struct ClockFit {
+pub(crate) struct ClockFit {
     tick_hz: u32,
     origin: Option<Origin>,
     arrivals: Envelope,
@@ -106,7 +106,7 @@ struct Doubt {
 
 impl ClockFit {
     /// For a board that counts `tick_hz` ticks a second.
-    pub fn new(tick_hz: u32) -> Self {
+    pub(crate) fn new(tick_hz: u32) -> Self {
         Self {
             tick_hz: tick_hz.max(1),
             origin: None,
@@ -125,7 +125,7 @@ impl ClockFit {
 
     /// Begins anew: the link was opened again, or the ticks count anew, `tick_hz` of them a second.
     /// Times go on behind those already given.
-    pub fn restart(&mut self, tick_hz: u32) {
+    pub(crate) fn restart(&mut self, tick_hz: u32) {
         self.tick_hz = tick_hz.max(1);
         self.origin = None;
         self.arrivals.clear();
@@ -140,7 +140,7 @@ impl ClockFit {
     /// Takes in that what the board did at `tick` was known to the host at `at`: the last sample of
     /// a batch that was complete then. Ticks come in order; one that lies behind the last shows that
     /// the board has restarted.
-    pub fn arrived(&mut self, tick: u64, at: HostInstant) {
+    pub(crate) fn arrived(&mut self, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_arrived) {
             self.restart(self.tick_hz);
         }
@@ -150,7 +150,7 @@ impl ClockFit {
 
     /// Takes in that a ping about to be sent at `asked` was read by the board at its `tick`, and
     /// that the answer had come at `at`. As for [`arrived`](Self::arrived), ticks come in order.
-    pub fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
+    pub(crate) fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_answered) {
             self.restart(self.tick_hz);
         }
@@ -164,7 +164,7 @@ impl ClockFit {
 
     /// The host's time `fraction_ticks` after `tick`, if it is known; see the head of the module. To
     /// be asked in the order of the scans, and after [`arrived`](Self::arrived) for theirs.
-    pub fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
+    pub(crate) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
         let origin = self.origin?;
         let (band, steered) = (self.band?, self.steered?);
         let x_ns = nominal_ns(tick, origin, self.tick_hz) + nearest(fraction_ticks * 1e9 / f64::from(self.tick_hz));
@@ -209,7 +209,7 @@ impl ClockFit {
     }
 
     /// By how many millionths the board's clock is fast; `None` while that is not known.
-    pub fn drift_ppm(&self) -> Option<f64> {
+    pub(crate) fn drift_ppm(&self) -> Option<f64> {
         let is_proven = matches!(self.trust, Trust::Proven { .. });
         self.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
     }

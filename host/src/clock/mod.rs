@@ -11,7 +11,7 @@ mod utc;
 
 use nix::time::{ClockId, clock_gettime};
 
-pub use fit::ClockFit;
+pub(crate) use fit::ClockFit;
 
 /// Both clocks of the host, read at one instant, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -35,7 +35,7 @@ const LONGEST_ANSWER: usize = 400;
 
 /// Why a configuration cannot be used.
 #[derive(Debug, Error)]
-pub enum ConfigError {
+pub(crate) enum ConfigError {
     /// The file.
     #[error("cannot read the configuration {}; give a file with --config, or `--config none`", path.display())]
     Read {

@@ -103,7 +103,7 @@ fn profile_lines(found: &[Found], cells: usize, step_deg: f64) -> Result<String,
 /// Which cell's points are no profile.
 #[derive(Debug, thiserror::Error)]
 #[error("cell {cell}")]
-pub struct CellProfileError {
+pub(crate) struct CellProfileError {
     cell: usize,
     source: ProfileError,
 }

@@ -40,9 +40,9 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use slitpose_model::SceneError;
 use thiserror::Error;
 
-pub use config::ConfigError;
-pub use identify::CellProfileError;
-pub use playback::PlaybackError;
+pub(crate) use config::ConfigError;
+pub(crate) use identify::CellProfileError;
+pub(crate) use playback::PlaybackError;
 
 use crate::capture::CaptureError;
 use crate::daemon::BoardError;
@@ -91,7 +91,7 @@ enum Verb {
 
 /// How a command that did its work ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub(crate) enum Outcome {
     /// Done.
     Done,
     /// Done with what there was; input data were damaged or lost.
@@ -112,7 +112,7 @@ impl From<Outcome> for ExitCode {
 
 /// Why a command could not do its work.
 #[derive(Debug, Error)]
-pub enum CommandError {
+pub(crate) enum CommandError {
     /// The scene.
     #[error(transparent)]
     SceneFile(#[from] SceneFileError),
@@ -210,7 +210,7 @@ pub enum CommandError {
 
 impl CommandError {
     /// Whether the reader of the result has gone: an ordinary end, not a failure.
-    pub fn is_broken_pipe(&self) -> bool {
+    fn is_broken_pipe(&self) -> bool {
         match self {
             Self::Output(error) => error.is_broken_pipe(),
             _ => false,
@@ -223,7 +223,7 @@ impl CommandError {
     }
 
     /// What the program ends with.
-    pub fn exit_code(&self) -> ExitCode {
+    fn exit_code(&self) -> ExitCode {
         match self {
             Self::OnlySimulated { .. }
             | Self::Scenes { .. }
@@ -243,16 +243,25 @@ pub fn command() -> clap::Command {
     defaults::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
 }
 
-/// Does what `arguments`, the name of the program first, ask for; ends the program if they are wrong,
-/// or only ask for help.
-///
-/// # Errors
-/// Why it could not be done.
-pub fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<Outcome, CommandError> {
+/// Does what `arguments`, the name of the program first, ask for, and says why if it cannot; ends the program if they
+/// are wrong, or only ask for help.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let matches = command().get_matches_from(&arguments);
+    match run(&arguments) {
+        Ok(outcome) => outcome.into(),
+        Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
+        Err(error) => {
+            let code = error.exit_code();
+            complain(format_args!("{:#}", anyhow::Error::new(error)));
+            code
+        }
+    }
+}
+
+fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
+    let matches = command().get_matches_from(arguments);
     let configured = config::configured(command(), &matches)?;
-    let matches = configured.command.clone().get_matches_from(&arguments);
+    let matches = configured.command.clone().get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     talk::outlive_file_limits()?;
     slitpose_head::interrupt::say_by(|error| {

@@ -55,7 +55,7 @@ impl PlayOptions {
 
 /// Why a capture cannot be solved.
 #[derive(Debug, Error)]
-pub enum PlaybackError {
+pub(crate) enum PlaybackError {
     /// A capture without a single scan.
     #[error(
         "{} holds no scan: {bytes} bytes of links, {packets} readable packets; \

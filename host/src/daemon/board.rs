@@ -42,7 +42,7 @@ const SEGMENT_BYTES: usize = 4096;
 const VERDICTS: usize = 4;
 
 /// A board and what to do with it.
-pub struct BoardPlan {
+pub(crate) struct BoardPlan {
     /// How to come by it.
     pub opener: Box<dyn Opener>,
     /// Its head.

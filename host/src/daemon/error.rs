@@ -9,7 +9,7 @@ use crate::pipeline::PipelineError;
 
 /// Why a board is followed no longer.
 #[derive(Debug, Error)]
-pub enum BoardError {
+pub(crate) enum BoardError {
     /// The device.
     #[error(transparent)]
     Device(#[from] DeviceError),

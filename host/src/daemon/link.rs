@@ -19,7 +19,7 @@ const TOLD_AGAIN: Duration = Duration::from_secs(2);
 const REASONS: usize = 8;
 
 /// Says something to the user.
-pub type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
+pub(crate) type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
 
 /// The link to one board.
 pub(super) struct Link {

@@ -40,11 +40,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-pub use board::BoardPlan;
-pub use error::BoardError;
-pub use link::Talk;
-pub use opener::{Admit, Opener, PortOpener, SimulatedOpener};
-pub use recorder::CapturePlan;
+pub(crate) use board::BoardPlan;
+pub(crate) use error::BoardError;
+pub(crate) use link::Talk;
+pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
+pub(crate) use recorder::CapturePlan;
 
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
@@ -67,7 +67,7 @@ const OUTBOXES: usize = 128;
 const HANGS_AFTER_S: f64 = 5.0;
 
 /// What a daemon does.
-pub struct Plan {
+pub(crate) struct Plan {
     /// The boards it follows.
     pub boards: Vec<BoardPlan>,
     /// Where poses are printed.
@@ -81,7 +81,7 @@ pub struct Plan {
 }
 
 /// Boards being followed.
-pub struct Daemon {
+pub(crate) struct Daemon {
     started: HostInstant,
     slots: Vec<Arc<BoardSlot>>,
     boards: Mutex<Vec<BoardThreads>>,
@@ -93,7 +93,7 @@ pub struct Daemon {
 
 /// How it ended.
 #[derive(Debug)]
-pub struct Ended {
+pub(crate) struct Ended {
     /// For each board: what the user calls it, what came, and what went wrong.
     pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
     /// Whether all could be printed.
@@ -108,7 +108,7 @@ impl Daemon {
     ///
     /// # Errors
     /// If the system gives no more threads.
-    pub fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
+    pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
         let Plan { boards, sink, capture, datagrams, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
@@ -160,7 +160,7 @@ impl Daemon {
     }
 
     /// How it goes.
-    pub fn report(&self) -> DaemonReport {
+    pub(crate) fn report(&self) -> DaemonReport {
         let boards = self.boards_report();
         let recorder = self.recorder.as_ref().map(RecorderThread::report);
         let recorder = with_unrecorded(recorder.unwrap_or_default(), &boards);
@@ -173,21 +173,21 @@ impl Daemon {
     }
 
     /// Puts how it goes into the capture.
-    pub fn record_report(&self) {
+    pub(crate) fn record_report(&self) {
         if let Some(recorder) = &self.recorder {
             recorder.account(self.report());
         }
     }
 
     /// Whether no thread hangs: each solver has given an account of late, also when nothing came.
-    pub fn is_alive(&self) -> bool {
+    pub(crate) fn is_alive(&self) -> bool {
         let now = HostInstant::now();
         let reports = self.boards_report().into_iter();
         reports.filter(|report| report.link.state != LinkState::Ended).all(|report| report.age_s(now) < HANGS_AFTER_S)
     }
 
     /// Whether nothing will ever come again. If a board had to be given up the others are told to end.
-    pub fn is_over(&self) -> bool {
+    pub(crate) fn is_over(&self) -> bool {
         let boards = lock(&self.boards);
         if boards.iter().any(BoardThreads::is_given_up) {
             self.stop.store(true, Ordering::Relaxed);
@@ -196,7 +196,7 @@ impl Daemon {
     }
 
     /// Waits for the end of all threads.
-    pub fn end(&self) -> Ended {
+    pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
         self.record_report();

@@ -10,14 +10,14 @@ use crate::pipeline::PipelineError;
 use slitpose_head::threads::lock;
 
 /// Whether a board that says this can be followed.
-pub type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
+pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
 
 /// Held while ports are asked for boards, and until the one that was found has answered: two that look
 /// at the same time would find each other's ports in use.
 static LOOKING: Mutex<()> = Mutex::new(());
 
 /// How a reader comes by its board.
-pub trait Opener: Send {
+pub(crate) trait Opener: Send {
     /// What the user calls the board.
     fn name(&self) -> String;
 
@@ -38,7 +38,7 @@ pub trait Opener: Send {
 
 /// Opens the port of a board, wherever it is by then.
 #[derive(Debug)]
-pub struct PortOpener {
+pub(crate) struct PortOpener {
     selector: Selector,
     search: Vec<Search>,
     known: Option<Found>,
@@ -46,7 +46,7 @@ pub struct PortOpener {
 
 impl PortOpener {
     /// For the board that `selector` names, sought in the places of `search`, too.
-    pub fn new(selector: Selector, search: Vec<Search>) -> Self {
+    pub(crate) fn new(selector: Selector, search: Vec<Search>) -> Self {
         Self { selector, search, known: None }
     }
 }
@@ -82,13 +82,13 @@ impl Opener for PortOpener {
 }
 
 /// A simulated board, which is there once.
-pub struct SimulatedOpener {
+pub(crate) struct SimulatedOpener {
     device: Option<SimulatedDevice>,
 }
 
 impl SimulatedOpener {
     /// For `device`.
-    pub fn new(device: SimulatedDevice) -> Self {
+    pub(crate) fn new(device: SimulatedDevice) -> Self {
         Self { device: Some(device) }
     }
 }

@@ -28,7 +28,7 @@ const ACCOUNTS: usize = 4;
 const IDLE: Duration = Duration::from_millis(100);
 
 /// A capture to be recorded.
-pub struct CapturePlan {
+pub(crate) struct CapturePlan {
     /// Where.
     pub series: CaptureSeries,
     /// Poses that are kept a device second, besides the bytes all poses can be found from again.

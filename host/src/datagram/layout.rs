@@ -127,7 +127,7 @@ impl PoseDatagram {
     }
 
     /// Tells the receiver that scans before this one were passed over, and the next may be, too.
-    pub fn mark_behind(&mut self) {
+    pub(crate) fn mark_behind(&mut self) {
         self.0[AT_FLAGS] |= IS_BEHIND as u8;
     }
 

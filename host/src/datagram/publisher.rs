@@ -49,7 +49,7 @@ impl Publisher {
     }
 
     /// Whether what is sent from now on is marked as that of a solver that is behind.
-    pub fn set_behind(&mut self, is_behind: bool) {
+    pub(crate) fn set_behind(&mut self, is_behind: bool) {
         self.is_behind = is_behind;
     }
 

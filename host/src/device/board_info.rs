@@ -8,7 +8,7 @@ use crate::link::DeviceId;
 
 /// A hello that owns its texts.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BoardInfo {
+pub(crate) struct BoardInfo {
     /// Which board.
     pub device: DeviceId,
     /// Whether its photocurrents are measured.
@@ -53,7 +53,7 @@ impl From<&Hello<'_>> for BoardInfo {
 
 impl BoardInfo {
     /// `physical` or `simulated`.
-    pub fn kind_name(&self) -> &'static str {
+    pub(crate) fn kind_name(&self) -> &'static str {
         match self.kind {
             BoardKind::Physical => "physical",
             BoardKind::Simulated => "simulated",
@@ -61,7 +61,7 @@ impl BoardInfo {
     }
 
     /// Why it last started, in one word.
-    pub fn reset_cause_name(&self) -> &'static str {
+    pub(crate) fn reset_cause_name(&self) -> &'static str {
         match self.reset_cause {
             ResetCause::Unknown => "unknown",
             ResetCause::PowerOn => "power_on",

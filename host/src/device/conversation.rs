@@ -47,7 +47,7 @@ enum Verdict {
 }
 
 /// A board that is spoken to. Dropped, it tells the board to stop.
-pub struct Conversation {
+pub(crate) struct Conversation {
     device: Box<dyn Device>,
     pub(super) decoder: Decoder<MAX_MESSAGE_BYTES>,
     /// What was received and is kept.
@@ -71,7 +71,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If the device has gone.
-    pub fn open(device: Box<dyn Device>) -> Result<Self, DeviceError> {
+    pub(crate) fn open(device: Box<dyn Device>) -> Result<Self, DeviceError> {
         let mut conversation = Self {
             device,
             decoder: Decoder::new(),
@@ -97,7 +97,10 @@ impl Conversation {
     ///
     /// # Errors
     /// If no board answers, or `admit` refuses it.
-    pub fn greet<E: From<DeviceError>>(&mut self, admit: impl FnMut(&Hello<'_>) -> Result<(), E>) -> Result<(), E> {
+    pub(crate) fn greet<E: From<DeviceError>>(
+        &mut self,
+        admit: impl FnMut(&Hello<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
         self.greet_within(HELLO_WITHIN, admit)
     }
 
@@ -148,7 +151,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If the board refuses it, or does not reply.
-    pub fn configure(&mut self, configuration: Configuration) -> Result<(), DeviceError> {
+    pub(crate) fn configure(&mut self, configuration: Configuration) -> Result<(), DeviceError> {
         // At low frame rates a board is quiet between frames.
         let frame = Duration::from_secs_f64(configuration.schedule.frame_rate_hz().recip());
         self.quiet_limit = QUIET.max(3 * frame);
@@ -164,7 +167,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If the board refuses, or does not reply.
-    pub fn start(&mut self) -> Result<(), DeviceError> {
+    pub(crate) fn start(&mut self) -> Result<(), DeviceError> {
         self.started = true;
         self.ask(Command::Start, Keep::All, REPLY_WITHIN)?;
         self.keep_alive = self.device.keep_alive().map_err(|source| self.gone(source))?;
@@ -176,7 +179,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If the device has gone, or nothing has come for half a second.
-    pub fn listen(&mut self) -> Result<bool, DeviceError> {
+    pub(crate) fn listen(&mut self) -> Result<bool, DeviceError> {
         self.forget();
         let since = Instant::now();
         let more = self.hear()?;
@@ -192,7 +195,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If the board refuses, or does not reply.
-    pub fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
+    pub(crate) fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
         self.keep_alive = None;
         self.started = false;
         self.forget();
@@ -207,7 +210,7 @@ impl Conversation {
 
     /// Appends to `segment` what was received last, as it came, and when, and which pings were sent
     /// since the time before.
-    pub fn fill(&mut self, segment: &mut Segment) {
+    pub(crate) fn fill(&mut self, segment: &mut Segment) {
         if !self.inbox.is_empty() {
             segment.push(&self.inbox, self.heard_at);
         }
@@ -217,13 +220,8 @@ impl Conversation {
         }
     }
 
-    /// What was received last, as it came.
-    pub fn inbox(&self) -> &[u8] {
-        &self.inbox
-    }
-
     /// What the user calls the device.
-    pub fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         self.device.name().to_owned()
     }
 
@@ -454,10 +452,10 @@ mod tests {
                 board.greet(|_| Ok::<_, DeviceError>(())).unwrap();
                 board.configure(configuration.clone()).unwrap();
                 board.start().unwrap();
-                let mut kept = board.inbox().to_vec();
+                let mut kept = board.inbox.clone();
                 for _ in 0..3000 / bytes_at_once {
                     assert!(board.listen().unwrap());
-                    kept.extend(board.inbox());
+                    kept.extend(&board.inbox);
                 }
                 if keep == Keep::Replies {
                     // What is not wanted ends with the last whole packet.
@@ -465,9 +463,9 @@ mod tests {
                 }
                 board.stop(keep).unwrap();
                 if keep == Keep::Replies {
-                    assert_eq!(kinds(board.inbox()).0, ["reply"], "{bytes_at_once} bytes at once");
+                    assert_eq!(kinds(&board.inbox).0, ["reply"], "{bytes_at_once} bytes at once");
                 }
-                kept.extend(board.inbox());
+                kept.extend(&board.inbox);
                 let (kinds, configurations) = kinds(&kept);
                 assert_eq!(kinds[..2], ["hello", "reply"], "{bytes_at_once} bytes at once");
                 assert_eq!(kinds.last(), Some(&"reply"));

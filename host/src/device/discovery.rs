@@ -22,7 +22,7 @@ pub struct Found {
     /// Its port: `sim` for the simulated board, which is everywhere.
     pub port: String,
     /// What the port is on USB: by this it is found again under another name.
-    pub usb: Option<UsbId>,
+    pub(crate) usb: Option<UsbId>,
     /// Which board, as far as it was needed to know.
     pub device: Option<DeviceId>,
 }
@@ -39,7 +39,7 @@ impl From<Listed> for Found {
 ///
 /// # Errors
 /// If there is none, or more than one could be meant.
-pub fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
+pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
     match selector {
         Selector::Sim => Ok(Found { port: SIM.to_owned(), usb: None, device: None }),
         // A path does without the list of ports, if the system has none.
@@ -65,7 +65,7 @@ pub fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError
 ///
 /// # Errors
 /// If the system does not list its ports.
-pub fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
+pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
     let ports = ports()?;
     let unsure = unsure(&ports, search, true);
     let boards: Vec<_> = ports.into_iter().filter(Port::is_board).collect();
@@ -81,7 +81,7 @@ pub fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceError> {
 /// Where the board that `selector` names is now, without asking anybody: cheap enough for several
 /// times a second. `known` is where it was last, with its number if that is known by now. `None` if it is
 /// not there; or, without `known`, if only [`find`] can tell.
-pub fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
+pub(crate) fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
     if *selector == Selector::Sim {
         return Some(Found { port: SIM.to_owned(), usb: None, device: None });
     }

@@ -253,7 +253,7 @@ fn others(listed: &[Listed]) -> String {
 
 impl DeviceError {
     /// Whether waiting may mend it, without anybody doing anything but plug and switch on.
-    pub fn is_passing(&self) -> bool {
+    pub(crate) fn is_passing(&self) -> bool {
         match self {
             Self::NoBoard { .. }
             | Self::NoSuchBoard { .. }

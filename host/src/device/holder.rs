@@ -7,7 +7,7 @@ use super::ports::real_path;
 
 /// A program that has a port open.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Holder {
+pub(crate) struct Holder {
     /// Number of its process.
     pub process: u32,
     /// Its name, as the system shortens it.
@@ -22,7 +22,7 @@ impl std::fmt::Display for Holder {
 
 /// The programs that have the port `name` open, as far as this user may know: nobody sees into the
 /// programs of others, and only Linux tells at all. It looks at every open file of the system.
-pub fn holders(name: &str) -> Vec<Holder> {
+pub(crate) fn holders(name: &str) -> Vec<Holder> {
     let port = real_path(name);
     let Ok(processes) = fs::read_dir("/proc") else {
         return Vec::new();

@@ -26,17 +26,18 @@ mod simulated;
 
 use std::io;
 
-pub use board_info::BoardInfo;
-pub use conversation::{Conversation, Keep};
-pub use discovery::{Found, find, list, locate};
-pub use error::{DeviceError, Scanless};
-pub use holder::{Holder, holders};
+pub(crate) use board_info::BoardInfo;
+pub(crate) use conversation::{Conversation, Keep};
+pub(crate) use discovery::{Found, find, list, locate};
+pub use error::DeviceError;
+pub(crate) use error::Scanless;
+pub(crate) use holder::holders;
 pub use keep_alive::KeepAlive;
-pub use ports::{Port, Search, UsbId, ports};
-pub use probe::{Listed, PortState};
-pub use selector::Selector;
+pub(crate) use ports::{Port, Search, UsbId, ports};
+pub(crate) use probe::{Listed, PortState};
+pub(crate) use selector::Selector;
 pub use serial::SerialDevice;
-pub use simulated::SimulatedDevice;
+pub(crate) use simulated::SimulatedDevice;
 
 /// A byte stream to a board and back.
 pub trait Device: Send {

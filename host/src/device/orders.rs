@@ -16,7 +16,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If no board answers within `within`, or one of another version.
-    pub fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
+    pub(crate) fn introduce(&mut self, within: Duration) -> Result<BoardInfo, DeviceError> {
         let mut last = None;
         self.greet_within(within, |hello| {
             last = Some(BoardInfo::from(hello));
@@ -29,7 +29,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If there is none, or the board has gone.
-    pub fn status(&mut self) -> Result<Status, DeviceError> {
+    pub(crate) fn status(&mut self) -> Result<Status, DeviceError> {
         let until = Instant::now() + STATUS_WITHIN;
         self.decoder.reset();
         let mut more = true;
@@ -54,7 +54,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If its memory does not take them, or it does not reply.
-    pub fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
+    pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
         self.order(Command::Store(hashes))
     }
 
@@ -62,7 +62,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If its memory does not forget, or it does not reply.
-    pub fn forget_stored(&mut self) -> Result<(), DeviceError> {
+    pub(crate) fn forget_stored(&mut self) -> Result<(), DeviceError> {
         self.order(Command::Forget)
     }
 
@@ -70,7 +70,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If it does not reply.
-    pub fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
+    pub(crate) fn identify(&mut self, seconds: u8) -> Result<(), DeviceError> {
         self.order(Command::Identify { seconds })
     }
 
@@ -78,7 +78,7 @@ impl Conversation {
     ///
     /// # Errors
     /// If it does not reply.
-    pub fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
+    pub(crate) fn reboot(&mut self, target: BootTarget) -> Result<(), DeviceError> {
         self.order(Command::Reboot(target))
     }
 

@@ -32,7 +32,7 @@ const DEBUGGERS: [(u16, u16); 9] = [
 
 /// What is known of something on USB without asking it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct UsbId {
+pub(crate) struct UsbId {
     /// Number of the vendor.
     pub vid: u16,
     /// Number of the product.
@@ -47,19 +47,19 @@ pub struct UsbId {
 
 impl UsbId {
     /// Whether this is a board with a USB port of its own.
-    pub fn is_board(&self) -> bool {
+    pub(crate) fn is_board(&self) -> bool {
         (self.vid, self.pid) == BOARD
             && self.manufacturer.as_deref() == Some(MANUFACTURER)
             && self.product.as_deref() == Some(PRODUCT)
     }
 
     /// Whether this is a debugger, with whatever behind it.
-    pub fn is_debugger(&self) -> bool {
+    pub(crate) fn is_debugger(&self) -> bool {
         DEBUGGERS.contains(&(self.vid, self.pid))
     }
 
     /// The board, as far as USB tells.
-    pub fn device(&self) -> Option<DeviceId> {
+    pub(crate) fn device(&self) -> Option<DeviceId> {
         self.serial.as_deref().filter(|_| self.is_board())?.parse().ok()
     }
 }
@@ -70,7 +70,7 @@ pub struct Port {
     /// Its path.
     pub name: String,
     /// What is on it, if it is on USB.
-    pub usb: Option<UsbId>,
+    pub(crate) usb: Option<UsbId>,
 }
 
 impl Port {
@@ -82,12 +82,12 @@ impl Port {
     }
 
     /// Whether USB says that this is a board.
-    pub fn is_board(&self) -> bool {
+    pub(crate) fn is_board(&self) -> bool {
         self.usb.as_ref().is_some_and(UsbId::is_board)
     }
 
     /// Whether it may lead to a board that only answers can tell.
-    pub fn is_debugger(&self) -> bool {
+    pub(crate) fn is_debugger(&self) -> bool {
         self.usb.as_ref().is_some_and(UsbId::is_debugger)
     }
 

@@ -13,7 +13,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
 /// What a port is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PortState {
+pub(crate) enum PortState {
     /// Nobody has looked.
     NotAsked,
     /// A board answers.
@@ -30,7 +30,7 @@ pub enum PortState {
 
 impl PortState {
     /// In words.
-    pub fn as_str(self) -> &'static str {
+    pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::NotAsked => "not asked",
             Self::Free => "free",
@@ -48,9 +48,9 @@ pub struct Listed {
     /// The port.
     pub port: Port,
     /// How it is.
-    pub state: PortState,
+    pub(crate) state: PortState,
     /// What the board said.
-    pub board: Option<BoardInfo>,
+    pub(crate) board: Option<BoardInfo>,
 }
 
 impl Listed {
@@ -82,7 +82,7 @@ impl Listed {
     }
 
     /// Asks all at once, so that silent ones do not add up.
-    pub fn ask_all(ports: Vec<Port>) -> Vec<Self> {
+    pub(crate) fn ask_all(ports: Vec<Port>) -> Vec<Self> {
         std::thread::scope(|scope| {
             let asked: Vec<_> = ports
                 .into_iter()

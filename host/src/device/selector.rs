@@ -9,7 +9,7 @@ use crate::link::DeviceId;
 
 /// Which board is meant.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Selector {
+pub(crate) enum Selector {
     /// The one there is.
     Auto,
     /// A board made of arithmetic.

@@ -22,7 +22,7 @@ const MOTION_S: f64 = 60.0;
 
 /// A simulated board for a number of frames.
 #[derive(Debug)]
-pub struct SimulatedDevice {
+pub(crate) struct SimulatedDevice {
     board: SimulatedBoard,
     frame_s: f64,
     pace: Pace,
@@ -38,7 +38,7 @@ impl SimulatedDevice {
     ///
     /// # Errors
     /// If no board could run the scene.
-    pub fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
+    pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S);
         let board = SimulatedBoard::new(file, trajectory, Tier::Exact { tolerance: 1e-6 }, 1)?;
@@ -46,7 +46,7 @@ impl SimulatedDevice {
     }
 
     /// `board` for as many frames of `frame_s` as begin within `duration_s`, which may be infinite.
-    pub fn new(board: SimulatedBoard, frame_s: f64, duration_s: f64, speed: Speed) -> Self {
+    pub(crate) fn new(board: SimulatedBoard, frame_s: f64, duration_s: f64, speed: Speed) -> Self {
         // The last frame of 0.3 s at 4 kHz must not depend on the last bit of either. Saturates.
         let frames = (duration_s / frame_s - 1e-6).ceil() as u64;
         let frames_at_once = (WAIT_EVERY_S / frame_s).ceil() as u64;

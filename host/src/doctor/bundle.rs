@@ -14,7 +14,7 @@ use slitpose_head::finding::Finding;
 
 /// What was found, as files. Neither the environment nor names of users or hosts are in them.
 #[derive(Debug)]
-pub struct Bundle {
+pub(crate) struct Bundle {
     files: Vec<(&'static str, &'static str, Vec<u8>)>,
     utc_ns: u64,
 }
@@ -31,7 +31,7 @@ impl Bundle {
     ///
     /// # Errors
     /// Never in practice: all of it can be written as JSON.
-    pub fn of(examination: &Examination) -> io::Result<Self> {
+    pub(crate) fn of(examination: &Examination) -> io::Result<Self> {
         let utc_ns = HostInstant::now().utc_ns;
         let report = Report { slitpose: env!("CARGO_PKG_VERSION"), utc_ns, checks: &examination.checks };
         let mut files = vec![
@@ -53,7 +53,7 @@ impl Bundle {
     }
 
     /// Name and meaning of each file, for its sender to know.
-    pub fn contents(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
+    pub(crate) fn contents(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
         self.files.iter().map(|(name, meaning, _)| (*name, *meaning))
     }
 
@@ -61,7 +61,7 @@ impl Bundle {
     ///
     /// # Errors
     /// Those of `output`.
-    pub fn write<W: Write>(&self, output: W) -> io::Result<W> {
+    pub(crate) fn write<W: Write>(&self, output: W) -> io::Result<W> {
         let mut archive = tar::Builder::new(GzEncoder::new(output, Compression::default()));
         for (name, _, bytes) in &self.files {
             let mut header = tar::Header::new_gnu();

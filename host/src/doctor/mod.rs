@@ -13,7 +13,7 @@ mod measurement;
 
 use std::path::Path;
 
-pub use bundle::Bundle;
+pub(crate) use bundle::Bundle;
 
 use crate::device::{BoardInfo, Search, Selector};
 use slitpose_head::finding::{Finding, Grade};
@@ -24,7 +24,7 @@ const USUAL_BYTES_PER_S: f64 = 240e3;
 
 /// What is to be looked at.
 #[derive(Clone, Copy, Debug)]
-pub struct Subject<'a> {
+pub(crate) struct Subject<'a> {
     /// Which board.
     pub device: &'a Selector,
     /// Where to look for it, too.
@@ -39,7 +39,7 @@ pub struct Subject<'a> {
 
 /// What was found.
 #[derive(Clone, Debug, Default)]
-pub struct Examination {
+pub(crate) struct Examination {
     /// In the order they were made.
     pub checks: Vec<Finding>,
     /// What the board said of itself.
@@ -52,18 +52,18 @@ pub struct Examination {
 
 impl Examination {
     /// How many findings are of `grade`.
-    pub fn count(&self, grade: Grade) -> usize {
+    pub(crate) fn count(&self, grade: Grade) -> usize {
         self.checks.iter().filter(|check| check.grade == grade).count()
     }
 
     /// For people: a line a check, and a line for the next step where there is one.
-    pub fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         self.checks.iter().map(|check| format!("{check:#}\n")).collect()
     }
 }
 
 /// Looks at everything.
-pub fn examine(subject: &Subject<'_>) -> Examination {
+pub(crate) fn examine(subject: &Subject<'_>) -> Examination {
     let mut examination = Examination::default();
     let bytes_per_s = board(subject, &mut examination).unwrap_or(USUAL_BYTES_PER_S);
     examination.checks.extend(host::checks());

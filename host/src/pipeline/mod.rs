@@ -255,13 +255,13 @@ impl Pipeline {
     }
 
     /// Solves the oldest scan that waits. Poses in this order are the same however late they are.
-    pub fn solve_next(&mut self) -> Option<Record> {
+    pub(crate) fn solve_next(&mut self) -> Option<Record> {
         self.flow.solve_next()
     }
 
     /// Solves the newest scan that waits, ahead of its turn: it waits on, and its turn will come. `None` if it
     /// has been solved ahead already.
-    pub fn solve_newest(&mut self) -> Option<Record> {
+    pub(crate) fn solve_newest(&mut self) -> Option<Record> {
         self.flow.solve_newest()
     }
 
@@ -344,12 +344,12 @@ impl Pipeline {
     }
 
     /// Whether all has come that shall: see [`until`](Self::until).
-    pub fn is_complete(&self) -> bool {
+    pub(crate) fn is_complete(&self) -> bool {
         self.flow.span.is_complete()
     }
 
     /// The board's latest own account.
-    pub fn board_status(&self) -> Option<&Status> {
+    pub(crate) fn board_status(&self) -> Option<&Status> {
         self.flow.counts.board_status.as_ref()
     }
 

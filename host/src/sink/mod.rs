@@ -11,14 +11,14 @@ use std::io::{self, Write};
 
 use clap::ValueEnum;
 
-pub use note::Note;
+pub(crate) use note::Note;
 
 use crate::pipeline::Record;
 use crate::telemetry::{BoardReport, RecorderReport};
 
 /// How poses are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
+pub(crate) enum Format {
     /// Rates, losses, health, pose and accuracy, renewed in place on a terminal
     Summary,
     /// One JSON object a scan
@@ -31,7 +31,7 @@ pub enum Format {
 
 /// What there is to say of boards and recording.
 #[derive(Clone, Debug, Default)]
-pub struct Account {
+pub(crate) struct Account {
     /// Each board.
     pub boards: Vec<BoardReport>,
     /// The capture that is written.
@@ -39,10 +39,10 @@ pub struct Account {
 }
 
 /// Gives the account as it is now.
-pub type Accounts<'a> = dyn Fn() -> Account + 'a;
+pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
 
 /// Something poses are written to.
-pub trait Sink {
+pub(crate) trait Sink {
     /// Takes the next pose, or why there is none.
     ///
     /// # Errors
@@ -75,7 +75,11 @@ pub trait Sink {
 
 /// The sink of a format; `live` tells whether `output` is the terminal of standard output, which can be
 /// drawn on in place. `None` for nothing.
-pub fn open<'a>(format: Format, output: impl Write + Send + 'a, live: bool) -> Option<Box<dyn Sink + Send + 'a>> {
+pub(crate) fn open<'a>(
+    format: Format,
+    output: impl Write + Send + 'a,
+    live: bool,
+) -> Option<Box<dyn Sink + Send + 'a>> {
     match format {
         Format::Summary => Some(Box::new(summary::Summary::new(output, live))),
         Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),

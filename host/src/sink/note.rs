@@ -6,7 +6,7 @@ use crate::link::DeviceId;
 
 /// What is not a pose.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Note {
+pub(crate) enum Note {
     /// A board introduced itself.
     Hello {
         /// Its number.
@@ -35,7 +35,7 @@ pub enum Note {
 
 impl Note {
     /// That a board introduced itself.
-    pub fn hello(hello: &Hello<'_>) -> Self {
+    pub(crate) fn hello(hello: &Hello<'_>) -> Self {
         Self::Hello {
             device: DeviceId(hello.device_id),
             board: hello.board.to_owned(),

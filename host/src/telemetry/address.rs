@@ -8,14 +8,14 @@ use std::str::FromStr;
 use thiserror::Error;
 
 /// Where `slitpose status` asks unless told otherwise.
-pub const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
+pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
 
 /// What a path begins with, to tell it from a host.
 const UNIX: &str = "unix:";
 
 /// An address to listen on, or to ask.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum StatusAddress {
+pub(crate) enum StatusAddress {
     /// A TCP port.
     Tcp(SocketAddr),
     /// A socket in the file system.

@@ -18,7 +18,7 @@ const MOST_BYTES: usize = 1 << 24;
 
 /// Why there is no answer.
 #[derive(Debug, Error)]
-pub enum FetchError {
+pub(crate) enum FetchError {
     /// Nobody listens there.
     #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
     Connect {
@@ -59,7 +59,7 @@ pub enum FetchError {
 ///
 /// # Errors
 /// If there is no answer within two seconds, or none with the status 200.
-pub fn fetch(address: &StatusAddress, path: &str) -> Result<String, FetchError> {
+pub(crate) fn fetch(address: &StatusAddress, path: &str) -> Result<String, FetchError> {
     let connect = |source| FetchError::Connect { address: address.to_string(), source };
     let answer = match address {
         StatusAddress::Tcp(to) => {

@@ -13,7 +13,7 @@ const QUANTILES: [f64; 4] = [0.5, 0.9, 0.99, 0.999];
 
 /// Durations as percentiles, seconds; zeros of none at all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct Percentiles {
+pub(crate) struct Percentiles {
     /// Half of all take no longer.
     pub p50_s: f64,
     /// Nine of ten.
@@ -32,7 +32,7 @@ pub struct Percentiles {
 
 impl Percentiles {
     /// Each quantile, 0 to 1, with its duration in seconds.
-    pub fn quantiles(&self) -> [(f64, f64); 4] {
+    pub(crate) fn quantiles(&self) -> [(f64, f64); 4] {
         let values = [self.p50_s, self.p90_s, self.p99_s, self.p999_s];
         std::array::from_fn(|i| (QUANTILES[i], values[i]))
     }
@@ -42,14 +42,14 @@ impl Percentiles {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Latency {
     /// Since the start.
-    pub total: Percentiles,
+    pub(crate) total: Percentiles,
     /// Of the last full interval: see [`Rates::interval_s`](super::Rates::interval_s).
-    pub recent: Percentiles,
+    pub(crate) recent: Percentiles,
 }
 
 /// Collects durations. Its memory is fixed.
 #[derive(Clone, Debug)]
-pub struct LatencyHistogram {
+pub(crate) struct LatencyHistogram {
     total: Sums,
     interval: Sums,
     recent: Percentiles,
@@ -93,20 +93,20 @@ impl Default for LatencyHistogram {
 
 impl LatencyHistogram {
     /// Takes a duration in nanoseconds.
-    pub fn record_ns(&mut self, duration_ns: u64) {
+    pub(crate) fn record_ns(&mut self, duration_ns: u64) {
         self.total.record(duration_ns);
         self.interval.record(duration_ns);
     }
 
     /// Ends an interval.
-    pub fn end_interval(&mut self) {
+    pub(crate) fn end_interval(&mut self) {
         self.recent = self.interval.percentiles();
         self.interval.histogram.reset();
         (self.interval.sum_ns, self.interval.max_ns) = (0, 0);
     }
 
     /// What was taken so far.
-    pub fn latency(&self) -> Latency {
+    pub(crate) fn latency(&self) -> Latency {
         Latency { total: self.total.percentiles(), recent: self.recent }
     }
 }

@@ -11,7 +11,7 @@ use crate::clock::HostInstant;
 use crate::health::CellHealth;
 
 /// What to tell whoever asks.
-pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 const KELVIN_AT_0_CELSIUS: f64 = 273.15;
 
@@ -134,7 +134,7 @@ impl Boards<'_> {
 }
 
 /// All of a report, as it is `now`.
-pub fn text(report: &DaemonReport, now: HostInstant) -> String {
+pub(crate) fn text(report: &DaemonReport, now: HostInstant) -> String {
     let mut out = Exposition(String::with_capacity(1 << 14));
     out.family("slitpose_build_info", "gauge", "The program and its version.");
     out.sample("slitpose_build_info", &[("program", report.program), ("version", report.version)], Some(1.0));

@@ -21,12 +21,11 @@ mod statistics;
 mod tests;
 pub mod view;
 
-pub use address::{AddressError, DEFAULT_STATUS_ADDRESS, StatusAddress};
-pub use client::{FetchError, fetch};
-pub use latency::{Latency, LatencyHistogram, Percentiles};
-pub use report::{
-    BoardEvent, BoardLosses, BoardReport, ClockReport, DaemonReport, HostLosses, LagReport, Latencies, LinkLosses,
-    LinkReport, LinkState, Losses, ProcessReport, Rates, RecorderReport, RecorderState, Vitals, report_schema,
+pub(crate) use address::{DEFAULT_STATUS_ADDRESS, StatusAddress};
+pub(crate) use client::{FetchError, fetch};
+pub(crate) use report::{
+    BoardReport, DaemonReport, HostLosses, LagReport, LinkReport, LinkState, RecorderReport, RecorderState,
+    report_schema,
 };
-pub use server::{Reach, StatusError, StatusServer};
+pub(crate) use server::{Reach, StatusError, StatusServer};
 pub use statistics::BoardStatistics;

@@ -7,7 +7,7 @@ use crate::clock::HostInstant;
 
 impl DaemonReport {
     /// Of this program, which was `started` then, at this moment.
-    pub fn of_now(started: HostInstant, boards: Vec<BoardReport>, recorder: RecorderReport) -> Self {
+    pub(crate) fn of_now(started: HostInstant, boards: Vec<BoardReport>, recorder: RecorderReport) -> Self {
         let running_ns = HostInstant::now().monotonic_ns.saturating_sub(started.monotonic_ns);
         Self {
             program: env!("CARGO_PKG_NAME"),

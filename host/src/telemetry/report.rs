@@ -16,7 +16,7 @@ use crate::pipeline::Outcomes;
 
 /// Everything a daemon has to say.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct DaemonReport {
+pub(crate) struct DaemonReport {
     /// Name of the program.
     pub program: &'static str,
     /// Its version.
@@ -36,14 +36,14 @@ pub struct DaemonReport {
 }
 
 /// The JSON schema of a [`DaemonReport`], and within it that of a [`BoardReport`].
-pub fn report_schema() -> String {
+pub(crate) fn report_schema() -> String {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     settings.into_generator().into_root_schema_for::<DaemonReport>().as_value().to_string()
 }
 
 /// What the system says of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct ProcessReport {
+pub(crate) struct ProcessReport {
     /// Memory in RAM, bytes.
     pub resident_bytes: u64,
     /// Threads.
@@ -52,7 +52,7 @@ pub struct ProcessReport {
 
 /// One board.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct BoardReport {
+pub(crate) struct BoardReport {
     /// What the user calls it: a port, or `sim`.
     pub name: String,
     /// Its unique number; `None` until it has introduced itself.
@@ -100,7 +100,7 @@ pub struct BoardReport {
 /// Whether there is a board, and what it does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum LinkState {
+pub(crate) enum LinkState {
     /// It is looked for.
     #[default]
     Searching,
@@ -120,11 +120,11 @@ pub enum LinkState {
 
 impl LinkState {
     /// All of them.
-    pub const ALL: [Self; 7] =
+    pub(crate) const ALL: [Self; 7] =
         [Self::Searching, Self::Connecting, Self::Running, Self::Quiet, Self::Gone, Self::Refused, Self::Ended];
 
     /// The word used in tables and messages.
-    pub fn as_str(self) -> &'static str {
+    pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Searching => "searching",
             Self::Connecting => "connecting",
@@ -139,7 +139,7 @@ impl LinkState {
 
 /// The link to a board.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct LinkReport {
+pub(crate) struct LinkReport {
     /// Its state.
     pub state: LinkState,
     /// Why, in a sentence, if there is something to say.
@@ -154,7 +154,7 @@ pub struct LinkReport {
 
 /// Scans a second, of the last interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct Rates {
+pub(crate) struct Rates {
     /// By the board's clock; `None` if no scan came.
     pub device_hz: Option<f64>,
     /// By the host's clock: zero if none came.
@@ -165,7 +165,7 @@ pub struct Rates {
 
 /// What is missing, by place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct Losses {
+pub(crate) struct Losses {
     /// On the board.
     pub board: BoardLosses,
     /// Between board and host.
@@ -176,7 +176,7 @@ pub struct Losses {
 
 /// What the board says it has lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct BoardLosses {
+pub(crate) struct BoardLosses {
     /// Scans it dropped, as the link did not take them in time.
     pub scans_dropped: u64,
     /// Scans that never left its converters.
@@ -187,7 +187,7 @@ pub struct BoardLosses {
 
 /// What was lost on the way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct LinkLosses {
+pub(crate) struct LinkLosses {
     /// Scans missing in the numbering that the board does not account for. Known when its next status
     /// has come.
     pub scans: u64,
@@ -205,7 +205,7 @@ pub struct LinkLosses {
 
 /// What the host had and did not keep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct HostLosses {
+pub(crate) struct HostLosses {
     /// Bytes of the link that the recorder had no room for.
     pub bytes_unrecorded: u64,
     /// Poses that a subscriber did not take in time.
@@ -214,12 +214,12 @@ pub struct HostLosses {
 
 impl LinkLosses {
     /// Packets that were damaged on their way.
-    pub fn damaged(&self) -> u64 {
+    pub(crate) fn damaged(&self) -> u64 {
         self.bad_checksum + self.misframed + self.overlong
     }
 
     /// What has been lost since `before`.
-    pub fn since(&self, before: &Self) -> Self {
+    pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             scans: self.scans.saturating_sub(before.scans),
             bad_checksum: self.bad_checksum.saturating_sub(before.bad_checksum),
@@ -232,20 +232,15 @@ impl LinkLosses {
 }
 
 impl Losses {
-    /// Scans lost on the board and on the way.
-    pub fn scans(&self) -> u64 {
-        self.board.scans_dropped + self.board.scans_lost + self.link.scans
-    }
-
     /// Packets that were damaged on their way.
-    pub fn damaged(&self) -> u64 {
+    pub(crate) fn damaged(&self) -> u64 {
         self.link.damaged()
     }
 }
 
 /// How old poses are. The instant of the sample is known to the clock's uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct Latencies {
+pub(crate) struct Latencies {
     /// From the instant that a pose refers to until the host had read it: board and link.
     pub link: Latency,
     /// From there until the pose was published: the host.
@@ -256,7 +251,7 @@ pub struct Latencies {
 
 /// How far solving is behind what comes, in the last moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct LagReport {
+pub(crate) struct LagReport {
     /// Control loops get the newest scan only: the solver takes longer than the board.
     #[serde(rename = "behind")]
     pub is_behind: bool,
@@ -275,7 +270,7 @@ pub struct LagReport {
 
 /// The board's clock by the host's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
-pub struct ClockReport {
+pub(crate) struct ClockReport {
     /// The instants of scans are right to this by the host's clock, either way, seconds; `None` while
     /// they are not known.
     pub uncertainty_s: Option<f64>,
@@ -285,7 +280,7 @@ pub struct ClockReport {
 
 /// What a board says of itself.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct Vitals {
+pub(crate) struct Vitals {
     /// Why it last started.
     pub reset_cause: String,
     /// Whether it acquires.
@@ -306,7 +301,7 @@ pub struct Vitals {
 
 /// A warning or error that a board reported.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct BoardEvent {
+pub(crate) struct BoardEvent {
     /// Whether it can still do its job.
     pub is_error: bool,
     /// When, by its clock, seconds; `None` if its clock is not known yet.
@@ -318,7 +313,7 @@ pub struct BoardEvent {
 /// Whether scans are recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum RecorderState {
+pub(crate) enum RecorderState {
     /// Nobody asked for it.
     #[default]
     Off,
@@ -330,10 +325,10 @@ pub enum RecorderState {
 
 impl RecorderState {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
+    pub(crate) const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
 
     /// The word used in tables and messages.
-    pub fn as_str(self) -> &'static str {
+    pub(crate) fn as_str(self) -> &'static str {
         match self {
             Self::Off => "off",
             Self::Recording => "recording",
@@ -344,7 +339,7 @@ impl RecorderState {
 
 /// The capture that a daemon writes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct RecorderReport {
+pub(crate) struct RecorderReport {
     /// Whether it does.
     pub state: RecorderState,
     /// Why it failed.
@@ -363,12 +358,12 @@ pub struct RecorderReport {
 
 impl BoardReport {
     /// What to call the board where a name must not be shared: its number, or its port before that is known.
-    pub fn label(&self) -> String {
+    pub(crate) fn label(&self) -> String {
         self.device.map_or_else(|| self.name.clone(), |device| device.to_string())
     }
 
     /// Age of this report at `now`, seconds.
-    pub fn age_s(&self, now: HostInstant) -> f64 {
+    pub(crate) fn age_s(&self, now: HostInstant) -> f64 {
         now.monotonic_ns.saturating_sub(self.made_monotonic_ns) as f64 * 1e-9
     }
 }

@@ -34,7 +34,7 @@ const JSON: &str = "application/json";
 
 /// Who may ask over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reach {
+pub(crate) enum Reach {
     /// Programs of this host.
     Loopback,
     /// Everybody who can reach the address: the user has said so.
@@ -43,7 +43,7 @@ pub enum Reach {
 
 /// Why the status cannot be served.
 #[derive(Debug, Error)]
-pub enum StatusError {
+pub(crate) enum StatusError {
     /// Others could ask, too.
     #[error(
         "{address} can be reached from other hosts, and the status server asks for no password; \
@@ -77,7 +77,7 @@ pub enum StatusError {
 
 /// Serves the status until dropped.
 #[derive(Debug)]
-pub struct StatusServer {
+pub(crate) struct StatusServer {
     address: StatusAddress,
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
@@ -92,7 +92,7 @@ impl StatusServer {
     ///
     /// # Errors
     /// If the address cannot be had, or has a wider `reach`.
-    pub fn start(
+    pub(crate) fn start(
         address: &StatusAddress,
         reach: Reach,
         source: impl Fn() -> DaemonReport + Send + Sync + 'static,
@@ -146,7 +146,7 @@ impl StatusServer {
     }
 
     /// Where it listens; with the port that the system chose, if it was left to it.
-    pub fn address(&self) -> &StatusAddress {
+    pub(crate) fn address(&self) -> &StatusAddress {
         &self.address
     }
 }

@@ -88,17 +88,17 @@ impl BoardStatistics {
     }
 
     /// By how many millionths the board's clock is fast, as soon as that is known.
-    pub fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
+    pub(crate) fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
         self.clock.drift_ppm = drift_ppm;
     }
 
     /// What the host has not kept so far.
-    pub fn set_host_losses(&mut self, host_losses: HostLosses) {
+    pub(crate) fn set_host_losses(&mut self, host_losses: HostLosses) {
         self.host_losses = host_losses;
     }
 
     /// How far solving is behind.
-    pub fn set_lag(&mut self, lag: LagReport) {
+    pub(crate) fn set_lag(&mut self, lag: LagReport) {
         self.lag = lag;
     }
 
@@ -137,7 +137,7 @@ impl BoardStatistics {
 
     /// The report at `now`, without the link's state; `counts` and `head` are those of the pipeline. To be called a
     /// few times a second: once a second an interval ends.
-    pub fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
+    pub(crate) fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
         if now.monotonic_ns.saturating_sub(self.begun.at.monotonic_ns) >= INTERVAL_NS {
             self.end_interval(counts, now);
         }

@@ -16,7 +16,7 @@ const LONGEST_NAME: usize = 60;
 const KELVIN_AT_0_CELSIUS: f32 = 273.15;
 
 /// All of a daemon, as it is `now`.
-pub fn daemon_lines(report: &DaemonReport, now: HostInstant) -> Vec<String> {
+pub(crate) fn daemon_lines(report: &DaemonReport, now: HostInstant) -> Vec<String> {
     layout(&daemon(report, now), WIDTH)
 }
 
@@ -43,7 +43,7 @@ fn daemon(report: &DaemonReport, now: HostInstant) -> Vec<Line> {
 }
 
 /// The capture that is written, and how fast it grows, if that is known; `None` if there is none.
-pub fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Option<Line> {
+pub(crate) fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Option<Line> {
     let file = report.file.as_deref().unwrap_or("a capture");
     let megabytes = report.bytes as f64 * 1e-6;
     let mut line = match report.state {
@@ -67,7 +67,7 @@ pub fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Option<Lin
 }
 
 /// One board: link, rates, losses, outcomes, latencies, cells, findings.
-pub fn lines(report: &BoardReport) -> Vec<Line> {
+pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     let mut lines = Vec::new();
     let BoardReport { link, losses, rates, .. } = report;
     let name = |text| printable(text).at_most(LONGEST_NAME);

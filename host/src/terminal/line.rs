@@ -6,7 +6,7 @@ use slitpose_head::finding::Grade;
 use slitpose_head::foreign::printable;
 
 /// Pages without a window of their own are laid out for this many columns; no line is longer.
-pub const WIDTH: usize = 100;
+pub(crate) const WIDTH: usize = 100;
 
 /// The names at the beginnings of the lines stand in a column of their own.
 const INDENT: usize = 12;
@@ -16,7 +16,7 @@ const LONGEST_TEXT: usize = 800;
 
 /// How good the news are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Tone {
+pub(crate) enum Tone {
     /// As it should be, or neither.
     #[default]
     Plain,
@@ -39,7 +39,7 @@ impl Tone {
 
 impl Tone {
     /// `text` in its colour, if it `has_colours`.
-    pub fn paint(self, text: &str, has_colours: bool) -> String {
+    pub(crate) fn paint(self, text: &str, has_colours: bool) -> String {
         let (begin, end) = if has_colours { self.codes() } else { ("", "") };
         format!("{begin}{text}{end}")
     }
@@ -57,7 +57,7 @@ impl From<Grade> for Tone {
 
 /// A name and what there is to say under it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Line {
+pub(crate) struct Line {
     name: &'static str,
     text: String,
     tone: Tone,
@@ -69,23 +69,23 @@ const RANKS: std::ops::RangeInclusive<u8> = 0..=3;
 
 impl Line {
     /// `text` under `name`; what boards and files say in it is escaped.
-    pub fn new(name: &'static str, text: &str) -> Self {
+    pub(crate) fn new(name: &'static str, text: &str) -> Self {
         Self { name, text: printable(text).at_most(LONGEST_TEXT).to_string(), ..Self::default() }
     }
 
     /// Between boards.
-    pub fn blank() -> Self {
+    pub(crate) fn blank() -> Self {
         Self { rank: *RANKS.end(), ..Self::default() }
     }
 
     /// Says how good the news are.
-    pub fn tone(&mut self, tone: Tone) -> &mut Self {
+    pub(crate) fn tone(&mut self, tone: Tone) -> &mut Self {
         self.tone = tone;
         self
     }
 
     /// A window that is too low leaves out lines of higher ranks first; 0 to 3, 0 unless said otherwise.
-    pub fn rank(&mut self, rank: u8) -> &mut Self {
+    pub(crate) fn rank(&mut self, rank: u8) -> &mut Self {
         self.rank = rank;
         self
     }
@@ -144,7 +144,7 @@ pub(super) struct Row {
 }
 
 /// All of `lines` in `width` columns, [`WIDTH`] at most.
-pub fn layout(lines: &[Line], width: usize) -> Vec<String> {
+pub(crate) fn layout(lines: &[Line], width: usize) -> Vec<String> {
     lines.iter().flat_map(|line| line.rows(width)).map(|row| row.text).collect()
 }
 

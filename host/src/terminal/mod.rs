@@ -17,8 +17,8 @@ use std::sync::{Mutex, PoisonError};
 
 use console::Term;
 
-pub use line::{Line, Tone, WIDTH, layout};
-pub use progress::{Amount, Progress, hide as hide_progress};
+pub(crate) use line::{Line, Tone, WIDTH, layout};
+pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 
 use block::{Block, Size};
 use slitpose_head::foreign::printable;
@@ -39,7 +39,7 @@ struct Screen {
 }
 
 /// Whether standard output can be drawn on in place.
-pub fn is_live() -> bool {
+pub(crate) fn is_live() -> bool {
     io::stdout().is_terminal() && !is_dumb()
 }
 
@@ -49,7 +49,7 @@ fn is_dumb() -> bool {
 }
 
 /// Whether a stream that `is_terminal` gets colours.
-pub fn has_colours(is_terminal: bool) -> bool {
+pub(crate) fn has_colours(is_terminal: bool) -> bool {
     // https://no-color.org: set, and not empty.
     is_terminal && !is_dumb() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
@@ -58,7 +58,7 @@ pub fn has_colours(is_terminal: bool) -> bool {
 ///
 /// # Errors
 /// Those of standard output.
-pub fn show(lines: Vec<Line>) -> io::Result<()> {
+pub(crate) fn show(lines: Vec<Line>) -> io::Result<()> {
     let mut screen = screen();
     screen.view = lines;
     screen.target.get_or_insert_with(Term::buffered_stdout);
@@ -66,12 +66,12 @@ pub fn show(lines: Vec<Line>) -> io::Result<()> {
 }
 
 /// Columns of the terminal of standard output.
-pub fn columns() -> usize {
+pub(crate) fn columns() -> usize {
     Size::of(&Term::stdout()).columns
 }
 
 /// Takes away what was drawn in place.
-pub fn clear() {
+pub(crate) fn clear() {
     let mut screen = screen();
     (screen.view, screen.progress) = (Vec::new(), None);
     // Nobody sees a terminal that cannot be written.
@@ -82,7 +82,7 @@ pub fn clear() {
 ///
 /// # Errors
 /// Those of `output`.
-pub fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Result<()> {
+pub(crate) fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Result<()> {
     screen().above(|| {
         writeln!(output, "{line}")?;
         output.flush()
@@ -90,12 +90,12 @@ pub fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Result<()
 }
 
 /// Says something on standard error, in one line, above what is drawn in place.
-pub fn say(text: fmt::Arguments<'_>) {
+pub(crate) fn say(text: fmt::Arguments<'_>) {
     write_message(Tone::Plain, text);
 }
 
 /// Says why the command ends.
-pub fn complain(text: fmt::Arguments<'_>) {
+pub(crate) fn complain(text: fmt::Arguments<'_>) {
     write_message(Tone::Wrong, text);
 }
 

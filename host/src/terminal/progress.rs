@@ -15,7 +15,7 @@ const BAR: u64 = 20;
 
 /// What is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Amount {
+pub(crate) enum Amount {
     /// Bytes, shown in megabytes.
     Bytes,
     /// Things that have no unit, such as poses or sections.
@@ -24,7 +24,7 @@ pub enum Amount {
 
 /// A progress line, drawn on a terminal only, and gone at its end.
 #[derive(Debug)]
-pub struct Progress {
+pub(crate) struct Progress {
     name: &'static str,
     amount: Amount,
     total: u64,
@@ -34,19 +34,19 @@ pub struct Progress {
 
 impl Progress {
     /// Of `total`, under `name`.
-    pub fn new(name: &'static str, total: u64, amount: Amount) -> Self {
+    pub(crate) fn new(name: &'static str, total: u64, amount: Amount) -> Self {
         Self { name, amount, total, began: Instant::now(), shown: None }
     }
 
     /// So much is done; drawn now and then.
-    pub fn at(&mut self, done: u64) {
+    pub(crate) fn at(&mut self, done: u64) {
         if self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
             self.show(done, "");
         }
     }
 
     /// So much is done, and this is being done; drawn at once.
-    pub fn step(&mut self, done: u64, what: &str) {
+    pub(crate) fn step(&mut self, done: u64, what: &str) {
         self.show(done, what);
     }
 
@@ -76,7 +76,7 @@ impl Progress {
 }
 
 /// Takes the progress line away.
-pub fn hide() {
+pub(crate) fn hide() {
     screen().progress(None);
 }
 

@@ -36,7 +36,7 @@ impl Experiment {
     }
 
     /// Positions in millimetres, or angles in degrees.
-    pub fn amounts(self) -> impl Iterator<Item = f64> {
+    pub(crate) fn amounts(self) -> impl Iterator<Item = f64> {
         let (steps, step) = match self {
             Self::Translation => (11, 0.5),
             Self::Rotation => (13, 5.0),

@@ -15,7 +15,7 @@ const SUBSCRIPT_DROP: f64 = 0.22;
 
 /// How a line is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stroke {
+pub(crate) struct Stroke {
     /// Colour.
     pub colour: Colour,
     /// Width in pixels.
@@ -26,19 +26,19 @@ pub struct Stroke {
 
 impl Stroke {
     /// A solid line.
-    pub const fn new(colour: Colour, width: f64) -> Self {
+    pub(crate) const fn new(colour: Colour, width: f64) -> Self {
         Self { colour, width, dash: None }
     }
 
     /// The same line, dashed.
-    pub const fn dashed(self, dash: f64, gap: f64) -> Self {
+    pub(crate) const fn dashed(self, dash: f64, gap: f64) -> Self {
         Self { dash: Some([dash, gap]), ..self }
     }
 }
 
 /// Which point of a label its position means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Anchor {
+pub(crate) enum Anchor {
     /// The beginning.
     Start,
     /// The middle.
@@ -49,7 +49,7 @@ pub enum Anchor {
 
 /// How a label is set.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TextStyle {
+pub(crate) struct TextStyle {
     /// Letter size in pixels.
     pub size: f64,
     /// Colour.
@@ -64,36 +64,35 @@ pub struct TextStyle {
 
 impl TextStyle {
     /// Ordinary text of a size.
-    pub const fn new(size: f64) -> Self {
+    pub(crate) const fn new(size: f64) -> Self {
         Self { size, colour: INK, anchor: Anchor::Start, bold: false, upwards: false }
     }
 
     /// The same, aligned otherwise.
-    pub const fn anchored(self, anchor: Anchor) -> Self {
+    pub(crate) const fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
     /// The same in another colour.
-    pub const fn coloured(self, colour: Colour) -> Self {
+    pub(crate) const fn coloured(self, colour: Colour) -> Self {
         Self { colour, ..self }
     }
 
     /// The same in bold.
-    pub const fn bold(self) -> Self {
+    pub(crate) const fn bold(self) -> Self {
         Self { bold: true, ..self }
     }
 }
 
 /// A picture in the making.
-pub struct Canvas {
+pub(crate) struct Canvas {
     writer: Writer<Vec<u8>>,
-    size: DVec2,
 }
 
 impl Canvas {
     /// An empty white sheet; `title` is what screen readers say.
-    pub fn new(width: f64, height: f64, title: &str) -> Self {
-        let mut canvas = Self { writer: Writer::new(Vec::new()), size: dvec2(width, height) };
+    pub(crate) fn new(width: f64, height: f64, title: &str) -> Self {
+        let mut canvas = Self { writer: Writer::new(Vec::new()) };
         let mut svg = BytesStart::new("svg");
         svg.push_attribute(("xmlns", "http://www.w3.org/2000/svg"));
         svg.push_attribute(("width", number(width).as_str()));
@@ -109,38 +108,33 @@ impl Canvas {
         canvas
     }
 
-    /// Width and height in pixels.
-    pub fn size(&self) -> DVec2 {
-        self.size
-    }
-
     /// A straight line.
-    pub fn line(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
+    pub(crate) fn line(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
         self.path(&[from, to], stroke);
     }
 
     /// A line through points.
-    pub fn path(&mut self, points: &[DVec2], stroke: Stroke) {
+    pub(crate) fn path(&mut self, points: &[DVec2], stroke: Stroke) {
         let mut attributes = vec![("points", joined(points)), ("fill", "none".to_owned())];
         attributes.extend(stroke_attributes(stroke));
         self.element("polyline", &attributes);
     }
 
     /// A filled area; `opacity` from 0 to 1.
-    pub fn area(&mut self, corners: &[DVec2], fill: Colour, opacity: f64) {
+    pub(crate) fn area(&mut self, corners: &[DVec2], fill: Colour, opacity: f64) {
         let attributes = [("points", joined(corners)), ("fill", fill.to_owned()), ("fill-opacity", number(opacity))];
         self.element("polygon", &attributes);
     }
 
     /// The outline of an area.
-    pub fn outline(&mut self, corners: &[DVec2], stroke: Stroke) {
+    pub(crate) fn outline(&mut self, corners: &[DVec2], stroke: Stroke) {
         let mut attributes = vec![("points", joined(corners)), ("fill", "none".to_owned())];
         attributes.extend(stroke_attributes(stroke));
         self.element("polygon", &attributes);
     }
 
     /// A disc, with a rim.
-    pub fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
+    pub(crate) fn disc(&mut self, centre: DVec2, radius: f64, fill: Colour, rim: Stroke) {
         let mut attributes =
             vec![("cx", number(centre.x)), ("cy", number(centre.y)), ("r", number(radius)), ("fill", fill.to_owned())];
         attributes.extend(stroke_attributes(rim));
@@ -148,7 +142,7 @@ impl Canvas {
     }
 
     /// A line with an arrow head at `to`; without the head where the line is shorter than that.
-    pub fn arrow(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
+    pub(crate) fn arrow(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
         let direction = (to - from).normalize_or_zero();
         let (length, half_width) = (3.2 * stroke.width + 3.0, 1.2 * stroke.width + 1.2);
         if from.distance(to) < length {
@@ -161,14 +155,14 @@ impl Canvas {
     }
 
     /// A line with arrow heads at both ends: a dimension.
-    pub fn dimension(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
+    pub(crate) fn dimension(&mut self, from: DVec2, to: DVec2, stroke: Stroke) {
         let middle = 0.5 * (from + to);
         self.arrow(middle, from, stroke);
         self.arrow(middle, to, stroke);
     }
 
     /// A label whose base line starts, is centred or ends at a point. Formulas stand between `$`.
-    pub fn text(&mut self, at: DVec2, label: &str, style: TextStyle) {
+    pub(crate) fn text(&mut self, at: DVec2, label: &str, style: TextStyle) {
         let mut text = BytesStart::new("text");
         let place = match style.upwards {
             false => format!("translate({} {})", number(at.x), number(at.y)),
@@ -212,7 +206,7 @@ impl Canvas {
     }
 
     /// The finished picture.
-    pub fn into_svg(mut self) -> String {
+    pub(crate) fn into_svg(mut self) -> String {
         self.event(Event::End(BytesEnd::new("svg")));
         let mut svg = String::from_utf8_lossy(&self.writer.into_inner()).into_owned();
         svg.push('\n');

@@ -1,30 +1,30 @@
 //! One set of colours for every picture.
 
 /// A colour as SVG writes it.
-pub type Colour = &'static str;
+pub(crate) type Colour = &'static str;
 
 /// Text and the axes of charts.
-pub const INK: Colour = "#222222";
+pub(crate) const INK: Colour = "#222222";
 /// Secondary text, dimension lines.
-pub const SOFT_INK: Colour = "#666666";
+pub(crate) const SOFT_INK: Colour = "#666666";
 /// Grid lines, outlines of what is not the matter at hand.
-pub const PALE: Colour = "#d4d4d4";
+pub(crate) const PALE: Colour = "#d4d4d4";
 /// Grid lines between numbered ones.
-pub const FAINT: Colour = "#ededed";
+pub(crate) const FAINT: Colour = "#ededed";
 /// The tool's body.
-pub const TOOL: Colour = "#9a9a9a";
+pub(crate) const TOOL: Colour = "#9a9a9a";
 /// Masks.
-pub const MASK: Colour = "#3c3c3c";
+pub(crate) const MASK: Colour = "#3c3c3c";
 /// Where a picture must warn.
-pub const ALERT: Colour = "#c1121f";
+pub(crate) const ALERT: Colour = "#c1121f";
 /// Paper.
-pub const WHITE: Colour = "#ffffff";
+pub(crate) const WHITE: Colour = "#ffffff";
 
 /// Colours of cells, in order; distinguishable with the common forms of colour blindness
 /// (Okabe and Ito 2008, the yellow left out for want of contrast on white).
 const CELLS: [Colour; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a"];
 
 /// The colour of a cell in every picture.
-pub fn cell_colour(cell: usize) -> Colour {
+pub(crate) fn cell_colour(cell: usize) -> Colour {
     CELLS[cell % CELLS.len()]
 }

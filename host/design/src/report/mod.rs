@@ -34,7 +34,7 @@ use std::path::PathBuf;
 
 pub use error::ReportError;
 pub use folder::Folder;
-pub use section::{Column, Picture, Report, Section, Table, Value};
+pub use section::{Column, Report, Section, Table, Value};
 
 use head::Head;
 use slitpose_head::scene_file::SceneFile;

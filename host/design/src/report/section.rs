@@ -32,7 +32,7 @@ impl Value {
     }
 
     /// Whether it stands at the right of its column.
-    pub fn is_number(&self) -> bool {
+    pub(crate) fn is_number(&self) -> bool {
         !matches!(self, Self::Text(_) | Self::Alert(_))
     }
 }
@@ -90,7 +90,7 @@ pub struct Table {
 
 /// A picture.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub(crate) struct Picture {
     /// The stem of its SVG file.
     pub name: &'static str,
     /// What it shows.
@@ -111,7 +111,7 @@ pub struct Section {
     /// What was done, and what follows from it.
     pub paragraphs: Vec<String>,
     /// Pictures, which come first.
-    pub pictures: Vec<Picture>,
+    pub(crate) pictures: Vec<Picture>,
     /// Tables.
     pub tables: Vec<Table>,
 }

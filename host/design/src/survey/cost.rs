@@ -16,7 +16,7 @@ const MOST_SAMPLES: usize = 200;
 
 /// One cell's integrals at the tolerance of solving.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct CellCost {
+pub(crate) struct CellCost {
     /// Number of the cell.
     pub cell: usize,
     /// The tolerance.

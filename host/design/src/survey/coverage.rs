@@ -10,7 +10,7 @@ use super::serialize_pose;
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
 #[derive(Clone, Debug, Serialize)]
-pub struct Coverage {
+pub(crate) struct Coverage {
     /// How many poses were sampled.
     pub samples: usize,
     /// Share of poses with at least k cells lit, at index k.
@@ -21,7 +21,7 @@ pub struct Coverage {
 
 /// One cell over the workspace.
 #[derive(Clone, Debug, Serialize)]
-pub struct CellCoverage {
+pub(crate) struct CellCoverage {
     /// Number of the cell.
     pub cell: usize,
     /// Share of poses with the whole spot on the active area.

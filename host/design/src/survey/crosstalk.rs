@@ -10,7 +10,7 @@ use super::serialize_pose;
 
 /// The worst cross-talk of one lighting slot over the workspace.
 #[derive(Clone, Debug, Serialize)]
-pub struct SlotCrosstalk {
+pub(crate) struct SlotCrosstalk {
     /// Number of the slot.
     pub slot: usize,
     /// The emitters it lights.

@@ -5,7 +5,7 @@ use slitpose_model::{Plan, Pose, Scene};
 
 /// Geometry and light of a cell at home.
 #[derive(Clone, Debug, Serialize)]
-pub struct CellAtHome {
+pub(crate) struct CellAtHome {
     /// Number of the cell.
     pub cell: usize,
     /// Geometry of the spot.

@@ -19,13 +19,13 @@ use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
-pub use cost::CellCost;
-pub use coverage::{CellCoverage, Coverage};
-pub use crosstalk::SlotCrosstalk;
-pub use home::CellAtHome;
-pub use sample::{AXES, axis_motion, workspace_poses};
-pub use timing::Timing;
-pub use travel::{End, Travel};
+pub(crate) use cost::CellCost;
+pub(crate) use coverage::Coverage;
+pub(crate) use crosstalk::SlotCrosstalk;
+pub(crate) use home::CellAtHome;
+pub(crate) use sample::workspace_poses;
+pub(crate) use timing::Timing;
+pub(crate) use travel::{End, Travel};
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -43,19 +43,19 @@ pub struct Survey {
     /// Hash of the scene file, 16 hexadecimal digits.
     pub hash: String,
     /// The box that was sampled.
-    pub workspace: WorkspaceFacts,
+    pub(crate) workspace: WorkspaceFacts,
     /// Each cell with the tool at home.
-    pub home: Vec<CellAtHome>,
+    pub(crate) home: Vec<CellAtHome>,
     /// The sampled workspace.
-    pub coverage: Coverage,
+    pub(crate) coverage: Coverage,
     /// How far the tool moves along each axis with every cell lit and not faint.
-    pub travel: Vec<Travel>,
+    pub(crate) travel: Vec<Travel>,
     /// What each cell's integrals take for a solver, over some of the workspace.
-    pub cost: Vec<CellCost>,
+    pub(crate) cost: Vec<CellCost>,
     /// Cross-talk of every lighting slot with more than one emitter.
-    pub crosstalk: Vec<SlotCrosstalk>,
+    pub(crate) crosstalk: Vec<SlotCrosstalk>,
     /// Duration of slots and frame; `None` without front end.
-    pub timing: Option<Timing>,
+    pub(crate) timing: Option<Timing>,
     /// Coordinates that the currents leave free at home, joined by `;`; empty if there are none.
     pub free_at_home: String,
     /// Whether poses have mirror images with nearly the same currents although all cells see light.
@@ -67,7 +67,7 @@ pub struct Survey {
 
 /// A workspace with its units in the names.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct WorkspaceFacts {
+pub(crate) struct WorkspaceFacts {
     /// Half extents of the translation.
     pub half_extent_m: [f64; 3],
     /// Half extents of the rotation vector.

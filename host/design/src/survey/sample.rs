@@ -6,7 +6,7 @@ use slitpose_model::Pose;
 use slitpose_head::scene_file::Workspace;
 
 /// The six axes of motion from home, in the order (t, θ).
-pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
+pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 
 /// Bases of the Halton sequence: one prime for each axis.
 const BASES: [usize; 6] = [2, 3, 5, 7, 11, 13];
@@ -15,7 +15,7 @@ const BASES: [usize; 6] = [2, 3, 5, 7, 11, 13];
 ///
 /// A Halton sequence (Halton 1960): the error of a share found with n of its points falls almost
 /// like 1/n, with random points like 1/√n.
-pub fn workspace_poses(workspace: &Workspace, count: usize) -> impl Iterator<Item = Pose> + use<> {
+pub(crate) fn workspace_poses(workspace: &Workspace, count: usize) -> impl Iterator<Item = Pose> + use<> {
     let (half_m, half_rad) = (workspace.half_extent_m, workspace.half_extent_rad);
     (1..=count).map(move |index| {
         let [tx, ty, tz, rx, ry, rz] = BASES.map(|base| 2.0 * radical_inverse(index, base) - 1.0);
@@ -38,7 +38,7 @@ fn radical_inverse(mut index: usize, base: usize) -> f64 {
 ///
 /// # Panics
 /// If `axis` is not below 6.
-pub fn axis_motion(axis: usize, amount: f64) -> Pose {
+pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
     let mut motion = [0.0; 6];
     motion[axis] = amount;
     let [tx, ty, tz, rx, ry, rz] = motion;

@@ -6,7 +6,7 @@ use slitpose_head::scene_file::SceneFile;
 
 /// Durations of slots and frame.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Timing {
+pub(crate) struct Timing {
     /// Lighting slots in a frame, the dark one included.
     pub slots: usize,
     /// Duration of one slot.

@@ -20,7 +20,7 @@ const BISECTIONS: usize = 20;
 
 /// Pure motion from home along one axis.
 #[derive(Clone, Debug, Serialize)]
-pub struct Travel {
+pub(crate) struct Travel {
     /// `tx` … `rz`.
     pub axis: &'static str,
     /// Towards the negative end.
@@ -31,7 +31,7 @@ pub struct Travel {
 
 /// Where a motion ends, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct End {
+pub(crate) struct End {
     /// Signed motion from home, metres or radians; zero if a cell is not usable even at home.
     pub at: f64,
     /// The first cell that is no longer usable; `None` if the search ended before.

@@ -18,7 +18,7 @@ impl Lighting {
     }
 
     /// The slot that lights an emitter.
-    pub fn slot_of(&self, emitter: usize) -> Option<usize> {
+    pub(crate) fn slot_of(&self, emitter: usize) -> Option<usize> {
         self.slots.iter().position(|slot| slot.contains(&emitter))
     }
 

@@ -18,7 +18,7 @@ const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_p
 /// Emitters, slits, detectors and converters of one head, by arithmetic. Time passes only by
 /// [`SimulatedHardware::advance`].
 #[derive(Debug)]
-pub struct SimulatedHardware {
+pub(crate) struct SimulatedHardware {
     plan: Plan<f64>,
     trajectory: Trajectory,
     electronics: Electronics,
@@ -59,12 +59,12 @@ impl SimulatedHardware {
     }
 
     /// Lets device time pass.
-    pub fn advance(&mut self, ticks: u64) {
+    pub(crate) fn advance(&mut self, ticks: u64) {
         self.now_ticks += ticks;
     }
 
     /// The true poses of the scans handed out since the last call, at their reference instants.
-    pub fn take_truths(&mut self) -> impl Iterator<Item = Truth> + '_ {
+    pub(crate) fn take_truths(&mut self) -> impl Iterator<Item = Truth> + '_ {
         self.truths.drain(..)
     }
 

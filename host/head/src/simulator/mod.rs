@@ -13,5 +13,4 @@ mod trajectory;
 
 pub use board::{SimulatedBoard, SimulatorError};
 pub use electronics::{CellNoise, Electrode, Electronics};
-pub use hardware::SimulatedHardware;
 pub use trajectory::{PathError, Trajectory, TrajectoryKind};

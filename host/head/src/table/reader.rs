@@ -222,7 +222,7 @@ impl<'a> Row<'a> {
     }
 
     /// The error of a number that the caller cannot use.
-    pub fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
+    pub(crate) fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
         TableError::OutOfRange {
             file: self.table.file.clone(),
             row: self.number_of_row(),
@@ -234,7 +234,7 @@ impl<'a> Row<'a> {
     }
 
     /// Number of this data row, from 1.
-    pub fn number_of_row(&self) -> u64 {
+    pub(crate) fn number_of_row(&self) -> u64 {
         self.table.rows
     }
 

@@ -19,6 +19,7 @@ use slitpose_protocol::{
 
 use super::file::{CaptureFile, Channels};
 use super::medium::Medium;
+use super::series::Recorded;
 use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::link::{Asked, DeviceId, Segment};
