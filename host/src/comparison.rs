@@ -1,4 +1,4 @@
-//! Poses beside a reference: how far they are off, axis by axis.
+//! Errors of poses against a reference, axis by axis.
 
 use slitpose_model::{Estimate, Pose};
 
@@ -7,7 +7,7 @@ use crate::terminal::{Line, WIDTH, layout};
 use slitpose_head::simulator::{PathError, Trajectory};
 use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
 
-/// How near poses are to the truth, where there is one.
+/// Errors of poses against a known truth.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Accuracy {
     count: u64,
@@ -20,7 +20,7 @@ pub(crate) struct Accuracy {
 }
 
 impl Accuracy {
-    /// Takes the next pose and where the tool really was.
+    /// Adds a pose and the true pose of the same instant.
     pub(crate) fn add(&mut self, estimate: &Estimate, truth: &Pose) {
         let (dt, dr) = estimate.pose.displacement_from(truth);
         self.count += 1;
@@ -34,7 +34,7 @@ impl Accuracy {
         self.beyond_five_sigma += u64::from(beyond);
     }
 
-    /// How many poses were taken.
+    /// How many poses were added.
     pub(crate) fn count(&self) -> u64 {
         self.count
     }
@@ -69,20 +69,20 @@ impl Accuracy {
 /// Names of the axes and units of a millionth along them.
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];
 
-/// Where the tool was, by a table.
+/// Compares poses with a table.
 pub(crate) struct Comparison {
     name: String,
     reference: Reference,
     accuracy: Accuracy,
     axes: [Axis; 6],
-    /// Scans without a pose, or that the reference says nothing of.
+    /// Scans without a pose, or without one in the reference.
     unmatched: u64,
 }
 
 enum Reference {
     /// By the number of the scan, in order.
     Scans { table: Box<TableReader>, sequence: Column, poses: PoseColumns, next: Option<(u64, Pose)> },
-    /// By device time, between whose poses the tool moved evenly.
+    /// By device time, interpolated between poses.
     Path(Trajectory),
 }
 
@@ -118,7 +118,7 @@ impl Comparison {
         })
     }
 
-    /// Takes the next pose.
+    /// Compares the next pose.
     ///
     /// # Errors
     /// If the table cannot be read on.
@@ -149,7 +149,7 @@ impl Comparison {
         Ok(())
     }
 
-    /// What came out, in lines for people.
+    /// The result, in lines for people.
     pub(crate) fn lines(&self) -> Vec<String> {
         let count = self.accuracy.count();
         let mut lines =

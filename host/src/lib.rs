@@ -5,7 +5,7 @@
 //! For other programs:
 //!
 //! * [`clock`] reads the clocks of the host;
-//! * [`link`] is what a link has delivered, and from which board;
+//! * [`link`] holds the bytes that a link has delivered, and identifies boards;
 //! * [`device`] carries bytes to boards and back, and speaks with them;
 //! * [`health`] watches the cells of a head;
 //! * [`pipeline`] turns bytes into poses;

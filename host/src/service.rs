@@ -1,7 +1,7 @@
-//! Word to the service manager that has started the program: ready, alive, about to end.
+//! Notifies the service manager that has started the program: ready, alive, about to end.
 //!
-//! systemd's protocol (`sd_notify(3)`): one datagram a message, to the socket whose name it has put into
-//! the environment. Without such a manager everything here does nothing.
+//! systemd's protocol (`sd_notify(3)`): one datagram a message, to the socket named in the environment. Without a
+//! service manager nothing is sent.
 
 use std::ffi::OsStr;
 use std::io;
@@ -12,13 +12,13 @@ use std::time::Duration;
 /// The program is up and follows its boards, or waits for them.
 pub(crate) const READY: &str = "READY=1";
 
-/// The program lives: to be said every [`Service::watchdog_every`].
+/// The program lives: to be sent every [`Service::watchdog_every`].
 pub(crate) const ALIVE: &str = "WATCHDOG=1";
 
 /// The program is about to end.
 pub(crate) const STOPPING: &str = "STOPPING=1";
 
-/// Who wants to hear how it goes.
+/// The service manager, if there is one.
 #[derive(Debug, Default)]
 pub(crate) struct Service {
     manager: Option<(UnixDatagram, SocketAddr)>,
@@ -29,7 +29,7 @@ impl Service {
     /// The manager that the environment names, if any.
     ///
     /// # Errors
-    /// If it names one that cannot be spoken to.
+    /// If its socket cannot be reached.
     pub(crate) fn from_environment() -> io::Result<Self> {
         let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
         let manager = variable("NOTIFY_SOCKET").map(|name| open(&name)).transpose()?;
@@ -40,8 +40,7 @@ impl Service {
         Ok(Self { manager, watchdog_every: limit_us.and_then(watchdog_every) })
     }
 
-    /// How often the manager wants to hear [`ALIVE`], half the time after which it gives the program up;
-    /// `None` if it does not watch.
+    /// Period of [`ALIVE`]: half the time after which the manager gives the program up; `None` if it does not watch.
     pub(crate) fn watchdog_every(&self) -> Option<Duration> {
         self.watchdog_every.filter(|_| self.manager.is_some())
     }
@@ -50,7 +49,7 @@ impl Service {
     /// It never waits and allocates nothing.
     ///
     /// # Errors
-    /// If the manager does not take it; the next may do.
+    /// If the manager does not accept the message.
     pub(crate) fn notify(&self, state: &str) -> io::Result<()> {
         match &self.manager {
             Some((socket, address)) => socket.send_to_addr(state.as_bytes(), address).map(drop),
@@ -65,7 +64,7 @@ fn open(name: &OsStr) -> io::Result<(UnixDatagram, SocketAddr)> {
     Ok((socket, address(name)?))
 }
 
-/// Half of the limit; zero limits nothing.
+/// Half of the limit; `None` for zero, which is no limit.
 fn watchdog_every(limit_us: u64) -> Option<Duration> {
     (limit_us > 0).then(|| Duration::from_micros(limit_us / 2).max(Duration::from_micros(1)))
 }

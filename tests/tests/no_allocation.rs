@@ -89,8 +89,8 @@ fn watching_and_counting_allocate_nothing() {
             let sampled_ns = (record.device_time_s * 1e9) as u64;
             record.host_time = Some(HostTime { monotonic_ns: sampled_ns, utc_ns: 0, uncertainty_ns: 0 });
             let later = |ns| Some(HostInstant { monotonic_ns: sampled_ns + ns, utc_ns: 0 });
-            health.take(scan, &stage.photocurrents(scan), &record.solution);
-            statistics.take(&Item::Pose(&record), later(1_000_000), later(1_050_000));
+            health.update(scan, &stage.photocurrents(scan), &record.solution);
+            statistics.update(&Item::Pose(&record), later(1_000_000), later(1_050_000));
         }
     };
     for spoil in [false, true] {
@@ -162,12 +162,12 @@ fn follow_a_board_live() {
                 publisher.get_or_insert_with(|| server.publisher(DeviceId(hello.device_id)));
             }
             let Item::Pose(record) = &item else {
-                statistics.take(&item, None, None);
+                statistics.update(&item, None, None);
                 return Ok::<_, PipelineError>(());
             };
             let now = record.arrival.expect("a time");
             publisher.as_mut().expect("hello first").publish(record, now);
-            statistics.take(&item, record.arrival, Some(now));
+            statistics.update(&item, record.arrival, Some(now));
             poses += 1;
             timed += u64::from(record.host_time.is_some());
             while client.recv(&mut datagram).is_ok() {

@@ -1,4 +1,4 @@
-//! What is wrong and what to do about it: one form for scenes, boards, heads and hosts.
+//! Findings on scenes, boards, heads and hosts: what is wrong, and what to do about it.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -35,7 +35,7 @@ impl fmt::Display for Grade {
     }
 }
 
-/// What was found in one place. The keys of its JSON are those of the report that `slitpose doctor --bundle` packs.
+/// A finding in one place. The keys of its JSON are those of the report that `slitpose doctor --bundle` packs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// Where: a part, or the name of a check.

@@ -1,4 +1,4 @@
-//! Text that others wrote, made fit for a terminal.
+//! Text from outside, escaped for a terminal.
 //!
 //! Names and messages of boards, scene files, tables, captures, file names and answers of other
 //! programs may hold anything. On a terminal, control characters of C0 and C1 (ECMA-48) move the

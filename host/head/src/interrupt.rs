@@ -1,4 +1,4 @@
-//! What the user asks for with Ctrl-C, known to all that wait or take long.
+//! Interrupts by Ctrl-C and other signals.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,21 +14,21 @@ use crate::threads::lock;
 
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Parts of results, and where the results are to be; `None` until there is one.
+/// Incomplete results and their final names; `None` until there is one.
 static PARTS: Mutex<Option<Vec<(PathBuf, PathBuf)>>> = Mutex::new(None);
 
-/// Who is told of results that an interrupt leaves incomplete.
+/// Reports results that an interrupt leaves incomplete.
 static FAREWELL: OnceLock<fn(&OutputError)> = OnceLock::new();
 
-/// Has `farewell` told, instead of standard error, of each result that an interrupt leaves incomplete, before the
-/// program ends. The first one stays.
+/// Reports results that an interrupt leaves incomplete to `farewell` instead of standard error, before the program
+/// ends. Only the first call counts.
 pub fn say_by(farewell: fn(&OutputError)) {
     let _ = FAREWELL.set(farewell);
 }
 
-/// What is set when the user interrupts, the service manager ends the program, or its terminal is closed. After
-/// that a SIGINT or SIGTERM ends the program at once, with exit code 1. Another SIGHUP does not: whoever closes a
-/// terminal sends one from the kernel and one from the shell. A SIGHUP that is ignored, as under `nohup`, stays so. Until
+/// The flag that is set when the user interrupts, the service manager ends the program, or its terminal is closed.
+/// After that a SIGINT or SIGTERM ends the program at once, with exit code 1. Another SIGHUP does not: a closed terminal
+/// sends one from the kernel and one from the shell. A SIGHUP that is ignored, as under `nohup`, stays so. Until
 /// this is asked for the first time, each of them ends the program.
 pub fn flag() -> io::Result<Arc<AtomicBool>> {
     if let Some(stop) = STOP.get() {
@@ -51,7 +51,7 @@ pub(crate) fn is_asked() -> bool {
 }
 
 /// Makes a part of a result for `target`. An interrupt removes it and ends the program with exit code 1, unless the
-/// command itself answers interrupts (see [`flag`]). A part that has gone meanwhile is no matter.
+/// command itself handles interrupts (see [`flag`]). The part may be gone by then.
 pub(crate) fn removing(target: &Path, make: impl FnOnce() -> io::Result<NamedTempFile>) -> io::Result<NamedTempFile> {
     // Held until the part is known: an interrupt waits.
     let mut parts = lock(&PARTS);
@@ -70,7 +70,7 @@ pub(crate) fn removing(target: &Path, make: impl FnOnce() -> io::Result<NamedTem
     Ok(part)
 }
 
-/// Removes what is not complete, says so, and ends the program.
+/// Removes and reports incomplete results, and ends the program.
 fn remove_parts() -> ! {
     let parts = lock(&PARTS);
     let say = FAREWELL.get_or_init(|| |error| eprintln!("{error}"));

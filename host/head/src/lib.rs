@@ -1,12 +1,12 @@
-//! What a sensor head is, and how to fake one.
+//! Sensor heads, and their simulation.
 //!
-//! * [`scene_file`] reads what describes a head;
-//! * [`front_end`] stands between counts and currents;
-//! * [`simulator`] is a board made of arithmetic;
-//! * [`table`] reads and writes CSV, and is where results go;
+//! * [`scene_file`] reads descriptions of heads;
+//! * [`front_end`] converts counts to currents;
+//! * [`simulator`] is a simulated board;
+//! * [`table`] reads and writes CSV, and writes results;
 //! * [`pace`] holds a stream to a multiple of device time;
-//! * [`finding`] is what is wrong and what to do about it;
-//! * [`foreign`] makes text of others fit for a terminal;
+//! * [`finding`] states a fault and its remedy;
+//! * [`foreign`] escapes text of others for a terminal;
 //! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads.
 //!

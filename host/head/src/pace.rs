@@ -1,10 +1,10 @@
-//! How fast a stream goes, relative to device time.
+//! The speed of a stream relative to device time.
 
 use std::fmt;
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
-/// How fast a stream goes, relative to device time.
+/// The speed of a stream relative to device time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
     /// As fast as it can be solved.
@@ -13,7 +13,7 @@ pub enum Speed {
     Times(f64),
 }
 
-/// Slower than this nothing seems to happen at all.
+/// Slowest permitted speed.
 const SLOWEST: f64 = 1e-3;
 
 impl FromStr for Speed {
@@ -75,14 +75,14 @@ impl Pace {
         let Speed::Times(times) = self.speed else {
             return true;
         };
-        // A clock that has gone back is not waited for, nor one that is beyond all reason.
+        // A clock that has gone back, or to an absurd time, is not waited for.
         let due = Duration::try_from_secs_f64((device_s / times).max(0.0)).unwrap_or(Duration::MAX);
         let left = due.saturating_sub(self.started.elapsed());
         std::thread::sleep(left.min(MOMENT));
         left <= MOMENT
     }
 
-    /// Starts so much later: time that is nobody's fault here.
+    /// Shifts the start by `lost`, time for which the stream is not to blame.
     pub fn excuse(&mut self, lost: Duration) {
         self.started += lost;
     }

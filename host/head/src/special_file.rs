@@ -19,7 +19,7 @@ pub fn is_special(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
 }
 
-/// Opens it for writing. A named pipe is waited for until somebody reads it.
+/// Opens a special file for writing. Waits until a named pipe has a reader.
 ///
 /// # Errors
 /// Those of the system; [`io::ErrorKind::Interrupted`] if the user interrupts the waiting.

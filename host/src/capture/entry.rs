@@ -1,21 +1,21 @@
-//! What a capture holds, piece by piece.
+//! The entries of a capture.
 
 use super::Setup;
 use crate::link::DeviceId;
 
-/// What comes next in a capture.
+/// An entry of a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Entry {
-    /// A board, ahead of what it says.
+    /// A board, ahead of its data.
     Setup(Box<Setup>),
-    /// The last hello of a board, said before what follows; the segment holds its packet.
+    /// The last hello of a board before the following data; the segment holds its packet.
     Hello {
         /// Which board.
         device: DeviceId,
         /// When it was written.
         log_ns: u64,
     },
-    /// The segment holds what the link of a board delivered.
+    /// The segment holds bytes of the link of a board.
     Link {
         /// Which board; `None` if the file is a plain byte stream.
         device: Option<DeviceId>,

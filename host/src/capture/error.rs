@@ -22,7 +22,7 @@ pub(crate) enum CaptureError {
         /// The file.
         path: PathBuf,
     },
-    /// Somebody has taken the file away while it was written.
+    /// The file was removed or replaced while it was written.
     #[error(
         "recording to {} has ended: the file was deleted, or replaced by another one, while it was recorded; what was \
          in it is lost; record to another file",
@@ -37,10 +37,10 @@ pub(crate) enum CaptureError {
     Create {
         /// The file asked for.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// The user did not wait for somebody to read a pipe.
+    /// The user interrupted the waiting for a reader of a pipe.
     #[error("interrupted: nobody reads {} yet; start its reader first", path.display())]
     Interrupted {
         /// The pipe.
@@ -57,7 +57,7 @@ pub(crate) enum CaptureError {
         path: PathBuf,
         /// How much of it is whole.
         kept_bytes: u64,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// A report that is not JSON.
@@ -74,7 +74,7 @@ pub(crate) enum CaptureError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Reading failed on the way.
@@ -84,7 +84,7 @@ pub(crate) enum CaptureError {
         path: PathBuf,
         /// How much was read.
         bytes: u64,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }

@@ -35,7 +35,7 @@ const SCENE_EVERY: u64 = 32;
 /// Name of the tool's frame.
 const TOOL: &str = "tool";
 
-/// What channels of reports say of themselves.
+/// Metadata of the channels of reports.
 const REPORT_CONTENT: (&str, &str) = ("content", "JSON; its schema is the attachment report.schema.json");
 
 /// The channels of a board in one file.
@@ -51,11 +51,11 @@ pub(super) struct Channels {
     is_first: bool,
 }
 
-/// What is written again of a board.
+/// Data of a board that each chunk repeats.
 struct Board {
     channels: Channels,
     metadata: Metadata,
-    /// Its last hello, delimiter included; empty if it has said none.
+    /// Its last hello, delimiter included; empty if there was none.
     hello: Vec<u8>,
 }
 
@@ -114,7 +114,7 @@ impl<M: Medium> CaptureFile<M> {
         })
     }
 
-    /// Writes what belongs to a board, ahead of all it says. `hello` is the last it has said; empty: none.
+    /// Writes setup and channels of a board, ahead of its data. `hello` is its last one; empty: none.
     pub(super) fn add_device(&mut self, setup: &Setup, hello: &[u8], log_ns: u64) -> Result<Channels, McapError> {
         let source = &setup.scene.source;
         let attachment = setup.attachment(|name| self.scenes.get(name).is_some_and(|taken| taken != source));
@@ -160,7 +160,7 @@ impl<M: Medium> CaptureFile<M> {
         Ok(channels)
     }
 
-    /// What a board said last of itself, for all chunks to come.
+    /// Sets the last hello of a board, for all later chunks.
     pub(super) fn set_hello(&mut self, device: DeviceId, packet: &[u8]) {
         if let Some(board) = self.boards.get_mut(&device) {
             board.hello.clear();
@@ -168,12 +168,12 @@ impl<M: Medium> CaptureFile<M> {
         }
     }
 
-    /// The last hello of a board; empty if it has said none.
+    /// The last hello of a board; empty if there was none.
     pub(super) fn hello(&self, device: DeviceId) -> &[u8] {
         self.boards.get(&device).map_or(&[], |board| &board.hello)
     }
 
-    /// Writes what a link delivered.
+    /// Writes a segment of a link.
     pub(super) fn link(&mut self, channels: Channels, segment: &Segment, log_ns: u64) -> Result<(), McapError> {
         link_bytes::encode(segment, &mut self.message);
         self.unflushed_link_bytes += segment.bytes.len() as u64;
@@ -276,7 +276,7 @@ impl<M: Medium> CaptureFile<M> {
 
     /// Ends the file.
     pub(super) fn finish(&mut self) -> Result<(), McapError> {
-        // What was recorded is safe before the summary is tried.
+        // The records are safe before the summary is tried.
         self.flush()?;
         self.write_copies(true, self.log_ns)?;
         self.writer.finish()?;
@@ -331,7 +331,7 @@ pub(super) fn report_text(report: &impl Serialize) -> Result<String, serde_json:
     serde_json::to_string(report)
 }
 
-/// What the system said.
+/// The system's error.
 pub(super) fn io_error(error: McapError) -> io::Error {
     match error {
         McapError::Io(error) => error,

@@ -5,7 +5,7 @@ use slitpose_model::{Estimate, Pose, TwistEstimate};
 
 use super::cdr::Encoder;
 
-/// The frame that poses and velocities are told in.
+/// The reference frame of poses and velocities.
 const FRAME: &str = "base";
 
 /// `geometry_msgs/msg/PoseWithCovarianceStamped`.

@@ -1,4 +1,4 @@
-//! What records mean: which channel is whose, which scene belongs to which board.
+//! The meaning of records: which board a channel or a scene belongs to.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,13 +20,13 @@ const MAX_BOARDS: usize = 256;
 /// Each board may have had several, one after the other.
 const MAX_SCENES: usize = 2 * MAX_BOARDS;
 
-/// What must be remembered to understand records.
+/// Channels, scenes and boards, which give records their meaning.
 #[derive(Default)]
 pub(super) struct Index {
     channels: BTreeMap<u16, Channel>,
     /// Texts of scenes by their hashes.
     scenes: BTreeMap<u64, String>,
-    /// Boards with what was last said of them.
+    /// Boards with their last settings.
     setups: BTreeMap<DeviceId, Setup>,
     /// Boards whose last hello is known to who reads: copies of it are passed over.
     greeted: BTreeSet<DeviceId>,
@@ -48,15 +48,15 @@ enum Channel {
 }
 
 impl Index {
-    /// Counts a damaged record, or bytes that are none. What was said in it is not known: hellos count again.
+    /// Counts a damaged record, or bytes that are none. Its content is unknown: hellos count again.
     pub(super) fn count_damage(&mut self, bytes: u64) {
         self.damaged_records += 1;
         self.damaged_bytes += bytes;
         self.greeted.clear();
     }
 
-    /// Takes a record; gives an entry if it is one.
-    pub(super) fn take(&mut self, opcode: u8, record: &[u8], segment: &mut Segment) -> Option<Entry> {
+    /// Interprets a record; gives an entry if it is one.
+    pub(super) fn interpret(&mut self, opcode: u8, record: &[u8], segment: &mut Segment) -> Option<Entry> {
         let taken = match opcode {
             op::CHANNEL => self.take_channel(record).map(|()| None),
             op::ATTACHMENT => self.take_attachment(record).map(|()| None),

@@ -1,4 +1,4 @@
-//! Where the bytes of a capture go, and what of them is safe.
+//! The file under a capture, and how many of its bytes are safe.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -46,7 +46,7 @@ impl<M: Medium> Sink<M> {
         Self { medium, buffer: Vec::with_capacity(BUFFER_BYTES), position: Arc::default(), safe: 0 }
     }
 
-    /// How many bytes were written; whoever the sink is handed to does not tell.
+    /// How many bytes were written; the writer of captures does not count them.
     pub(super) fn position(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.position)
     }

@@ -1,11 +1,11 @@
-//! Captures: what boards said, as it came and when, in files that explain themselves.
+//! Captures: the bytes of boards with their instants, in files that describe themselves.
 //!
 //! A capture is an MCAP file (<https://mcap.dev/spec>) with the bytes of every link, scene and
 //! settings of every board, some poses, and reports; CAPTURES.md describes it for others who read or
 //! write such files. [`CaptureSeries`] writes, [`CaptureReader`] reads; neither looks at a clock for
 //! what it writes down.
 //!
-//! What is promised, and how:
+//! Promises, and how they are kept:
 //! * *All that was flushed can be read*, wherever the file is cut: each chunk reaches the file whole,
 //!   and a record says how long it is.
 //! * *Damage costs the chunk it is in*: settings, scenes and hellos are written again and again, and

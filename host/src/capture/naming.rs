@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use slitpose_head::replacement::folder_of;
 use slitpose_head::special_file;
 
-/// What becomes of a file that is there already.
+/// How to treat an existing file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Existing {
     /// It is kept, and recording refused.

@@ -22,13 +22,13 @@ impl Packets {
         segment.opened && !self.pending.is_empty()
     }
 
-    /// Appends what came; not if something [must end](Self::must_end_before) first.
+    /// Appends a segment; not if a message [must end](Self::must_end_before) first.
     pub(super) fn push(&mut self, segment: &Segment) {
         self.pending.append(segment);
     }
 
     /// Moves the next whole packets to `message`. `false` if there are none, nor anything else to say.
-    pub(super) fn take(&mut self, message: &mut Segment) -> bool {
+    pub(super) fn next(&mut self, message: &mut Segment) -> bool {
         let bytes = &self.pending.bytes;
         let within = &bytes[..bytes.len().min(MAX_LINK_BYTES)];
         let length = match within.iter().rposition(|&byte| byte == DELIMITER) {
@@ -103,11 +103,11 @@ mod tests {
     fn messages_end_with_packets() {
         let (mut packets, mut message) = (Packets::default(), Segment::default());
         packets.push(&read(b"ab", 1));
-        assert!(!packets.take(&mut message));
+        assert!(!packets.next(&mut message));
         packets.push(&read(b"c\0d\0ef", 2));
-        assert!(packets.take(&mut message));
+        assert!(packets.next(&mut message));
         assert_eq!(message.chunks().collect::<Vec<_>>(), [(&b"ab"[..], Some(at(1))), (&b"c\0d\0"[..], Some(at(2)))]);
-        assert!(!packets.take(&mut message));
+        assert!(!packets.next(&mut message));
 
         let anew = Segment { opened: true, ..read(b"gh", 3) };
         assert!(packets.must_end_before(&anew));
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(message, read(b"ef", 2));
         assert!(!packets.must_end_before(&anew));
         packets.push(&anew);
-        assert!(!packets.take(&mut message));
+        assert!(!packets.next(&mut message));
         assert!(packets.take_rest(&mut message));
         assert_eq!(message, anew);
         assert!(!packets.take_rest(&mut message));
@@ -126,7 +126,7 @@ mod tests {
         let (mut packets, mut message) = (Packets::default(), Segment::default());
         let asked = vec![Asked { token: 3, at: at(1) }];
         packets.push(&Segment { asked: asked.clone(), ..read(b"ab", 1) });
-        assert!(packets.take(&mut message));
+        assert!(packets.next(&mut message));
         assert_eq!(message, Segment { asked, ..Segment::default() });
         assert!(packets.take_rest(&mut message));
         assert_eq!(message, read(b"ab", 1));
@@ -137,10 +137,10 @@ mod tests {
         let (mut packets, mut message) = (Packets::default(), Segment::default());
         let noise = [7; 3 * MAX_LINK_BYTES / 2];
         packets.push(&read(&noise, 1));
-        assert!(packets.take(&mut message));
+        assert!(packets.next(&mut message));
         assert_eq!(message.bytes.len(), MAX_LINK_BYTES);
-        assert!(packets.take(&mut message));
+        assert!(packets.next(&mut message));
         assert_eq!(message.bytes.len(), MAX_LINK_BYTES / 2);
-        assert!(!packets.take(&mut message));
+        assert!(!packets.next(&mut message));
     }
 }

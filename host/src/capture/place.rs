@@ -1,5 +1,5 @@
-//! Where a file stands while it is recorded: nobody else records there, a file that it replaces stays until there is
-//! something in its place, and its loss is noticed.
+//! The place of a file while it is recorded: locked against other programs; a file to be replaced stays until the new
+//! one has content; the loss of the file is noticed.
 
 use std::fs::{self, File};
 use std::io;
@@ -19,7 +19,7 @@ pub(super) struct Place {
     path: PathBuf,
     /// The file under this name takes the place once it [holds something](Self::settle); dropped, it is removed.
     pending: Option<TempPath>,
-    /// Keeps others from recording there; `None` of what is no regular file, or cannot be locked.
+    /// Keeps other programs from recording there; `None` if it is no regular file, or cannot be locked.
     lock: Option<Flock<File>>,
 }
 
@@ -31,7 +31,7 @@ impl Place {
     pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
         let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
         let (file, path, pending) = if replaces {
-            // What a link leads to is replaced, and not the link.
+            // The target of a link is replaced, not the link.
             let path = fs::canonicalize(path)?;
             lock(File::open(&path)?)?;
             let (file, pending) = part_of(&path)?.into_parts();
@@ -51,7 +51,7 @@ impl Place {
         if self.pending.is_none() {
             return Ok(());
         }
-        // Somebody may have begun to record there since.
+        // Another program may have begun to record there since.
         if let Ok(found) = File::open(&self.path) {
             lock(found)?;
         }
@@ -62,7 +62,7 @@ impl Place {
         Ok(())
     }
 
-    /// Whether somebody has deleted the file, or put another one into its place: what is written is lost.
+    /// Whether the file was deleted or replaced: further writing is lost.
     pub(super) fn is_lost(&self) -> bool {
         self.lock.as_ref().is_some_and(|file| file.metadata().is_ok_and(|found| found.nlink() == 0))
     }
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_replaced_stays_until_there_is_something_in_its_place() {
+    fn a_file_to_be_replaced_stays_until_the_new_one_has_content() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("d.mcap");
         let names = || fs::read_dir(folder.path()).unwrap().count();
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_recorded_by_one_and_its_loss_is_noticed() {
+    fn a_recorded_file_is_locked_and_its_loss_is_noticed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("d.mcap");
         let (_file, place) = Place::create(&path, Existing::Kept).unwrap();

@@ -24,7 +24,7 @@ const BEGIN_BYTES: u64 = 1 << 16;
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct End {
     /// Whether the recorder ended the file. If not, it was cut off, or is still being recorded;
-    /// what is missing came after the last flush, or after the cut.
+    /// the missing data came after the last flush, or after the cut.
     pub finished: bool,
     /// Bytes of the file up to the end of its last whole record.
     pub whole_bytes: u64,
@@ -35,7 +35,7 @@ pub(crate) struct End {
     pub damaged_records: u64,
     /// The checksum over all records does not agree.
     pub checksum_failed: bool,
-    /// What follows the records, their index, is not what was written.
+    /// The index behind the records is damaged.
     pub index_damaged: bool,
     /// The first settings of a board that cannot be used, though they are what was written.
     pub refused: Option<SetupError>,
@@ -47,7 +47,7 @@ impl End {
         !self.finished || self.is_damaged() || self.refused.is_some()
     }
 
-    /// Whether the file is not what was written.
+    /// Whether the file is damaged.
     pub(crate) fn is_damaged(&self) -> bool {
         self.damaged_records > 0 || self.checksum_failed || self.index_damaged
     }
@@ -126,7 +126,7 @@ impl<R: Read + Seek> CaptureReader<R> {
         self
     }
 
-    /// The next entry; what it says of bytes is in `segment`, whose memory is used again. `None` at
+    /// The next entry, its bytes in `segment`, whose memory is used again. `None` at
     /// the [end](Self::end).
     ///
     /// Damage is no error: it is passed over and counted.
@@ -222,7 +222,7 @@ impl<R: Read + Seek> McapInput<R> {
                         index.count_damage(record.len() as u64);
                     }
                 }
-                Next::Record(opcode, record) => entry = index.take(opcode, record, segment),
+                Next::Record(opcode, record) => entry = index.interpret(opcode, record, segment),
                 Next::Damaged(bytes) => {
                     index.count_damage(bytes);
                     index.misses_settings = true;
@@ -282,7 +282,7 @@ impl<R: Read + Seek> McapInput<R> {
     fn next_in_chunk(&mut self, segment: &mut Segment) -> Option<Entry> {
         let Self { chunk, index, .. } = self;
         while let Some(records) = chunk {
-            match records.next(|opcode, record| index.take(opcode, record, segment)) {
+            match records.next(|opcode, record| index.interpret(opcode, record, segment)) {
                 Ok(Some(Some(entry))) => return Some(entry),
                 Ok(Some(None)) => {}
                 Ok(None) => *chunk = None,

@@ -1,7 +1,7 @@
 //! The records of an MCAP file, from its beginning to its end, also where it is damaged.
 //!
-//! A record says how long it is, and the next follows. Where that makes no sense, the next record is
-//! looked for byte by byte: one that proves what it is by a checksum, or by lengths that agree.
+//! A record begins with its length, and the next follows. Where the length is impossible, the next record is searched
+//! byte by byte: one that is proven by a checksum, or by lengths that agree.
 
 use std::io::{self, Read, Seek};
 use std::ops::Range;
@@ -25,7 +25,7 @@ const COMPRESSION_AT: usize = FRAME_BYTES + 8 + 8 + 8 + 4;
 /// The compressions that MCAP knows, with the length ahead of each.
 const COMPRESSIONS: [&[u8]; 3] = [b"\x04\0\0\0zstd", b"\x03\0\0\0lz4", b"\0\0\0\0"];
 
-/// The frame of a chunk and what says how long it is.
+/// The frame of a chunk with its lengths.
 const CHUNK_BEGIN_BYTES: usize = COMPRESSION_AT + 8 + 8;
 
 /// How far a search goes before what was searched is forgotten.
@@ -34,7 +34,7 @@ const SEARCHED_BYTES: usize = 1 << 20;
 /// Checksum and magic at the end of a file.
 const END_BYTES: usize = 4 + mcap::MAGIC.len();
 
-/// Takes bytes from `input` and gives records, chunks as they are.
+/// Reads records from `input`; chunks are not unpacked.
 pub(super) struct Records<R> {
     window: Window<R>,
     /// Length of the record that was given last.
@@ -45,10 +45,10 @@ pub(super) struct Records<R> {
     is_begun: bool,
 }
 
-/// What comes next in a file.
+/// The next element of a file.
 #[derive(Debug)]
 pub(super) enum Next<'a> {
-    /// A record: what follows its frame.
+    /// A record, without its frame.
     Record(u8, &'a [u8]),
     /// So many bytes are no record; one follows.
     Damaged(u64),
@@ -86,7 +86,7 @@ impl<R: Read> Records<R> {
         Self { whole_bytes: window.offset(), window, given: 0, has_gap: false, is_begun }
     }
 
-    /// What comes next.
+    /// The next element.
     pub(super) fn next(&mut self) -> io::Result<Next<'_>> {
         let given = std::mem::take(&mut self.given);
         self.window.advance(given);
@@ -121,7 +121,7 @@ impl<R: Read> Records<R> {
         self.whole_bytes
     }
 
-    /// Takes the magic at the beginning.
+    /// Reads the magic at the beginning.
     fn begin(&mut self) -> io::Result<Option<Next<'static>>> {
         let length = mcap::MAGIC.len();
         let bytes = self.window.fill(length)?;
@@ -191,7 +191,7 @@ impl<R: Read> Records<R> {
         let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
         let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
         let chunk = chunk_bytes(bytes);
-        // What is compressed is a chunk, whatever its frame says.
+        // Compressed data are a chunk, even if the frame is damaged.
         if chunk.is_some() && (!is_uncompressed(bytes) || (opcode == op::CHUNK && chunk == length)) {
             let found = self.checked(at, op::CHUNK, chunk, |_, body| ChunkRecords::is_whole(body))?;
             // Bytes behind what was compressed would not be noticed.

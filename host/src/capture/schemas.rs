@@ -1,4 +1,4 @@
-//! What messages look like, in the words that are written into every capture.
+//! Schemas of the messages, as written into every capture.
 
 /// A message type: its name and its definition in the syntax of ROS 2 (`ros2msg`).
 #[derive(Clone, Copy, Debug)]

@@ -29,7 +29,7 @@ pub(crate) struct Limits {
     pub max_age: Option<Duration>,
 }
 
-/// What was recorded.
+/// The result of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Recorded {
     /// Files begun.
@@ -43,7 +43,7 @@ pub(crate) struct Recorded {
 /// When writing fails, the call that meets the failure tells it, the file is cut back to its last
 /// flush, and recording [is over](Self::is_recording): all later calls do nothing but count.
 ///
-/// In memory it keeps less than 1 kB for each second of the file of the moment, for the index at its end.
+/// In memory it keeps less than 1 kB for each second of the current file, for the index at its end.
 pub(crate) struct CaptureSeries {
     about: About,
     limits: Limits,
@@ -61,7 +61,7 @@ struct DeviceStream {
     log_ns: u64,
 }
 
-/// The file of the moment.
+/// The current file.
 struct Output {
     file: Option<CaptureFile<File>>,
     /// Where it stands; `None` of one that others have opened.
@@ -109,7 +109,7 @@ impl CaptureSeries {
         Self { about, limits, output, devices: BTreeMap::new(), message: Segment::default() }
     }
 
-    /// Adds a board, ahead of all it says. A board that is given again goes on with the new setup.
+    /// Adds a board, ahead of its data. A board added again goes on with the new setup.
     /// `hello` is its last hello as it came, delimiter included, if that will not come again.
     ///
     /// `log_ns` is when: UTC, or the time of a stream that does not go at the pace of time, in
@@ -131,7 +131,7 @@ impl CaptureSeries {
         Ok(())
     }
 
-    /// Records what the link of `device` delivered. `log_ns` counts where a read has no time of its own.
+    /// Records a segment of the link of `device`. Reads without a time of their own get `log_ns`.
     ///
     /// # Errors
     /// Those of the disk; if the board was not [added](Self::add_device).
@@ -153,7 +153,7 @@ impl CaptureSeries {
                 stream.write(file, message)?;
             }
             stream.packets.push(segment);
-            while stream.packets.take(message) {
+            while stream.packets.next(message) {
                 stream.write(file, message)?;
             }
             Ok(())
@@ -247,12 +247,12 @@ impl CaptureSeries {
         Ok(self.output.recorded)
     }
 
-    /// Whether what is given is written: until writing fails.
+    /// Whether data are still written: until writing fails.
     pub(crate) fn is_recording(&self) -> bool {
         self.output.file.is_some()
     }
 
-    /// The file of the moment.
+    /// The current file.
     pub(crate) fn path(&self) -> &Path {
         &self.output.path
     }
@@ -388,7 +388,7 @@ impl Output {
         Err(CaptureError::Lost { path: self.path.clone() })
     }
 
-    /// Ends the file of the moment.
+    /// Ends the current file.
     fn end(&mut self) -> Result<(), CaptureError> {
         self.attempt(0, CaptureFile::finish)?;
         self.check()?;

@@ -1,4 +1,4 @@
-//! What belongs to a board in a capture: its scene, and how it was solved.
+//! The setup of a board in a capture: its scene, and how it was solved.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub(super) const METADATA: &str = "slitpose.device";
 pub(crate) struct Settings {
     /// Equations.
     pub tier: Tier,
-    /// What follows them.
+    /// How scans are followed.
     pub following: Following,
 }
 
@@ -201,10 +201,10 @@ fn check_hash(map: &BTreeMap<String, String>) -> Result<(), SetupError> {
 /// Why the settings of a board cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub(crate) enum SetupError {
-    /// They are not what was written.
+    /// The settings are damaged.
     #[error("settings of a board are damaged")]
     Damaged,
-    /// They are what was written, and make no sense.
+    /// The settings are undamaged, but make no sense.
     #[error(
         "the settings of board {} say {key} = `{}`, and {expected} is needed; \
          give --scene, and what else differs from the defaults, to solve its bytes all the same",
@@ -216,9 +216,9 @@ pub(crate) enum SetupError {
         device: String,
         /// The entry.
         key: &'static str,
-        /// What it says.
+        /// The value.
         value: String,
-        /// What it may say.
+        /// The permitted values.
         expected: &'static str,
     },
     /// Their scene is not there.

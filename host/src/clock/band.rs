@@ -1,11 +1,11 @@
-//! Straight lines between what cannot be later and what cannot be earlier.
+//! Straight lines between points that bound a clock from above and below.
 //!
 //! Let x be device time, y host time minus device time, both in nanoseconds. An arrival is a point
 //! that the clock's curve y(x) runs below, a question that was answered is one it runs above. Around
 //! x₀, the newest instant, the curve is y₀ + s (x − x₀) but for ½ρ(x − x₀)², where ρ is the most the
 //! rate changes in a second. So each point, moved away by that much, bounds the straight line
 //! (y₀, s), and all of them together leave a convex set of lines: [`Band`]. Bounds that follow from
-//! its corners hold whatever the delays were; the line chosen in it is the one that leaves the least
+//! its corners hold for any delays; the line chosen in it is the one that leaves the least
 //! sum of delays on both sides, which is the likeliest if delays are exponential: Moon, Skelly and
 //! Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999,
 //! with its linear programme solved on both sides at once.
@@ -75,8 +75,7 @@ impl Envelope {
         self.points.clear();
     }
 
-    /// Takes a point from host time `host_ns`; `rate` is about that of the curve. Tells whether it
-    /// begins a new bucket, the one before being complete.
+    /// Adds a point from host time `host_ns`; `rate` is about that of the curve. Gives whether it begins a new bucket.
     pub(super) fn add(&mut self, (x_ns, y_ns): (i64, i64), host_ns: u64, rate: f64) -> bool {
         let point = Point { x_ns, y_ns };
         let bucket = host_ns / BUCKET_NS;

@@ -1,7 +1,7 @@
 //! A board's ticks by the host's clocks.
 //!
-//! What a board sent at a tick arrived later than that tick, by a delay that nobody knows; and the
-//! tick of a pong is later than the moment at which its ping was about to be sent. So every arrival
+//! Bytes sent at a tick arrive later than that tick, by an unknown delay; and the tick of a pong is later than the
+//! instant at which its ping was about to be sent. So every arrival
 //! says "not after" and every answered ping "not before", and in the band between them some straight
 //! lines fit: their extremes bound the error, and the likeliest is followed (`band.rs` has the
 //! derivation). The least delays decide; all others do not disturb.
@@ -50,7 +50,7 @@ pub(crate) struct ClockFit {
     arrivals: Envelope,
     questions: Envelope,
     band: Option<Band>,
-    /// What is given out: y at x₀ and the rate from there.
+    /// The line in use: y at x₀ and the rate from there.
     steered: Option<Steered>,
     trust: Trust,
     last_arrived: Option<u64>,
@@ -85,7 +85,7 @@ impl Steered {
 /// Whether the board keeps time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trust {
-    /// Nothing speaks against it, nor for it.
+    /// Not known yet.
     New,
     /// Pongs over [`PROOF_NS`] agree.
     Proven {
@@ -137,8 +137,8 @@ impl ClockFit {
         self.last_answered = None;
     }
 
-    /// Takes in that what the board did at `tick` was known to the host at `at`: the last sample of
-    /// a batch that was complete then. Ticks come in order; one that lies behind the last shows that
+    /// Adds an arrival: an event on the board at `tick` was known to the host at `at`, such as the last sample of a
+    /// batch. Ticks come in order; one that lies behind the last shows that
     /// the board has restarted.
     pub(crate) fn arrived(&mut self, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_arrived) {
@@ -148,8 +148,7 @@ impl ClockFit {
         self.observe(tick, at);
     }
 
-    /// Takes in that a ping about to be sent at `asked` was read by the board at its `tick`, and
-    /// that the answer had come at `at`. As for [`arrived`](Self::arrived), ticks come in order.
+    /// Adds an answered ping: about to be sent at `asked`, read by the board at its `tick`, answered at `at`. As for [`arrived`](Self::arrived), ticks come in order.
     pub(crate) fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_answered) {
             self.restart(self.tick_hz);

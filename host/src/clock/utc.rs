@@ -16,7 +16,7 @@ pub(super) struct UtcOffset {
 }
 
 impl UtcOffset {
-    /// Takes a reading.
+    /// Adds a reading.
     pub(super) fn note(&mut self, at: HostInstant) {
         let offset_ns = at.utc_ns.wrapping_sub(at.monotonic_ns).cast_signed();
         let bucket = at.monotonic_ns / BUCKET_NS + 1;

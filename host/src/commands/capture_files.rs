@@ -1,4 +1,4 @@
-//! What is to be known of captures besides what boards said in them.
+//! Facts on captures besides the data of boards.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub(super) fn tell_of_scene(file: &SceneFile, hash: Option<u64>, scene_match: Sc
     }
 }
 
-/// Says what of a file is missing.
+/// Reports the missing parts of a file.
 pub(super) fn tell_of_end(path: &Path, end: &End) -> Outcome {
     if !end.has_loss() {
         return Outcome::Done;

@@ -41,7 +41,7 @@ pub(crate) enum ConfigError {
     Read {
         /// Its path.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Its text.
@@ -77,7 +77,7 @@ pub(crate) enum ConfigError {
     Value {
         /// Where.
         place: FilePlace,
-        /// What the command line would say of it.
+        /// The error of the command line.
         message: String,
     },
 }
@@ -177,7 +177,7 @@ fn read(path: &Path, text: &str, verb: &Command) -> Result<Vec<(String, Vec<OsSt
     Ok(values)
 }
 
-/// What the command line would say of these values of an option, if they are wrong.
+/// The error of the command line for these values of an option, if they are wrong.
 fn check(verb: &Command, option: &Arg, texts: &[OsString]) -> Result<(), String> {
     let name = option.get_id();
     match (option.get_action(), texts) {
@@ -251,7 +251,7 @@ pub(super) fn print(configured: &Configured, matches: &ArgMatches) -> String {
             (ArgAction::SetTrue, Some(flag)) => format!("{id} = {flag}  # {source}"),
             (ArgAction::Append, Some(_)) => format!("{id} = {}  # {source}", Value::from(texts)),
             (_, Some(text)) => format!("{id} = {}  # {source}", Value::from(text.as_str())),
-            // Not given: what counts then, as a comment, for some make sense with a simulated board only.
+            // Not given: the default, as a comment, for some make sense with a simulated board only.
             (_, None) => match defaults::of(VERB, id) {
                 Some(value) if !value.contains(' ') => format!("# {id} = {}  # default", Value::from(value)),
                 Some(rule) => format!("# {id}: {rule}  # default"),

@@ -12,7 +12,7 @@ const LOOKED_AT: (&str, &str) = ("format", "summary on a terminal, else ndjson")
 
 const TOOL: [(&str, &str); 2] = [("trajectory", "smooth"), ("seed", "1")];
 
-/// Options of a verb, and what counts without them. A value has no spaces; anything else is a rule.
+/// Options of a verb, and their defaults. A value has no spaces; anything else is a rule.
 fn of_verb(verb: &str) -> Vec<(&'static str, &'static str)> {
     match verb {
         "run" => [&STREAM[..], &TOOL, &[LOOKED_AT, ("speed", "1")], &RUN].concat(),
@@ -32,12 +32,12 @@ const RUN: [(&str, &str); 2] = [
     ("config", "~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one"),
 ];
 
-/// What counts if `option` of `verb` is not given, where anything does.
+/// The default of `option` of `verb`, if it has one.
 pub(super) fn of(verb: &str, option: &str) -> Option<&'static str> {
     of_verb(verb).into_iter().find(|(id, _)| *id == option).map(|(_, default)| default)
 }
 
-/// Says in the help of each option what counts without it.
+/// Adds the default to the help of each option.
 pub(super) fn in_help(command: Command) -> Command {
     command.mut_subcommands(|verb| {
         of_verb(verb.get_name()).into_iter().fold(verb, |verb, (option, default)| {

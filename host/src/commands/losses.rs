@@ -1,9 +1,9 @@
-//! What was damaged or lost on the way, told at the end.
+//! Damaged and lost data, reported at the end.
 
 use super::{Outcome, talk};
 use crate::pipeline::Counts;
 
-/// Says on standard error what of a stream was lost, if anything was. A packet under way when the
+/// Reports the losses of a stream on standard error, if there are any. A packet under way when the
 /// end was `wanted` is not lost: it was not waited for.
 pub(super) fn tell(name: &str, counts: &Counts, wanted: bool) -> Outcome {
     let lossless = if wanted { !counts.has_loss_before_end() } else { !counts.has_loss() };

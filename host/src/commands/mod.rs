@@ -96,7 +96,7 @@ pub(crate) enum Outcome {
     Done,
     /// Done with what there was; input data were damaged or lost.
     DataLost,
-    /// Done, and what was looked at is not as it should be.
+    /// Done, but a check failed.
     Failed,
 }
 
@@ -188,13 +188,13 @@ pub(crate) enum CommandError {
     /// The way poses are sent on.
     #[error(transparent)]
     Datagram(#[from] DatagramError),
-    /// The way the state is told.
+    /// Notifications to the service manager.
     #[error(transparent)]
     Status(#[from] StatusError),
     /// A service manager that cannot be told anything.
     #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
     Service(#[source] io::Error),
-    /// The system tells no signals.
+    /// Signals cannot be handled.
     #[error("cannot listen to signals")]
     Interrupt(#[source] io::Error),
     /// A daemon that does not answer.
@@ -222,7 +222,7 @@ impl CommandError {
         Self::Output(OutputError::Write { target: "standard output".to_owned(), source })
     }
 
-    /// What the program ends with.
+    /// The exit code of the program.
     fn exit_code(&self) -> ExitCode {
         match self {
             Self::OnlySimulated { .. }
@@ -238,7 +238,7 @@ impl CommandError {
 }
 
 /// The command line as it can be typed here: options of `run` may stand in the environment, too, and help
-/// says what counts where an option is not given.
+/// shows the defaults.
 pub fn command() -> clap::Command {
     defaults::in_help(Cli::command()).mut_subcommand("run", config::with_environment)
 }

@@ -4,7 +4,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use slitpose_model::{Pose, Tier};
 
-/// Streams are solved to what their noise is worth.
+/// Streams are solved to a tolerance below their noise.
 pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.

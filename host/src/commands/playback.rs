@@ -1,4 +1,4 @@
-//! Captures through the pipeline: what `replay` and `export` share.
+//! Captures through the pipeline, for `replay` and `export`.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -28,7 +28,7 @@ use slitpose_head::table::OutputError;
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;
 
-/// What of captures is solved, and how.
+/// Which part of captures is solved, and how.
 #[derive(clap::Args, Debug)]
 pub(super) struct PlayOptions {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
@@ -90,11 +90,11 @@ pub(crate) enum PlaybackError {
     },
 }
 
-/// Where poses go, and as what.
+/// Output and format of poses.
 pub(super) struct Printing<'a> {
     /// `None`: nowhere.
     pub(super) sink: Option<Box<dyn Sink + Send + 'a>>,
-    /// What it writes to, in words.
+    /// The name of the output.
     pub(super) target: &'a str,
     pub(super) format: Format,
     /// Whether that is a terminal.
@@ -115,7 +115,7 @@ pub(super) struct Playback<'a> {
     format: Format,
     comparison: Option<Comparison>,
     boards: Vec<Board>,
-    /// Boards that the capture names and says nothing of.
+    /// Boards that the capture names without data.
     unsettled: BTreeSet<DeviceId>,
     stop: Arc<AtomicBool>,
     /// Drawn while nothing else shows how far it has come.
@@ -293,7 +293,7 @@ impl<'a> Playback<'a> {
             talk(format_args!("the clock of the host was set by {set_by_s:+.3} s while it recorded"));
         }
         let fed = pipeline.feed(segment, |item| {
-            statistics.take(&item, None, None);
+            statistics.update(&item, None, None);
             match item {
                 Item::Pose(record) => {
                     if let Some(comparison) = comparison {

@@ -13,7 +13,7 @@ use crate::telemetry::report_schema;
 /// Poses a device second in a capture: enough to look at it; all others follow from its bytes.
 const POSES_HZ: f64 = 25.0;
 
-/// What is recorded, and where.
+/// The recording asked for.
 #[derive(clap::Args, Debug)]
 pub(super) struct RecordOptions {
     /// Record all that comes, as it comes, in this capture (MCAP), from which `replay` finds the

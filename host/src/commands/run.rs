@@ -27,10 +27,10 @@ use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::lock;
 
-/// The ends of boards are looked for, and housekeeping is done, so often.
+/// Period of checks for ended boards, and of housekeeping.
 const MOMENT: Duration = Duration::from_millis(20);
 
-/// The daemon's account goes into the capture so often.
+/// Period of the daemon's report in the capture.
 const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 
 /// Follows the tool in front of a board, or of several.
@@ -149,7 +149,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }
 
-/// Says what was lost; the first error counts.
+/// Reports losses; the first error counts.
 fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool) -> Result<Outcome, CommandError> {
     let Ended { boards, printed, capture } = ended;
     let mut outcome = Outcome::Done;
@@ -256,7 +256,7 @@ impl Args {
 struct Admission {
     file: SceneFile,
     name: String,
-    /// The board that was told of last.
+    /// The board that was reported last.
     told: Mutex<Option<DeviceId>>,
 }
 

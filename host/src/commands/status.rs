@@ -49,7 +49,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-/// What is wrong stands out where somebody looks.
+/// Lines of findings are coloured on a terminal.
 fn write_lines(mut output: Output, text: &str) -> Result<(), OutputError> {
     let has_colours = terminal::has_colours(output.is_terminal());
     for line in text.lines() {

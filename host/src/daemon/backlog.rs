@@ -1,36 +1,35 @@
-//! Which of the scans that wait is solved next, and for whom.
+//! Chooses the scan that is solved next.
 //!
-//! Scans are solved in the order in which they came, each at once for everybody, as long as that takes less
-//! time than the board. When it does not, control loops are given the newest scan ahead of its turn. What
-//! becomes of the older ones depends on who wants them: where each pose is promised (standard output, or a
-//! run of a given duration) they wait and are solved in the time between; where nobody wants them they are
-//! skipped, and counted. A capture has their bytes in either case.
+//! Scans are solved in the order of their arrival, each once for all outputs, as long as the solver keeps up with the
+//! board. When it does not, control loops are given the newest scan ahead of its turn. Older scans wait and are solved
+//! in between where each pose is promised (standard output, or a run of a given duration); else they are skipped, and
+//! counted. A capture has their bytes in either case.
 //!
 //! So no control loop gets a pose later than [`LATE_NS`] + [`GRACE_NS`] and three solutions after its scan had
 //! arrived, however long a solution takes.
 
 use crate::pipeline::Queue;
 
-/// A scan that has waited for less is not late: 20 scans at 4 kHz.
+/// A scan is late once it has waited for longer: 20 scans at 4 kHz.
 const LATE_NS: u64 = 5_000_000;
 
-/// A solver that does not catch up within this is behind. The system may have stopped it for longer: that
-/// costs it no more than this to catch up.
+/// A solver that does not catch up within this time is behind. It catches up within it even if the system has stopped
+/// it for longer.
 const GRACE_NS: u64 = 5_000_000;
 
-/// Where older scans are skipped nothing shows that the solver could keep up again: it is tried after this.
+/// Where older scans are skipped nothing shows that the solver could keep up again: that is tried after this time.
 const TRIAL_AFTER_NS: u64 = 1_000_000_000;
 
-/// What to do next.
+/// The next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
-    /// Nothing can be done before something comes, or is printed.
+    /// Nothing can be done before more bytes come, or poses are printed.
     Wait,
-    /// Solve the oldest scan, for everybody who has not been given a newer one.
+    /// Solve the oldest scan, for all outputs that have no newer one.
     Oldest,
     /// Solve the newest scan ahead of its turn, for control loops.
     Newest,
-    /// Skip so many of the oldest.
+    /// Skip this many of the oldest.
     Skip(usize),
 }
 
@@ -40,12 +39,12 @@ pub(super) struct Backlog {
     keeps_all: bool,
     late_since_ns: Option<u64>,
     behind_since_ns: Option<u64>,
-    /// The last one was solved ahead of its turn.
+    /// The last scan was solved ahead of its turn.
     was_newest: bool,
 }
 
 impl Backlog {
-    /// `keeps_all`: each scan is wanted by somebody, however late.
+    /// `keeps_all`: each scan must be solved, however late.
     pub(super) fn new(keeps_all: bool) -> Self {
         Self { keeps_all, late_since_ns: None, behind_since_ns: None, was_newest: false }
     }
@@ -55,8 +54,8 @@ impl Backlog {
         self.behind_since_ns.is_some()
     }
 
-    /// What to do with `queue` at `now_ns`, CLOCK_MONOTONIC; `can_print` tells whether the oldest could be
-    /// handed on once it is solved.
+    /// The next action for `queue` at `now_ns`, CLOCK_MONOTONIC; `can_print`: the oldest scan could be printed once it
+    /// is solved.
     pub(super) fn next(&mut self, queue: &Queue, can_print: bool, now_ns: u64) -> Next {
         if queue.waiting == 0 {
             self.late_since_ns = None;
@@ -66,7 +65,7 @@ impl Backlog {
             return Next::Wait;
         }
         let Some(oldest_ns) = queue.oldest_ns else {
-            // Device time waits, too.
+            // Device time waits as well.
             return if can_print { Next::Oldest } else { Next::Wait };
         };
         self.judge(oldest_ns, now_ns);
@@ -212,7 +211,7 @@ mod tests {
     const SECOND_NS: u64 = 1_000_000_000;
 
     #[test]
-    fn a_solver_that_keeps_up_gives_every_scan_to_everybody() {
+    fn a_solver_that_keeps_up_gives_every_scan_to_all_outputs() {
         for keeps_all in [true, false] {
             let mut trial = Trial::new(keeps_all);
             trial.run(2 * SECOND_NS, true, true, |_| 240_000);
@@ -278,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_not_read_standard_output_keeps_no_control_loop_waiting() {
+    fn control_loops_do_not_wait_while_standard_output_is_not_read() {
         let mut trial = Trial::new(true);
         trial.run(SECOND_NS, false, false, |_| 10_000);
         assert_eq!(trial.printed, Vec::<u64>::new());

@@ -10,17 +10,17 @@ use slitpose_model::Tier;
 use slitpose_protocol::Configuration;
 
 use super::backlog::Backlog;
-use super::circuit::{Filler, circuit};
+use super::buffer_pool::{Producer, buffer_pool};
+use super::capture_queue::{CaptureChunk, CaptureQueue, Overflow};
 use super::claims::Claims;
-use super::consumers::{Consumers, Outbox};
-use super::desk::desk;
 use super::error::BoardError;
-use super::inlet::{CaptureInlet, Overflow, Parcel};
+use super::handoff::handoff;
 use super::link::Link;
 use super::opener::{Admit, Opener};
-use super::progress::Progress;
+use super::outputs::{Outbox, Outputs};
 use super::reader::Reader;
 use super::real_time;
+use super::scan_watch::ScanWatch;
 use super::slot::BoardSlot;
 use super::solver::{Solver, State};
 use super::{Talk, spawn};
@@ -38,30 +38,30 @@ const SEGMENTS: usize = 256;
 /// As much as one read of a port gives.
 const SEGMENT_BYTES: usize = 4096;
 
-/// Verdicts that the reader has not looked at yet.
-const VERDICTS: usize = 4;
+/// Events that the reader has not handled yet.
+const EVENTS: usize = 4;
 
 /// A board and what to do with it.
 pub(crate) struct BoardPlan {
-    /// How to come by it.
+    /// How to open it.
     pub opener: Box<dyn Opener>,
     /// Its head.
     pub file: SceneFile,
-    /// What it is told to do.
+    /// Its configuration.
     pub configuration: Configuration,
-    /// Who may be followed.
+    /// Decides whether a board may be followed.
     pub admit: Admit,
-    /// Equations.
+    /// The equations.
     pub tier: Tier,
-    /// What follows them.
+    /// How scans are followed.
     pub following: Following,
     /// Device seconds after which it is done.
     pub until_s: Option<f64>,
     /// How long to look for it when it is not there; `None`: for ever.
     pub patience: Option<Duration>,
-    /// Whether device time passes by itself. If not it waits for whoever is behind.
+    /// Whether device time passes by itself. If not, it waits for the slowest thread.
     pub keeps_time: bool,
-    /// Says something to the user.
+    /// Prints a message for the user.
     pub talk: Arc<Talk>,
 }
 
@@ -71,12 +71,12 @@ impl BoardPlan {
     }
 }
 
-/// Where the poses of a board go.
-pub(super) struct Outlets {
-    pub(super) outboxes: Option<Filler<Outbox>>,
+/// What the threads of all boards share.
+pub(super) struct Shared {
+    pub(super) outboxes: Option<Producer<Outbox>>,
     /// Whether each pose has to be printed.
     pub(super) prints_each: bool,
-    pub(super) parcels: Option<(Filler<Parcel>, f64)>,
+    pub(super) chunks: Option<(Producer<CaptureChunk>, f64)>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) real_time: Option<u8>,
     pub(super) claims: Claims,
@@ -94,15 +94,15 @@ impl BoardThreads {
     pub(super) fn start(
         number: usize,
         plan: BoardPlan,
-        outlets: Outlets,
+        shared: Shared,
         slot: &Arc<BoardSlot>,
         stop: &Arc<AtomicBool>,
     ) -> Result<Self, BoardError> {
         let name = plan.opener.name();
-        let (tell, verdicts) = bounded(VERDICTS);
+        let (tell, events) = bounded(EVENTS);
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
-        let keeps_all = outlets.prints_each || plan.until_s.is_some();
-        let inlet = |(parcels, every_s)| CaptureInlet::new(number, parcels, overflow, every_s);
+        let keeps_all = shared.prints_each || plan.until_s.is_some();
+        let capture_queue = |(chunks, every_s)| CaptureQueue::new(number, chunks, overflow, every_s);
         let pipeline = Pipeline::new(plan.file, plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
@@ -110,14 +110,14 @@ impl BoardThreads {
         let solver = Solver {
             name: name.clone(),
             pipeline,
-            verdicts: tell,
-            progress: Progress::new(Duration::from_secs_f64(plan.configuration.schedule.frame_rate_hz().recip())),
-            consumers: Consumers::new(
+            events: tell,
+            scan_watch: ScanWatch::new(Duration::from_secs_f64(plan.configuration.schedule.frame_rate_hz().recip())),
+            outputs: Outputs::new(
                 BoardStatistics::new(name.clone(), HostInstant::now()),
-                outlets.datagrams,
-                outlets.outboxes,
+                shared.datagrams,
+                shared.outboxes,
                 keeps_all,
-                outlets.parcels.map(inlet),
+                shared.chunks.map(capture_queue),
             ),
             backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),
@@ -125,32 +125,32 @@ impl BoardThreads {
             state: State::default(),
         };
         // A simulated board is quicker if two threads share it.
-        let segments = circuit(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
-        let (desk, bench) = desk(solver, segments, plan.keeps_time);
+        let segments = buffer_pool(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
+        let (handoff, solver_end) = handoff(solver, segments, plan.keeps_time);
         let reader = Reader {
             opener: plan.opener,
             configuration: plan.configuration,
             admit: plan.admit,
             patience: plan.patience,
-            desk,
-            verdicts,
+            handoff,
+            events,
             connection: 0,
             has_scans: false,
             // The name of a port may be given twice, that of a thread not.
-            claims: outlets.claims,
+            claims: shared.claims,
             claimant: format!("{name} (board {number})"),
             slot: Arc::clone(slot),
             stop: Arc::clone(stop),
         };
-        let (talk_slot, priority) = (Arc::clone(slot), outlets.real_time);
+        let (talk_slot, priority) = (Arc::clone(slot), shared.real_time);
         let solve = move || {
             if let Some(remedy) = priority.and_then(|priority| real_time::claim(priority).err()) {
                 talk_slot.link.say(format_args!("{remedy}"));
             }
-            Solver::run(&bench)
+            Solver::run(&solver_end)
         };
         let read = move || {
-            // The solver says it if that may not be.
+            // The solving thread reports a refusal.
             let _ = priority.map(real_time::claim);
             reader.run()
         };

@@ -1,4 +1,4 @@
-//! Which board is followed by whom: two streams under one number could not be told apart.
+//! Which reader follows which board: two streams under one number could not be told apart.
 
 use std::sync::{Arc, Mutex};
 
@@ -11,10 +11,10 @@ use slitpose_head::threads::lock;
 pub(super) struct Claims(Arc<Mutex<Vec<(DeviceId, String)>>>);
 
 impl Claims {
-    /// Claims a board for the one that the user calls `name`.
+    /// Claims a board for the reader of `name`.
     ///
     /// # Errors
-    /// If it is another's.
+    /// If another reader has claimed it.
     pub(super) fn claim(&self, device: DeviceId, name: &str) -> Result<(), BoardError> {
         let mut claims = lock(&self.0);
         match claims.iter().find(|(claimed, owner)| *claimed == device && owner != name) {
@@ -26,7 +26,7 @@ impl Claims {
         }
     }
 
-    /// Gives back what was claimed under `name`.
+    /// Releases the claims of `name`.
     pub(super) fn release(&self, name: &str) {
         lock(&self.0).retain(|(_, owner)| owner != name);
     }
@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_board_is_one_followers_until_that_gives_it_back() {
+    fn a_board_is_claimed_by_one_reader_until_it_is_released() {
         let claims = Claims::default();
         let [one, other] = [DeviceId(*b"one board   "), DeviceId(*b"another one ")];
         claims.claim(one, "A").unwrap();

@@ -10,13 +10,13 @@ use crate::pipeline::PipelineError;
 /// Why a board is followed no longer.
 #[derive(Debug, Error)]
 pub(crate) enum BoardError {
-    /// The device.
+    /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// It does not suit the scene.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// It does not do what it is asked.
+    /// The board refused a command.
     #[error("the board refused a command")]
     Refused(#[source] Rejection),
     /// Another thread follows it already.
@@ -27,9 +27,9 @@ pub(crate) enum BoardError {
     Twice {
         /// The board.
         device: DeviceId,
-        /// What was to follow it.
+        /// The second reader's name for it.
         name: String,
-        /// What follows it.
+        /// The first reader's name for it.
         other: String,
     },
     /// The system gives no more threads.
@@ -38,7 +38,7 @@ pub(crate) enum BoardError {
 }
 
 impl BoardError {
-    /// Whether waiting may mend it, without anybody doing anything but plug and switch on.
+    /// Whether waiting may help, if the user only plugs in and switches on.
     pub(super) fn is_passing(&self) -> bool {
         match self {
             Self::Device(error) => error.is_passing(),
@@ -46,7 +46,7 @@ impl BoardError {
         }
     }
 
-    /// Since when the last usable scan is missed, seconds before this was noticed.
+    /// Time since the last usable scan when the error was noticed, seconds.
     pub(super) fn missed_s(&self) -> f64 {
         match self {
             Self::Device(DeviceError::Quiet { seconds, .. } | DeviceError::NoScans { seconds, .. }) => *seconds,
@@ -54,8 +54,8 @@ impl BoardError {
         }
     }
 
-    /// Whether most likely somebody has to do something about it, so that there is no hurry to try again.
-    pub(super) fn needs_somebody(&self) -> bool {
+    /// Whether the user most likely has to act, so that there is no hurry to try again.
+    pub(super) fn needs_user(&self) -> bool {
         !self.is_passing() || matches!(self, Self::Device(DeviceError::NoScans { .. }))
     }
 

@@ -1,4 +1,4 @@
-//! What is known of the link to a board, by all threads.
+//! The state of the link to a board, shared by all threads.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -11,14 +11,13 @@ use crate::link::DeviceId;
 use crate::telemetry::{LinkReport, LinkState};
 use slitpose_head::threads::lock;
 
-/// A reason that comes again is told again after this time, then after twice that, and so on: what goes on for a
-/// week is told some twenty times.
+/// A repeated reason is reported again after this time, then after twice that, and so on: some twenty times a week.
 const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
 /// Reasons that are remembered.
 const REASONS: usize = 8;
 
-/// Says something to the user.
+/// Prints a message for the user.
 pub(crate) type Talk = dyn Fn(fmt::Arguments<'_>) + Send + Sync;
 
 /// The link to one board.
@@ -34,21 +33,21 @@ struct State {
     device: Option<DeviceId>,
     is_given_up: bool,
     missed_since: Option<Instant>,
-    /// Whether the user knows that it is missed.
-    is_missed_aloud: bool,
+    /// Whether the user has been told of the loss.
+    is_loss_told: bool,
     told: Vec<Told>,
 }
 
-/// A reason that the user knows.
+/// A reason that was reported.
 struct Told {
-    /// Without its numbers, which are others each time.
+    /// Without its numbers, which differ each time.
     reason: String,
     at: Instant,
     /// When it came last.
     last: Instant,
-    /// For how long it is not told again.
+    /// For how long it is not reported again.
     pause: Duration,
-    /// Times that it has come without being told.
+    /// Repetitions since it was reported.
     untold: u64,
 }
 
@@ -60,7 +59,7 @@ impl State {
         (self.report.state, self.report.reason) = (state, reason);
     }
 
-    /// Whether to tell `reason` at `now`, and how often it has come untold since it was told.
+    /// Whether to report `reason` at `now`; the number of repetitions since it was last reported.
     fn is_told(&mut self, reason: &str, now: Instant) -> Option<u64> {
         let reason = reason.replace(|character: char| character.is_ascii_digit(), "");
         let Some(told) = self.told.iter_mut().find(|told| told.reason == reason) else {
@@ -76,7 +75,7 @@ impl State {
             told.untold += 1;
             return None;
         }
-        // After a time as long without it, it is news.
+        // After as long a time without it, it is news.
         told.pause = if now - before >= told.pause { TOLD_AGAIN } else { told.pause.saturating_mul(2) };
         told.at = now;
         Some(std::mem::take(&mut told.untold))
@@ -90,7 +89,7 @@ impl Link {
         Self { state: Mutex::new(state), talk }
     }
 
-    /// How it is now.
+    /// The link at present.
     pub(super) fn report(&self) -> LinkReport {
         self.lock().report.clone()
     }
@@ -106,7 +105,7 @@ impl Link {
     /// A port is open, and a board is asked to start.
     pub(super) fn connecting(&self) {
         let mut state = self.lock();
-        // Why it was not running until now is known until it does.
+        // The reason of the loss is kept until the board runs.
         let reason = state.report.reason.take();
         state.set(LinkState::Connecting, reason);
     }
@@ -127,7 +126,7 @@ impl Link {
         state.has_run = true;
         state.report.attempts = 0;
         let missed_since = state.missed_since.take();
-        let is_told = std::mem::take(&mut state.is_missed_aloud);
+        let is_told = std::mem::take(&mut state.is_loss_told);
         if let Some(since) = missed_since.filter(|_| is_told) {
             drop(state);
             self.say(format_args!(
@@ -137,7 +136,7 @@ impl Link {
         }
     }
 
-    /// The board is not there, or will not do: said once for each reason, and more and more rarely while it lasts.
+    /// The board is not there, or cannot be used: reported once for each reason, and ever more rarely while it lasts.
     pub(super) fn lost(&self, error: &BoardError) {
         let reason = with_causes(error);
         let mut state = self.lock();
@@ -152,7 +151,7 @@ impl Link {
             _ => LinkState::Searching,
         };
         let told = state.is_told(&reason, Instant::now());
-        state.is_missed_aloud |= told.is_some();
+        state.is_loss_told |= told.is_some();
         state.set(kind, Some(reason.clone()));
         drop(state);
         match told {
@@ -162,7 +161,7 @@ impl Link {
         }
     }
 
-    /// Nothing comes any more, because all has come or because the board was given up.
+    /// The stream is complete, or the board was given up.
     pub(super) fn ended(&self, error: Option<&BoardError>) {
         let mut state = self.lock();
         state.is_given_up = error.is_some();
@@ -170,7 +169,6 @@ impl Link {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // What a thread that panicked left is as good as ever: every field is written in one go.
         lock(&self.state)
     }
 }
@@ -184,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_comes_back_is_a_reconnection_and_said_once() {
+    fn a_board_that_comes_back_is_counted_and_reported_once() {
         let said = Arc::new(Mutex::new(Vec::new()));
         let ear = Arc::clone(&said);
         let link = Link::new(Arc::new(move |text| ear.lock().unwrap().push(text.to_string())));
@@ -212,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_again_and_again_is_told_more_and_more_rarely() {
+    fn a_repeated_reason_is_reported_ever_more_rarely() {
         let mut state = State::default();
         let began = Instant::now();
         let mut tell =

@@ -3,37 +3,37 @@
 //! ```text
 //!            ┌────────┐ segments ┌────────┐──▶ datagrams        at once; a slow reader misses some
 //!  board ──▶ │ reader │ ───────▶ │ solver │──▶ printer          waits: standard output never drops
-//!            └────────┘          └────────┘──▶ recorder         drops, counts, and says so in the capture
-//!                 ▲  verdicts        │    └──▶ account          a few times a second
+//!            └────────┘          └────────┘──▶ recorder         drops, counts, and notes it in the capture
+//!                 ▲     events       │    └──▶ account          a few times a second
 //!                 └──────────────────┘
 //! ```
 //!
-//! Each board has two threads, all share one recorder and one printer, which have one each. What goes
-//! between threads goes in containers of which there is a fixed number (see `circuit`), so that nothing is
-//! allocated per scan and no queue grows. A board's solver takes in what comes at once, on the thread that
-//! has read it as long as that is quick, else on the other one (see `desk`). If it cannot solve as fast, or
-//! hand on to the printer, scans wait with it, or are skipped where nobody wants them; control loops get the
-//! newest in any case (see `backlog`). Only if a minute of scans waits the reader does, then bytes wait in the
-//! operating system, and at last on the board, which gives up its oldest scans; their numbers show it.
+//! Each board has two threads; all boards share one recorder and one printer, with one thread each. Threads pass
+//! buffers of fixed pools to each other (see `buffer_pool`), so that nothing is allocated per scan and no queue
+//! grows. Segments are decoded at once: on the thread that has read them while that is quick, else on the solving
+//! thread (see `handoff`). If the solver is too slow, or the printer does not accept poses, scans wait, or are skipped
+//! where no output needs each of them; control loops get the newest in any case (see `backlog`). If a minute of scans
+//! waits, reading waits too: bytes then wait in the operating system, and at last on the board, which drops its
+//! oldest scans; gaps in their numbers show it.
 
 mod backlog;
 mod board;
-mod circuit;
+mod buffer_pool;
+mod capture_queue;
 mod claims;
-mod consumers;
-mod desk;
 mod error;
-mod inlet;
+mod handoff;
 mod link;
 mod opener;
+mod outputs;
 mod printer;
-mod progress;
 mod reader;
 mod real_time;
 mod recorder;
+mod scan_watch;
 mod slot;
 mod solver;
-mod verdict;
+mod stream_event;
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -52,18 +52,18 @@ use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
 use board::BoardThreads;
-use circuit::circuit;
+use buffer_pool::buffer_pool;
 use claims::Claims;
-use consumers::{OUTBOX_POSES, Outbox};
+use outputs::{OUTBOX_POSES, Outbox};
 use printer::PrinterThread;
 use recorder::RecorderThread;
 use slitpose_head::threads::lock;
 use slot::BoardSlot;
 
-/// Pieces of poses on their way to the printer: a tenth of a second of one board at 4 kHz.
+/// Outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
 
-/// A solver gives an account five times a second.
+/// A solver that has given no account for this long hangs: it gives five a second.
 const HANGS_AFTER_S: f64 = 5.0;
 
 /// What a daemon does.
@@ -72,9 +72,9 @@ pub(crate) struct Plan {
     pub boards: Vec<BoardPlan>,
     /// Where poses are printed.
     pub sink: Option<Box<dyn Sink + Send>>,
-    /// Where all is recorded.
+    /// The capture to be recorded.
     pub capture: Option<CapturePlan>,
-    /// Who is sent poses.
+    /// Sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
     /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
@@ -91,7 +91,7 @@ pub(crate) struct Daemon {
     stop: Arc<AtomicBool>,
 }
 
-/// How it ended.
+/// The result of a daemon.
 #[derive(Debug)]
 pub(crate) struct Ended {
     /// For each board: what the user calls it, what came, and what went wrong.
@@ -103,8 +103,7 @@ pub(crate) struct Ended {
 }
 
 impl Daemon {
-    /// Starts all threads. They end when their boards do, when `stop` is set, or when nobody can
-    /// be printed to any more.
+    /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
     ///
     /// # Errors
     /// If the system gives no more threads.
@@ -113,16 +112,17 @@ impl Daemon {
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
-        let (recorder, parcels) = match capture {
+        let (recorder, chunks) = match capture {
             Some(capture) => {
-                let (thread, filler) = RecorderThread::start(capture, &boards)?;
-                (Some(thread), Some(filler))
+                let (thread, producer) = RecorderThread::start(capture, &boards)?;
+                (Some(thread), Some(producer))
             }
             None => (None, None),
         };
         let (printer, outboxes) = match sink {
             Some(sink) => {
-                let (filler, drainer) = circuit(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
+                let (producer, consumer) =
+                    buffer_pool(OUTBOXES * boards.len().max(1), || Outbox::with_capacity(OUTBOX_POSES));
                 let (slots, stop) = (slots.clone(), Arc::clone(&stop));
                 let recorder = recorder.as_ref().map(RecorderThread::reports);
                 let accounts = move || {
@@ -130,23 +130,23 @@ impl Daemon {
                     let recorder = recorder.as_ref().map(|report| report()).unwrap_or_default();
                     Account { recorder: with_unrecorded(recorder, &boards), boards }
                 };
-                let printer = PrinterThread::start(drainer, sink, Box::new(accounts), stop)?;
-                (Some(printer), Some(filler))
+                let printer = PrinterThread::start(consumer, sink, Box::new(accounts), stop)?;
+                (Some(printer), Some(producer))
             }
             None => (None, None),
         };
         let mut threads = Vec::new();
         let claims = Claims::default();
         for (number, board) in boards.into_iter().enumerate() {
-            let outlets = board::Outlets {
+            let shared = board::Shared {
                 outboxes: outboxes.clone(),
                 prints_each,
-                parcels: parcels.clone(),
+                chunks: chunks.clone(),
                 datagrams: datagrams.clone(),
                 real_time,
                 claims: claims.clone(),
             };
-            threads.push(BoardThreads::start(number, board, outlets, &slots[number], &stop)?);
+            threads.push(BoardThreads::start(number, board, shared, &slots[number], &stop)?);
         }
         Ok(Self {
             started: HostInstant::now(),
@@ -159,7 +159,7 @@ impl Daemon {
         })
     }
 
-    /// How it goes.
+    /// The state of the daemon.
     pub(crate) fn report(&self) -> DaemonReport {
         let boards = self.boards_report();
         let recorder = self.recorder.as_ref().map(RecorderThread::report);
@@ -172,21 +172,21 @@ impl Daemon {
         self.slots.iter().map(|slot| slot.report()).collect()
     }
 
-    /// Puts how it goes into the capture.
+    /// Records the state of the daemon.
     pub(crate) fn record_report(&self) {
         if let Some(recorder) = &self.recorder {
             recorder.account(self.report());
         }
     }
 
-    /// Whether no thread hangs: each solver has given an account of late, also when nothing came.
+    /// Whether no thread hangs: each solver has given a recent account, also when no bytes came.
     pub(crate) fn is_alive(&self) -> bool {
         let now = HostInstant::now();
         let reports = self.boards_report().into_iter();
         reports.filter(|report| report.link.state != LinkState::Ended).all(|report| report.age_s(now) < HANGS_AFTER_S)
     }
 
-    /// Whether nothing will ever come again. If a board had to be given up the others are told to end.
+    /// Whether all boards have ended. If one had to be given up, the others are stopped.
     pub(crate) fn is_over(&self) -> bool {
         let boards = lock(&self.boards);
         if boards.iter().any(BoardThreads::is_given_up) {
@@ -207,13 +207,13 @@ impl Daemon {
     }
 }
 
-/// What the recorder says, with what never came to it.
+/// The recorder's report, with the bytes that boards could not hand to it.
 fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> RecorderReport {
     let unrecorded = boards.iter().map(|board| board.losses.host.bytes_unrecorded).sum::<u64>();
     RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
 }
 
-/// As much as the main thread has: a solver is 100 KB, and moved about while it is made.
+/// That of the main thread: a solver is 100 KB, and moved about while it is made.
 const STACK_BYTES: usize = 8 << 20;
 
 /// A thread with a name.

@@ -1,4 +1,4 @@
-//! How a reader comes by its board, the first time and again.
+//! Opens the board of a reader, the first time and again.
 
 use std::sync::{Mutex, MutexGuard};
 
@@ -9,27 +9,27 @@ use crate::link::DeviceId;
 use crate::pipeline::PipelineError;
 use slitpose_head::threads::lock;
 
-/// Whether a board that says this can be followed.
+/// Decides by its hello whether a board can be followed.
 pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
 
 /// Held while ports are asked for boards, and until the one that was found has answered: two that look
 /// at the same time would find each other's ports in use.
 static LOOKING: Mutex<()> = Mutex::new(());
 
-/// How a reader comes by its board.
+/// Opens the board of a reader.
 pub(crate) trait Opener: Send {
     /// What the user calls the board.
     fn name(&self) -> String;
 
-    /// Waits until nobody else looks for boards, where looking would disturb.
+    /// Waits until no other reader looks for boards, where that would disturb.
     fn turn(&self) -> Option<MutexGuard<'static, ()>> {
         None
     }
 
-    /// Opens a way to it.
+    /// Opens the board.
     ///
     /// # Errors
-    /// If it is not there, or cannot be had.
+    /// If it is not there, or cannot be opened.
     fn open(&mut self) -> Result<Box<dyn Device>, DeviceError>;
 
     /// The board that was opened last has introduced itself.
@@ -63,7 +63,7 @@ impl Opener for PortOpener {
 
     fn open(&mut self) -> Result<Box<dyn Device>, DeviceError> {
         let found = match locate(&self.selector, self.known.as_ref()) {
-            // What it is on USB, so that it is found again under another name.
+            // Keeps its USB identity, so that the board is found again under another name.
             Some(found) => {
                 let known = self.known.take().and_then(|known| known.device);
                 Found { device: found.device.or(known), ..found }
@@ -81,7 +81,7 @@ impl Opener for PortOpener {
     }
 }
 
-/// A simulated board, which is there once.
+/// Opens a simulated board, once.
 pub(crate) struct SimulatedOpener {
     device: Option<SimulatedDevice>,
 }

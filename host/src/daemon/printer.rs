@@ -1,5 +1,4 @@
-//! The thread that prints poses. Standard output never drops: if whoever reads it is slow, everything
-//! ahead of it waits.
+//! The thread that prints poses. Standard output never drops: if its reader is slow, the solvers wait.
 
 use std::io;
 use std::sync::Arc;
@@ -7,26 +6,26 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::circuit::{Drainer, Dry};
-use super::consumers::{OUTBOX_POSES, Outbox, Outgoing};
+use super::buffer_pool::{Consumer, Empty};
 use super::error::BoardError;
+use super::outputs::{OUTBOX_POSES, Outbox, Outgoing};
 use super::spawn;
 use crate::sink::{Account, Sink};
 use slitpose_head::threads::join;
 
-/// Without a pose to print it looks about so often.
+/// Longest wait without a pose to print.
 const IDLE: Duration = Duration::from_millis(50);
 
-/// A stream that is always behind is flushed and shown at least so often.
+/// A stream that is always behind is flushed and shown at least after this time.
 const TICK_AFTER: Duration = Duration::from_millis(200);
 
 /// Gives the account of boards and recorder.
 pub(super) type Accounts = dyn Fn() -> Account + Send;
 
-/// Interrupted, a program does not wait any longer for somebody who has read nothing for so long.
+/// After an interrupt the program waits no longer for a reader that has read nothing for this time.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// The end of the thread is looked for so often.
+/// Pause between checks whether the thread has ended.
 const MOMENT: Duration = Duration::from_millis(5);
 
 /// The printer's thread.
@@ -37,9 +36,9 @@ pub(super) struct PrinterThread {
 }
 
 impl PrinterThread {
-    /// Starts it. When the sink fails it tells everybody to `stop`.
+    /// Starts it. When the sink fails it sets `stop`.
     pub(super) fn start(
-        outboxes: Drainer<Outbox>,
+        outboxes: Consumer<Outbox>,
         sink: Box<dyn Sink + Send>,
         accounts: Box<Accounts>,
         stop: Arc<AtomicBool>,
@@ -50,8 +49,8 @@ impl PrinterThread {
         Ok(Self { thread: spawn("printer".to_owned(), run)?, printed })
     }
 
-    /// Waits until all is printed; all solvers must have ended. If it was told to `stop`, and nobody reads,
-    /// what is left is given up.
+    /// Waits until all is printed; all solvers must have ended. If `stop` is set and the output is not read, the rest
+    /// is given up.
     pub(super) fn end(self, stop: &AtomicBool) -> io::Result<()> {
         let (mut before, mut since) = (0, Instant::now());
         while !self.thread.is_finished() {
@@ -67,10 +66,9 @@ impl PrinterThread {
     }
 }
 
-/// Prints what the solvers hand over until they have ended. When the sink fails it tells everybody to
-/// `stop`, and what still comes is dropped.
+/// Prints the solvers' outboxes until they have ended. When the sink fails it sets `stop`, and drops later outboxes.
 fn print(
-    outboxes: &Drainer<Outbox>,
+    outboxes: &Consumer<Outbox>,
     mut sink: Box<dyn Sink + Send>,
     accounts: &Accounts,
     stop: &AtomicBool,
@@ -79,30 +77,30 @@ fn print(
     let mut failed = None;
     let mut ticked_at = Instant::now();
     loop {
-        let (taken, is_over) = match outboxes.next(IDLE) {
+        let (written, is_over) = match outboxes.next(IDLE) {
             Ok(mut outbox) => {
-                let taken = if failed.is_none() { take(&mut *sink, &outbox) } else { Ok(()) };
+                let written = if failed.is_none() { write_outbox(&mut *sink, &outbox) } else { Ok(()) };
                 outbox.clear();
-                // A stall has made it longer, and there are many.
+                // A stall may have made it longer, and there are many.
                 outbox.shrink_to(OUTBOX_POSES);
                 outboxes.give_back(outbox);
                 printed.fetch_add(1, Ordering::Relaxed);
-                (taken, false)
+                (written, false)
             }
-            Err(Dry::Yet) => (Ok(()), false),
-            Err(Dry::Forever) => (Ok(()), true),
+            Err(Empty::ForNow) => (Ok(()), false),
+            Err(Empty::Closed) => (Ok(()), true),
         };
         let ticked = match (&failed, is_over) {
             (Some(_), _) => Ok(()),
             (None, true) => sink.finish(accounts),
-            // More waits to be printed than to be shown.
+            // Printing goes first.
             (None, false) if !outboxes.is_empty() && ticked_at.elapsed() < TICK_AFTER => Ok(()),
             (None, false) => {
                 ticked_at = Instant::now();
                 sink.tick(accounts)
             }
         };
-        if let Err(error) = taken.and(ticked) {
+        if let Err(error) = written.and(ticked) {
             failed = Some(error);
             stop.store(true, Ordering::Relaxed);
         }
@@ -112,7 +110,7 @@ fn print(
     }
 }
 
-fn take(sink: &mut dyn Sink, outbox: &Outbox) -> io::Result<()> {
+fn write_outbox(sink: &mut dyn Sink, outbox: &Outbox) -> io::Result<()> {
     outbox.iter().try_for_each(|outgoing| match outgoing {
         Outgoing::Pose(record) => sink.pose(record),
         Outgoing::Note(note) => sink.note(note),

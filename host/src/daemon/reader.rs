@@ -1,5 +1,5 @@
-//! The thread that reads a board: it finds the board, starts it, and hands on what it says. When
-//! the board goes, it looks for it again.
+//! The thread that reads a board: it finds the board, starts it, and hands on the bytes. When the board is gone, it
+//! looks for the board again.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,28 +9,28 @@ use crossbeam_channel::Receiver;
 use slitpose_protocol::Configuration;
 
 use super::claims::Claims;
-use super::desk::Desk;
 use super::error::BoardError;
+use super::handoff::ReaderEnd;
 use super::opener::{Admit, Opener};
 use super::slot::BoardSlot;
 use super::solver::Solver;
-use super::verdict::Verdict;
+use super::stream_event::StreamEvent;
 use crate::device::{Conversation, DeviceError, Keep};
 use crate::link::DeviceId;
 
-/// Between two looks for a board that was there a moment ago: a re-plugged one is back at once.
+/// Pause between searches for a board that was there a moment ago: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);
 
-/// How long it was there a moment ago. To look for ports costs 0.1 ms and more.
+/// For how long after its loss a board counts as there a moment ago. A search for ports costs 0.1 ms and more.
 const RECENTLY: Duration = Duration::from_secs(10);
 
-/// Between two looks for a board that stays away, and the first two attempts at one that is there but will not do.
+/// Pause between searches for a board that stays away, and between the first two attempts at one that cannot be used.
 const LATER: Duration = Duration::from_millis(500);
 
-/// Attempts at a board that will not do are twice as far apart each time, until there is half a minute between them.
+/// The pause between attempts at a board that cannot be used doubles this many times, to half a minute.
 const DOUBLINGS: u32 = 6;
 
-/// An end is noticed within this.
+/// Interrupts are noticed within this time.
 const MOMENT: Duration = Duration::from_millis(20);
 
 /// Reads one board.
@@ -40,14 +40,14 @@ pub(super) struct Reader {
     pub(super) admit: Admit,
     /// How long to go without a usable scan before giving up; `None`: for ever.
     pub(super) patience: Option<Duration>,
-    pub(super) desk: Desk<Solver>,
-    pub(super) verdicts: Receiver<(u64, Verdict)>,
-    /// Number of the connection, from 1; a verdict carries that of its own.
+    pub(super) handoff: ReaderEnd<Solver>,
+    pub(super) events: Receiver<(u64, StreamEvent)>,
+    /// Number of the connection, from 1; an event carries that of its own.
     pub(super) connection: u64,
     pub(super) claims: Claims,
-    /// By what it claims its board.
+    /// The name under which it claims its board.
     pub(super) claimant: String,
-    /// Whether scans have come over it.
+    /// Whether scans have come over this connection.
     pub(super) has_scans: bool,
     pub(super) slot: Arc<BoardSlot>,
     pub(super) stop: Arc<AtomicBool>,
@@ -61,7 +61,7 @@ enum Ending {
 }
 
 impl Reader {
-    /// Reads until it is told to stop, all has come, or the board is given up.
+    /// Reads until it is stopped, the stream is complete, or the board is given up.
     pub(super) fn run(mut self) -> Result<(), BoardError> {
         let ended = self.follow();
         self.slot.link.ended(ended.as_ref().err());
@@ -122,7 +122,7 @@ impl Reader {
         }
     }
 
-    /// Opens, greets, configures and starts the board. It runs once scans come.
+    /// Opens, greets, configures and starts the board, which runs once scans come.
     fn connect(&mut self) -> Result<Conversation, BoardError> {
         let _turn = self.opener.turn();
         let device = self.opener.open()?;
@@ -148,17 +148,17 @@ impl Reader {
     fn listen(&mut self, board: &mut Conversation) -> Ending {
         self.pass_on(board, true);
         loop {
-            match self.verdict() {
-                Some(Verdict::Complete) => return Ending::Wanted(Keep::Replies),
-                Some(Verdict::Scans) => {
+            match self.next_event() {
+                Some(StreamEvent::Complete) => return Ending::Wanted(Keep::Replies),
+                Some(StreamEvent::Scans) => {
                     self.has_scans = true;
                     self.slot.link.running(&board.name());
                 }
-                Some(Verdict::Scanless(seconds, cause)) => {
+                Some(StreamEvent::Scanless(seconds, cause)) => {
                     return Ending::Lost(DeviceError::NoScans { name: board.name(), seconds, cause }.into());
                 }
-                Some(Verdict::Unusable(error)) => return Ending::Lost(error),
-                Some(Verdict::Stopped(reason)) => {
+                Some(StreamEvent::Unusable(error)) => return Ending::Lost(error),
+                Some(StreamEvent::Stopped(reason)) => {
                     let reason = reason.unwrap_or_else(|| "it gives no reason; reset the board".to_owned());
                     return Ending::Lost(DeviceError::Stopped { name: board.name(), reason }.into());
                 }
@@ -177,10 +177,10 @@ impl Reader {
         }
     }
 
-    /// The next verdict. One on an earlier connection says nothing of this one, but that all has come.
-    fn verdict(&self) -> Option<Verdict> {
-        self.verdicts.try_iter().find_map(|(connection, verdict)| {
-            (connection == self.connection || matches!(verdict, Verdict::Complete)).then_some(verdict)
+    /// The next event. Of those of earlier connections only the end of the stream counts.
+    fn next_event(&self) -> Option<StreamEvent> {
+        self.events.try_iter().find_map(|(connection, event)| {
+            (connection == self.connection || matches!(event, StreamEvent::Complete)).then_some(event)
         })
     }
 
@@ -199,20 +199,20 @@ impl Reader {
     /// Solves what was received last, or hands it on. Waits if the solver is far behind: bytes then wait in the
     /// operating system and on the board. `false` if the solver has ended, and takes no more.
     fn pass_on(&mut self, board: &mut Conversation, opened: bool) -> bool {
-        let Some(segment) = self.desk.piece() else {
+        let Some(segment) = self.handoff.chunk() else {
             return false;
         };
         segment.clear();
         segment.opened = opened;
         board.fill(segment);
-        self.desk.pass_on();
+        self.handoff.pass_on();
         true
     }
 }
 
-/// How long to wait behind an attempt that failed, `attempts` of them after the board has run last.
+/// Pause after a failed attempt, the last of `attempts` since the board ran.
 fn pause_behind(error: &BoardError, attempts: u32) -> Duration {
-    if error.needs_somebody() { LATER * (1 << attempts.min(DOUBLINGS)) } else { LATER }
+    if error.needs_user() { LATER * (1 << attempts.min(DOUBLINGS)) } else { LATER }
 }
 
 #[cfg(test)]
@@ -221,7 +221,7 @@ mod tests {
     use crate::device::Scanless;
 
     #[test]
-    fn what_somebody_must_mend_is_tried_ever_more_rarely_and_what_comes_by_itself_is_not() {
+    fn attempts_become_rarer_where_the_user_must_act_and_stay_frequent_where_not() {
         let name = || "port".to_owned();
         let seconds = |error: DeviceError| {
             let error = error.into();

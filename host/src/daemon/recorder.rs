@@ -1,4 +1,4 @@
-//! The thread that records: whatever the disk does, nobody waits for it.
+//! The thread that records. No other thread waits for the disk.
 
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -7,9 +7,9 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::board::BoardPlan;
-use super::circuit::{Drainer, Dry, Filler, circuit};
+use super::buffer_pool::{Consumer, Empty, Producer, buffer_pool};
+use super::capture_queue::CaptureChunk;
 use super::error::{BoardError, with_causes};
-use super::inlet::Parcel;
 use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
@@ -18,20 +18,20 @@ use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::{join, lock};
 
-/// Pieces of captures on their way to the disk: 5 s of one board.
-const PARCELS_A_BOARD: usize = 256;
+/// Chunks on their way to the disk: 5 s of one board.
+const CHUNKS_A_BOARD: usize = 256;
 
 /// Accounts on their way to the disk.
 const ACCOUNTS: usize = 4;
 
-/// Without anything to record it looks about so often.
+/// Longest wait without anything to record.
 const IDLE: Duration = Duration::from_millis(100);
 
 /// A capture to be recorded.
 pub(crate) struct CapturePlan {
-    /// Where.
+    /// The files.
     pub series: CaptureSeries,
-    /// Poses that are kept a device second, besides the bytes all poses can be found from again.
+    /// Poses recorded a device second, besides the bytes from which all poses can be solved again.
     pub poses_hz: f64,
     /// Says something to the user.
     pub talk: Arc<Talk>,
@@ -52,22 +52,24 @@ struct Source {
     device: Option<DeviceId>,
 }
 
-/// What the thread works on.
+/// State of the thread.
 struct Recorder {
     series: CaptureSeries,
     sources: Vec<Source>,
     talk: Arc<Talk>,
     report: Arc<Mutex<RecorderReport>>,
     bytes_missing: u64,
-    /// When what was recorded last came.
+    /// Log time of the last record.
     log_ns: u64,
 }
 
 impl RecorderThread {
-    /// Starts it, and gives where boards put their pieces and how far apart in device time, seconds,
-    /// poses shall be.
-    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> Result<(Self, (Filler<Parcel>, f64)), BoardError> {
-        let (filler, drainer) = circuit(PARCELS_A_BOARD * boards.len().max(1), Parcel::with_room);
+    /// Starts it; gives the boards' end of the queue, and the device time between recorded poses, seconds.
+    pub(super) fn start(
+        plan: CapturePlan,
+        boards: &[BoardPlan],
+    ) -> Result<(Self, (Producer<CaptureChunk>, f64)), BoardError> {
+        let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), CaptureChunk::with_capacity);
         let (tell, accounts) = bounded(ACCOUNTS);
         let source = |board: &BoardPlan| Source {
             file: board.file.clone(),
@@ -86,19 +88,19 @@ impl RecorderThread {
             log_ns: 0,
         };
         recorder.publish();
-        let thread = spawn("record".to_owned(), move || recorder.run(&drainer, &accounts))?;
+        let thread = spawn("record".to_owned(), move || recorder.run(&consumer, &accounts))?;
         let this = Self { thread: Mutex::new(Some(thread)), accounts: Mutex::new(Some(tell)), report };
-        Ok((this, (filler, plan.poses_hz.recip())))
+        Ok((this, (producer, plan.poses_hz.recip())))
     }
 }
 
 impl RecorderThread {
-    /// How it goes.
+    /// The state of the recording.
     pub(super) fn report(&self) -> RecorderReport {
         lock(&self.report).clone()
     }
 
-    /// Says how it goes whenever it is asked.
+    /// A function that gives the state of the recording.
     pub(super) fn reports(&self) -> impl Fn() -> RecorderReport + Send + use<> {
         let report = Arc::clone(&self.report);
         move || lock(&report).clone()
@@ -122,28 +124,28 @@ impl RecorderThread {
 }
 
 impl Recorder {
-    fn run(mut self, parcels: &Drainer<Parcel>, accounts: &Receiver<DaemonReport>) {
+    fn run(mut self, chunks: &Consumer<CaptureChunk>, accounts: &Receiver<DaemonReport>) {
         loop {
-            let done = match parcels.next(IDLE) {
-                Ok(parcel) => {
-                    let done = self.record(&parcel);
-                    parcels.give_back(parcel);
+            let done = match chunks.next(IDLE) {
+                Ok(chunk) => {
+                    let done = self.record(&chunk);
+                    chunks.give_back(chunk);
                     done
                 }
-                Err(Dry::Yet) => self.series.tick(),
-                Err(Dry::Forever) => break,
+                Err(Empty::ForNow) => self.series.tick(),
+                Err(Empty::Closed) => break,
             };
-            self.tell_of(done);
+            self.report_failure(done);
             while let Ok(report) = accounts.try_recv() {
                 let done = self.record_account(&report);
-                self.tell_of(done);
+                self.report_failure(done);
             }
             self.publish();
         }
-        // The last one comes when all boards have ended.
+        // The last account comes when all boards have ended.
         for report in accounts {
             let done = self.record_account(&report);
-            self.tell_of(done);
+            self.report_failure(done);
         }
         self.publish();
         let Self { series, talk, report, bytes_missing, .. } = self;
@@ -165,36 +167,36 @@ impl Recorder {
         }
     }
 
-    fn record(&mut self, parcel: &Parcel) -> Result<(), CaptureError> {
-        let source = &mut self.sources[parcel.board];
+    fn record(&mut self, chunk: &CaptureChunk) -> Result<(), CaptureError> {
+        let source = &mut self.sources[chunk.board];
         let now_ns = HostInstant::now().utc_ns;
-        let log_ns = match parcel.segment.reads.first() {
-            Some(read) => read.at.map_or(parcel.device_ns, |at| at.utc_ns),
+        let log_ns = match chunk.segment.reads.first() {
+            Some(read) => read.at.map_or(chunk.device_ns, |at| at.utc_ns),
             None => now_ns,
         };
         self.log_ns = log_ns;
-        let hello = Some(parcel.hello.as_slice()).filter(|hello| !hello.is_empty());
-        if let Some(device) = parcel.device
+        let hello = Some(chunk.hello.as_slice()).filter(|hello| !hello.is_empty());
+        if let Some(device) = chunk.device
             && (source.device != Some(device) || hello.is_some())
         {
             source.device = Some(device);
             let added = self.series.add_device(Setup::new(device, &source.file, source.settings), hello, log_ns);
             if added.is_err() {
-                self.bytes_missing += parcel.segment.bytes.len() as u64;
+                self.bytes_missing += chunk.segment.bytes.len() as u64;
                 return added;
             }
         }
         let Some(device) = source.device else {
-            // A board that has never said who it is has said nothing that could be read.
-            self.bytes_missing += parcel.segment.bytes.len() as u64;
+            // Without a hello nothing of a board can be decoded.
+            self.bytes_missing += chunk.segment.bytes.len() as u64;
             return Ok(());
         };
-        self.series.segment(device, &parcel.segment, log_ns)?;
-        parcel.poses.iter().try_for_each(|record| self.series.pose(record, log_ns))
+        self.series.segment(device, &chunk.segment, log_ns)?;
+        chunk.poses.iter().try_for_each(|record| self.series.pose(record, log_ns))
     }
 
     fn record_account(&mut self, report: &DaemonReport) -> Result<(), CaptureError> {
-        // On one timeline with what the boards say.
+        // On one timeline with the boards.
         let keep_time = self.sources.iter().all(|source| source.keeps_time);
         let now_ns = if keep_time { HostInstant::now().utc_ns } else { self.log_ns };
         for board in &report.boards {
@@ -206,8 +208,8 @@ impl Recorder {
         self.series.report(None, report, now_ns)
     }
 
-    /// Tells the user once that the capture has ended.
-    fn tell_of(&mut self, done: Result<(), CaptureError>) {
+    /// Tells the user why the capture has ended.
+    fn report_failure(&mut self, done: Result<(), CaptureError>) {
         if let Err(error) = done {
             let reason = with_causes(&error);
             (self.talk)(format_args!("{reason}"));

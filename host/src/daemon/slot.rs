@@ -19,14 +19,14 @@ impl BoardSlot {
         Self { link, report: Mutex::new(BoardReport { name, ..BoardReport::default() }) }
     }
 
-    /// Renews it; a few times a second.
+    /// Renews the account; a few times a second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.set_drift_ppm(pipeline.drift_ppm());
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
         *lock(&self.report) = report;
     }
 
-    /// The newest one.
+    /// The newest account.
     pub(super) fn report(&self) -> BoardReport {
         let report = lock(&self.report).clone();
         BoardReport { link: self.link.report(), ..report }

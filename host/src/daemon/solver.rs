@@ -1,8 +1,8 @@
-//! What turns a board's bytes into poses and hands them to everybody who wants them.
+//! Turns a board's bytes into poses and hands them to its outputs.
 //!
-//! What comes is taken in at once: decoded, recorded, counted. What is solved next [`Backlog`] decides, so
-//! that control loops get new poses from a solver that is too slow, and while standard output is not read.
-//! A thread of its own works with it, and the thread that reads, while that is quick: see [`super::desk`].
+//! Segments are decoded, recorded and counted at once. [`Backlog`] chooses the scan that is solved next, so that
+//! control loops get new poses even if the solver is too slow or standard output is not read. The solver runs on a
+//! thread of its own and, while it is quick, on the thread that reads: see [`super::handoff`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,55 +12,55 @@ use crossbeam_channel::Sender;
 
 use super::BoardSlot;
 use super::backlog::{Backlog, Next};
-use super::circuit::Dry;
-use super::consumers::Consumers;
-use super::desk::{Bench, Worker};
+use super::buffer_pool::Empty;
+use super::capture_queue::CaptureQueue;
 use super::error::BoardError;
-use super::inlet::CaptureInlet;
-use super::progress::{News, Progress};
-use super::verdict::Verdict;
+use super::handoff::{SolverEnd, Worker};
+use super::outputs::Outputs;
+use super::scan_watch::{News, ScanWatch};
+use super::stream_event::StreamEvent;
 use crate::clock::HostInstant;
 use crate::datagram::Publisher;
 use crate::link::Segment;
 use crate::pipeline::{Counts, Item, Pipeline, Queue};
 use crate::telemetry::{HostLosses, LagReport};
 
-/// Without anything to solve it looks about so often.
+/// Longest wait without anything to solve.
 const IDLE: Duration = Duration::from_millis(100);
 
-/// While nothing can be printed it looks so often whether something can.
+/// Wait for room at the printer.
 const ROOM_EVERY: Duration = Duration::from_millis(1);
 
-/// The account of a board is renewed so often.
+/// Period of the board's account.
 const ACCOUNT_EVERY_NS: u64 = 200_000_000;
 
-/// Accounts without a scan out of its turn after which a solver that was behind keeps up again: 3 s.
+/// A solver that was behind keeps up again after this many accounts without a scan out of turn: 3 s.
 const CALM: u32 = 15;
 
-/// Scans that may wait: a minute of a board at 4 kHz, 80 MB. With more the link waits, and then the board.
+/// Most scans that may wait: a minute of a board at 4 kHz, 80 MB. Beyond it the link waits, and then the board.
 const MOST_WAITING: usize = 1 << 18;
 
-/// Interrupted, it solves what waits for no longer than this.
+/// After an interrupt, scans that wait are solved for no longer than this.
 const GIVES_UP_AFTER_NS: u64 = 500_000_000;
 
-/// The thread that reads goes on with that after so long: what a board at 4 kHz sends in half a millisecond
-/// waits in the operating system.
-const SERVES_FOR_NS: u64 = 500_000;
+/// The thread that reads solves for no longer than this at a time: what a board at 4 kHz sends in half a
+/// millisecond waits in the operating system.
+const PROCESSES_FOR_NS: u64 = 500_000;
 
 /// Solves one board.
 pub(super) struct Solver {
     pub(super) name: String,
     pub(super) pipeline: Pipeline,
-    pub(super) verdicts: Sender<(u64, Verdict)>,
-    pub(super) progress: Progress,
-    pub(super) consumers: Consumers,
+    pub(super) events: Sender<(u64, StreamEvent)>,
+    pub(super) scan_watch: ScanWatch,
+    pub(super) outputs: Outputs,
     pub(super) backlog: Backlog,
     pub(super) slot: Arc<BoardSlot>,
     pub(super) stop: Arc<AtomicBool>,
     pub(super) state: State,
 }
 
-/// What a solver knows besides.
+/// State of a solver.
 #[derive(Default)]
 pub(super) struct State {
     /// Number of the connection, from 1.
@@ -74,23 +74,23 @@ pub(super) struct State {
     gives_up_at_ns: Option<u64>,
     now: HostInstant,
     accounted_ns: u64,
-    /// What was so at some moment since the last account.
+    /// Whether the solver was behind at any time since the last account.
     was_behind: bool,
     behind_since_ns: Option<u64>,
     was_blocked: bool,
-    /// The user knows that it is behind; accounts since it was.
+    /// Accounts since the solver was last behind; `None` if the user has not been told of it.
     told: Option<u32>,
 }
 
 impl Worker for Solver {
-    type Piece = Segment;
+    type Chunk = Segment;
 
-    fn serve(&mut self, segment: &mut Segment) -> bool {
+    fn process(&mut self, segment: &mut Segment) -> bool {
         self.state.now = HostInstant::now();
         let since_ns = self.state.now.monotonic_ns;
         self.receive(segment);
         while self.step() {
-            if self.state.now.monotonic_ns.saturating_sub(since_ns) > SERVES_FOR_NS {
+            if self.state.now.monotonic_ns.saturating_sub(since_ns) > PROCESSES_FOR_NS {
                 return false;
             }
         }
@@ -100,53 +100,53 @@ impl Worker for Solver {
 }
 
 impl Solver {
-    /// Solves what is left to it until the thread that reads has ended, and gives the last account.
-    pub(super) fn run(bench: &Bench<Self>) -> Counts {
+    /// Solves the chunks left to this thread until the thread that reads has ended, and gives the last account.
+    pub(super) fn run(handoff: &SolverEnd<Self>) -> Counts {
         loop {
-            let mut solver = bench.worker();
+            let mut solver = handoff.worker();
             solver.state.now = HostInstant::now();
-            solver.take_in(bench);
+            solver.receive_queued(handoff);
             while solver.step() {
-                solver.take_in(bench);
+                solver.receive_queued(handoff);
             }
             solver.pause();
-            solver.consumers.hand_over_old_capture();
+            solver.outputs.hand_over_old_capture();
             let queue = solver.pipeline.queue();
             if queue.waiting == 0 && solver.state.is_over {
                 return solver.end();
             }
             if queue.waiting > 0 && (solver.state.is_over || queue.oldest_ns.is_none()) {
-                // Nothing else is to be done before there is room.
-                solver.consumers.await_room(IDLE);
+                // There is nothing to do before there is room.
+                solver.outputs.await_room(IDLE);
             } else {
                 drop(solver);
-                bench.pieces.wait(if queue.waiting > 0 { ROOM_EVERY } else { IDLE });
+                handoff.chunks.wait(if queue.waiting > 0 { ROOM_EVERY } else { IDLE });
             }
         }
     }
 
     fn end(&mut self) -> Counts {
-        self.consumers.hand_over_capture();
+        self.outputs.hand_over_capture();
         self.account();
         self.pipeline.counts()
     }
 
-    /// Takes in all that was left, as far as there is room.
-    fn take_in(&mut self, bench: &Bench<Self>) {
+    /// Receives the chunks in the queue, as far as there is room.
+    fn receive_queued(&mut self, handoff: &SolverEnd<Self>) {
         loop {
             let queue = self.pipeline.queue();
-            // Without times nobody is late, and one piece after the other will do.
+            // Without times no pose can be late, and one chunk after the other will do.
             let has_room = queue.waiting == 0 || (queue.oldest_ns.is_some() && queue.waiting < MOST_WAITING);
             if !has_room {
                 return;
             }
-            match bench.pieces.next_now() {
+            match handoff.chunks.next_now() {
                 Ok(mut segment) => {
                     self.receive(&mut segment);
-                    bench.pieces.give_back(segment);
+                    handoff.chunks.give_back(segment);
                 }
-                Err(Dry::Yet) => return,
-                Err(Dry::Forever) => {
+                Err(Empty::ForNow) => return,
+                Err(Empty::Closed) => {
                     self.state.is_over = true;
                     return;
                 }
@@ -154,10 +154,10 @@ impl Solver {
         }
     }
 
-    /// Does what is next; `false` if nothing can be done before something comes, or is printed.
+    /// Solves or skips the next scans; `false` if nothing can be done before more bytes come, or poses are printed.
     fn step(&mut self) -> bool {
         let queue = self.pipeline.queue();
-        let can_print = self.consumers.can_print();
+        let can_print = self.outputs.can_print();
         let next = self.backlog.next(&queue, can_print, self.state.now.monotonic_ns);
         self.state.was_behind |= self.backlog.is_behind();
         self.state.was_blocked |= !can_print;
@@ -172,10 +172,10 @@ impl Solver {
         true
     }
 
-    /// Hands on what was kept to go out together.
+    /// Sends poses that were kept to be sent together.
     fn pause(&mut self) {
-        self.consumers.send();
-        self.consumers.hand_over_outbox();
+        self.outputs.send();
+        self.outputs.hand_over_outbox();
         self.give_up_in_time();
         self.account_in_time();
     }
@@ -190,52 +190,52 @@ impl Solver {
         let opened = segment.opened;
         self.state.connection += u64::from(opened);
         self.state.is_unusable &= !opened;
-        // What is queued behind the end belongs to nobody; what cannot be solved is recorded.
+        // Segments behind the end are dropped; a stream that cannot be solved is recorded.
         if self.state.is_unusable && !self.state.is_complete {
-            self.consumers.begin(opened);
-            self.consumers.keep(segment);
+            self.outputs.begin(opened);
+            self.outputs.keep(segment);
         } else if !self.state.is_complete {
             if let Err(error) = self.decode(segment) {
                 self.state.is_unusable = true;
-                self.tell(self.state.connection, Verdict::Unusable(error));
+                self.tell(self.state.connection, StreamEvent::Unusable(error));
             }
             let read_at = segment.reads.last().and_then(|read| read.at);
-            match self.progress.take(opened, &self.pipeline.counts(), read_at) {
-                Some(News::Begun) => self.tell(self.state.connection, Verdict::Scans),
+            match self.scan_watch.update(opened, &self.pipeline.counts(), read_at) {
+                Some(News::Begun) => self.tell(self.state.connection, StreamEvent::Scans),
                 Some(News::Missing(seconds, cause)) => {
-                    self.tell(self.state.connection, Verdict::Scanless(seconds, cause));
+                    self.tell(self.state.connection, StreamEvent::Scanless(seconds, cause));
                 }
                 None => {}
             }
             let status = self.pipeline.board_status();
             if opened {
-                // A status from before the start tells nothing.
+                // A status from before the start does not count.
                 self.state.idle_tick = status.map(|status| status.tick);
             } else if status.is_some_and(|status| !status.acquiring && Some(status.tick) != self.state.idle_tick) {
                 self.state.idle_tick = status.map(|status| status.tick);
-                let complaint = self.consumers.complaint.take();
-                self.tell(self.state.connection, Verdict::Stopped(complaint));
+                let complaint = self.outputs.complaint.take();
+                self.tell(self.state.connection, StreamEvent::Stopped(complaint));
             }
             if self.pipeline.is_complete() {
                 self.state.is_complete = true;
-                self.tell(self.state.connection, Verdict::Complete);
+                self.tell(self.state.connection, StreamEvent::Complete);
             }
         }
     }
 
     fn decode(&mut self, segment: &mut Segment) -> Result<(), BoardError> {
-        let Self { pipeline, consumers, slot, name, .. } = self;
-        consumers.begin(segment.opened);
+        let Self { pipeline, outputs, slot, name, .. } = self;
+        outputs.begin(segment.opened);
         let fed = pipeline.receive(segment, |item| {
             if let Item::Oddity { oddity, .. } = &item {
                 slot.link.say(format_args!("{name}: {oddity}"));
             }
-            consumers.take(&item);
+            outputs.accept(&item);
             Ok(())
         });
         segment.truncate(*fed.as_ref().unwrap_or(&segment.bytes.len()));
-        consumers.keep(segment);
-        match consumers.refused.take() {
+        outputs.keep(segment);
+        match outputs.refused.take() {
             Some(rejection) => fed.and(Err(BoardError::Refused(rejection))),
             None => fed.map(drop),
         }
@@ -248,9 +248,9 @@ impl Solver {
         self.state.now = HostInstant::now();
         // The most urgent first.
         if queue.passed == 0 {
-            self.consumers.publish(&record, self.state.now, self.backlog.is_behind());
+            self.outputs.publish(&record, self.state.now, self.backlog.is_behind());
         }
-        self.consumers.print(&record);
+        self.outputs.print(&record);
     }
 
     fn solve_newest(&mut self) {
@@ -258,15 +258,15 @@ impl Solver {
             return;
         };
         self.state.now = HostInstant::now();
-        self.consumers.publish(&record, self.state.now, true);
+        self.outputs.publish(&record, self.state.now, true);
     }
 
     fn skip(&mut self, count: usize) {
         self.pipeline.skip(count);
-        self.consumers.skip(count);
+        self.outputs.skip(count);
     }
 
-    /// After an interrupt the program does not wait for scans that are still to be solved.
+    /// After an interrupt the program does not wait for scans that are not solved yet.
     fn give_up_in_time(&mut self) {
         if !self.stop.load(Ordering::Relaxed) {
             return;
@@ -278,9 +278,9 @@ impl Solver {
         }
     }
 
-    fn tell(&self, connection: u64, verdict: Verdict) {
-        // A reader that has ended needs no verdict, and one that has had many will look at the first.
-        let _ = self.verdicts.try_send((connection, verdict));
+    fn tell(&self, connection: u64, event: StreamEvent) {
+        // A reader that has ended needs no event, and one whose queue is full acts on the first.
+        let _ = self.events.try_send((connection, event));
     }
 
     fn account(&mut self) {
@@ -298,16 +298,16 @@ impl Solver {
             skipped_scans: self.pipeline.counts().scans_skipped,
         };
         self.say_lag(&lag);
-        let Consumers { statistics, capture, publisher, .. } = &mut self.consumers;
+        let Outputs { statistics, capture, publisher, .. } = &mut self.outputs;
         statistics.set_lag(lag);
         statistics.set_host_losses(HostLosses {
-            bytes_unrecorded: capture.as_ref().map_or(0, CaptureInlet::bytes_dropped),
+            bytes_unrecorded: capture.as_ref().map_or(0, CaptureQueue::bytes_dropped),
             poses_unsent: publisher.as_ref().map_or(0, Publisher::missed),
         });
         self.slot.account(&self.pipeline, statistics);
     }
 
-    /// Says once that it is behind, and once that it keeps up again.
+    /// Reports once that the solver is behind, and once that it keeps up again.
     fn say_lag(&mut self, lag: &LagReport) {
         let Self { name, state, .. } = self;
         match (lag.finding(), state.told) {

@@ -12,7 +12,7 @@ use thiserror::Error;
 pub enum Address {
     /// A Unix socket at a path. Who may write to it may ask.
     Unix(PathBuf),
-    /// A UDP port of this host: anybody on it may ask.
+    /// A UDP port of this host: every user of it may ask.
     Udp(SocketAddr),
 }
 
@@ -47,7 +47,7 @@ pub enum AddressError {
 }
 
 impl AddressError {
-    /// Refuses what other hosts can reach.
+    /// Refuses addresses that other hosts can reach.
     pub(super) fn check(address: SocketAddr) -> Result<(), Self> {
         if address.ip().is_loopback() { Ok(()) } else { Err(Self::NotLoopback { address }) }
     }

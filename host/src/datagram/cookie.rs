@@ -1,7 +1,7 @@
-//! Proof that a client on UDP receives where it says it does.
+//! Proof that a client on UDP receives at its sender address.
 //!
 //! Anybody on the host may write to a UDP port under another's address. Without proof 24 bytes would send
-//! thousands of datagrams to somebody who never asked. So a client is first sent a cookie, no longer than its
+//! thousands of datagrams to a host that never asked. So a client is first sent a cookie, no longer than its
 //! request, and served once it has echoed that. The server keeps nothing for it: a cookie is a keyed hash of
 //! address and time, as in TCP (Bernstein's SYN cookies, RFC 4987, section 3.6).
 
@@ -15,7 +15,7 @@ const EPOCH_NS: u64 = 10_000_000_000;
 #[derive(Debug, Default)]
 pub(super) struct Cookies(RandomState);
 
-/// What a cookie is worth.
+/// Validity of a cookie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Worth {
     /// It proves the address.
@@ -27,7 +27,7 @@ pub(super) enum Worth {
 }
 
 impl Cookies {
-    /// What the `cookie` of a client at `address` is worth at `now_ns` by CLOCK_MONOTONIC.
+    /// Validity of the `cookie` of a client at `address` at `now_ns` by CLOCK_MONOTONIC.
     pub(super) fn judge(&self, address: SocketAddr, cookie: u64, now_ns: u64) -> Worth {
         let epoch = now_ns / EPOCH_NS;
         let of = |epoch: u64| self.0.hash_one((address, epoch)).max(1);

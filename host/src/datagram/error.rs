@@ -27,7 +27,7 @@ pub enum DatagramError {
     Bind {
         /// Where.
         address: Address,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Nothing to listen on.

@@ -1,4 +1,4 @@
-//! What datagrams look like, in both directions. `include/slitpose_pose.h` says the same in C.
+//! The layout of datagrams, in both directions. `include/slitpose_pose.h` says the same in C.
 //!
 //! All numbers are little endian, nothing is between them, each is aligned to its size.
 //!
@@ -31,8 +31,8 @@
 //! | 472 | [f64; 3] | angular velocity in the base frame, rad/s |
 //! | 496 | [f64; 6] | standard deviations of those six |
 //!
-//! What is not there is NaN, and its flag is clear. On UDP nobody learns that a queue was full: there
-//! only gaps in the number of the datagram show what was missed.
+//! Absent values are NaN, and their flag is clear. On UDP a full queue is not reported: there only gaps in the number
+//! of the datagram show what was missed.
 //!
 //! A request, 32 bytes: u32 magic "SLPQ" · u16 version, 1 · u16 bytes in all · u16 mode (1 newest,
 //! 2 follow) · u16 zero · \[u8; 12\] id of a board, all zero for every board · u64 cookie, zero without one.
@@ -126,12 +126,12 @@ impl PoseDatagram {
         Self(writer.bytes)
     }
 
-    /// Tells the receiver that scans before this one were passed over, and the next may be, too.
+    /// Marks that scans before this one were skipped, and the next may be, too.
     pub(crate) fn mark_behind(&mut self) {
         self.0[AT_FLAGS] |= IS_BEHIND as u8;
     }
 
-    /// Tells the receiver how many it has missed.
+    /// Sets how many the receiver has missed.
     pub(super) fn set_missed(&mut self, missed: u64) {
         self.0[AT_MISSED..AT_MISSED + 8].copy_from_slice(&missed.to_le_bytes());
     }
@@ -165,7 +165,7 @@ impl Writer {
     }
 }
 
-/// What a client asks for.
+/// A request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
     /// How many datagrams.
@@ -210,7 +210,7 @@ impl Request {
         bytes
     }
 
-    /// What `bytes` ask for; `None` if they are no request of this version.
+    /// The request in `bytes`; `None` if they are no request of this version.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut whole = [0; Self::BYTES];
         whole.get_mut(..bytes.len())?.copy_from_slice(bytes);
@@ -230,7 +230,7 @@ impl Request {
     }
 }
 
-/// What a client is told besides poses.
+/// An answer to a client that is no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// Ask again with this cookie.
@@ -258,14 +258,14 @@ impl Answer {
         bytes
     }
 
-    /// What `bytes` say; `None` if they are no answer of this version.
+    /// The answer in `bytes`; `None` if they are no answer of this version.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let cookie = u64::from_le_bytes(*bytes.last_chunk()?);
         [Self::Prove(cookie), Self::Refused, Self::Renew(cookie)].into_iter().find(|answer| answer.to_bytes() == bytes)
     }
 }
 
-/// What requests and answers begin with.
+/// Writes the beginning of requests and answers.
 fn begin<const N: usize>(bytes: &mut [u8; N], magic: [u8; 4], kind: u16) {
     bytes[..4].copy_from_slice(&magic);
     bytes[4..6].copy_from_slice(&VERSION.to_le_bytes());

@@ -7,7 +7,7 @@ use crate::link::DeviceId;
 /// As many for each of four boards.
 const MAX_LEASES: usize = 4 * MAX_FOLLOWERS;
 
-/// Who follows what, and until when; also boards that are not there yet.
+/// Which client follows which board, and until when; also boards that are not there yet.
 #[derive(Debug, Default)]
 pub(super) struct Leases(Vec<Lease>);
 
@@ -19,12 +19,12 @@ pub(super) struct Lease {
     pub(super) subscription: Subscription,
 }
 
-/// What became of a wish for a place.
+/// The answer to a request for a place.
 #[derive(Debug)]
 pub(super) enum Admission {
     /// It has one, as this subscription.
     Kept(Subscription),
-    /// It has one, as this subscription, and others have lost theirs for it.
+    /// Granted as this subscription; other clients have lost their places for it.
     Instead(Subscription, Vec<Lease>),
     /// It has none.
     Refused,
@@ -44,7 +44,7 @@ impl Leases {
     /// Keeps a new one, or renews one that is known.
     ///
     /// Where all places are taken, the party with most of them gives its latest away, as long as it has two more
-    /// than the one that asks: nobody keeps another user out, however many clients it starts.
+    /// than the one that asks: no user keeps another out, however many clients it starts.
     pub(super) fn renew(&mut self, device: Option<DeviceId>, new: &Subscription, now_ns: u64) -> Admission {
         self.0.retain(|lease| lease.subscription.until_ns >= now_ns);
         let known = self.0.iter_mut().find(|lease| lease.device == device && lease.subscription.is_of(new));

@@ -8,7 +8,7 @@
 //! A datagram goes out from the thread that solved it, with nothing between solver and socket.
 //! Who may write to a Unix socket its permissions say. On UDP everybody on the host may, and under any address:
 //! there a client is served once it has echoed a cookie that was sent to it. Places of followers are few; users
-//! share them evenly, and who gets none is told.
+//! share them evenly, and a client without a place is told so.
 //!
 //! Nothing there waits: sockets do not block, requests come through a bounded queue, and the newest
 //! datagram is left for answers in a slot whose writer waits for no reader. A client that does not

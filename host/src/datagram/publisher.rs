@@ -48,7 +48,7 @@ impl Publisher {
         self.missed
     }
 
-    /// Whether what is sent from now on is marked as that of a solver that is behind.
+    /// Sets whether the next poses are marked as those of a solver that is behind.
     pub(crate) fn set_behind(&mut self, is_behind: bool) {
         self.is_behind = is_behind;
     }
@@ -83,7 +83,7 @@ impl Publisher {
     }
 }
 
-/// Takes a client in, or renews the lease of one that is known.
+/// Adds a client, or renews the lease of a known one.
 fn admit(followers: &mut Vec<Follower>, new: Subscription, counters: &Counters) {
     if new.until_ns == 0 {
         followers.retain(|known| !known.subscription.is_of(&new));

@@ -28,7 +28,7 @@ use slitpose_head::threads::lock;
 /// How long a client is followed after it asked. Clients ask each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);
 
-/// What was sent and refused since the server started.
+/// Counts of datagrams sent and refused since the server started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DatagramCounts {
     /// Places that clients have taken, now.
@@ -126,7 +126,7 @@ impl DatagramServer {
         Publisher::new(Arc::clone(&self.shared), slot, receiver)
     }
 
-    /// What was sent and refused so far.
+    /// The counts so far.
     pub fn counts(&self) -> DatagramCounts {
         let Counters { requests, places_refused, unproven, refused, sent, missed } = &self.shared.counters;
         let [requests, places_refused, unproven, refused, sent, missed] =
@@ -158,7 +158,7 @@ fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {
             .chain([ended.as_fd()])
             .map(|descriptor| PollFd::new(descriptor, PollFlags::POLLIN))
             .collect();
-        // Interrupted, or not: who has nothing to say is not listened to for long.
+        // An error of `recv`, interrupted or not, ends this round.
         let _ = poll(&mut watched, PollTimeout::NONE);
         if watched.last().is_none_or(|end| end.any() != Some(false)) {
             return;
@@ -223,7 +223,7 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
     }
 }
 
-/// Sends what is no pose. It is lost where there is no room: clients ask again.
+/// Sends an answer that is no pose. It is lost if the client's queue is full: clients ask again.
 fn tell(shared: &Shared, answer: Answer, socket: usize, peer: &Peer) {
     let _ = shared.sockets[socket].send(&answer.to_bytes(), peer);
 }

@@ -1,4 +1,4 @@
-//! What server and publishers share.
+//! State that server and publishers share.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,7 +20,7 @@ impl Counters {
     }
 }
 
-/// What server and publishers share.
+/// State that server and publishers share.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) sockets: Vec<Socket>,

@@ -1,4 +1,4 @@
-//! The newest datagram, for whoever asks.
+//! The newest datagram of a board.
 
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 

@@ -53,7 +53,7 @@ pub(super) struct UnixPeer {
 pub(super) enum Party {
     /// A user of this host; `None` where the system does not say which.
     User(Option<u32>),
-    /// All who come by UDP: it does not say whose they are.
+    /// Any client by UDP, where users are unknown.
     Udp,
 }
 
@@ -93,7 +93,7 @@ impl UnixPeer {
 }
 
 /// The file of a client's socket, held open: what is sent goes to this one, also after its owner has put a link to
-/// somebody else's socket in its place.
+/// another user's socket in its place.
 #[derive(Debug)]
 struct PinnedSocket {
     _file: File,
@@ -229,7 +229,7 @@ impl Socket {
     }
 }
 
-/// What became of a datagram.
+/// The result of sending a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Delivery {
     /// It lies in the receiver's queue.
@@ -249,7 +249,7 @@ impl AsFd for Socket {
     }
 }
 
-/// Whoever is of the daemon's group may ask; it needs the right to write for that.
+/// Users of the daemon's group may ask; for that they need the right to write.
 const SOCKET_MODE: u32 = 0o660;
 
 /// Binds a path, for the daemon's user and group.
@@ -299,7 +299,7 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 impl Drop for SocketFile {
     fn drop(&mut self) {
         if identity(&self.path).is_ok_and(|found| found == self.identity) {
-            // What cannot be removed is found stale by the next daemon.
+            // The next daemon finds a file that cannot be removed stale.
             let _ = fs::remove_file(&self.path);
         }
     }

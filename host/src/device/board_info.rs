@@ -1,4 +1,4 @@
-//! What a board says of itself, kept beyond the bytes it came in.
+//! The hello of a board, with owned texts.
 
 use serde::{Serialize, Serializer};
 use slitpose_protocol::schema::SchemaMismatch;
@@ -19,13 +19,13 @@ pub(crate) struct BoardInfo {
     pub firmware: String,
     /// Version of the protocol it speaks.
     pub protocol: ProtocolVersion,
-    /// The first kind of message that it lays out otherwise than this program, if any.
+    /// The first kind of message with another layout than in this program, if any.
     pub mismatch: Option<SchemaMismatch>,
     /// Why it last started.
     pub reset_cause: ResetCause,
-    /// What is stored on it.
+    /// Hashes stored on it.
     pub hashes: Hashes,
-    /// What a word is worth.
+    /// Scaling of its words.
     pub scaling: AdcScaling,
     /// Number of the configuration in force.
     pub configuration: u16,
@@ -74,7 +74,7 @@ impl BoardInfo {
     }
 }
 
-/// What programs are told, in SI units.
+/// The JSON form, in SI units.
 #[derive(Serialize)]
 struct Fields<'a> {
     serial: DeviceId,

@@ -1,4 +1,4 @@
-//! The host's side of the protocol: commands out, replies checked, everything else kept as it came.
+//! The host's side of the protocol: sends commands, checks replies, keeps all other bytes.
 
 use std::time::{Duration, Instant};
 
@@ -22,42 +22,42 @@ const HELLO_EVERY: Duration = Duration::from_millis(250);
 /// A board answers within a millisecond; the scans ahead of its answer may take a tenth of a second.
 pub(super) const REPLY_WITHIN: Duration = Duration::from_secs(2);
 
-/// As [`REPLY_WITHIN`], but somebody waits for the program to end.
+/// As [`REPLY_WITHIN`], while the user waits for the program to end.
 const STOP_WITHIN: Duration = Duration::from_millis(500);
 
 /// A board that samples sends something at least this often, if only its status.
 const QUIET: Duration = Duration::from_millis(450);
 
-/// What of the bytes around a reply is kept.
+/// Which bytes around a reply are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
     /// All of them.
     All,
-    /// Those from the last hello on: what came earlier belongs to an older configuration.
+    /// Those from the last hello on: earlier ones belong to an older configuration.
     FromHello,
-    /// Replies only: nobody wants what else comes.
+    /// Replies only.
     Replies,
 }
 
-/// What becomes of one packet.
+/// What to do with one packet.
 enum Verdict {
     Keep,
     KeepFromHere,
     Drop,
 }
 
-/// A board that is spoken to. Dropped, it tells the board to stop.
+/// A conversation with a board. When dropped it stops the board.
 pub(crate) struct Conversation {
     device: Box<dyn Device>,
     pub(super) decoder: Decoder<MAX_MESSAGE_BYTES>,
-    /// What was received and is kept.
+    /// Bytes received and kept.
     pub(super) inbox: Vec<u8>,
-    /// How much of it, from the start, is whole packets.
+    /// Length of the whole packets at its start.
     whole: usize,
     /// Number of the last command.
     number: u16,
     keep_alive: Option<KeepAlive>,
-    /// Where the device does not ping by itself: when to, and with which token.
+    /// The next ping and its token, where the device does not ping by itself.
     ping_at: Instant,
     token: u32,
     started: bool,
@@ -67,7 +67,7 @@ pub(crate) struct Conversation {
 }
 
 impl Conversation {
-    /// Ends whatever half a command an earlier host has left in the link.
+    /// Opens the conversation; ends any half command that an earlier host has left on the link.
     ///
     /// # Errors
     /// If the device has gone.
@@ -92,8 +92,8 @@ impl Conversation {
         }
     }
 
-    /// Asks the board who it is; `admit` decides whether that will do. It has answered when its reply
-    /// has come, too: a hello alone may be left over from before. What was received is forgotten.
+    /// Asks the board for its hello, which `admit` accepts or refuses. Waits for the reply, too: a hello alone may be
+    /// left over from before. Bytes received until then are dropped.
     ///
     /// # Errors
     /// If no board answers, or `admit` refuses it.
@@ -104,7 +104,7 @@ impl Conversation {
         self.greet_within(HELLO_WITHIN, admit)
     }
 
-    /// [`greet`](Self::greet)s a board that has to answer within another time.
+    /// The same as [`greet`](Self::greet), with another time limit.
     pub(super) fn greet_within<E: From<DeviceError>>(
         &mut self,
         within: Duration,
@@ -174,8 +174,8 @@ impl Conversation {
         Ok(())
     }
 
-    /// Waits for what the board says next, a few hundredths of a second at most; the inbox then holds
-    /// that and nothing else. `false` if nothing will ever come again.
+    /// Waits for bytes of the board, a few hundredths of a second at most; the inbox then holds only these. `false` if
+    /// the stream has ended.
     ///
     /// # Errors
     /// If the device has gone, or nothing has come for half a second.
@@ -191,7 +191,7 @@ impl Conversation {
         Ok(more)
     }
 
-    /// Darkens the emitters. The inbox then holds what came before the reply, as far as it is kept.
+    /// Darkens the emitters. The inbox then holds the kept bytes before the reply.
     ///
     /// # Errors
     /// If the board refuses, or does not reply.
@@ -208,8 +208,7 @@ impl Conversation {
         Ok(())
     }
 
-    /// Appends to `segment` what was received last, as it came, and when, and which pings were sent
-    /// since the time before.
+    /// Appends to `segment` the bytes received last with their instant, and the pings sent since the last call.
     pub(crate) fn fill(&mut self, segment: &mut Segment) {
         if !self.inbox.is_empty() {
             segment.push(&self.inbox, self.heard_at);
@@ -225,7 +224,7 @@ impl Conversation {
         self.device.name().to_owned()
     }
 
-    /// Sends a command and waits for its reply; tells whether a hello came, too.
+    /// Sends a command and waits for its reply; gives whether a hello came, too.
     pub(super) fn ask(&mut self, command: Command, keep: Keep, within: Duration) -> Result<bool, DeviceError> {
         let name = name_of(&command);
         let number = self.command(command)?;
@@ -250,8 +249,7 @@ impl Conversation {
         Err(DeviceError::NoReply { name: self.name(), command: name, seconds: within.as_secs_f64() })
     }
 
-    /// Decodes the inbox from `at` on and keeps of it what shall be kept; gives the reply to `number`
-    /// if it is there.
+    /// Decodes the inbox from `at` on and keeps the packets that `keep` names; gives the reply to `number` if there.
     fn sort(&mut self, mut at: usize, number: u16, keep: Keep, introduced: &mut bool) -> Option<Result<(), Rejection>> {
         let mut answer = None;
         loop {

@@ -1,12 +1,12 @@
-//! Where boards are.
+//! Finds boards.
 //!
-//! A board with a USB port of its own is known by what USB says of it, and by its number there: it need not
-//! be asked, and is found again wherever it is plugged in. A board behind a debugger's serial port has to be
-//! asked for its number; so has one in a place that the user names ([`Search`]). To be asked, a port is opened
-//! exclusively, and gets a Hello and nothing else; ports in use are left alone.
+//! A board with a USB port of its own is identified by its USB descriptors: it need not be asked, and is found again
+//! in any port. A board behind a debugger's serial port must be asked for its number; so must one in a place that the
+//! user names ([`Search`]). To be asked, a port is opened exclusively, and is sent one Hello; ports in use are left
+//! alone.
 //!
-//! Debuggers are asked only if no board has a USB port of its own: the port that was asked last has a board
-//! for two seconds, and both cables of a Nucleo may be plugged in.
+//! Debuggers are asked only if no board has a USB port of its own: a board serves the port that asked last for two
+//! seconds, and both cables of a Nucleo may be plugged in.
 
 use super::ports::{Port, Search, UsbId, ports};
 use super::probe::{Listed, PortState};
@@ -21,9 +21,9 @@ const SIM: &str = "sim";
 pub struct Found {
     /// Its port: `sim` for the simulated board, which is everywhere.
     pub port: String,
-    /// What the port is on USB: by this it is found again under another name.
+    /// Its USB descriptors: by these it is found again under another name.
     pub(crate) usb: Option<UsbId>,
-    /// Which board, as far as it was needed to know.
+    /// Which board, if known.
     pub device: Option<DeviceId>,
 }
 
@@ -35,7 +35,7 @@ impl From<Listed> for Found {
 
 /// Looks for the board that `selector` names, in the places of `search`, too.
 ///
-/// A path is taken as it is: whether there is a board, opening tells.
+/// A path is accepted as it is: opening shows whether there is a board.
 ///
 /// # Errors
 /// If there is none, or more than one could be meant.
@@ -78,9 +78,9 @@ pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceEr
     Ok(listed)
 }
 
-/// Where the board that `selector` names is now, without asking anybody: cheap enough for several
-/// times a second. `known` is where it was last, with its number if that is known by now. `None` if it is
-/// not there; or, without `known`, if only [`find`] can tell.
+/// Finds the board that `selector` names without asking any port: cheap enough for several times a second. `known` is
+/// its last place, with its number if known. `None` if it is not there; or, without `known`, if only [`find`] can
+/// identify it.
 pub(crate) fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
     if *selector == Selector::Sim {
         return Some(Found { port: SIM.to_owned(), usb: None, device: None });
@@ -121,7 +121,7 @@ fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option
     }
 }
 
-/// The ports that only answers can tell to be a board's.
+/// The ports that must be asked whether they have a board.
 fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
     let mut unsure: Vec<_> = ports.iter().filter(|port| debuggers && port.is_debugger()).cloned().collect();
     for name in search.iter().flat_map(Search::names) {

@@ -11,13 +11,13 @@ use crate::link::{DeviceId, Versions};
 /// What went wrong between host and board.
 #[derive(Debug, Error)]
 pub enum DeviceError {
-    /// The system does not tell its ports.
+    /// The system does not list its ports.
     #[error("cannot list the serial ports of this system; give the path of the board's port, such as /dev/ttyACM0")]
     Ports {
-        /// What it said.
+        /// The system's error.
         source: serialport::Error,
     },
-    /// No pattern of paths.
+    /// Not a pattern of paths.
     #[error("`{pattern}` is no pattern of paths; give one such as '/dev/ttyUSB*'")]
     Pattern {
         /// What was given.
@@ -92,7 +92,7 @@ pub enum DeviceError {
     Open {
         /// The path.
         name: String,
-        /// What the system said.
+        /// The system's error.
         source: serialport::Error,
     },
     /// Not a byte.
@@ -121,7 +121,7 @@ pub enum DeviceError {
         /// Packets among them.
         packets: u64,
     },
-    /// A board of another time.
+    /// A board with another version of the protocol.
     #[error("{name} cannot be used: {versions}")]
     Version {
         /// The device.
@@ -129,7 +129,7 @@ pub enum DeviceError {
         /// Which one.
         versions: Versions,
     },
-    /// A board that says nothing of itself.
+    /// A board that sends no hello or status.
     #[error("the board on {name} sent no status within {seconds} s; reset the board")]
     NoStatus {
         /// The device.
@@ -161,7 +161,7 @@ pub enum DeviceError {
         /// How long was waited.
         seconds: f64,
     },
-    /// The board does not do what it is asked.
+    /// The board refuses a command.
     #[error("the board on {name} refused {command}; {next_step}")]
     Refused {
         /// The device.
@@ -178,10 +178,10 @@ pub enum DeviceError {
     Gone {
         /// The device.
         name: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// Bytes have ceased to come.
+    /// No more bytes come.
     #[error("no data for {seconds} s from the board on {name}; reset the board")]
     Quiet {
         /// The device.
@@ -189,7 +189,7 @@ pub enum DeviceError {
         /// How long nothing came.
         seconds: f64,
     },
-    /// Bytes come, and no scan among them.
+    /// Bytes come, but no scan among them.
     #[error("no usable scan for {seconds:.0} s from the board on {name}: {cause}")]
     NoScans {
         /// The device.
@@ -217,14 +217,14 @@ pub enum Scanless {
     Nothing,
     /// Batches by another configuration than the one it was given.
     #[error(
-        "{batches} batches came by a configuration that this program has not given; end whatever else speaks to the \
+        "{batches} batches came by a configuration that this program has not given; end any other program that speaks to the \
          board, then reset the board"
     )]
     Unexplained {
         /// How many.
         batches: u64,
     },
-    /// Whole packets that mean nothing here.
+    /// Whole packets that this program cannot read.
     #[error("{packets} packets came that cannot be read; build firmware and program from the same source")]
     Unreadable {
         /// How many.
@@ -252,7 +252,7 @@ fn others(listed: &[Listed]) -> String {
 }
 
 impl DeviceError {
-    /// Whether waiting may mend it, without anybody doing anything but plug and switch on.
+    /// Whether waiting may help, if the user only plugs in and switches on.
     pub(crate) fn is_passing(&self) -> bool {
         match self {
             Self::NoBoard { .. }

@@ -1,4 +1,4 @@
-//! Who has a port open.
+//! Programs that have a port open.
 
 use std::fs;
 use std::path::Path;
@@ -20,8 +20,8 @@ impl std::fmt::Display for Holder {
     }
 }
 
-/// The programs that have the port `name` open, as far as this user may know: nobody sees into the
-/// programs of others, and only Linux tells at all. It looks at every open file of the system.
+/// The programs that have the port `name` open, as far as this user may see:
+/// open files of other users are hidden, and only Linux lists them. Reads every open file of the system.
 pub(crate) fn holders(name: &str) -> Vec<Holder> {
     let port = real_path(name);
     let Ok(processes) = fs::read_dir("/proc") else {

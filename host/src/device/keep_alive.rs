@@ -1,4 +1,4 @@
-//! Pings: signs of life for a board that cannot see its host, and a look at its clock.
+//! Pings: they show a board that its host is alive, and measure its clock.
 
 use std::io::Write;
 use std::thread::JoinHandle;
@@ -13,14 +13,14 @@ use crate::link::Asked;
 /// A board on a link without modem lines goes dark after 2 s without a command: four of these.
 pub(super) const INTERVAL: Duration = Duration::from_millis(500);
 
-/// Pings that nobody has asked about yet; the clock can do without more.
+/// Most sent pings that are kept until they are fetched; the clock needs no more.
 const MAX_UNTOLD: usize = 16;
 
 /// Number of the pings; a [`Conversation`](super::Conversation) counts its commands from 1.
 pub(super) const PING: u16 = 0;
 
 /// Sends pings, from a thread of its own so that a slow reader of the poses does not darken the
-/// board, until dropped. Nobody else may write to the port meanwhile.
+/// board, until dropped. No other thread may write to the port meanwhile.
 #[derive(Debug)]
 pub struct KeepAlive {
     end: Option<Sender<()>>,
@@ -39,7 +39,7 @@ impl KeepAlive {
                 if let Some((ping, told)) = ping(token, &mut buffer) {
                     // Told before it is sent, so that its answer cannot come first.
                     let _ = tell.try_send(told);
-                    // A port that has gone is noticed by whoever reads from it.
+                    // A port that has gone is noticed by its reader.
                     let _ = port.write_all(ping);
                 }
                 if ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout) {
@@ -50,7 +50,7 @@ impl KeepAlive {
         Self { end: Some(end), asked, thread: Some(thread) }
     }
 
-    /// The next ping that was sent and not told of yet.
+    /// The next sent ping that was not fetched yet.
     pub fn asked(&self) -> Option<Asked> {
         self.asked.try_recv().ok()
     }

@@ -1,15 +1,13 @@
 //! Boards at the other end of a byte stream, real or simulated.
 //!
-//! [`Device`] carries bytes and knows nothing of what they mean: [`SerialDevice`] is a serial port,
-//! [`SimulatedDevice`] a board made of arithmetic. [`Conversation`] speaks the protocol over one of
-//! them: it greets, configures, starts and stops the board, checks every reply, and hands on what
-//! the board says as it came.
+//! [`Device`] carries bytes without decoding them: [`SerialDevice`] is a serial port, `SimulatedDevice` a simulated
+//! board. `Conversation` speaks the protocol over one of them: it greets, configures, starts and stops the board,
+//! checks every reply, and hands on all other bytes.
 //!
-//! [`find`] looks for the board a [`Selector`] names, [`list`] for all of them, [`locate`] for one that was
-//! there before.
+//! `find` looks for the board a `Selector` names, `list` for all of them, `locate` for one that was there before.
 //!
-//! Nothing is dropped on this side: bytes that are not fetched wait in the operating system, then in
-//! the board's queue, which gives up its oldest scans when it is full; their numbers show it.
+//! The host drops nothing: bytes that are not fetched wait in the operating system, then in the board's queue, which
+//! drops its oldest scans when it is full; gaps in their numbers show it.
 
 mod board_info;
 mod conversation;
@@ -51,13 +49,13 @@ pub trait Device: Send {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
 
     /// Waits for bytes from the board, a few hundredths of a second at most, and appends them to
-    /// `bytes`. `false` if none will ever come again.
+    /// `bytes`. `false` if the stream has ended.
     ///
     /// # Errors
     /// If the board has gone.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool>;
 
-    /// Whether what comes from it comes when it happens.
+    /// Whether it runs in real time.
     fn keeps_time(&self) -> bool {
         true
     }

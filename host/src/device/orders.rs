@@ -1,4 +1,4 @@
-//! What a board is told beside measuring: who it is, what to keep, to show itself, to start anew.
+//! Commands beside measuring: introduce, store, identify, reboot.
 
 use std::time::{Duration, Instant};
 
@@ -11,8 +11,7 @@ use super::{BoardInfo, Conversation, DeviceError, Keep};
 const STATUS_WITHIN: Duration = Duration::from_millis(1500);
 
 impl Conversation {
-    /// [`greet`](Self::greet)s the board and keeps what it says of itself. Whether it can be used is for
-    /// the caller to judge.
+    /// [`greet`](Self::greet)s the board and gives its hello. The caller judges whether the board can be used.
     ///
     /// # Errors
     /// If no board answers within `within`, or one of another version.
@@ -25,7 +24,7 @@ impl Conversation {
         last.ok_or_else(|| DeviceError::Silent { name: self.name(), seconds: within.as_secs_f64() })
     }
 
-    /// Waits for the board's next account of itself. What else comes meanwhile is lost.
+    /// Waits for the board's next status. Other messages are dropped meanwhile.
     ///
     /// # Errors
     /// If there is none, or the board has gone.
@@ -50,7 +49,7 @@ impl Conversation {
         Err(DeviceError::NoStatus { name: self.name(), seconds: STATUS_WITHIN.as_secs_f64() })
     }
 
-    /// Has the board keep its configuration and `hashes`, also without supply.
+    /// Stores configuration and `hashes` in the board's flash memory.
     ///
     /// # Errors
     /// If its memory does not take them, or it does not reply.
@@ -58,7 +57,7 @@ impl Conversation {
         self.order(Command::Store(hashes))
     }
 
-    /// Has the board forget what it keeps.
+    /// Erases the board's stored configuration and hashes.
     ///
     /// # Errors
     /// If its memory does not forget, or it does not reply.
@@ -66,7 +65,7 @@ impl Conversation {
         self.order(Command::Forget)
     }
 
-    /// Lets the board's indicator tell for a number of seconds which one it is; 0 ends it.
+    /// Lets the board's indicator blink for a number of seconds; 0 ends it.
     ///
     /// # Errors
     /// If it does not reply.
@@ -74,7 +73,7 @@ impl Conversation {
         self.order(Command::Identify { seconds })
     }
 
-    /// Has the board start anew. It replies first, and is gone 0.2 s later at the latest.
+    /// Reboots the board. It replies first, and is gone 0.2 s later at the latest.
     ///
     /// # Errors
     /// If it does not reply.

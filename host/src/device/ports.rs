@@ -1,4 +1,4 @@
-//! Serial ports of this host, and what USB says of them.
+//! Serial ports of this host, and their USB descriptors.
 
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
@@ -10,8 +10,7 @@ use serialport::{SerialPortInfo, SerialPortType};
 use super::DeviceError;
 use crate::link::DeviceId;
 
-/// What a board says of itself on USB. The number is one for tests, shared with others: the texts
-/// have to match, too.
+/// USB descriptors of a board. The number is one for tests, shared with other devices: the texts must match, too.
 pub(super) const BOARD: (u16, u16) = (0x1209, 0x0001);
 const MANUFACTURER: &str = "slitpose";
 const PRODUCT: &str = "slitpose board";
@@ -30,7 +29,7 @@ const DEBUGGERS: [(u16, u16); 9] = [
     (0x0483, 0x3757),
 ];
 
-/// What is known of something on USB without asking it.
+/// USB descriptors.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct UsbId {
     /// Number of the vendor.
@@ -53,12 +52,12 @@ impl UsbId {
             && self.product.as_deref() == Some(PRODUCT)
     }
 
-    /// Whether this is a debugger, with whatever behind it.
+    /// Whether this is a debugger, with or without a board behind it.
     pub(crate) fn is_debugger(&self) -> bool {
         DEBUGGERS.contains(&(self.vid, self.pid))
     }
 
-    /// The board, as far as USB tells.
+    /// The board, if its USB descriptors name it.
     pub(crate) fn device(&self) -> Option<DeviceId> {
         self.serial.as_deref().filter(|_| self.is_board())?.parse().ok()
     }
@@ -74,24 +73,24 @@ pub struct Port {
 }
 
 impl Port {
-    /// The port at `name`, and what `ports` knows of it, whatever it is called there.
+    /// The port at `name`, with its USB descriptors if `ports` has it, also under another name.
     pub(super) fn at(name: &str, ports: &[Self]) -> Self {
         let real = real_path(name);
         let usb = ports.iter().find(|port| real_path(&port.name) == real).and_then(|port| port.usb.clone());
         Self { name: name.to_owned(), usb }
     }
 
-    /// Whether USB says that this is a board.
+    /// Whether this is a board by its USB descriptors.
     pub(crate) fn is_board(&self) -> bool {
         self.usb.as_ref().is_some_and(UsbId::is_board)
     }
 
-    /// Whether it may lead to a board that only answers can tell.
+    /// Whether it must be asked whether it has a board.
     pub(crate) fn is_debugger(&self) -> bool {
         self.usb.as_ref().is_some_and(UsbId::is_debugger)
     }
 
-    /// The board on it, as far as USB tells.
+    /// The board on it, if its USB descriptors name it.
     pub fn device(&self) -> Option<DeviceId> {
         self.usb.as_ref()?.device()
     }
@@ -136,7 +135,7 @@ pub(super) fn from_system(listed: Vec<SerialPortInfo>) -> Vec<Port> {
     ports
 }
 
-/// Ports to look at beside those that USB tells to be boards: a path in which `*`, `?` and `[…]` stand
+/// More ports to look at: a path in which `*`, `?` and `[…]` stand
 /// for any characters, any one, and one of those.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Search(String);

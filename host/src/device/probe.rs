@@ -1,4 +1,4 @@
-//! Asking a port what is behind it, without disturbing what is there: one Hello is all that is sent.
+//! Asks a port whether it has a board. Only one Hello is sent, so that other devices are not disturbed.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// What a port is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortState {
-    /// Nobody has looked.
+    /// It was not asked.
     NotAsked,
     /// A board answers.
     Free,
@@ -24,7 +24,7 @@ pub(crate) enum PortState {
     NoPermission,
     /// No board answers.
     NoAnswer,
-    /// A board that this program does not understand.
+    /// A board with another protocol.
     OtherVersion(ProtocolVersion),
 }
 
@@ -47,7 +47,7 @@ impl PortState {
 pub struct Listed {
     /// The port.
     pub port: Port,
-    /// How it is.
+    /// Its state.
     pub(crate) state: PortState,
     /// What the board said.
     pub(crate) board: Option<BoardInfo>,
@@ -95,7 +95,7 @@ impl Listed {
         })
     }
 
-    /// Which board, as far as it or USB tells.
+    /// Which board, if it or USB says.
     pub fn device(&self) -> Option<DeviceId> {
         self.board.as_ref().map(|board| board.device).or(self.port.device())
     }

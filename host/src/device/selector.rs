@@ -1,4 +1,4 @@
-//! How a user names a board.
+//! Names of boards, as users give them.
 
 use std::fmt;
 use std::path::{MAIN_SEPARATOR, Path};
@@ -10,13 +10,13 @@ use crate::link::DeviceId;
 /// Which board is meant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Selector {
-    /// The one there is.
+    /// The only board there is.
     Auto,
-    /// A board made of arithmetic.
+    /// The simulated board.
     Sim,
-    /// The one with this number, wherever it is plugged in.
+    /// The board with this number, in any port.
     Serial(DeviceId),
-    /// Whatever is at this port.
+    /// The board at this port.
     Path(String),
 }
 

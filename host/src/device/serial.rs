@@ -14,7 +14,7 @@ const BAUD: u32 = 3_000_000;
 /// One wait for bytes: short enough that an interrupt is answered at once.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// A port that takes no bytes for so long leads nowhere; the longest command takes 1 ms.
+/// A port that accepts no bytes for this long leads nowhere; the longest command takes 1 ms.
 const SEND_WITHIN: Duration = Duration::from_secs(1);
 
 /// Bytes fetched at once: 17 ms of a board at 4 kHz, as many as a pseudo-terminal holds.
@@ -32,7 +32,7 @@ impl SerialDevice {
     /// Opens the port at `path`: raw, 8N1, DTR set as far as there is one.
     ///
     /// # Errors
-    /// If it is no port, or cannot be had.
+    /// If it is no port, or cannot be opened.
     pub fn open(path: &str) -> Result<Self, DeviceError> {
         let name = path.to_owned();
         match std::fs::metadata(path) {

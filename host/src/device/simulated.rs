@@ -13,8 +13,7 @@ use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, Traje
 /// Device time that passes between two waits.
 const WAIT_EVERY_S: f64 = 2e-3;
 
-/// Device time that passes at one go when it lags behind its host's. On a host that is too slow for it, it
-/// lags for good, and is no clock.
+/// Most device time that is caught up at once. On a host that is too slow the device lags for good, and is no clock.
 const CATCH_UP_S: f64 = 20e-3;
 
 /// The tool in front of a board that is only tried moves for this long, seconds.
@@ -29,12 +28,12 @@ pub(crate) struct SimulatedDevice {
     frames_at_once: u64,
     frames_passed: u64,
     frames: u64,
-    /// What it said when it was spoken to, and its host has not fetched.
+    /// Bytes sent while catching up, not fetched yet.
     said: Vec<u8>,
 }
 
 impl SimulatedDevice {
-    /// A board to be tried, without end and at the pace of time: the head of `file`, a smoothly moved tool.
+    /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
     ///
     /// # Errors
     /// If no board could run the scene.
@@ -66,7 +65,7 @@ impl Device for SimulatedDevice {
         "sim"
     }
 
-    /// A board that samples at the pace of time is as late as its host by then.
+    /// A board in real time first catches up with its host.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         if self.pace.is_real_time() && self.frames_passed > 0 {
             let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
@@ -84,7 +83,7 @@ impl Device for SimulatedDevice {
         self.pace.is_real_time()
     }
 
-    /// What the board has to say comes before time passes: commands are answered in no time.
+    /// Replies come before time passes: commands are answered at once.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         let before = bytes.len();
         bytes.append(&mut self.said);

@@ -1,4 +1,4 @@
-//! What was found, in one file for whoever is asked for help.
+//! The findings in one file, for a report of a fault.
 
 use std::fs;
 use std::io::{self, Write};
@@ -12,7 +12,7 @@ use super::Examination;
 use crate::clock::HostInstant;
 use slitpose_head::finding::Finding;
 
-/// What was found, as files. Neither the environment nor names of users or hosts are in them.
+/// The findings, as files. Neither the environment nor names of users or hosts are in them.
 #[derive(Debug)]
 pub(crate) struct Bundle {
     files: Vec<(&'static str, &'static str, Vec<u8>)>,
@@ -27,7 +27,7 @@ struct Report<'a> {
 }
 
 impl Bundle {
-    /// Of all that `examination` has; what was not found is left out.
+    /// The files of `examination`; those without content are left out.
     ///
     /// # Errors
     /// Never in practice: all of it can be written as JSON.

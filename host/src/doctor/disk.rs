@@ -1,4 +1,4 @@
-//! Whether recordings find room and are written fast enough.
+//! Room and speed of the disk for recordings.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -15,10 +15,10 @@ const BOARDS: f64 = 4.0;
 const LITTLE_S: f64 = 3600.0;
 const NOTHING_S: f64 = 60.0;
 
-/// A disk that is used by others as well takes as much in its slow moments if it takes so many times as much now.
+/// Factor by which the rate must exceed the need: a disk that other programs use has slow moments.
 const MARGIN: f64 = 5.0;
 
-/// Written to try the disk.
+/// Bytes written as a trial.
 const TRIAL_BYTES: usize = 4 << 20;
 const CHUNK_BYTES: usize = 64 << 10;
 

@@ -1,4 +1,4 @@
-//! The machine: its clock, and what it lets a program do.
+//! The machine: its clock, and permitted priorities.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -9,7 +9,7 @@ use nix::unistd::geteuid;
 use crate::clock::HostInstant;
 use slitpose_head::finding::Finding;
 
-/// Nothing here was built earlier: 2026 begins.
+/// Start of 2026: no build is older.
 const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;
 
 /// The priority that the shipped service may use.
@@ -30,7 +30,7 @@ fn of_date(utc_ns: u64) -> Finding {
     }
 }
 
-/// What systemd says, if it is there.
+/// The answer of systemd, if it is there.
 fn synchronised() -> Option<String> {
     let asked = Command::new("timedatectl")
         .args(["show", "--property=NTPSynchronized", "--value"])

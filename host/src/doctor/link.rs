@@ -14,10 +14,10 @@ use crate::device::{
 use crate::link::Versions;
 use slitpose_head::finding::Finding;
 
-/// As long as a board needs that has been asked by its other port just before.
+/// Time that a board needs if its other port was asked just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
-/// Gets as far as the board's hello, if it can be understood.
+/// Opens the board and reads its hello; `None` if that fails or cannot be understood.
 pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<(Conversation, BoardInfo)> {
     let device = match subject.device {
         Selector::Sim => simulated(subject, checks)?,
@@ -92,7 +92,7 @@ fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
     }
 }
 
-/// Whether this user may open the port, and who may otherwise.
+/// Whether this user may open the port, and which group may.
 fn of_permission(found: &Found) -> Finding {
     let name = found.port.as_str();
     let group = std::fs::metadata(name).ok().and_then(|port| Group::from_gid(Gid::from_raw(port.gid())).ok().flatten());
@@ -107,7 +107,7 @@ fn of_permission(found: &Found) -> Finding {
     }
 }
 
-/// What a board says of itself, and whether it is understood.
+/// Findings on a board's hello, and whether it is understood.
 fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
     use slitpose_protocol::ResetCause::{BrownOut, Panic, Watchdog};
     let who = format!("{} {}, {}, firmware {}", info.kind_name(), info.board, info.device, info.firmware);

@@ -1,4 +1,4 @@
-//! A board that measures for a while: how fast, what gets lost where, and what becomes of it.
+//! A trial measurement: rates, losses, poses, and the state of the board.
 
 use std::time::{Duration, Instant};
 
@@ -16,35 +16,35 @@ use slitpose_head::scene_file::SceneFile;
 /// As streams are solved.
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
-/// A board, or an emulator, that is slower by more is not waited for; and what it takes to begin.
+/// Slowest board or emulator that is waited for, relative to real time; and the time to begin.
 const SLOWEST: f64 = 10.0;
 const BEGIN: Duration = Duration::from_secs(5);
 
-/// Rates that differ by more are not those of crystals and of packets cut at the ends of a second or two.
+/// Largest relative difference of rates that crystals and packets cut at both ends of a second explain.
 const RATE_SLACK: f64 = 0.05;
 
 /// The least share of scans with a pose that a tool in its workspace gives.
 const POSES: f64 = 0.99;
 
-/// What the controller runs on: 3.3 V ± 5 %, as the regulator of its board gives it.
+/// Supply of the MCU: 3.3 V ± 5 %, as the regulator of its board gives it.
 const SUPPLY_V: std::ops::RangeInclusive<f32> = 3.135..=3.465;
 
-/// Ambient limits of the controller (STM32G474xE data sheet, suffix 6), which its own heat may reach.
+/// Ambient limits of the MCU (STM32G474xE data sheet, suffix 6), which its own heat may reach.
 const TEMPERATURE_K: std::ops::RangeInclusive<f32> = 273.15 - 40.0..=273.15 + 85.0;
 
-/// A controller that is busier has no time in hand.
+/// A busier MCU has no time in reserve.
 const BUSIEST_PERMILLE: u16 = 900;
 
-/// Complaints of the board that are kept.
-const COMPLAINTS: usize = 5;
+/// Most warnings and errors of the board that are kept.
+const EVENTS: usize = 5;
 
 /// Why nothing was measured.
 #[derive(Debug, Error)]
 pub(super) enum MeasurementError {
-    /// The scene.
+    /// The scene's schedule.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// What came.
+    /// The stream.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// The board.
@@ -52,19 +52,19 @@ pub(super) enum MeasurementError {
     Device(#[from] DeviceError),
 }
 
-/// What a board did.
+/// The result of a measurement.
 #[derive(Clone, Debug)]
 pub(super) struct Measurement {
     counts: Counts,
     before: Status,
     after: Status,
     frame_rate_hz: f64,
-    /// Scans that came, and how long by the host's clock.
+    /// Scans received, and in how many seconds by the host's clock.
     received: (u64, f64),
     bytes: usize,
     /// By how many millionths its clock is fast, and how well its instants are known at the end, ns.
     clock: Option<(f64, u64)>,
-    complaints: Vec<String>,
+    events: Vec<String>,
 }
 
 /// Lets `board` measure for `duration_s` of its time; what it sends goes to `bytes`.
@@ -77,7 +77,7 @@ pub(super) fn measure(
     let configuration = front_end::configuration(scene)?;
     let frame_rate_hz = configuration.schedule.frame_rate_hz();
     let mut pipeline = Pipeline::new(scene.clone(), TIER, SceneMatch::Waived).until(Some(duration_s));
-    let mut complaints = Vec::new();
+    let mut events = Vec::new();
     let mut segment = Segment::default();
     let mut uncertainty_ns = None;
     let mut take = |pipeline: &mut Pipeline, board: &mut Conversation| {
@@ -86,8 +86,8 @@ pub(super) fn measure(
         let taken = pipeline.feed(&segment, |item| {
             match item {
                 Item::Pose(record) => uncertainty_ns = record.host_time.map(|time| time.uncertainty_ns),
-                Item::Event { severity, text, .. } if severity != Severity::Info && complaints.len() < COMPLAINTS => {
-                    complaints.push(text.to_owned());
+                Item::Event { severity, text, .. } if severity != Severity::Info && events.len() < EVENTS => {
+                    events.push(text.to_owned());
                 }
                 _ => {}
             }
@@ -118,7 +118,7 @@ pub(super) fn measure(
     let after = board.status()?;
     let counts = pipeline.counts();
     let clock = pipeline.drift_ppm().zip(uncertainty_ns);
-    Ok(Measurement { counts, clock, before, after, frame_rate_hz, received, bytes: bytes.len(), complaints })
+    Ok(Measurement { counts, clock, before, after, frame_rate_hz, received, bytes: bytes.len(), events })
 }
 
 impl Measurement {
@@ -128,7 +128,7 @@ impl Measurement {
         (seconds > 0.0).then(|| self.bytes as f64 / seconds)
     }
 
-    /// What is to be said of it.
+    /// The findings.
     pub(super) fn checks(&self) -> Vec<Finding> {
         let mut checks = vec![
             self.rate(),
@@ -138,8 +138,8 @@ impl Measurement {
             self.poses(),
             self.health(),
         ];
-        if !self.complaints.is_empty() {
-            checks.push(Finding::warning("events", self.complaints.join("; "), "see what the board complains of"));
+        if !self.events.is_empty() {
+            checks.push(Finding::warning("events", self.events.join("; "), "act on the warnings of the board"));
         }
         checks
     }

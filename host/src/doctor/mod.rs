@@ -1,8 +1,8 @@
-//! What may be wrong between a board and its poses, looked at one after the other.
+//! Checks everything between a board and its poses, one part after the other.
 //!
-//! `link` looks for the board and opens it, `head` compares it with its scene, `measurement` lets it measure for
-//! a while, `host` and `disk` look at the machine it is plugged into. A [`Bundle`] packs what was found for whoever
-//! is asked for help. Nothing is changed on the board but its schedule, and nothing stored.
+//! `link` finds and opens the board, `head` compares it with its scene, `measurement` lets it measure for a while,
+//! `host` and `disk` check the machine. A [`Bundle`] packs the findings for a report of a fault. Only the schedule of
+//! the board is changed, and nothing is stored on it.
 
 mod bundle;
 mod disk;
@@ -22,7 +22,7 @@ use slitpose_head::scene_file::{SceneFile, WIDE};
 /// What a board sends a second until it has been measured: 4 000 scans of 60 bytes.
 const USUAL_BYTES_PER_S: f64 = 240e3;
 
-/// What is to be looked at.
+/// What is to be checked.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Subject<'a> {
     /// Which board.
@@ -37,16 +37,16 @@ pub(crate) struct Subject<'a> {
     pub duration_s: f64,
 }
 
-/// What was found.
+/// The findings.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Examination {
     /// In the order they were made.
     pub checks: Vec<Finding>,
-    /// What the board said of itself.
+    /// The board's hello.
     pub board: Option<BoardInfo>,
     /// The scene it was measured by.
     pub scene: Option<SceneFile>,
-    /// What it sent while it measured, as it came.
+    /// The bytes it sent while it measured.
     pub bytes: Vec<u8>,
 }
 
@@ -62,7 +62,7 @@ impl Examination {
     }
 }
 
-/// Looks at everything.
+/// Checks everything.
 pub(crate) fn examine(subject: &Subject<'_>) -> Examination {
     let mut examination = Examination::default();
     let bytes_per_s = board(subject, &mut examination).unwrap_or(USUAL_BYTES_PER_S);
@@ -71,7 +71,7 @@ pub(crate) fn examine(subject: &Subject<'_>) -> Examination {
     examination
 }
 
-/// Looks at the board, as far as one can get; gives what it sends in a second.
+/// Checks the board as far as possible; gives the bytes that it sends in a second.
 fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
     let checks = &mut examination.checks;
     let reached = link::reach(subject, checks);

@@ -10,7 +10,7 @@ use slitpose_protocol::Schedule;
 /// Scans kept to try on.
 const SAMPLES: usize = 8;
 
-/// Fewer scans do not tell an exchange from chance.
+/// Least number of scans that tell an exchange from chance.
 const LEAST_SAMPLES: usize = 4;
 
 /// Scans that the right exchange may leave unexplained: another fault may come by.
@@ -35,7 +35,7 @@ const ANY_MOTION: MotionPrior = MotionPrior {
     angular_sigma_rad_per_s: 5.0,
 };
 
-/// What stands in the place of something else.
+/// Two electrodes or cells in each other's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Exchange {
@@ -83,7 +83,7 @@ impl Exchange {
         }
     }
 
-    /// What would have been measured without it.
+    /// The photocurrents without the exchange.
     fn undone(&self, photocurrents: &Photocurrents) -> Photocurrents {
         let mut photocurrents = photocurrents.clone();
         match *self {
@@ -98,7 +98,7 @@ impl Exchange {
     }
 }
 
-/// Looks for the exchange that explains what the scene does not. One try a scan, so that none waits.
+/// Searches the exchange that explains scans that the scene does not; one trial a scan, so that none waits.
 #[derive(Debug)]
 pub(super) struct Search {
     hasty: Box<Solver<f64>>,
@@ -150,8 +150,8 @@ impl Search {
         self.found
     }
 
-    /// Takes the next scan; goes one step on in the search.
-    pub(super) fn take(&mut self, photocurrents: &Photocurrents, troubled: bool) {
+    /// Adds the next scan, and goes one step on in the search.
+    pub(super) fn update(&mut self, photocurrents: &Photocurrents, troubled: bool) {
         if let Some(trial) = self.trial {
             return self.go_on(trial);
         }

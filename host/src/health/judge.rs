@@ -5,7 +5,7 @@ use super::window::{Bucket, CellSums};
 use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;
 
-/// Fewer scans tell nothing.
+/// Least number of scans to be judged.
 const LEAST_SCANS: u32 = 32;
 
 /// Cells that a pose needs.
@@ -30,7 +30,7 @@ const LIVELY_STEPS: f64 = 0.5;
 const ALWAYS: f64 = 0.99;
 
 impl Health {
-    /// What the last second tells. Called now and then: it allocates.
+    /// The health over the last second. It allocates: to be called now and then.
     pub fn report(&self) -> HeadHealth {
         let sum = self.window.sum();
         let judged = self.window.is_full() && sum.scans >= LEAST_SCANS;
@@ -118,7 +118,7 @@ impl Health {
         conditions.into_iter().find(|(_, holds)| *holds).map_or(Verdict::Ok, |(verdict, _)| verdict)
     }
 
-    /// Says it in a sentence, unless the exchange is said already or all is well.
+    /// The diagnosis of a cell; `None` if all is well or the exchange has its own.
     fn of_cell(&self, health: &CellHealth, has_pose: bool) -> Option<Diagnosis> {
         let CellHealth { cell, verdict, shares, .. } = *health;
         let percent = |share: f64| 100.0 * share;

@@ -1,12 +1,12 @@
-//! What the scans of a head tell of its optics and wiring, cell by cell, while the tool is followed.
+//! The health of a head, cell by cell, judged from its scans while the tool is followed.
 //!
-//! [`Health`] takes every scan of one board session, together with its photocurrents and solution,
-//! into sums over a second of device time; it allocates nothing. [`HeadHealth`] is what these sums
-//! say: shares, levels, noise, a [`Verdict`] for each cell and, for people, [`Diagnosis`].
+//! [`Health`] adds every scan of one board session, with its photocurrents and solution, to sums over a second of
+//! device time; it allocates nothing. [`HeadHealth`] is judged from these sums: shares, levels, noise, a [`Verdict`]
+//! for each cell and, for people, a [`Diagnosis`] of each fault.
 //!
-//! Nothing is held against a cell that its pose explains: whether it should see light is asked of
-//! the model. A pose says nothing of cells whose plugs or electrodes are exchanged; when most scans
-//! contradict the scene, such exchanges are tried one after another on a few of them.
+//! A cell without light is no fault if the pose explains it: the model says whether the cell should see light. Poses
+//! cannot reveal cells whose plugs or electrodes are exchanged; when most scans contradict the scene, such exchanges
+//! are tried one after another on a few scans.
 
 mod diagnosis;
 mod exchange;
@@ -26,19 +26,19 @@ use slitpose_head::front_end::{self, Settling, Stage};
 use slitpose_head::scene_file::SceneFile;
 use window::{Bucket, Turn, Window};
 
-/// Looks a second, at most, at what the pose says of the cells: the optics of a cell cost more than
-/// everything else here.
+/// Most scans a second whose cells are compared with the model: the optics of a cell cost more than everything else
+/// here.
 const LOOKS_PER_S: f64 = 128.0;
 
-/// A cell is missed where the model gives so many times the faint limit, as the solver has it: near
-/// the limit noise decides.
+/// A cell counts as dark only where the model gives this many times the faint limit, as in the solver: near the limit
+/// noise decides.
 const MISSED_FROM: f64 = 2.0;
 
-/// Buckets of a window are no shorter, and hold no fewer frames.
+/// Least duration and least number of frames of a bucket of the window.
 const BUCKET_S: f64 = 0.25;
 const BUCKET_FRAMES: u64 = 8;
 
-/// Scans kept for the search for exchanges are so far apart that the tool has moved between them.
+/// Time between scans kept for the search for exchanges: the tool has moved in between.
 const SAMPLE_S: f64 = 0.125;
 
 /// Watches the cells of one head over one board session.
@@ -52,18 +52,18 @@ pub struct Health {
     look_every: u64,
     window: Window,
     totals: Vec<CellTotals>,
-    /// Of the first full window.
+    /// The first full window.
     start: Option<Bucket>,
     before: Option<RawScan>,
     taken: u64,
     search: Search,
 }
 
-/// What is known of a cell beforehand.
+/// Properties of a cell from its scene.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     faint_a: f64,
-    /// Of the photocurrent, above dark.
+    /// Of the photocurrent, above dark current.
     saturation_a: f64,
     dark_current_a: f64,
     /// Standard deviation of one dark word by the scene's front end, amperes.
@@ -120,8 +120,8 @@ impl Health {
         })
     }
 
-    /// Takes the next scan, what became of it, and its solution.
-    pub fn take(&mut self, scan: &RawScan, photocurrents: &Photocurrents, solution: &Solution) {
+    /// Adds the next scan, its photocurrents and its solution.
+    pub fn update(&mut self, scan: &RawScan, photocurrents: &Photocurrents, solution: &Solution) {
         if self.window.turn(scan.tick / self.bucket_ticks) == Turn::Next {
             self.turned();
         }
@@ -166,7 +166,7 @@ impl Health {
             sums.still += u32::from(still);
             if let Some(words) = scan.dark().and_then(|dark| dark.get(cell)) {
                 let before = before.as_ref().and_then(|before| before.dark()?.get(cell).copied());
-                sums.dark.take(*words, before);
+                sums.dark.add_words(*words, before);
             }
             if look && let Some(estimate) = &solution.estimate {
                 let response = self.solver.plan().respond(cell, &estimate.pose);
@@ -185,7 +185,7 @@ impl Health {
                 }
             }
         }
-        self.search.take(photocurrents, troubled);
+        self.search.update(photocurrents, troubled);
     }
 
     /// A bucket is full.
@@ -201,7 +201,7 @@ impl Health {
     }
 }
 
-/// Whether the scene does not explain the scan: with one liar, several, or none to be named.
+/// Whether the scene does not explain the scan: one cell or several are outliers, or none can be named.
 fn is_troubled(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Diverged | Outcome::Degraded(Weakness::Misfit | Weakness::CellExcluded))
 }

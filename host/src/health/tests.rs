@@ -70,7 +70,7 @@ fn watched(
         edit(&mut scan);
         let photocurrents = stage.photocurrents(&scan);
         let solution = tracker.track(scan.sequence, &photocurrents).solution;
-        health.take(&scan, &photocurrents, &solution);
+        health.update(&scan, &photocurrents, &solution);
     }
     health.report()
 }
@@ -152,7 +152,7 @@ fn a_rise_of_stray_light_scatters_by_its_sigma() {
         for _ in 0..WORDS {
             let words: [u16; 2] =
                 std::array::from_fn(|_| (mean + noise.sample(&mut rng) + rng.random::<f64>() - 0.5).round() as u16);
-            sums.dark.take(words, before.replace(words));
+            sums.dark.add_words(words, before.replace(words));
         }
         sums
     };

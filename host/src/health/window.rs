@@ -31,8 +31,8 @@ pub(super) struct CellSums {
 
 /// Sums of the dark words of a cell.
 ///
-/// Their noise is told from the differences of successive scans (von Neumann 1941): what changes
-/// slowly is subtracted with the dark words and disturbs nothing.
+/// Their noise is estimated from the differences of successive scans (von Neumann 1941): slow changes are subtracted
+/// with the dark words, and do no harm.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct DarkSums {
     count: u64,
@@ -43,8 +43,8 @@ pub(super) struct DarkSums {
 }
 
 impl DarkSums {
-    /// Takes the words of a scan and of the one before.
-    pub(super) fn take(&mut self, words: WordPair, before: Option<WordPair>) {
+    /// Adds the dark words of a scan; `before` are those of the scan before.
+    pub(super) fn add_words(&mut self, words: WordPair, before: Option<WordPair>) {
         self.count += 1;
         self.words += u64::from(words[0]) + u64::from(words[1]);
         if let Some(before) = before {
@@ -108,14 +108,14 @@ impl Bucket {
     }
 }
 
-/// What a new scan does to the window.
+/// The effect of a new scan on the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     /// It belongs to the bucket under way.
     Same,
     /// The bucket under way is full.
     Next,
-    /// What was is too old, or of a clock that has begun anew.
+    /// The buckets are too old, or of a clock that has restarted.
     Anew,
 }
 
@@ -201,7 +201,7 @@ mod tests {
         for i in 0..8000_u16 {
             // One electrode: 0 and 1 in turn. The other: a slow rise by a thousand.
             let words = [64_000 + i % 2, 1000 + i / 8];
-            sums.take(words, before.replace(words));
+            sums.add_words(words, before.replace(words));
         }
         // Differences of ±1 and, one in eight, of 1.
         assert!((sums.variance().unwrap() - (1.0 + 0.125) / 4.0).abs() < 1e-3, "{sums:?}");

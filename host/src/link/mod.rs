@@ -1,5 +1,4 @@
-//! What crosses between a link to a board and those who read it: what came and when, whose it is, and of
-//! which firmware.
+//! Data of a link: bytes with their instants, the board's number, and its version of the protocol.
 
 mod id;
 mod segment;

@@ -1,9 +1,9 @@
-//! What a link delivered, and when.
+//! Bytes that a link delivered, with their instants.
 
 use crate::clock::HostInstant;
 
-/// Some reads of a link in a row, as they go through pipeline and capture: the bytes as they came,
-/// when each read returned, and the pings sent meanwhile. It is made to be filled again and again.
+/// Consecutive reads of a link, for pipeline and capture: the bytes, when each read returned, and the pings sent
+/// meanwhile. Its memory is reused.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Segment {
     /// The link was opened anew ahead of these bytes, or some are missing in a capture: half a packet
@@ -22,8 +22,8 @@ pub struct Segment {
 pub struct Read {
     /// How many bytes it gave.
     pub bytes: usize,
-    /// When it returned; `None` if the stream does not go at the pace of time, as that of a
-    /// simulated board need not.
+    /// When it returned; `None` if the stream does not run in real time, as that of a
+    /// simulated board may.
     pub at: Option<HostInstant>,
 }
 
@@ -36,8 +36,8 @@ pub struct Asked {
     pub at: HostInstant,
 }
 
-/// Memory that is kept for bytes: what a board at 4 kHz sends in 30 ms, truths included. After a stall
-/// a segment may have grown beyond, and there are many.
+/// Most memory that an empty segment keeps: 30 ms of a board at 4 kHz, truths included. A stall may make many segments
+/// larger.
 const KEPT_BYTES: usize = 1 << 14;
 
 impl Segment {
@@ -46,7 +46,7 @@ impl Segment {
         Self { bytes: Vec::with_capacity(bytes), ..Self::default() }
     }
 
-    /// Empties it and keeps its memory, unless it has grown out of all proportion.
+    /// Empties it and keeps its memory, unless it has grown too large.
     pub fn clear(&mut self) {
         self.opened = false;
         self.bytes.clear();
@@ -55,7 +55,7 @@ impl Segment {
         self.asked.clear();
     }
 
-    /// Whether it says nothing.
+    /// Whether it has neither bytes nor pings.
     pub fn is_empty(&self) -> bool {
         !self.opened && self.bytes.is_empty() && self.asked.is_empty()
     }
@@ -66,7 +66,7 @@ impl Segment {
         self.reads.push(Read { bytes: bytes.len(), at });
     }
 
-    /// Appends what `other` says; a link opened anew begins a segment of its own.
+    /// Appends `other`; a reopened link begins a segment of its own.
     ///
     /// # Panics
     /// If `other` opens the link anew and `self` has bytes already.

@@ -1,4 +1,4 @@
-//! The clocks of the board that is speaking, as its reads and pings tell.
+//! The clock of the connected board against the host's, from reads and pings.
 
 use slitpose_protocol::Pong;
 
@@ -6,13 +6,13 @@ use crate::clock::{ClockFit, HostInstant, HostTime};
 use crate::link::Asked;
 use crate::link::DeviceId;
 
-/// Pings that may wait for their answers: four seconds of them.
+/// Most pings that wait for their answers: four seconds of them.
 const PINGS: usize = 8;
 
 /// Reads, pings and the fit they make.
 #[derive(Debug, Default)]
 pub(super) struct BoardClock {
-    /// When the bytes that are being taken were read.
+    /// When the bytes being decoded were read.
     at: Option<HostInstant>,
     /// The last pings without an answer, the oldest at `next`.
     asked: [Option<Asked>; PINGS],
@@ -22,7 +22,7 @@ pub(super) struct BoardClock {
 }
 
 impl BoardClock {
-    /// The link was opened anew: what was under way is lost, and the board may be another.
+    /// The link was reopened: pings under way are lost, and the board may be another.
     pub(super) fn reopen(&mut self) {
         self.asked = [None; PINGS];
         if let (Some(fit), Some((_, tick_hz))) = (&mut self.fit, self.board) {
@@ -36,17 +36,17 @@ impl BoardClock {
         self.next = (self.next + 1) % PINGS;
     }
 
-    /// What is taken from now on was read at `at`.
+    /// The next bytes were read at `at`.
     pub(super) fn read(&mut self, at: Option<HostInstant>) {
         self.at = at;
     }
 
-    /// When that was.
+    /// When the bytes being decoded were read.
     pub(super) fn at(&self) -> Option<HostInstant> {
         self.at
     }
 
-    /// A board speaks; its times go on as long as it is the same.
+    /// A board has introduced itself; times go on if it is the same board.
     pub(super) fn meet(&mut self, device: DeviceId, tick_hz: u32) {
         match (&mut self.fit, self.board) {
             (Some(_), Some(known)) if known == (device, tick_hz) => return,

@@ -1,4 +1,4 @@
-//! What came through the pipeline and what did not.
+//! Counts of received, solved and lost data.
 
 use slitpose_protocol::{DecoderCounters, Status};
 
@@ -41,7 +41,7 @@ impl Counts {
         self.next_sequence = Some(sequence.wrapping_add(1));
     }
 
-    /// Another board speaks, or the same one about another session: its numbers are its own.
+    /// Begins a new numbering: another board, or another session of the same one.
     pub(super) fn begin_numbering(&mut self) {
         self.next_sequence = None;
     }

@@ -16,7 +16,7 @@ pub enum PipelineError {
     Schema {
         /// The board.
         board: String,
-        /// Of both.
+        /// Both versions.
         versions: Versions,
         /// Which message.
         source: SchemaMismatch,

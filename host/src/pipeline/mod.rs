@@ -1,12 +1,10 @@
-//! The way of the data: bytes → packets → scans → photocurrents → poses.
+//! From bytes to poses: bytes → packets → scans → photocurrents → poses.
 //!
-//! One pipeline serves boards, simulated boards and captures; they differ only in who supplies the
-//! bytes. It does no input and no output: bytes are pushed in, [`Item`]s come out in order. After
-//! the first hello nothing is allocated per scan.
+//! One pipeline serves boards, simulated boards and captures. It does no input and no output: bytes are pushed in,
+//! [`Item`]s come out in order. After the first hello nothing is allocated per scan.
 //!
-//! [`push`](Pipeline::push) and [`feed`](Pipeline::feed) solve what they are given. Who has to keep up
-//! with a board takes it in with [`receive`](Pipeline::receive), which is quick, and chooses which of the
-//! scans that wait is solved next.
+//! [`push`](Pipeline::push) and [`feed`](Pipeline::feed) solve every scan. A caller that must keep up with a board uses
+//! [`receive`](Pipeline::receive), which is quick, and chooses which waiting scan is solved next.
 
 mod board_clock;
 mod counts;
@@ -60,12 +58,12 @@ pub struct Record {
     pub host_time: Option<HostTime>,
     /// When the last byte of its batch had been read.
     pub arrival: Option<HostInstant>,
-    /// What the solver says of this scan alone.
+    /// The solution from this scan alone.
     pub solution: Solution,
     /// Velocity at that instant, from this scan and a few before.
     pub twist: Option<TwistEstimate>,
-    /// Pose and velocity from many scans, if asked for.
-    pub smoothed: Option<Smoothed>,
+    /// Pose and velocity filtered over many scans, if asked for.
+    pub filtered: Option<Smoothed>,
     /// Whether the photocurrents were computed, not measured.
     pub simulated: bool,
     /// Where the tool was at that instant; only simulators know.
@@ -92,7 +90,7 @@ pub enum Item<'a> {
         /// What.
         text: &'a str,
     },
-    /// The stream does what no sound board does.
+    /// Something in the stream that no sound board sends.
     Oddity {
         /// By the board's clock, seconds; NaN if that is not known.
         device_time_s: f64,
@@ -115,7 +113,7 @@ pub enum SceneMatch {
 /// How scans are followed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Following {
-    /// Memory of a filter that tells a pose from many scans, too, seconds.
+    /// Memory of a filter over many scans, seconds; `None` for no filter.
     pub filter_s: Option<f64>,
     /// Whether cells whose light falls on an end of the detector are left out.
     pub without_clipped: bool,
@@ -147,7 +145,7 @@ struct Flow {
     clock_watch: ClockWatch,
     /// No hello has come over the link yet.
     is_opened: bool,
-    /// Whether the session has been told of true poses that it cannot know.
+    /// Whether a board that is not simulated has sent true poses.
     has_false_truth: bool,
     counts: Counts,
 }
@@ -206,9 +204,9 @@ impl Pipeline {
         self
     }
 
-    /// Takes `bytes`, cut anywhere, hands on what they complete, and gives how many were taken: all,
-    /// unless the end has come. Then nothing is taken from the first scan behind the end on. When
-    /// they came is not known: see [`feed`](Self::feed).
+    /// Decodes and solves `bytes`, cut anywhere, and hands on the items that they complete. Gives how many bytes were
+    /// used: all, or those before the first scan behind the [end](Self::until). Their times are not known: see
+    /// [`feed`](Self::feed).
     ///
     /// # Errors
     /// If the board cannot be used with this scene, or `sink` fails. Damaged bytes are no error:
@@ -222,8 +220,8 @@ impl Pipeline {
         self.decode(bytes, Solve::AtOnce, &mut sink)
     }
 
-    /// Takes what a link delivered, as [`push`](Self::push) does, and tells the host's time of each
-    /// scan, as soon as pings have been answered and as far as the reads say when they returned.
+    /// Decodes and solves a segment as [`push`](Self::push) does, and finds the host's time of each scan, once pings
+    /// have been answered and where reads have instants.
     ///
     /// # Errors
     /// As for [`push`](Self::push).
@@ -232,12 +230,11 @@ impl Pipeline {
         segment: &Segment,
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
-        self.take(segment, Solve::AtOnce, &mut sink)
+        self.process(segment, Solve::AtOnce, &mut sink)
     }
 
-    /// Takes what a link delivered as [`feed`](Self::feed) does, but lets the scans wait:
-    /// [`solve_next`](Self::solve_next), [`solve_newest`](Self::solve_newest) and [`skip`](Self::skip)
-    /// are for them.
+    /// Decodes a segment as [`feed`](Self::feed) does, but lets the scans wait for
+    /// [`solve_next`](Self::solve_next), [`solve_newest`](Self::solve_newest) or [`skip`](Self::skip).
     ///
     /// # Errors
     /// As for [`push`](Self::push).
@@ -246,10 +243,10 @@ impl Pipeline {
         segment: &Segment,
         mut sink: impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
-        self.take(segment, Solve::Later, &mut sink)
+        self.process(segment, Solve::Later, &mut sink)
     }
 
-    /// What waits.
+    /// The scans that wait, in numbers.
     pub fn queue(&self) -> Queue {
         self.flow.waiting.queue()
     }
@@ -259,19 +256,19 @@ impl Pipeline {
         self.flow.solve_next()
     }
 
-    /// Solves the newest scan that waits, ahead of its turn: it waits on, and its turn will come. `None` if it
-    /// has been solved ahead already.
+    /// Solves the newest scan that waits, ahead of its turn; it keeps its place in the queue. `None` if it has been
+    /// solved ahead already.
     pub(crate) fn solve_newest(&mut self) -> Option<Record> {
         self.flow.solve_newest()
     }
 
-    /// Gives up to solve the `count` oldest scans that wait, and counts them.
+    /// Drops the `count` oldest scans that wait, unsolved, and counts them.
     pub fn skip(&mut self, count: usize) {
         let skipped = (0..count).map_while(|_| self.flow.waiting.pop()).count();
         self.flow.counts.scans_skipped += skipped as u64;
     }
 
-    fn take<E: From<PipelineError>>(
+    fn process<E: From<PipelineError>>(
         &mut self,
         segment: &Segment,
         solve: Solve,
@@ -318,7 +315,7 @@ impl Pipeline {
             if self.flow.span.is_complete() && matches!(message, Message::Batch(_) | Message::Truth(_)) {
                 return Ok(length - ahead);
             }
-            self.flow.take(&message, sink)?;
+            self.flow.accept(&message, sink)?;
             while solve == Solve::AtOnce
                 && let Some(record) = self.flow.solve_next()
             {
@@ -328,12 +325,12 @@ impl Pipeline {
         Ok(length - bytes.len())
     }
 
-    /// How the head of the board that is speaking is, if it is [watched](Self::watched).
+    /// The health of the head, if it is [watched](Self::watched).
     pub fn health(&self) -> Option<HeadHealth> {
         self.flow.session.as_ref()?.health()
     }
 
-    /// By how many millionths the clock of the board that is speaking is fast, if that is known.
+    /// By how many millionths the board's clock is fast, if known.
     pub fn drift_ppm(&self) -> Option<f64> {
         self.flow.clock.drift_ppm()
     }
@@ -343,17 +340,17 @@ impl Pipeline {
         self.flow.span.elapsed_s()
     }
 
-    /// Whether all has come that shall: see [`until`](Self::until).
+    /// Whether the [end](Self::until) has come.
     pub(crate) fn is_complete(&self) -> bool {
         self.flow.span.is_complete()
     }
 
-    /// The board's latest own account.
+    /// The board's latest status.
     pub(crate) fn board_status(&self) -> Option<&Status> {
         self.flow.counts.board_status.as_ref()
     }
 
-    /// What has come through so far.
+    /// The counts so far.
     pub fn counts(&self) -> Counts {
         let mut counts = self.flow.counts;
         counts.decoder = self.decoder.counters();
@@ -363,7 +360,7 @@ impl Pipeline {
 }
 
 impl Flow {
-    fn take<E: From<PipelineError>>(
+    fn accept<E: From<PipelineError>>(
         &mut self,
         message: &Message<'_>,
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
@@ -409,7 +406,7 @@ impl Flow {
         }
     }
 
-    /// Opens a session, unless it goes on with the one there is; tells if the board has become another one.
+    /// Opens a session, unless the present one goes on; gives an oddity if the board has become another one.
     fn greet(&mut self, hello: &Hello<'_>) -> Result<Option<Oddity>, PipelineError> {
         let is_opened = std::mem::take(&mut self.is_opened);
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
@@ -456,7 +453,7 @@ impl Flow {
             }
             self.counts.count_scan(scan.sequence);
             let frame_ticks = session.schedule().frame_ticks;
-            if let Some(oddity) = self.clock_watch.take(scan.sequence, scan.tick, frame_ticks, session.tick_hz()) {
+            if let Some(oddity) = self.clock_watch.check(scan.sequence, scan.tick, frame_ticks, session.tick_hz()) {
                 sink(Item::Oddity { device_time_s, oddity })?;
             }
             let scan = Scan {
@@ -511,7 +508,7 @@ fn record(session: &Session, scan: &Scan, Tracked { solution, twist, smoothed }:
         arrival: scan.arrival,
         solution,
         twist,
-        smoothed,
+        filtered: smoothed,
         simulated: session.kind() == BoardKind::Simulated,
         truth: scan.truth,
     }

@@ -1,13 +1,13 @@
-//! What a stream does that no sound board does, and what it means for the poses.
+//! Faults in a stream that no sound board shows, and their effect on the poses.
 
 use thiserror::Error;
 
 use crate::link::DeviceId;
 
-/// What a stream does that no sound board does. Poses go on.
+/// A fault in a stream that no sound board shows. Poses go on.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Oddity {
-    /// Number and tick of a scan do not belong together as those of the one before did.
+    /// Number and tick of a scan do not fit those of the scan before.
     #[error(
         "the board's clock jumped by {seconds:+.6} s between the scans {before} and {after}: device times before and \
          after it do not compare; if it comes again, reset the board"
@@ -48,14 +48,14 @@ pub(super) struct ClockWatch {
 }
 
 impl ClockWatch {
-    /// Another link, another configuration, or another board: what was tells nothing of what comes.
+    /// Begins anew: another link, configuration or board.
     pub(super) fn begin_anew(&mut self) {
         self.last = None;
     }
 
-    /// Takes the next scan of a board whose frames last `frame_ticks`. Of many jumps some are told: the first, the
-    /// second, the fourth, the eighth …
-    pub(super) fn take(&mut self, sequence: u64, tick: u64, frame_ticks: u32, tick_hz: f64) -> Option<Oddity> {
+    /// Checks the next scan of a board whose frames last `frame_ticks`. Of many jumps the first, second, fourth, eighth
+    /// … are reported.
+    pub(super) fn check(&mut self, sequence: u64, tick: u64, frame_ticks: u32, tick_hz: f64) -> Option<Oddity> {
         let (before, before_tick) = self.last.replace((sequence, tick))?;
         // One that goes back is that of a board that has started anew.
         let frames = sequence.checked_sub(before)?;
@@ -77,17 +77,17 @@ mod tests {
     #[test]
     fn jumps_of_the_clock_are_told_and_gaps_and_restarts_are_none() {
         let mut watch = ClockWatch::default();
-        let mut take = |sequence, tick| watch.take(sequence, tick, 1000, 1e6);
+        let mut check = |sequence, tick| watch.check(sequence, tick, 1000, 1e6);
         for (sequence, tick) in [(10, 500), (11, 1500), (20, 10_500), (0, 70), (1, 1070), (2, 2500), (3, 3100)] {
-            assert_eq!(take(sequence, tick), None, "{sequence}");
+            assert_eq!(check(sequence, tick), None, "{sequence}");
         }
-        assert_eq!(take(4, 5100), Some(Oddity::ClockJump { seconds: 1e-3, before: 3, after: 4 }));
-        assert_eq!(take(5, 100), Some(Oddity::ClockJump { seconds: -6e-3, before: 4, after: 5 }));
-        assert_eq!(take(6, 1100), None);
+        assert_eq!(check(4, 5100), Some(Oddity::ClockJump { seconds: 1e-3, before: 3, after: 4 }));
+        assert_eq!(check(5, 100), Some(Oddity::ClockJump { seconds: -6e-3, before: 4, after: 5 }));
+        assert_eq!(check(6, 1100), None);
         // The third is not told, the fourth is.
-        assert_eq!(take(7, u64::MAX), None);
-        assert!(matches!(take(8, 0), Some(Oddity::ClockJump { seconds, .. }) if seconds < -1e13));
+        assert_eq!(check(7, u64::MAX), None);
+        assert!(matches!(check(8, 0), Some(Oddity::ClockJump { seconds, .. }) if seconds < -1e13));
         watch.begin_anew();
-        assert_eq!(watch.take(9, 77, 1000, 1e6), None);
+        assert_eq!(watch.check(9, 77, 1000, 1e6), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Solutions by what the solver says.
+//! Counts of solutions by outcome.
 
 use std::mem::discriminant;
 
@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use slitpose_model::{Directions, Outcome, Weakness};
 
-/// Solutions by what the solver says.
+/// Counts of solutions by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Outcomes {
     /// A pose from all cells.
@@ -63,7 +63,7 @@ impl Outcomes {
         Self::kinds().map(|kind| (kind.as_str(), *self.of_kind(&kind)))
     }
 
-    /// Those that were counted since `before`.
+    /// The counts since `before`.
     #[must_use]
     pub fn since(&self, before: &Self) -> Self {
         Self {
@@ -76,17 +76,17 @@ impl Outcomes {
         }
     }
 
-    /// Those with a pose.
+    /// Solutions with a pose.
     pub fn poses(&self) -> u64 {
         self.converged + self.degraded
     }
 
-    /// All.
+    /// All solutions.
     pub fn all(&self) -> u64 {
         self.by_name().iter().map(|(_, count)| count).sum()
     }
 
-    /// Those that there are, with the words for them.
+    /// The outcomes that occurred, as text.
     pub fn words(&self) -> String {
         let there = self.by_name().into_iter().filter(|(_, count)| *count > 0);
         there.map(|(name, count)| format!("{name} {count}")).collect::<Vec<_>>().join(", ")

@@ -9,7 +9,7 @@ use crate::link::{DeviceId, Versions};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 
-/// What a hello opens.
+/// A board under one configuration, opened by its hello.
 #[derive(Debug)]
 pub(super) struct Session {
     number: u64,
@@ -27,10 +27,10 @@ pub(super) struct Session {
     health: Option<Health>,
 }
 
-/// Checks what of `hello` does not depend on the schedule: the protocol, the scaling and the scene.
+/// Checks the parts of `hello` that do not depend on the schedule: protocol, scaling and scene.
 ///
 /// # Errors
-/// If the board speaks otherwise, cannot measure, or belongs to another scene.
+/// If the board has another protocol, cannot measure, or belongs to another scene.
 pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
     let board = || hello.board.to_owned();
     let versions = Versions { board: hello.protocol };
@@ -91,7 +91,7 @@ impl Session {
         })
     }
 
-    /// Whether `hello` says what opened this session, so that it can go on.
+    /// Whether `hello` equals the one that opened this session, which then goes on.
     pub(super) fn is_of(&self, hello: &Hello<'_>) -> bool {
         self.device == DeviceId(hello.device_id)
             && self.configuration == hello.configuration
@@ -146,12 +146,12 @@ impl Session {
             .wrapping_add(self.last_sample_ticks)
     }
 
-    /// Solves the next scan in turn; `watched` if it tells how the head is.
+    /// Solves the next scan in turn; `watched` if it counts for the health of the head.
     pub(super) fn solve(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         let photocurrents = self.stage.photocurrents(scan);
         let tracked = self.tracker.track(scan.sequence, &photocurrents);
         if let Some(health) = self.health.as_mut().filter(|_| watched) {
-            health.take(scan, &photocurrents, &tracked.solution);
+            health.update(scan, &photocurrents, &tracked.solution);
         }
         tracked
     }
@@ -169,12 +169,12 @@ impl Session {
         };
         let tracked = ahead.track(scan.sequence, &photocurrents);
         if let Some(health) = &mut self.health {
-            health.take(scan, &photocurrents, &tracked.solution);
+            health.update(scan, &photocurrents, &tracked.solution);
         }
         tracked
     }
 
-    /// How the head is, if it is watched.
+    /// The health of the head, if it is watched.
     pub(super) fn health(&self) -> Option<HeadHealth> {
         self.health.as_ref().map(Health::report)
     }

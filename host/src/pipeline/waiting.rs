@@ -10,7 +10,7 @@ use crate::clock::{HostInstant, HostTime};
 /// Scans that there is room for from the start: 30 ms of a board at 4 kHz.
 const USUAL: usize = 128;
 
-/// A scan with all that is known of it but its pose.
+/// A scan that is not solved yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
     pub(super) raw: RawScan,
@@ -33,19 +33,19 @@ impl Scan {
     }
 }
 
-/// What waits, in numbers.
+/// The scans that wait, in numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Queue {
     /// Scans that wait.
     pub waiting: usize,
     /// How many of them, from the oldest on, are older than one that was solved ahead of its turn.
     pub passed: usize,
-    /// When the oldest arrived, CLOCK_MONOTONIC, ns; `None` if nothing waits, or if the stream does not go
-    /// at the pace of time.
+    /// When the oldest arrived, CLOCK_MONOTONIC, ns; `None` if nothing waits, or if the stream does not run
+    /// in real time.
     pub oldest_ns: Option<u64>,
 }
 
-/// Scans in the order they were taken in.
+/// Scans in the order of their arrival.
 #[derive(Debug)]
 pub(super) struct Waiting {
     scans: VecDeque<Scan>,
@@ -63,7 +63,7 @@ impl Waiting {
         self.scans.push_back(scan);
     }
 
-    /// Takes the oldest, and tells whether a newer one was solved ahead of it.
+    /// Removes the oldest; also gives whether a newer one was solved ahead of it.
     pub(super) fn pop(&mut self) -> Option<(Scan, bool)> {
         let scan = self.scans.pop_front()?;
         let is_passed = self.passed > 0;

@@ -1,4 +1,4 @@
-//! Where poses go: NDJSON, CSV, or a summary for people.
+//! Outputs for poses: NDJSON, CSV, or a summary for people.
 
 mod csv;
 mod ndjson;
@@ -29,7 +29,7 @@ pub(crate) enum Format {
     None,
 }
 
-/// What there is to say of boards and recording.
+/// The state of boards and recording.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Account {
     /// Each board.
@@ -38,29 +38,29 @@ pub(crate) struct Account {
     pub recorder: RecorderReport,
 }
 
-/// Gives the account as it is now.
+/// Gives the present account.
 pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
 
-/// Something poses are written to.
+/// An output for poses.
 pub(crate) trait Sink {
-    /// Takes the next pose, or why there is none.
+    /// Writes the solution of the next scan.
     ///
     /// # Errors
     /// Those of the output.
     fn pose(&mut self, record: &Record) -> io::Result<()>;
 
-    /// Whether each pose counts, however late it comes.
+    /// Whether each pose must be written, however late.
     fn needs_each(&self) -> bool {
         true
     }
 
-    /// Takes what is not a pose.
+    /// Writes a note.
     ///
     /// # Errors
     /// Those of the output.
     fn note(&mut self, note: &Note) -> io::Result<()>;
 
-    /// Called now and then while nothing may come.
+    /// Flushes or redraws; called now and then, also without poses.
     ///
     /// # Errors
     /// Those of the output.

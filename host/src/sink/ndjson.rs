@@ -36,7 +36,7 @@ struct Line<'a> {
     redundancy: usize,
     /// How well redundancy checked the pose.
     verified: &'static str,
-    /// How far, in σ of the pose, one lying cell can have moved it unnoticed; absent without bound.
+    /// How far, in σ of the pose, one outlier can have moved it unnoticed (external reliability); absent without bound.
     #[serde(skip_serializing_if = "Option::is_none")]
     unnoticed_sigmas: Option<f64>,
     /// Cells that contradict all others.
@@ -94,15 +94,15 @@ struct Filtered {
 }
 
 impl From<Smoothed> for Filtered {
-    fn from(smoothed: Smoothed) -> Self {
-        let Estimate { pose, covariance } = smoothed.estimate;
+    fn from(filtered: Smoothed) -> Self {
+        let Estimate { pose, covariance } = filtered.estimate;
         Self {
             translation_m: pose.translation_m.to_array(),
             rotation_xyzw: pose.rotation.to_array(),
             covariance: Some(flat(&covariance)),
-            twist: smoothed.twist.into(),
-            lag_s: smoothed.lag_s,
-            frames: smoothed.frames,
+            twist: filtered.twist.into(),
+            lag_s: filtered.lag_s,
+            frames: filtered.frames,
         }
     }
 }
@@ -150,7 +150,7 @@ impl<'a> From<&'a Record> for Line<'a> {
             unnoticed_sigmas: Some(solution.unnoticed_sigmas).filter(|sigmas| sigmas.is_finite()),
             excluded_cells: solution.excluded.iter().collect(),
             twist: record.twist.map(Motion::from),
-            filtered: record.smoothed.map(Filtered::from),
+            filtered: record.filtered.map(Filtered::from),
             simulated: record.simulated,
             truth: record.truth.map(TruePose::from),
         }

@@ -1,10 +1,10 @@
-//! What is not a pose, but worth telling whoever reads the poses.
+//! Events in the stream of poses.
 
 use slitpose_protocol::{BoardKind, Hello, Severity};
 
 use crate::link::DeviceId;
 
-/// What is not a pose.
+/// An event in the stream of poses.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Note {
     /// A board introduced itself.
@@ -28,13 +28,13 @@ pub(crate) enum Note {
         severity: Severity,
         /// By the board's clock, seconds.
         device_time_s: f64,
-        /// What.
+        /// What happened.
         text: String,
     },
 }
 
 impl Note {
-    /// That a board introduced itself.
+    /// The note for a hello.
     pub(crate) fn hello(hello: &Hello<'_>) -> Self {
         Self::Hello {
             device: DeviceId(hello.device_id),

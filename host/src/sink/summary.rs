@@ -13,16 +13,16 @@ use crate::telemetry::view;
 use crate::terminal::{self, Line, Tone, WIDTH, layout};
 use slitpose_head::foreign::printable;
 
-/// A person reads no faster.
+/// Period of redrawing: a person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
 
-/// The rate of a recording is that of so long a time, or up to twice.
+/// The rate of a recording is measured over this time, up to twice as long.
 const RATE_OVER: Duration = Duration::from_secs(2);
 
-/// The lines of a pose, and what a low window leaves out of them first.
+/// The lines of a pose, with their ranks in a low window.
 const POSE_LINES: [(&str, u8); 4] = [("position", 0), ("  sigma", 1), ("rotation", 0), ("  sigma", 1)];
 
-/// What was seen of one board.
+/// The last pose of a board, and the accuracy of all.
 struct Seen {
     device: DeviceId,
     last: Record,
@@ -90,7 +90,7 @@ impl<W: Write> Summary<W> {
         lines
     }
 
-    /// How fast the capture grows, of late.
+    /// How fast the capture grows.
     fn bytes_per_s(&mut self, bytes: u64) -> Option<f64> {
         let now = Instant::now();
         let [before, newest] = &mut self.recorded;

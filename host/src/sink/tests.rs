@@ -16,7 +16,7 @@ fn record(host_time: Option<HostTime>) -> Record {
         arrival: None,
         solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
         twist: None,
-        smoothed: None,
+        filtered: None,
         simulated: true,
         truth: None,
     }

@@ -7,10 +7,10 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-/// Where `slitpose status` asks unless told otherwise.
+/// The default address of `slitpose status`.
 pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
 
-/// What a path begins with, to tell it from a host.
+/// Prefix that tells a path from a host.
 const UNIX: &str = "unix:";
 
 /// An address to listen on, or to ask.

@@ -24,7 +24,7 @@ pub(crate) enum FetchError {
     Connect {
         /// The address.
         address: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// The answer broke off, or did not come.
@@ -32,7 +32,7 @@ pub(crate) enum FetchError {
     Broken {
         /// The address.
         address: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Something else listens there.

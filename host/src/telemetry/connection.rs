@@ -11,7 +11,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 use tokio::time::{Sleep, sleep};
 
-/// A connection is closed after this, whatever it does: an answer takes milliseconds.
+/// Every connection is closed after this time: an answer takes milliseconds.
 pub(super) const LIFETIME: Duration = Duration::from_secs(3);
 
 /// Connections at a time; more are closed at once.

@@ -4,19 +4,19 @@ use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses
 use crate::clock::HostInstant;
 use slitpose_head::finding::{Finding, Grade};
 
-/// Reports are made several times a second: one so old comes from a daemon that is stuck.
+/// A report this old comes from a daemon that is stuck: reports are made several times a second.
 const STALE_S: f64 = 3.0;
 
-/// A board that runs and sends no scan for so long is stuck, whatever else it sends.
+/// A board that runs and sends no scan for this long is stuck, even if it sends other messages.
 const NO_SCAN_S: f64 = 3.0;
 
-/// What a system that runs something else for a while can do to a solver that keeps up is over sooner.
+/// A solver that is behind for this long does not keep up: pauses by the system are shorter.
 const BEHIND_S: f64 = 1.0;
 
-/// Poses that are older when they are sent are of no use to a control loop.
+/// Poses this old when they are sent are of no use to a control loop.
 const OLD_S: f64 = 0.25;
 
-/// Packets that arrive damaged within a second, from which on it is no chance: a good link damages none in a day.
+/// This many damaged packets within a second are no chance: a good link damages none in a day.
 const DAMAGED_FROM: u64 = 3;
 
 impl LagReport {

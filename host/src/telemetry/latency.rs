@@ -1,10 +1,10 @@
-//! How long things take, as percentiles.
+//! Percentiles of durations.
 
 use hdrhistogram::Histogram;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// What is told apart: 1 µs to 100 s, to a per cent. Some 30 KiB.
+/// Range of the histogram: 1 µs to 100 s, to a per cent. Some 30 KiB.
 const LEAST_NS: u64 = 1_000;
 const MOST_NS: u64 = 100_000_000_000;
 const DIGITS: u8 = 2;
@@ -92,7 +92,7 @@ impl Default for LatencyHistogram {
 }
 
 impl LatencyHistogram {
-    /// Takes a duration in nanoseconds.
+    /// Adds a duration in nanoseconds.
     pub(crate) fn record_ns(&mut self, duration_ns: u64) {
         self.total.record(duration_ns);
         self.interval.record(duration_ns);
@@ -105,7 +105,7 @@ impl LatencyHistogram {
         (self.interval.sum_ns, self.interval.max_ns) = (0, 0);
     }
 
-    /// What was taken so far.
+    /// The percentiles so far.
     pub(crate) fn latency(&self) -> Latency {
         Latency { total: self.total.percentiles(), recent: self.recent }
     }

@@ -1,7 +1,7 @@
-//! Who lost the scans that are missing.
+//! Where missing scans were lost.
 //!
-//! The numbering shows that scans are missing; the board says how many of them it lost itself, since its
-//! reset, twice a second. What it does not account for was lost on the way.
+//! Gaps in the numbering show missing scans; twice a second the board reports how many it has lost itself since its
+//! reset. The rest was lost on the link.
 
 use slitpose_protocol::Status;
 
@@ -10,9 +10,9 @@ use super::report::BoardLosses;
 /// Follows the board's counters across its resets.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LossBook {
-    /// Lost before the last reset, as far as it concerns us.
+    /// Lost before the last reset, while followed.
     carried: BoardLosses,
-    /// What the counters said when we came, or zero after a reset.
+    /// The counters when following began, or zero after a reset.
     base: BoardLosses,
     last: Option<(u64, BoardLosses)>,
     next_sequence: Option<u64>,
@@ -22,18 +22,18 @@ pub(super) struct LossBook {
 }
 
 impl LossBook {
-    /// Another board speaks from now on: its numbers are its own.
+    /// Begins anew for another board, with its own numbering.
     pub(super) fn begin_numbering(&mut self) {
         self.next_sequence = None;
     }
 
-    /// Takes the number of the next scan. One that goes back is that of a board that was reset.
+    /// Adds the number of the next scan. A number that goes back shows that the board was reset.
     pub(super) fn scan(&mut self, sequence: u64) {
         self.missed += self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected));
         self.next_sequence = Some(sequence.wrapping_add(1));
     }
 
-    /// Takes a status that came behind the scans so far.
+    /// Adds a status that came after the scans so far.
     pub(super) fn status(&mut self, status: &Status) {
         let now = BoardLosses {
             scans_dropped: status.scans_dropped,

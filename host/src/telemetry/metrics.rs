@@ -1,7 +1,7 @@
 //! The status in Prometheus's text format, version 0.0.4.
 //!
-//! Written here rather than by a client library: those keep live metrics of their own and know no
-//! summaries, while here is a finished report with percentiles.
+//! Written without a client library: those keep live metrics of their own and have no summaries, while a finished
+//! report with percentiles is at hand.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::CellHealth;
 
-/// What to tell whoever asks.
+/// The content type of the text.
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 const KELVIN_AT_0_CELSIUS: f64 = 273.15;
@@ -18,7 +18,7 @@ const KELVIN_AT_0_CELSIUS: f64 = 273.15;
 /// Names and values.
 type Labels<'a> = Vec<(&'static str, &'a str)>;
 
-/// A number of a cell, if there is one.
+/// Reads a number of a cell, if there is one.
 type Number = fn(&CellHealth) -> Option<f64>;
 
 /// Families of samples, in the order they are written.
@@ -30,7 +30,7 @@ impl Exposition {
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
     }
 
-    /// A number that is not there is no sample.
+    /// Adds a sample, unless there is no number.
     fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: Option<f64>) {
         let Some(value) = value.filter(|value| value.is_finite()) else {
             return;
@@ -71,7 +71,7 @@ impl Boards<'_> {
         }
     }
 
-    /// One sample for each of several words, too.
+    /// One sample for each board and word.
     fn by<const N: usize>(
         &mut self,
         (name, label): (&str, &'static str),
@@ -133,7 +133,7 @@ impl Boards<'_> {
     }
 }
 
-/// All of a report, as it is `now`.
+/// The whole report, as of `now`.
 pub(crate) fn text(report: &DaemonReport, now: HostInstant) -> String {
     let mut out = Exposition(String::with_capacity(1 << 14));
     out.family("slitpose_build_info", "gauge", "The program and its version.");

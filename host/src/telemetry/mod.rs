@@ -1,8 +1,8 @@
-//! How the daemon, its boards and their heads do: counted, told, and served.
+//! The state of the daemon, its boards and their heads: counted, reported, and served.
 //!
-//! [`BoardStatistics`] takes what comes out of a board's pipeline, scan by scan and without allocating,
-//! and makes a [`BoardReport`] of it a few times a second. A [`DaemonReport`] holds those of all boards.
-//! [`view`] is for people, [`metrics`] for Prometheus, JSON for everybody else; [`StatusServer`] offers
+//! [`BoardStatistics`] counts the items of a board's pipeline, without allocating, and makes a [`BoardReport`] a few
+//! times a second. A [`DaemonReport`] holds those of all boards.
+//! [`view`] is for people, [`metrics`] for Prometheus, JSON for other programs; [`StatusServer`] offers
 //! all three, and [`fetch`] gets them.
 
 mod address;

@@ -1,8 +1,8 @@
-//! Whether a request comes from a program of this host, and not from a page that a browser has open.
+//! Whether a request comes from a program of this host, and not from a page in a browser.
 //!
-//! Anybody's page may let a browser send requests to a port of its own host. A page elsewhere that lets its own name
-//! point here ("DNS rebinding") could even read the answers: its requests carry that name as `Host`. Others carry
-//! where the page is from as `Origin` (RFC 6454, section 7). Programs send neither.
+//! Any page can make a browser send requests to a port of the browser's host. A page whose own name points here ("DNS
+//! rebinding") could even read the answers: its requests carry that name as `Host`. Requests of other pages carry the
+//! page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
 
 use std::net::IpAddr;
 
@@ -11,7 +11,7 @@ use axum::http::header::{HOST, ORIGIN};
 
 use super::server::Reach;
 
-/// Whether these are the headers of a request for us, by us.
+/// Whether these are the headers of a request by a program, to a name of this host.
 pub(super) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
     let mut hosts = headers.get_all(HOST).iter();
     let host = hosts.next().map(|host| host.as_bytes());

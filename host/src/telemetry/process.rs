@@ -1,4 +1,4 @@
-//! What the operating system says of the daemon.
+//! Memory and threads of the daemon, from the operating system.
 
 use std::fs;
 

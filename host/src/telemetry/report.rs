@@ -1,7 +1,7 @@
-//! What there is to know of a daemon and its boards. The names of the fields are an interface: they stay.
+//! The state of a daemon and its boards. The names of the fields are an interface: they stay.
 //!
-//! Counters count since the daemon, or the following of that board, began, and only rise. All else is
-//! of the moment, or of the last interval where it says so.
+//! Counters count since the start of the daemon, or of following that board, and only rise. All other values are
+//! current, or of the last interval where the field says so.
 
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;

@@ -1,6 +1,6 @@
 //! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes.
 //!
-//! The server has a thread of its own and asks for a report when somebody asks it. It has no
+//! The server has a thread of its own, and asks for a report at each request. It has no
 //! authentication: by default it listens for programs of its own host only, and never answers pages in browsers.
 
 use std::fs::{self, Permissions};
@@ -26,7 +26,7 @@ use super::connection::{Door, Socket};
 use super::{DaemonReport, StatusAddress, metrics, origin, view};
 use crate::clock::HostInstant;
 
-/// Owner and group may ask; nobody else.
+/// Owner and group may ask, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
 const TEXT: &str = "text/plain; charset=utf-8";
@@ -37,14 +37,14 @@ const JSON: &str = "application/json";
 pub(crate) enum Reach {
     /// Programs of this host.
     Loopback,
-    /// Everybody who can reach the address: the user has said so.
+    /// Every host that can reach the address: the user allows it.
     Anywhere,
 }
 
 /// Why the status cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum StatusError {
-    /// Others could ask, too.
+    /// Other hosts could ask, too.
     #[error(
         "{address} can be reached from other hosts, and the status server asks for no password; \
          give 127.0.0.1 or [::1], or a unix: path"
@@ -53,7 +53,7 @@ pub(crate) enum StatusError {
         /// The address.
         address: StatusAddress,
     },
-    /// Somebody answers at the socket.
+    /// Another program answers at the socket.
     #[error("another program serves {address}; give another address, or end that program")]
     InUse {
         /// The address.
@@ -65,12 +65,12 @@ pub(crate) enum StatusError {
         /// The path.
         path: PathBuf,
     },
-    /// The address cannot be had.
+    /// The address cannot be bound.
     #[error("cannot listen on {address}")]
     Listen {
         /// The address.
         address: StatusAddress,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -88,10 +88,10 @@ pub(crate) struct StatusServer {
 type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 
 impl StatusServer {
-    /// Serves what `source` says at `address`. A socket that a daemon has left behind is replaced.
+    /// Serves the reports of `source` at `address`. A socket that a daemon has left behind is replaced.
     ///
     /// # Errors
-    /// If the address cannot be had, or has a wider `reach`.
+    /// If the address cannot be bound, or has a wider `reach`.
     pub(crate) fn start(
         address: &StatusAddress,
         reach: Reach,
@@ -145,7 +145,7 @@ impl StatusServer {
         Ok(Self { address, end: Some(end), thread: Some(thread), file })
     }
 
-    /// Where it listens; with the port that the system chose, if it was left to it.
+    /// Where it listens, with the port that the system chose for port 0.
     pub(crate) fn address(&self) -> &StatusAddress {
         &self.address
     }
@@ -166,7 +166,7 @@ impl Drop for StatusServer {
     }
 }
 
-/// Removes a socket at `path` that nobody listens on any more.
+/// Removes a socket at `path` that no program listens on.
 fn make_room(path: &Path, address: &StatusAddress) -> Result<(), StatusError> {
     let listen = |source| StatusError::Listen { address: address.clone(), source };
     match fs::symlink_metadata(path) {

@@ -1,4 +1,4 @@
-//! What becomes of a board's scans, counted.
+//! Counts what happens to a board's scans.
 
 use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
@@ -13,7 +13,7 @@ use crate::health::HeadHealth;
 use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
 
-/// What is called recent is the last full second.
+/// Recent values are of the last full second.
 const INTERVAL_NS: u64 = 1_000_000_000;
 
 /// Accounts for one board, from one pipeline, across all its reconnections.
@@ -87,24 +87,24 @@ impl BoardStatistics {
         }
     }
 
-    /// By how many millionths the board's clock is fast, as soon as that is known.
+    /// Sets by how many millionths the board's clock is fast, once known.
     pub(crate) fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
         self.clock.drift_ppm = drift_ppm;
     }
 
-    /// What the host has not kept so far.
+    /// Sets the losses on the host so far.
     pub(crate) fn set_host_losses(&mut self, host_losses: HostLosses) {
         self.host_losses = host_losses;
     }
 
-    /// How far solving is behind.
+    /// Sets how far solving is behind.
     pub(crate) fn set_lag(&mut self, lag: LagReport) {
         self.lag = lag;
     }
 
-    /// Takes what came out of the pipeline: when the bytes that completed it were read and, of a pose,
-    /// when it had been published; `None` where the stream does not go at the pace of time.
-    pub fn take(&mut self, item: &Item<'_>, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
+    /// Counts an item of the pipeline: when the bytes that completed it were read and, of a pose, when it was
+    /// published; `None` where the stream does not run in real time.
+    pub fn update(&mut self, item: &Item<'_>, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
         match item {
             Item::Hello(hello) => self.take_hello(hello),
             Item::Scan(scan) => {

@@ -62,7 +62,7 @@ fn record(sequence: u64, sampled_ns: u64) -> Record {
             &slitpose_model::MotionPrior::AT_REST,
         ),
         twist: None,
-        smoothed: None,
+        filtered: None,
         simulated: true,
         truth: None,
     }
@@ -76,7 +76,7 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
     for sequence in 0..4000 {
         let sampled_ns = begun.monotonic_ns + sequence * 250_000;
         let later = |ns| Some(HostInstant { monotonic_ns: sampled_ns + ns, utc_ns: 0 });
-        statistics.take(&Item::Pose(&record(sequence, sampled_ns)), later(1_000_000), later(1_020_000));
+        statistics.update(&Item::Pose(&record(sequence, sampled_ns)), later(1_000_000), later(1_020_000));
     }
     let status = Status {
         tick: 1,
@@ -93,9 +93,9 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
         temperature_k: 300.0,
         cpu_load_permille: 130,
     };
-    statistics.take(&Item::Status(&status), None, None);
+    statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
-    statistics.take(&event, None, None);
+    statistics.update(&event, None, None);
     statistics.set_drift_ppm(Some(-12.0));
     let mut counts = Counts::default();
     counts.scans = 4000;

@@ -10,12 +10,12 @@ use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::Finding;
 use slitpose_head::foreign::printable;
 
-/// A name of a board, or of its firmware, that is longer is cut.
+/// Longer names of boards and firmware are cut.
 const LONGEST_NAME: usize = 60;
 
 const KELVIN_AT_0_CELSIUS: f32 = 273.15;
 
-/// All of a daemon, as it is `now`.
+/// The whole state of a daemon, as of `now`.
 pub(crate) fn daemon_lines(report: &DaemonReport, now: HostInstant) -> Vec<String> {
     layout(&daemon(report, now), WIDTH)
 }

@@ -1,4 +1,4 @@
-//! What was drawn in place, and how it is taken away again.
+//! Rows drawn in place, and their removal.
 
 use console::{Term, measure_text_width};
 
@@ -28,7 +28,7 @@ pub(super) struct Block {
 impl Block {
     pub(super) const NONE: Self = Self { rows: 0, widest: 0 };
 
-    /// What to send so that `rows` stand where the block did.
+    /// The characters that replace the block by `rows`.
     ///
     /// Terminals disagree on what becomes of a row that is wider than the window after its user has
     /// changed it: some cut it, some fold it. Then the whole window is cleared, which is right for all.

@@ -14,7 +14,7 @@ const INDENT: usize = 12;
 /// A text that boards or files make longer is cut.
 const LONGEST_TEXT: usize = 800;
 
-/// How good the news are.
+/// How good or bad the news is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Tone {
     /// As it should be, or neither.
@@ -55,7 +55,7 @@ impl From<Grade> for Tone {
     }
 }
 
-/// A name and what there is to say under it.
+/// A name and the text under it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Line {
     name: &'static str,
@@ -68,7 +68,7 @@ pub(crate) struct Line {
 const RANKS: std::ops::RangeInclusive<u8> = 0..=3;
 
 impl Line {
-    /// `text` under `name`; what boards and files say in it is escaped.
+    /// `text` under `name`; control characters in it are escaped.
     pub(crate) fn new(name: &'static str, text: &str) -> Self {
         Self { name, text: printable(text).at_most(LONGEST_TEXT).to_string(), ..Self::default() }
     }
@@ -78,7 +78,7 @@ impl Line {
         Self { rank: *RANKS.end(), ..Self::default() }
     }
 
-    /// Says how good the news are.
+    /// Sets the tone.
     pub(crate) fn tone(&mut self, tone: Tone) -> &mut Self {
         self.tone = tone;
         self

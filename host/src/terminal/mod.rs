@@ -1,8 +1,8 @@
-//! The terminal of the person who gave the command: one place that draws there.
+//! The user's terminal: the only place that draws there.
 //!
 //! A view (the state of boards) and a progress line are drawn anew in place, below everything that
-//! was said before; messages go above them. `line` lays lines out for a window, `block` keeps
-//! account of what stands on the screen, `progress` says how far a long command has come.
+//! messages before; messages go above them. `line` lays lines out for a window, `block` keeps
+//! account of the rows on the screen, `progress` shows how far a long command has come.
 //!
 //! Nothing is drawn in place unless the stream is a terminal that can move its cursor (TERM is set
 //! and not `dumb`). Colours mark what is wrong; NO_COLOR, set to anything, turns them off.
@@ -23,7 +23,7 @@ pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 use block::{Block, Size};
 use slitpose_head::foreign::printable;
 
-/// No message of ours is longer, however long the texts of others in it.
+/// Longer messages are cut: texts of boards or files may make them long.
 const LONGEST_MESSAGE: usize = 4000;
 
 /// Everything that is drawn in place.
@@ -70,7 +70,7 @@ pub(crate) fn columns() -> usize {
     Size::of(&Term::stdout()).columns
 }
 
-/// Takes away what was drawn in place.
+/// Erases the lines drawn in place.
 pub(crate) fn clear() {
     let mut screen = screen();
     (screen.view, screen.progress) = (Vec::new(), None);
@@ -89,7 +89,7 @@ pub(crate) fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Re
     })
 }
 
-/// Says something on standard error, in one line, above what is drawn in place.
+/// Prints a message on standard error, in one line, above what is drawn in place.
 pub(crate) fn say(text: fmt::Arguments<'_>) {
     write_message(Tone::Plain, text);
 }

@@ -4,10 +4,10 @@ use std::time::{Duration, Instant};
 
 use super::{Line, screen};
 
-/// A person reads no faster.
+/// Period of redrawing: a person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
 
-/// Before that an estimate of the rest is worth nothing.
+/// No estimate of the rest is shown before this time.
 const ESTIMATE_AFTER: Duration = Duration::from_secs(1);
 
 /// Characters of the bar.
@@ -75,7 +75,7 @@ impl Progress {
     }
 }
 
-/// Takes the progress line away.
+/// Erases the progress line.
 pub(crate) fn hide() {
     screen().progress(None);
 }

@@ -43,7 +43,7 @@ fn watch(
         edit(number, &mut scan);
         let photocurrents = stage.photocurrents(&scan);
         let solution = tracker.track(scan.sequence, &photocurrents).solution;
-        health.take(&scan, &photocurrents, &solution);
+        health.update(&scan, &photocurrents, &solution);
         if number % (FRAME_RATE / 4) == FRAME_RATE / 4 - 1 {
             take(&health.report());
         }

@@ -72,7 +72,7 @@ fn a_run_without_usable_scans_ends_and_says_why() {
         (Run::start(talkative(81), &["--duration", "10s"]), ["from the board on", "reset the board"]),
         (
             Run::start(misconfigured(82), &["--duration", "10s"]),
-            ["no usable scan for 3 s", "end whatever else speaks to the board"],
+            ["no usable scan for 3 s", "end any other program that speaks to the board"],
         ),
         (
             Run::start(unreadable(83), &["--patience", "1s"]),

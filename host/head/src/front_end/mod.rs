@@ -1,8 +1,8 @@
 //! Between counts and currents: the one place where board and optics meet.
 //!
 //! [`configuration`] turns a scene's lighting and electronics into the schedule a board runs;
-//! [`Settling`] says what a first-order front end makes of light that is switched; [`Stage`] knows
-//! what its noise does to a lit-minus-dark current, and converts scans.
+//! [`Settling`] is the response of a first-order front end to switched light; [`Stage`] has its effect on the noise of a
+//! lit-minus-dark current, and converts scans.
 
 mod noise;
 mod settling;

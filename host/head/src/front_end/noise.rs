@@ -1,4 +1,4 @@
-//! What the front end's noise does to a lit-minus-dark current.
+//! Noise of a lit-minus-dark current behind the front end.
 
 use slitpose_model::{Noise, Scene};
 use slitpose_protocol::{AdcScaling, Schedule};

@@ -1,4 +1,4 @@
-//! What a first-order front end makes of light that is switched on and off.
+//! Response of a first-order front end to light that is switched on and off.
 //!
 //! Light of one cell is on in its slot and off for the rest of the frame, frame after frame. The
 //! output then follows, with a = exp(−T_on/τ) and b = exp(−T_off/τ),

@@ -1,4 +1,4 @@
-//! What can be wrong with a scene file, where, and what to do about it.
+//! Errors in a scene file, with place and next step.
 
 use std::fmt;
 use std::io;
@@ -23,7 +23,7 @@ pub enum SceneFileError {
     Read {
         /// The SCENE argument.
         argument: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// The text is not a usable scene.
@@ -130,7 +130,7 @@ impl fmt::Display for KeyPath {
     }
 }
 
-/// What can be wrong at a place of the file. `text` is always the value as the file writes it.
+/// Errors at a place of the file. `text` is always the value as the file writes it.
 #[derive(Debug, Error)]
 pub enum ContentFault {
     /// A byte that is no text.
@@ -145,7 +145,7 @@ pub enum ContentFault {
         /// What the TOML parser said.
         message: String,
     },
-    /// A key nobody knows.
+    /// An unknown key.
     #[error("unknown key `{}` in {section}; {}", printable(key), suggestion(*nearest, known))]
     UnknownKey {
         /// Where it stands, e.g. `[slit]`.
@@ -236,7 +236,7 @@ pub enum ContentFault {
     Lighting(LightingFault),
 }
 
-/// What can be wrong with the order in which emitters are lit.
+/// Errors in the order in which emitters are lit.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum LightingFault {
     /// An emitter the scene does not have.

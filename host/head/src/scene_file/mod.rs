@@ -37,7 +37,7 @@ pub struct SceneFile {
     pub name: String,
     /// The path or the shipped scene's name, for messages.
     pub origin: String,
-    /// The text of the file, to be stored with whatever was made from it.
+    /// The text of the file, to be stored with results made from it.
     pub source: String,
     /// FNV-1a, 64 bits, of the file's bytes: tells scenes apart in captures and on boards.
     pub hash: u64,

@@ -89,7 +89,7 @@ impl SimulatedBoard {
         self.transmit(bytes);
     }
 
-    /// Appends to `bytes` what the board has to say over its open link: packets as on a wire, with
+    /// Appends to `bytes` the data that the board sends over its open link: packets as on a wire, with
     /// the true pose of each scan ahead of it.
     pub fn transmit(&mut self, bytes: &mut Vec<u8>) {
         self.board.poll(Link::Open);

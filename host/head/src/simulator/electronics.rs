@@ -109,7 +109,7 @@ impl Electronics {
         }
     }
 
-    /// What a code of this front end means.
+    /// Scaling of the codes of this front end.
     pub fn scaling(&self) -> AdcScaling {
         self.scaling
     }

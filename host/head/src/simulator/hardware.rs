@@ -12,7 +12,7 @@ use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan
 use super::electronics::Electronics;
 use super::trajectory::Trajectory;
 
-/// What the sensors of a simulated board say.
+/// The sensors of a simulated board.
 const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_permille: 0 };
 
 /// Emitters, slits, detectors and converters of one head, by arithmetic. Time passes only by

@@ -1,8 +1,8 @@
 //! Tables in and out: CSV with a header row, columns found by name.
 //!
-//! Reading ignores column order and extra columns; every complaint names file, row, column,
+//! Reading ignores column order and extra columns; every error names file, row, column,
 //! the text that stands there and what to do. Numbers are written so that they read back to the
-//! same bits. [`Output`] is where every command's result goes.
+//! same bits. [`Output`] writes the result of every command.
 
 mod current_columns;
 mod output;

@@ -1,4 +1,4 @@
-//! Where a command's result goes: standard output, or a file that appears only when complete.
+//! The result of a command: on standard output, or in a file that appears only when complete.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal, Read, Stdout, Write};
@@ -13,15 +13,15 @@ use crate::foreign::printable_lines;
 use crate::replacement::part_of;
 use crate::{interrupt, special_file};
 
-/// What a capture begins with: MCAP, <https://mcap.dev/spec#magic>.
+/// The magic of captures: MCAP, <https://mcap.dev/spec#magic>.
 pub const CAPTURE_MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// What a result may take the place of.
+/// Which files a result may replace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Replace {
     /// Any file.
     Anything,
-    /// Any file that is no capture: what was measured is not lost to a slip of a name.
+    /// Any file but a capture: a mistyped name must not destroy measurements.
     NoCapture,
     /// No file.
     Nothing,
@@ -59,7 +59,7 @@ pub enum OutputError {
     Create {
         /// The file asked for.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Writing failed on the way.
@@ -67,7 +67,7 @@ pub enum OutputError {
     Write {
         /// The file, or standard output.
         target: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -190,7 +190,7 @@ impl Output {
         }
     }
 
-    /// Whether somebody looks at it as it comes.
+    /// Whether it is standard output on a terminal.
     pub fn is_terminal(&self) -> bool {
         matches!(&self.sink, Sink::Stdout(stdout) if stdout.get_ref().is_terminal())
     }

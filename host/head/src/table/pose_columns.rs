@@ -42,7 +42,7 @@ impl PoseColumns {
         self.components[0]
     }
 
-    /// The row's identifier, whatever it is.
+    /// The row's identifier, of any kind.
     pub fn id<'a>(&self, row: &Row<'a>) -> &'a str {
         row.text(self.id)
     }

@@ -16,7 +16,7 @@ pub enum TableError {
     Open {
         /// The file.
         file: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Reading failed on the way.
@@ -26,7 +26,7 @@ pub enum TableError {
         file: String,
         /// Data rows read before.
         row: u64,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// A file without a header row.

@@ -29,7 +29,7 @@ impl TableWriter {
         Ok(table)
     }
 
-    /// Adds a text field; on a terminal without what the terminal would act on.
+    /// Adds a text field; on a terminal control characters are escaped.
     pub fn text(&mut self, text: &str) -> Result<(), OutputError> {
         let text = if self.is_terminal { printable_lines(text) } else { text.into() };
         let written = self.writer.write_field(&*text);

@@ -13,7 +13,7 @@ use crate::link::Versions;
 use crate::pipeline::PipelineError;
 use slitpose_head::scene_file::SceneFile;
 
-/// As long as a board needs that has been asked by its other port just before.
+/// Time that a board needs if its other port was asked just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// Which board.

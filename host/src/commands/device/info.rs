@@ -1,4 +1,4 @@
-//! `slitpose device info`: all that a board says of itself.
+//! `slitpose device info`: hello and status of a board.
 
 use clap::ValueEnum;
 use serde::Serialize;

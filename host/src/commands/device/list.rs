@@ -50,7 +50,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-/// What to do about ports that could not be asked.
+/// The next step for ports that could not be asked.
 fn hints(listed: &[Listed]) -> Vec<&'static str> {
     let any = |state: fn(PortState) -> bool| listed.iter().any(|it| state(it.state));
     let mut hints = Vec::new();

@@ -1,4 +1,4 @@
-//! Whether scans come over the present link, whatever other messages do.
+//! Notices when a link delivers no scans, although other messages may come.
 
 use std::time::Duration;
 
@@ -6,34 +6,34 @@ use crate::clock::HostInstant;
 use crate::device::Scanless;
 use crate::pipeline::Counts;
 
-/// A board that runs and sends no scan for so long is of no use, whatever else it sends …
+/// A board that runs and sends no scan for this long is of no use, even if it sends other messages …
 const NO_SCANS: Duration = Duration::from_secs(3);
 
-/// … unless it takes scans more rarely: then these many are missing.
+/// … unless its frames are longer: then this many are missing.
 const FRAMES: u32 = 3;
 
-/// What there is to say of the scans of a link.
+/// News of the scans of a link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum News {
     /// The first has come.
     Begun,
-    /// None has come for so many seconds; why, as far as can be told.
+    /// None has come for so many seconds, with the most likely cause.
     Missing(f64, Scanless),
 }
 
 /// Follows the scans of a link by when their bytes were read: a host that is behind makes no scan late.
 #[derive(Debug)]
-pub(super) struct Progress {
+pub(super) struct ScanWatch {
     limit_ns: u64,
     /// When the link was opened or the last scan had come; `None` while no read has told its time.
     since: Option<HostInstant>,
     scans: u64,
     begun: bool,
-    /// What the counters said then.
+    /// The counters at that time.
     counts: Counts,
 }
 
-impl Progress {
+impl ScanWatch {
     /// For a board that takes a frame each `frame`.
     pub(super) fn new(frame: Duration) -> Self {
         let limit = NO_SCANS.max(frame.saturating_mul(FRAMES));
@@ -46,8 +46,8 @@ impl Progress {
         }
     }
 
-    /// Takes what the counters say after bytes that were read at `at`; `opened` if they are the first of a link.
-    pub(super) fn take(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<News> {
+    /// Compares the counters after bytes that were read at `at`; `opened` if they are the first of a link.
+    pub(super) fn update(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<News> {
         let come = counts.scans > self.scans;
         if opened {
             self.begun = false;
@@ -64,7 +64,7 @@ impl Progress {
         if missing_ns < self.limit_ns {
             return None;
         }
-        // Told again if the link goes on as it is.
+        // Reported again if the link stays as it is.
         self.since = Some(at);
         Some(News::Missing(missing_ns as f64 * 1e-9, self.cause(counts)))
     }
@@ -93,43 +93,43 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_instead_of_scans_is_told_after_three_seconds_of_it() {
-        let mut progress = Progress::new(Duration::from_micros(250));
+    fn a_link_without_scans_is_reported_with_its_cause_after_three_seconds() {
+        let mut scan_watch = ScanWatch::new(Duration::from_micros(250));
         let mut counts = Counts::default();
-        assert_eq!(progress.take(true, &counts, at(0.0)), None);
+        assert_eq!(scan_watch.update(true, &counts, at(0.0)), None);
         counts.scans = 4;
-        assert_eq!(progress.take(false, &counts, at(0.1)), Some(News::Begun));
+        assert_eq!(scan_watch.update(false, &counts, at(0.1)), Some(News::Begun));
         counts.scans = 8;
-        assert_eq!(progress.take(false, &counts, at(1.0)), None);
+        assert_eq!(scan_watch.update(false, &counts, at(1.0)), None);
         counts.batches_without_hello = 5;
-        assert_eq!(progress.take(false, &counts, at(3.9)), None);
+        assert_eq!(scan_watch.update(false, &counts, at(3.9)), None);
         let cause = Scanless::Unexplained { batches: 5 };
-        assert_eq!(progress.take(false, &counts, at(4.0)), Some(News::Missing(3.0, cause)));
-        // Another link: nothing of what was before counts.
-        assert_eq!(progress.take(true, &counts, at(5.0)), None);
+        assert_eq!(scan_watch.update(false, &counts, at(4.0)), Some(News::Missing(3.0, cause)));
+        // A new link: earlier counts do not matter.
+        assert_eq!(scan_watch.update(true, &counts, at(5.0)), None);
         counts.decoder.malformed = 7;
         counts.decoder.bad_checksum = 6;
         assert_eq!(
-            progress.take(false, &counts, at(8.0)),
+            scan_watch.update(false, &counts, at(8.0)),
             Some(News::Missing(3.0, Scanless::Unreadable { packets: 7 }))
         );
-        assert_eq!(progress.take(true, &counts, at(9.0)), None);
-        assert_eq!(progress.take(false, &counts, at(12.0)), Some(News::Missing(3.0, Scanless::Nothing)));
+        assert_eq!(scan_watch.update(true, &counts, at(9.0)), None);
+        assert_eq!(scan_watch.update(false, &counts, at(12.0)), Some(News::Missing(3.0, Scanless::Nothing)));
         counts.scans = 9;
-        assert_eq!(progress.take(false, &counts, at(12.1)), Some(News::Begun));
+        assert_eq!(scan_watch.update(false, &counts, at(12.1)), Some(News::Begun));
     }
 
     #[test]
-    fn slow_boards_and_streams_without_time_are_waited_for() {
-        let mut slow = Progress::new(Duration::from_secs(2));
+    fn slow_boards_and_streams_without_time_are_given_longer() {
+        let mut slow = ScanWatch::new(Duration::from_secs(2));
         let counts = Counts::default();
-        assert_eq!(slow.take(true, &counts, at(0.0)), None);
-        assert_eq!(slow.take(false, &counts, at(5.9)), None);
-        assert!(matches!(slow.take(false, &counts, at(6.0)), Some(News::Missing(..))));
-        let mut timeless = Progress::new(Duration::from_micros(250));
-        assert!((0..10).all(|number| timeless.take(number == 0, &counts, None).is_none()));
+        assert_eq!(slow.update(true, &counts, at(0.0)), None);
+        assert_eq!(slow.update(false, &counts, at(5.9)), None);
+        assert!(matches!(slow.update(false, &counts, at(6.0)), Some(News::Missing(..))));
+        let mut timeless = ScanWatch::new(Duration::from_micros(250));
+        assert!((0..10).all(|number| timeless.update(number == 0, &counts, None).is_none()));
         // The first read that tells its time begins it.
-        assert_eq!(timeless.take(false, &counts, at(100.0)), None);
-        assert!(matches!(timeless.take(false, &counts, at(103.0)), Some(News::Missing(..))));
+        assert_eq!(timeless.update(false, &counts, at(100.0)), None);
+        assert!(matches!(timeless.update(false, &counts, at(103.0)), Some(News::Missing(..))));
     }
 }

@@ -1,4 +1,4 @@
-//! Who gets what comes of a board: control loops, the account, the capture, the printer.
+//! The outputs of a board: control loops, statistics, capture, printer.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use slitpose_protocol::{Rejection, Reply, Severity};
 
-use super::circuit::Filler;
-use super::inlet::CaptureInlet;
+use super::buffer_pool::Producer;
+use super::capture_queue::CaptureQueue;
 use crate::clock::HostInstant;
 use crate::datagram::{DatagramServer, Publisher};
 use crate::link::{DeviceId, Segment};
@@ -23,48 +23,48 @@ pub(super) enum Outgoing {
     Note(Note),
 }
 
-/// Poses that go out together at most, and for how long the first may wait for the others: a client that is
-/// woken for each of them costs more than it would cost to solve them.
+/// Most poses that are sent together, and how long the first may wait for the others: to wake a client for each pose
+/// costs more than to solve it.
 const TOGETHER: usize = 8;
 const TOGETHER_NS: u64 = 50_000;
 
 /// Poses in a full outbox: some milliseconds of a board at 4 kHz.
 pub(super) const OUTBOX_POSES: usize = 16;
 
-/// What goes to the printer in one piece.
+/// A chunk for the printer.
 pub(super) type Outbox = Vec<Outgoing>;
 
-/// Who gets what the pipeline gives.
-pub(super) struct Consumers {
+/// The outputs of a pipeline.
+pub(super) struct Outputs {
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) publisher: Option<Publisher>,
     pub(super) statistics: BoardStatistics,
-    pub(super) printer: Option<Filler<Outbox>>,
-    /// Whether each pose has to be printed, however long that takes.
+    pub(super) printer: Option<Producer<Outbox>>,
+    /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
-    pub(super) capture: Option<CaptureInlet>,
+    pub(super) capture: Option<CaptureQueue>,
     outbox: Option<Outbox>,
-    /// Poses that are about to be published, and when the first was there.
+    /// Poses about to be published, and when the first was solved.
     fresh: Vec<Record>,
     fresh_since_ns: u64,
-    /// Notes that wait for the scans ahead of them: how many these are, from the start.
+    /// Notes to be printed behind the scans that came before them, each with the number of these scans.
     notes: VecDeque<(u64, Note)>,
     arrived: u64,
     taken: u64,
     device: Option<DeviceId>,
     /// The last warning or error of the board.
     pub(super) complaint: Option<String>,
-    /// What the board did not want to do.
+    /// The last command that the board refused.
     pub(super) refused: Option<Rejection>,
 }
 
-impl Consumers {
+impl Outputs {
     pub(super) fn new(
         statistics: BoardStatistics,
         datagrams: Option<Arc<DatagramServer>>,
-        printer: Option<Filler<Outbox>>,
+        printer: Option<Producer<Outbox>>,
         prints_all: bool,
-        capture: Option<CaptureInlet>,
+        capture: Option<CaptureQueue>,
     ) -> Self {
         Self {
             datagrams,
@@ -92,8 +92,8 @@ impl Consumers {
         }
     }
 
-    /// Takes what a segment says.
-    pub(super) fn take(&mut self, item: &Item<'_>) {
+    /// Passes on one item of a segment.
+    pub(super) fn accept(&mut self, item: &Item<'_>) {
         let mut read_at = None;
         match item {
             Item::Scan(scan) => {
@@ -122,21 +122,21 @@ impl Consumers {
                 let (device, device_time_s, severity) = (self.device, *device_time_s, Severity::Warning);
                 self.note(|| Note::Event { device, severity, device_time_s, text: oddity.to_string() });
             }
-            // Told when all of the segment is taken: what came is not to be lost.
+            // Reported once the whole segment is processed: its scans are not to be lost.
             Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
             Item::Reply(_) | Item::Status(_) | Item::Pose(_) => {}
         }
-        self.statistics.take(item, read_at, None);
+        self.statistics.update(item, read_at, None);
     }
 
-    /// Keeps what came.
+    /// Records the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
         if let Some(capture) = &mut self.capture {
             capture.keep(segment);
         }
     }
 
-    /// Gives a pose that is newer than all before to those who want new ones, at once or with the next few.
+    /// Publishes a pose newer than all before, at once or with the next few.
     pub(super) fn publish(&mut self, record: &Record, now: HostInstant, is_behind: bool) {
         if self.fresh.is_empty() {
             self.fresh_since_ns = now.monotonic_ns;
@@ -150,7 +150,7 @@ impl Consumers {
         }
     }
 
-    /// Gives away what [`publish`](Self::publish) has kept.
+    /// Sends the poses that [`publish`](Self::publish) has kept.
     pub(super) fn send(&mut self) {
         if self.fresh.is_empty() {
             return;
@@ -160,7 +160,7 @@ impl Consumers {
             self.fresh.iter().for_each(|record| publisher.publish(record, now));
         }
         for record in &self.fresh {
-            self.statistics.take(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
+            self.statistics.update(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
             if let Some(capture) = &mut self.capture {
                 capture.pose(record);
             }
@@ -198,7 +198,7 @@ impl Consumers {
         }
     }
 
-    /// Passes over `count` scans that are not solved.
+    /// Skips `count` scans that are not solved.
     pub(super) fn skip(&mut self, count: usize) {
         self.taken += count as u64;
     }
@@ -218,7 +218,7 @@ impl Consumers {
         }
     }
 
-    /// Hands what is to be printed to the printer.
+    /// Hands poses and notes to the printer.
     pub(super) fn hand_over_outbox(&mut self) {
         if !self.notes.is_empty() && self.can_print() {
             self.print_notes();
@@ -228,14 +228,14 @@ impl Consumers {
         }
     }
 
-    /// Hands what is to be recorded to the recorder.
+    /// Hands the chunk under way to the recorder.
     pub(super) fn hand_over_capture(&mut self) {
         if let Some(capture) = &mut self.capture {
             capture.hand_over();
         }
     }
 
-    /// The same, if it was kept for long.
+    /// The same, if its time is over.
     pub(super) fn hand_over_old_capture(&mut self) {
         if let Some(capture) = &mut self.capture {
             capture.hand_over_old();
