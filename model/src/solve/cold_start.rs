@@ -4,56 +4,31 @@
 //! then those are looked for, the best counts, and where two fit alike there is no pose.
 
 use crate::pose::{Pose, Transform};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::Scalar;
 
-use super::accept::{Fit, is_elsewhere, redundancy};
+use super::accept::{DISTINCT_SIGMAS, Fit, is_elsewhere};
+use super::algebra::square;
+use super::chi2::redundancy;
+use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::minima::{Minima, Seen};
-use super::mirror_images::{IMAGES, image};
+use super::mirror_images::{IMAGES, SOFT_STEPS, UNIQUE_FROM, image};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution};
-use super::outlier::OutlierSearch;
+use super::outlier::{OutlierSearch, exclude};
 use super::readings::Sorted;
-use super::solver::{MAX_ITERATIONS, MotionPrior, Solver};
-use super::starts;
-use super::warm_start::near;
+use super::{observability, starts};
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
 /// 1e-6 and derivatives.
 pub(super) const COLD_WORK: usize = 600;
 
-/// Distance to the minimum that a cold start may leave, in σ of the pose: next to nothing, for noise-free data.
-pub(super) const TOLERANCE_SIGMAS: f64 = 1e-7;
-
-/// Cells below which mirror images are searched for on any head, unless the tool was followed to where
-/// it is. With six lit cells none but the truth keeps all of them lit, if their planes fix a pose.
-pub(super) const UNIQUE_FROM: usize = 6;
-
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
-
-/// Steps of a rough approach before it is given up.
-const APPROACH_ITERATIONS: usize = 20;
 
 /// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
 /// one in 10⁴ honest scans of six cells has more.
 const DOUBTED: f64 = 0.5;
-
-/// Steps along the softest direction, both ways, each twice as long as the one before.
-pub(super) const SOFT_STEPS: usize = 10;
-
-/// The first of them, in radians or its equivalent in translation.
-const SOFT_STEP: f64 = 0.03;
-
-/// When a rough approach ends: it needs no more than its neighbourhood.
-pub(super) fn approaching<S: Scalar>() -> Stopping<S> {
-    Stopping { max_iterations: APPROACH_ITERATIONS, tolerance_sigmas: S::of(1e-2) }
-}
-
-/// When a refinement without a prior ends.
-pub(super) fn closing<S: Scalar>() -> Stopping<S> {
-    Stopping { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(TOLERANCE_SIGMAS) }
-}
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
@@ -120,7 +95,7 @@ enum Try {
     Exclusion {
         late: bool,
     },
-    /// [`Solver::softened`] from the best pose so far.
+    /// [`Compiled::softened`] from the best pose so far.
     Soft(usize),
     /// [`image`] of the best pose so far.
     Image(usize),
@@ -152,7 +127,7 @@ impl Try {
     }
 }
 
-impl<S: Scalar> Solver<S> {
+impl<S: Scalar> Compiled<S> {
     /// Two poses between which the currents of the frame before did not decide, on those of this one;
     /// `None` if these do.
     pub(super) fn still_images(
@@ -166,7 +141,7 @@ impl<S: Scalar> Solver<S> {
         let whiteners = problem.whiteners();
         let mut minima = Minima::new(self.length_scale_m);
         for image in images {
-            let minimum = near(&problem, &whiteners, image, workspace);
+            let minimum = problem.minimise(image, &whiteners, Stopping::near(), workspace);
             minima.add(minimum, self.fit(sorted, &problem, &minimum));
         }
         match minima.places() {
@@ -192,7 +167,7 @@ impl<S: Scalar> Solver<S> {
         let mut iterations = 0;
         if !search.has_begun || !may_have_images {
             // What led nowhere in one frame may lead to it in another.
-            let mut minimum = problem.minimise(on_planes, &whiteners, closing(), workspace);
+            let mut minimum = problem.minimise(on_planes, &whiteners, Stopping::exact(), workspace);
             let gate = self.gates[sorted.usable.len()];
             if minimum.converged && minimum.chi2 <= gate {
                 minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
@@ -207,7 +182,7 @@ impl<S: Scalar> Solver<S> {
             minima.add(minimum, fit);
         }
         for before in search.found.into_iter().flatten().filter(|_| may_have_images) {
-            let minimum = problem.minimise(before, &whiteners, closing(), workspace);
+            let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
             iterations += minimum.iterations;
             minima.add(minimum, self.fit(sorted, problem, &minimum));
         }
@@ -226,6 +201,7 @@ impl<S: Scalar> Solver<S> {
             if next == (Try::Exclusion { late: self.has_images }) && fit == Fit::None {
                 if let Some(solution) = self.without_outlier(sorted, motion, &mut search.outlier, workspace) {
                     search.is_over = true;
+                    let solution = self.unless_image(solution, sorted, motion, workspace);
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
                 if search.outlier.is_paused() {
@@ -249,7 +225,7 @@ impl<S: Scalar> Solver<S> {
             });
             search.next += 1;
             let Some((start, is_rough, before)) = start else { continue };
-            let stopping = if is_rough { approaching() } else { closing() };
+            let stopping = if is_rough { Stopping::rough() } else { Stopping::exact() };
             let mut minimum = if is_rough {
                 problem.minimise(start, &problem.coarse_whiteners(), stopping, workspace)
             } else {
@@ -270,7 +246,7 @@ impl<S: Scalar> Solver<S> {
                 if minimum.converged && minimum.chi2 > self.gates[sorted.usable.len()] && next != Try::Home {
                     continue;
                 }
-                minimum = problem.minimise(minimum.pose, &whiteners, closing(), workspace);
+                minimum = problem.minimise(minimum.pose, &whiteners, Stopping::exact(), workspace);
                 iterations += minimum.iterations;
             }
             minima.add(minimum, self.fit(sorted, problem, &minimum));
@@ -279,6 +255,27 @@ impl<S: Scalar> Solver<S> {
         let solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
         search.found = if solution.outcome == Outcome::Ambiguous { minima.places() } else { [None; 2] };
         Solution { iterations, ..solution }
+    }
+
+    /// The solution without an outlier, after a search for its mirror images on the other cells if the head may have
+    /// some.
+    #[cold]
+    #[inline(never)]
+    fn unless_image(
+        &self,
+        solution: Solution<S>,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        workspace: &mut Workspace<S>,
+    ) -> Solution<S> {
+        let outlier = sorted.usable.iter().position(|reading| solution.excluded.contains(reading.cell));
+        let Some(index) = outlier.filter(|_| self.has_images) else {
+            return solution;
+        };
+        let mut searched = self.search(&sorted.without(index), motion, &mut Search::at_once(), workspace);
+        exclude(&mut searched, sorted.usable[index].cell);
+        searched.iterations += solution.iterations;
+        searched
     }
 
     /// Whether nothing after [`Try`] `next` can change the answer.
@@ -290,15 +287,6 @@ impl<S: Scalar> Solver<S> {
             _ if minima.is_singular() => true,
             _ => minima.are_alike() && minima.cannot_be_beaten() || next >= Try::FURTHER,
         }
-    }
-
-    /// `minimum` moved along the direction that its data hold least: one of [`SOFT_STEPS`].
-    pub(super) fn softened(&self, minimum: &Minimum<S>, index: usize) -> Option<Transform<S>> {
-        let (_, direction) = minimum.factor.as_ref()?.singular()[0];
-        let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
-        let length = S::of(sign * SOFT_STEP * f64::from(1_u32 << (index / 2)));
-        let [shift, turn] = [0, 3].map(|i| <S as Scalar>::Vec3::new(direction[i], direction[i + 1], direction[i + 2]));
-        Some(minimum.pose.moved(shift * (length * self.length_scale_m), turn * length))
     }
 
     /// What to tell of the poses that a search has found.
@@ -349,4 +337,41 @@ fn nothing<S: Scalar>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
 /// Of three cells alone nearly every pose has one, and no search is sure to find it.
 fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0 && sorted.faint.is_empty()
+}
+
+impl<S: Scalar> Problem<'_, S> {
+    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
+    /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
+    /// last expansion is at what is given.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn beyond_kink(
+        &self,
+        minimum: Minimum<S>,
+        whiteners: &Whiteners<S>,
+        doubted: S,
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
+        let Some(factor) = minimum.factor.filter(|_| minimum.chi2 > doubted) else { return minimum };
+        let mut best = minimum;
+        let mut iterations = minimum.iterations;
+        let axes = factor.singular();
+        for sigmas in [DISTINCT_SIGMAS, -DISTINCT_SIGMAS] {
+            for (value, direction) in axes {
+                let far = direction.map(|element| element * (S::of(sigmas) / value));
+                let may_cross =
+                    !observability::is_free(value) && !self.is_smooth(square(&far).square_root(), workspace);
+                if !may_cross || best.chi2 <= doubted || workspace.work == 0 {
+                    continue;
+                }
+                let other = self.minimise(self.moved(&minimum.pose, &far), whiteners, Stopping::exact(), workspace);
+                iterations += other.iterations;
+                if other.converged && other.chi2 < best.chi2 {
+                    best = other;
+                }
+                self.linearise(&best.pose, whiteners, workspace);
+            }
+        }
+        Minimum { iterations, ..best }
+    }
 }

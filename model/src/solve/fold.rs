@@ -10,13 +10,12 @@ use crate::scalar::Scalar;
 
 use super::accept::{DISTINCT_SIGMAS, Fit};
 use super::algebra::square;
-use super::levenberg_marquardt::Minimum;
+use super::compiled::{Compiled, MotionPrior};
+use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::observability;
 use super::outcome::Solution;
 use super::readings::Sorted;
-use super::solver::{MotionPrior, Solver};
-use super::warm_start::near;
 
 /// How far the currents are probed along the direction they hold least, in σ of the pose there.
 const PROBE_SIGMAS: f64 = 2.0;
@@ -32,7 +31,7 @@ const FAR_SIGMAS: f64 = 60.0;
 /// of condition numbers, which is large near a fold.
 const INVERSE_STEPS: usize = 3;
 
-impl<S: Scalar> Solver<S> {
+impl<S: Scalar> Compiled<S> {
     /// Whether a solution without redundancy has a near twin of which `is_expected` holds, too.
     pub(super) fn has_twin(
         &self,
@@ -90,7 +89,7 @@ impl<S: Scalar> Solver<S> {
         if distance.abs() <= S::of(DISTINCT_SIGMAS) {
             return Some(twin);
         }
-        let twin = near(&problem, &whiteners, twin, workspace);
+        let twin = problem.minimise(twin, &whiteners, Stopping::near(), workspace);
         let own = Minimum { pose, chi2: solution.chi2, factor: solution.factor, iterations: 0, converged: true };
         let [own, its] = [&own, &twin].map(|minimum| self.fit(sorted, &problem, minimum));
         let is_another =

@@ -7,12 +7,8 @@
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
-use super::accept::DISTINCT_SIGMAS;
-use super::algebra::{Factor, Matrix6, Vector6, square};
-use super::cold_start::closing;
-use super::levenberg_marquardt::Minimum;
+use super::algebra::{Factor, Matrix6, Vector6};
 use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
-use super::observability;
 
 /// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
 pub(super) const NEAR: f64 = 400.0;
@@ -88,40 +84,5 @@ impl<S: Scalar> Problem<'_, S> {
         let nearer = self.moved(pose, &between);
         let there = self.linearise(&nearer, whiteners, workspace);
         if there.chi2 < at.chi2 { Astride::Lower(nearer, there) } else { Astride::Nothing }
-    }
-
-    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
-    /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
-    /// last expansion is at what is given.
-    #[cold]
-    #[inline(never)]
-    pub(super) fn beyond_kink(
-        &self,
-        minimum: Minimum<S>,
-        whiteners: &Whiteners<S>,
-        doubted: S,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
-        let Some(factor) = minimum.factor.filter(|_| minimum.chi2 > doubted) else { return minimum };
-        let mut best = minimum;
-        let mut iterations = minimum.iterations;
-        let axes = factor.singular();
-        for sigmas in [DISTINCT_SIGMAS, -DISTINCT_SIGMAS] {
-            for (value, direction) in axes {
-                let far = direction.map(|element| element * (S::of(sigmas) / value));
-                let may_cross =
-                    !observability::is_free(value) && !self.is_smooth(square(&far).square_root(), workspace);
-                if !may_cross || best.chi2 <= doubted || workspace.work == 0 {
-                    continue;
-                }
-                let other = self.minimise(self.moved(&minimum.pose, &far), whiteners, closing(), workspace);
-                iterations += other.iterations;
-                if other.converged && other.chi2 < best.chi2 {
-                    best = other;
-                }
-                self.linearise(&best.pose, whiteners, workspace);
-            }
-        }
-        Minimum { iterations, ..best }
     }
 }

@@ -13,7 +13,6 @@ use crate::scalar::{Linear3, Scalar};
 use super::algebra::{Factor, Vector6, square};
 use super::kink::{Astride, NEAR};
 use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
-use super::planes::PlaneCell;
 use super::step::Step;
 
 /// First damping after a step that failed, relative to the diagonal.
@@ -45,6 +44,33 @@ pub(super) struct Stopping<S> {
     pub(super) tolerance_sigmas: S,
 }
 
+/// Steps of a minimisation before it is given up.
+const MAX_ITERATIONS: usize = 40;
+
+/// Steps of a rough approach before it is given up.
+const ROUGH_ITERATIONS: usize = 20;
+
+/// Evaluations within which a minimum near the expected pose is reached, unless the tool jumped.
+const QUICK: usize = 6;
+
+impl<S: Scalar> Stopping<S> {
+    /// Next to the minimum, so that noise-free data give the pose itself.
+    pub(super) fn exact() -> Self {
+        Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(1e-7) }
+    }
+
+    /// As near as noise makes worth while: the bound on the distance is tens of times too cautious, so that a
+    /// fiftieth of σ remains in the median.
+    pub(super) fn near() -> Self {
+        Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(0.8) }
+    }
+
+    /// In the neighbourhood of a minimum, with coarse weights.
+    pub(super) fn rough() -> Self {
+        Self { max_iterations: ROUGH_ITERATIONS, tolerance_sigmas: S::of(1e-2) }
+    }
+}
+
 /// Where a minimisation ended.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Minimum<S: Scalar> {
@@ -54,14 +80,6 @@ pub(super) struct Minimum<S: Scalar> {
     pub(super) factor: Option<Factor<S>>,
     pub(super) iterations: usize,
     pub(super) converged: bool,
-}
-
-/// Relative change of a head's Jacobian per unit of a scaled step: it changes over the distance between emitter and
-/// slit, or slit and detector, whichever is less. Over 3000 random poses and directions the change is 0.18 of this
-/// in the mean and 0.32 at most for the scene `wide`, 0.33 and 0.90 for `base`.
-pub(super) fn jacobian_change_rate<S: Scalar>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
-    let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
-    S::of(8.0) * length_scale_m / shortest.max(S::of(1e-3) * length_scale_m)
 }
 
 /// How far a step leads.
@@ -184,6 +202,20 @@ impl<S: Scalar> Problem<'_, S> {
         // Damping is no information: along directions that the data hardly hold it would be most of it.
         let factor = self.factor(&at, workspace);
         Minimum { pose, chi2: at.chi2, factor, iterations, converged }
+    }
+
+    /// The minimum near `start`, where the tool is expected; given up after a few evaluations.
+    pub(super) fn minimise_quickly(
+        &self,
+        start: Transform<S>,
+        whiteners: &Whiteners<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
+        let held_back = workspace.work.saturating_sub(QUICK);
+        workspace.work -= held_back;
+        let minimum = self.minimise(start, whiteners, Stopping::near(), workspace);
+        workspace.work += held_back;
+        minimum
     }
 
     /// How far the step number `iterations` leads from where the normal equations are `at`.

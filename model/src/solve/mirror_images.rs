@@ -12,13 +12,23 @@ use crate::scalar::{Linear3, Scalar};
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Factor, Matrix6};
-use super::cold_start::{SOFT_STEPS, UNIQUE_FROM, approaching};
+use super::compiled::{Compiled, MotionPrior};
+use super::levenberg_marquardt::{Minimum, Stopping};
 use super::minima::are_distinct;
 use super::normal_equations::Workspace;
 use super::planes::{PlaneCell, settle};
 use super::readings::{Photocurrents, Sorted, Usable};
-use super::solver::{MotionPrior, Solver};
 use super::starts;
+
+/// Cells below which mirror images are searched for on any head, unless the tool was followed to where
+/// it is. With six lit cells none but the truth keeps all of them lit, if their planes fix a pose.
+pub(super) const UNIQUE_FROM: usize = 6;
+
+/// Steps along the softest direction, both ways, each twice as long as the one before.
+pub(super) const SOFT_STEPS: usize = 10;
+
+/// The first of them, in radians or its equivalent in translation.
+const SOFT_STEP: f64 = 0.03;
 
 /// Least singular value of the planes' derivatives at which they fix a pose: directions of planes and
 /// turns are counted in units of one, so that a head of six cells has some 1.4 if its planes are spread
@@ -43,7 +53,16 @@ const PATTERNS: usize = 7;
 /// Most images that [`images`] gives: of two sets of three emitters.
 pub(super) const IMAGES: usize = 2 * PATTERNS;
 
-impl<S: Scalar> Solver<S> {
+impl<S: Scalar> Compiled<S> {
+    /// `minimum` moved along the direction that its data hold least: one of [`SOFT_STEPS`].
+    pub(super) fn softened(&self, minimum: &Minimum<S>, index: usize) -> Option<Transform<S>> {
+        let (_, direction) = minimum.factor.as_ref()?.singular()[0];
+        let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let length = S::of(sign * SOFT_STEP * f64::from(1_u32 << (index / 2)));
+        let [shift, turn] = [0, 3].map(|i| <S as Scalar>::Vec3::new(direction[i], direction[i + 1], direction[i + 2]));
+        Some(minimum.pose.moved(shift * (length * self.length_scale_m), turn * length))
+    }
+
     /// Whether there are images of poses over the reach of the head with as many cells lit as tell a
     /// pose apart from images, if the planes fix it.
     pub(super) fn may_have_images(&self) -> bool {
@@ -83,13 +102,13 @@ impl<S: Scalar> Solver<S> {
     fn has_image_near(&self, sorted: &Sorted<S>, pose: &Transform<S>) -> bool {
         let problem = self.problem(sorted, &MotionPrior::AT_REST);
         let (whiteners, workspace) = (problem.whiteners(), &mut Workspace::new());
-        let here = problem.minimise(*pose, &whiteners, approaching(), workspace);
+        let here = problem.minimise(*pose, &whiteners, Stopping::rough(), workspace);
         (0..SOFT_STEPS)
             .map(|index| self.softened(&here, index))
             .chain((0..IMAGES).map(|index| image(&self.planes, &sorted.usable, pose, self.length_scale_m, index)))
             .flatten()
             .any(|start| {
-                let there = problem.minimise(start, &whiteners, approaching(), workspace);
+                let there = problem.minimise(start, &whiteners, Stopping::rough(), workspace);
                 there.converged && there.chi2 < S::of(NEAR) && are_distinct(&here, &there, self.length_scale_m)
             })
     }

@@ -5,20 +5,23 @@
 //! | readings that count | [`readings`] | limits of light and saturation |
 //! | first pose | [`planes`] | Gauss–Newton on the planes that the positions of the light give |
 //! | weights | [`weights`] | covariance of a cell's two currents |
-//! | linearised problem | [`normal_equations`], [`twist`], [`step`] | least squares, Schur complement, Cholesky or QR |
+//! | linearised problem | [`residuals`], [`normal_equations`], [`twist`], [`step`] | least squares, Schur complement, Cholesky or QR |
 //! | minimum | [`levenberg_marquardt`], [`kink`] | damped Gauss–Newton, minima where derivatives jump |
 //! | one cell against all others | [`outlier`] | leave one out |
-//! | is it the pose? | [`accept`], [`observability`] | χ² gate, singular values, external reliability |
+//! | is it the pose? | [`accept`], [`chi2`], [`observability`] | χ² gate, singular values, external reliability |
 //! | other poses with such currents | [`mirror_images`], [`fold`], [`minima`] | reflections, double points |
 //! | nothing known | [`cold_start`], [`starts`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
 //!
-//! [`solver`] is the interface, [`outcome`] the answer, [`algebra`] the 6 × 6 linear algebra.
+//! [`solver`] is the interface, [`compiled`] a scene made ready, [`outcome`] the answer, [`algebra`] the 6 × 6 linear
+//! algebra.
 
 mod accept;
 mod algebra;
+mod chi2;
 mod cold_start;
+mod compiled;
 mod filter;
 mod fold;
 mod kink;
@@ -31,6 +34,7 @@ mod outcome;
 mod outlier;
 mod planes;
 mod readings;
+mod residuals;
 mod solver;
 mod starts;
 mod step;
@@ -39,8 +43,9 @@ mod twist;
 mod warm_start;
 mod weights;
 
+pub use compiled::MotionPrior;
 pub use filter::{Smoothed, TwistEstimate};
 pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Verified, Weakness};
 pub use readings::{Photocurrents, Reading};
-pub use solver::{MotionPrior, Solver, Start};
+pub use solver::{Solver, Start};
 pub use tracker::{Tracked, Tracker};

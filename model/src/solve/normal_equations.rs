@@ -19,7 +19,8 @@ use crate::scene::MAX_CELLS;
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
 use super::planes::PlaneCell;
 use super::readings::Usable;
-use super::twist::{Elimination, Motion, ResidualSums};
+use super::residuals::{ResidualSums, Row};
+use super::twist::{Elimination, Motion, add_moments};
 use super::weights::{CellNoise, Whitener};
 
 /// Distance from a guiding plane that counts as one σ.
@@ -44,13 +45,6 @@ pub(super) struct Problem<'a, S: Scalar> {
 
 /// One whitening per usable reading.
 pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
-
-/// One whitened residual and its derivatives by the scaled pose.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Row<S> {
-    pub(super) by_pose: Vector6<S>,
-    pub(super) residual: S,
-}
 
 /// Memory and budget of the minimisations of one frame: the rows of the last linearisation, with the residuals
 /// of the last evaluation.
@@ -233,13 +227,13 @@ impl<S: Scalar> Problem<'_, S> {
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
                 if !is_twist_known {
-                    self.add_twist(twist_moments, reading, &rows);
+                    add_moments(twist_moments, self.share(reading), &rows);
                 }
                 if !terms.status.has_spot() {
                     let guide = self.guide(reading, pose);
                     add_outer(&mut information, [&guide.by_pose], [&guide.by_pose]);
                     if !is_twist_known {
-                        self.add_twist(twist_moments, reading, &[guide]);
+                        add_moments(twist_moments, self.share(reading), &[guide]);
                     }
                     // A plane beyond the most that guide is not missed.
                     let _ = plane_rows.try_push((index, guide));
@@ -253,9 +247,9 @@ impl<S: Scalar> Problem<'_, S> {
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
         workspace.elimination = None;
         if !is_twist_known {
-            workspace.elimination = self.elimination(&mut workspace.twist_moments);
+            workspace.elimination = Elimination::of(&self.motion, &mut workspace.twist_moments);
             if let Some(elimination) = &workspace.elimination {
-                elimination.reduce(&mut normal, &sums);
+                (normal.chi2, normal.gradient) = elimination.reduce(&mut normal.information, &sums);
             }
         }
         normal

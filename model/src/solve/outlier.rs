@@ -4,13 +4,11 @@ use crate::pose::Transform;
 use crate::scalar::Scalar;
 
 use super::accept::Fit;
-use super::cold_start::{Search, approaching, closing};
-use super::levenberg_marquardt::Minimum;
+use super::compiled::{Compiled, MotionPrior};
+use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution, Weakness};
 use super::readings::Sorted;
-use super::solver::{MotionPrior, Solver};
-use super::warm_start::quickly;
 
 /// Cells that must be left to tell which one is the outlier: with four, two redundancies fit too much.
 const MIN_CELLS: usize = 5;
@@ -26,7 +24,7 @@ const PROMISED_GATES: f64 = 4.0;
 /// Evaluations without which leaving out one more cell is not begun.
 const LEAST_WORK: usize = 8;
 
-/// How far the search for an outlier has come: see [`Solver::without_outlier`].
+/// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OutlierSearch<S: Scalar> {
     /// The next reading to be left out.
@@ -52,7 +50,7 @@ impl<S: Scalar> OutlierSearch<S> {
     }
 }
 
-impl<S: Scalar> Solver<S> {
+impl<S: Scalar> Compiled<S> {
     /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit: from
     /// the planes of the others. Goes on with `search`, and stops where that is paused.
     pub(super) fn without_outlier(
@@ -75,14 +73,14 @@ impl<S: Scalar> Solver<S> {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
             let start = self.on_planes(&others);
-            let approach = problem.minimise(start, &problem.coarse_whiteners(), approaching(), workspace);
+            let approach = problem.minimise(start, &problem.coarse_whiteners(), Stopping::rough(), workspace);
             iterations += approach.iterations;
             // Rough weights are nowhere larger than the true ones, and neither is χ² by them.
             if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(OUTLIER_THRESHOLD)) {
                 search.runner_up = search.runner_up.min(approach.chi2);
                 continue;
             }
-            let minimum = problem.minimise(approach.pose, &problem.whiteners(), closing(), workspace);
+            let minimum = problem.minimise(approach.pose, &problem.whiteners(), Stopping::exact(), workspace);
             iterations += minimum.iterations;
             if !minimum.converged {
                 continue;
@@ -103,16 +101,11 @@ impl<S: Scalar> Solver<S> {
         if search.is_stale {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            found = problem.minimise(found.pose, &problem.whiteners(), closing(), workspace);
+            found = problem.minimise(found.pose, &problem.whiteners(), Stopping::exact(), workspace);
         }
         let mut solution = self.unless_alone(sorted, motion, index, &found, search.runner_up, workspace)?;
-        iterations += solution.iterations;
-        if self.has_images && solution.excluded.contains(cell) {
-            solution = self.search(&sorted.without(index), motion, &mut Search::at_once(), workspace);
-            exclude(&mut solution, cell);
-            iterations += solution.iterations;
-        }
-        Some(Solution { iterations, ..solution })
+        solution.iterations += iterations;
+        Some(solution)
     }
 
     /// The pose near `start` of all cells but one, if leaving out that one, and no other, makes the data
@@ -144,7 +137,7 @@ impl<S: Scalar> Solver<S> {
             let (index, _) = ranked.filter(|(_, chi2)| promised(*chi2))?;
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let minimum = quickly(&problem, &problem.whiteners(), start, workspace);
+            let minimum = problem.minimise_quickly(start, &problem.whiteners(), workspace);
             minimum.converged.then_some((index, minimum))
         });
         if let [Some((_, first)), Some((_, second))] = &tried
@@ -179,7 +172,7 @@ impl<S: Scalar> Solver<S> {
         let others = sorted.without(index);
         let problem = self.problem(&others, motion);
         let whiteners = problem.whiteners();
-        let minimum = quickly(&problem, &whiteners, start, workspace);
+        let minimum = problem.minimise_quickly(start, &whiteners, workspace);
         let fit = self.fit(&others, &problem, &minimum);
         if fit == Fit::None {
             return None;
@@ -188,7 +181,7 @@ impl<S: Scalar> Solver<S> {
         let all = self.problem(sorted, motion);
         let whiteners = all.whiteners();
         if self.may_agree(sorted, &all, &whiteners, minimum.pose, workspace) {
-            let together = quickly(&all, &whiteners, minimum.pose, workspace);
+            let together = all.minimise_quickly(minimum.pose, &whiteners, workspace);
             let fit = self.fit(sorted, &all, &together);
             if fit != Fit::None {
                 solution = self.conclude_near(sorted, &all, &whiteners, &together, workspace, fit);
@@ -218,7 +211,7 @@ impl<S: Scalar> Solver<S> {
         let mut together = *found;
         if self.may_agree(sorted, &all, &whiteners, found.pose, workspace) {
             // Honest cells may have been led astray by their planes: with a good start they agree.
-            together = all.minimise(found.pose, &whiteners, closing(), workspace);
+            together = all.minimise(found.pose, &whiteners, Stopping::exact(), workspace);
             iterations = together.iterations;
             fit = self.fit(sorted, &all, &together);
         }
@@ -257,7 +250,7 @@ impl<S: Scalar> Solver<S> {
     }
 }
 
-fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
+pub(super) fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
     solution.excluded.insert(cell);
     if solution.outcome.has_pose() {
         solution.outcome = Outcome::Degraded(Weakness::CellExcluded);

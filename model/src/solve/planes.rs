@@ -188,3 +188,11 @@ pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
     }
     pose
 }
+
+/// Relative change of a head's Jacobian per unit of a scaled step: it changes over the distance between emitter and
+/// slit, or slit and detector, whichever is less. Over 3000 random poses and directions the change is 0.18 of this
+/// in the mean and 0.32 at most for the scene `wide`, 0.33 and 0.90 for `base`.
+pub(super) fn jacobian_change_rate<S: Scalar>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
+    let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
+    S::of(8.0) * length_scale_m / shortest.max(S::of(1e-3) * length_scale_m)
+}

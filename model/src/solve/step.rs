@@ -7,8 +7,9 @@
 use crate::scalar::Scalar;
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
-use super::normal_equations::{NormalEquations, Problem, Row, Workspace};
-use super::twist::ResidualSums;
+use super::normal_equations::{NormalEquations, Problem, Workspace};
+use super::residuals::{ResidualSums, Row};
+use super::twist::{Elimination, add_moments};
 
 /// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
 const MOST_MAGNIFICATION: f64 = 10.0;
@@ -112,14 +113,14 @@ impl<S: Scalar> Problem<'_, S> {
             let reading = &self.readings[reading];
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
-                self.add_twist(&mut moments, reading, &[*row]);
+                add_moments(&mut moments, self.share(reading), &[*row]);
             }
             sums.add(rows, self.share(reading));
         }
         mirror(&mut information);
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        if let Some(elimination) = self.elimination(&mut moments) {
-            elimination.reduce(&mut normal, &sums);
+        if let Some(elimination) = Elimination::of(&self.motion, &mut moments) {
+            (normal.chi2, normal.gradient) = elimination.reduce(&mut normal.information, &sums);
         }
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
         let factor = Factor::of_matrix(&normal.information, S::zero(), safe)?;

@@ -17,11 +17,12 @@ use crate::pose::{Pose, Transform, Twist};
 use crate::scalar::Scalar;
 
 use super::cold_start::{COLD_WORK, Search};
+use super::compiled::MotionPrior;
 use super::filter::{FadingFilter, Prediction, Smoothed, TwistEstimate};
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution, Weakness};
 use super::readings::{Photocurrents, Sorted};
-use super::solver::{MotionPrior, Solver};
+use super::solver::Solver;
 
 /// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to a pose's, short enough for the bends of a fast hand.
@@ -160,7 +161,7 @@ impl<S: Scalar> Tracker<S> {
             return Tracked { solution, twist: None, smoothed: None };
         };
         let solver = &self.solver;
-        let squared_sigmas = |dt, dr| solver.squared_sigmas(&solution, dt, dr);
+        let squared_sigmas = |dt, dr| solver.compiled.squared_sigmas(&solution, dt, dr);
         self.motion.update(&estimate.pose, &estimate.covariance, squared_sigmas);
         if let Some(filter) = &mut self.filter {
             filter.update(&estimate.pose, &estimate.covariance, squared_sigmas);
@@ -200,8 +201,8 @@ impl<S: Scalar> Tracker<S> {
     }
 
     fn solve(&mut self, readings: &Photocurrents) -> Solution<S> {
-        let sorted = Sorted::of(readings, &self.solver.limits);
-        if let Some(solution) = self.solver.too_few(&sorted) {
+        let sorted = Sorted::of(readings, &self.solver.compiled.limits);
+        if let Some(solution) = self.solver.compiled.too_few(&sorted) {
             return solution;
         }
         let workspace = &mut Workspace::with_work(FRAME_WORK);
@@ -218,7 +219,8 @@ impl<S: Scalar> Tracker<S> {
     /// The pose near the expected one; else wherever it is.
     fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction, workspace: &mut Workspace<S>) -> Solution<S> {
         let start = Transform::of(&expected.pose);
-        let mut solution = self.solver.follow(sorted, &self.motion_prior(expected), start, self.left_out, workspace);
+        let mut solution =
+            self.solver.compiled.follow(sorted, &self.motion_prior(expected), start, self.left_out, workspace);
         // While the motion is not known yet, any is as expected.
         let is_expected = solution
             .estimate
@@ -226,7 +228,7 @@ impl<S: Scalar> Tracker<S> {
         if is_expected && !is_misfit(&solution) {
             let motion = self.motion_prior(expected);
             let is_expected = |twin: &Pose| self.is_near(twin, &solution, expected);
-            if self.solver.has_twin(sorted, &motion, &solution, is_expected, workspace) {
+            if self.solver.compiled.has_twin(sorted, &motion, &solution, is_expected, workspace) {
                 solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
             }
             return solution;
@@ -241,7 +243,7 @@ impl<S: Scalar> Tracker<S> {
             self.forget();
             self.last_twist = expected.twist;
             let before = solution.iterations;
-            solution = self.solver.follow(sorted, &unknown, start, self.left_out, workspace);
+            solution = self.solver.compiled.follow(sorted, &unknown, start, self.left_out, workspace);
             solution.iterations += before;
             let is_within_reach = |pose: &Pose| {
                 let (dt, dr) = pose.displacement_from(&expected.pose);
@@ -250,7 +252,7 @@ impl<S: Scalar> Tracker<S> {
             let is_believed = solution.estimate.is_some_and(|estimate| {
                 solution.redundancy > 0
                     || is_within_reach(&estimate.pose)
-                        && !self.solver.has_twin(sorted, &unknown, &solution, is_within_reach, workspace)
+                        && !self.solver.compiled.has_twin(sorted, &unknown, &solution, is_within_reach, workspace)
             });
             if !is_misfit(&solution) && is_believed {
                 return solution;
@@ -272,7 +274,7 @@ impl<S: Scalar> Tracker<S> {
     /// Whether `pose` is where the tool would be if it went on as before, in σ of `solution`.
     fn is_near(&self, pose: &Pose, solution: &Solution<S>, expected: &Prediction) -> bool {
         let (dt, dr) = pose.displacement_from(&expected.pose);
-        let squared = self.solver.squared_sigmas(solution, dt, dr) / (1.0 + expected.pose_variance);
+        let squared = self.solver.compiled.squared_sigmas(solution, dt, dr) / (1.0 + expected.pose_variance);
         squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN)
     }
 
@@ -280,7 +282,7 @@ impl<S: Scalar> Tracker<S> {
     fn find(&mut self, sorted: &Sorted<S>, motion: &MotionPrior, workspace: &mut Workspace<S>) -> Solution<S> {
         let lost = &mut self.lost;
         if let Some(images) = lost.images.take() {
-            lost.images = self.solver.still_images(sorted, motion, images, workspace);
+            lost.images = self.solver.compiled.still_images(sorted, motion, images, workspace);
             if lost.images.is_some() {
                 return Solution::without_pose(Outcome::Ambiguous, sorted.used);
             }
@@ -290,7 +292,7 @@ impl<S: Scalar> Tracker<S> {
             return Solution::without_pose(Outcome::Diverged, sorted.used);
         }
         workspace.work += lost.saved_work;
-        let solution = self.solver.search(sorted, motion, &mut lost.search, workspace);
+        let solution = self.solver.compiled.search(sorted, motion, &mut lost.search, workspace);
         lost.saved_work = lost.saved_work.min(workspace.work).min(MOST_SAVED);
         if lost.search.is_over() {
             lost.images = lost.search.images();

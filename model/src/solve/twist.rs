@@ -12,8 +12,7 @@
 use crate::scalar::Scalar;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
-use super::normal_equations::{NormalEquations, Problem, Row};
-use super::readings::Usable;
+use super::residuals::{ResidualSums, Row};
 
 /// Largest information a prior on the twist can have: it is then known.
 const KNOWN: f64 = 1e30;
@@ -58,50 +57,33 @@ pub(super) struct Elimination<S> {
     mixed: Matrix6<S>,
 }
 
-/// Sums over residuals r: χ² = rᵀr, Jᵀr by the pose, and Jᵀr by the twist.
-#[derive(Clone, Copy)]
-pub(super) struct ResidualSums<S> {
-    pub(super) chi2: S,
-    pub(super) by_pose: Vector6<S>,
-    pub(super) by_twist: Vector6<S>,
-}
-
-impl<S: Scalar> ResidualSums<S> {
-    #[inline(always)]
-    pub(super) fn zero() -> Self {
-        Self { chi2: S::zero(), by_pose: [S::zero(); 6], by_twist: [S::zero(); 6] }
-    }
-
-    /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
-    #[inline(always)]
-    pub(super) fn add(&mut self, rows: &[Row<S>], share: S) {
-        let mut own = [S::zero(); 6];
-        for row in rows {
-            self.chi2 += row.residual * row.residual;
-            for i in 0..6 {
-                own[i] += row.by_pose[i] * row.residual;
-            }
-        }
-        for i in 0..6 {
-            self.by_pose[i] += own[i];
-            self.by_twist[i] += share * own[i];
-        }
-    }
-}
-
 impl<S: Scalar> Elimination<S> {
-    /// The normal equations of the pose alone.
+    /// For M₁ and M₂; `None` if the twist of `motion` is known.
     #[inline(never)]
-    pub(super) fn reduce(&self, normal: &mut NormalEquations<S>, sums: &ResidualSums<S>) {
+    pub(super) fn of(motion: &Motion<S>, [mixed, twist]: &mut [Matrix6<S>; 2]) -> Option<Self> {
+        let prior = motion.prior?;
+        mirror(mixed);
+        // The factorisation of a symmetric matrix reads the lower half.
+        for (i, row) in twist.iter_mut().enumerate() {
+            row[i] += prior[i / 3];
+        }
+        // Positive definite, by the prior.
+        let factor = Factor::of_matrix(twist, S::zero(), S::zero())?;
+        Some(Self { mixed: mixed.map(|column| factor.forward(&column)), factor })
+    }
+
+    /// Takes its part from the information M₀; χ² and gradient of the pose alone.
+    #[inline(never)]
+    pub(super) fn reduce(&self, information: &mut Matrix6<S>, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
         for i in 0..6 {
             for j in 0..6 {
                 for k in 0..6 {
                     let known = self.mixed[i][k] * self.mixed[j][k];
-                    normal.information[i][j] -= known;
+                    information[i][j] -= known;
                 }
             }
         }
-        (normal.chi2, normal.gradient) = self.apply(sums);
+        self.apply(sums)
     }
 
     /// χ² and gradient of the pose alone.
@@ -118,36 +100,14 @@ impl<S: Scalar> Elimination<S> {
     }
 }
 
-impl<S: Scalar> Problem<'_, S> {
-    /// Adds the `rows` of one reading to M₁ and M₂.
-    #[inline(never)]
-    pub(super) fn add_twist<const N: usize>(
-        &self,
-        moments: &mut [Matrix6<S>; 2],
-        reading: &Usable<S>,
-        rows: &[Row<S>; N],
-    ) {
-        let share = self.share(reading);
-        let own = rows.each_ref().map(|row| &row.by_pose);
-        let mut weight = share;
-        for moment in moments {
-            let weighted = own.map(|row| row.map(|value| weight * value));
-            add_outer(moment, weighted.each_ref(), own);
-            weight *= share;
-        }
-    }
-
-    /// The elimination for M₁ and M₂; `None` if the twist is known.
-    #[inline(never)]
-    pub(super) fn elimination(&self, [mixed, twist]: &mut [Matrix6<S>; 2]) -> Option<Elimination<S>> {
-        let prior = self.motion.prior?;
-        mirror(mixed);
-        // The factorisation of a symmetric matrix reads the lower half.
-        for (i, row) in twist.iter_mut().enumerate() {
-            row[i] += prior[i / 3];
-        }
-        // Positive definite, by the prior.
-        let factor = Factor::of_matrix(twist, S::zero(), S::zero())?;
-        Some(Elimination { mixed: mixed.map(|column| factor.forward(&column)), factor })
+/// Adds the `rows` of one reading, exposed at `share` of the motion's duration, to M₁ and M₂.
+#[inline(never)]
+pub(super) fn add_moments<S: Scalar, const N: usize>(moments: &mut [Matrix6<S>; 2], share: S, rows: &[Row<S>; N]) {
+    let own = rows.each_ref().map(|row| &row.by_pose);
+    let mut weight = share;
+    for moment in moments {
+        let weighted = own.map(|row| row.map(|value| weight * value));
+        add_outer(moment, weighted.each_ref(), own);
+        weight *= share;
     }
 }

@@ -1,0 +1,169 @@
+//! A scene compiled for the solver: optics, planes, weights, limits and gates of each cell.
+
+use heapless::Vec;
+
+use crate::plan::{Plan, Tier};
+use crate::pose::{Pose, Transform, Twist};
+use crate::response::Pair;
+use crate::scalar::{Scalar, Vector3};
+use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
+
+use super::algebra::Factor;
+use super::chi2::{chi2_gate, redundancy};
+use super::normal_equations::{Problem, Workspace};
+use super::outcome::{Directions, Outcome, Solution};
+use super::planes::{self, PlaneCell, jacobian_change_rate};
+use super::readings::{Limits, Photocurrents, Sorted};
+use super::twist::Motion;
+use super::weights::CellNoise;
+
+/// What is known beforehand of the tool's motion within a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionPrior {
+    /// The twist that carries each cell's exposure to the reference instant.
+    pub twist: Twist,
+    /// Standard deviation of its linear part, per axis, m/s.
+    pub linear_sigma_m_per_s: f64,
+    /// Standard deviation of its angular part, per axis, rad/s.
+    pub angular_sigma_rad_per_s: f64,
+}
+
+impl MotionPrior {
+    /// A tool at rest.
+    pub const AT_REST: Self = Self {
+        twist: Twist { linear_m_per_s: glam::DVec3::ZERO, angular_rad_per_s: glam::DVec3::ZERO },
+        linear_sigma_m_per_s: 0.0,
+        angular_sigma_rad_per_s: 0.0,
+    };
+}
+
+/// A compiled scene.
+#[derive(Clone, Debug)]
+pub(super) struct Compiled<S: Scalar> {
+    pub(super) plan: Plan<S>,
+    pub(super) planes: Vec<PlaneCell<S>, MAX_CELLS>,
+    pub(super) noise: Vec<CellNoise<S>, MAX_CELLS>,
+    pub(super) limits: Vec<Limits<S>, MAX_CELLS>,
+    /// Largest χ² that noise explains, by the number of cells used.
+    pub(super) gates: [S; MAX_CELLS + 1],
+    /// Empty: all cells are exposed at the reference instant.
+    pub(super) offsets_s: Vec<S, MAX_CELLS>,
+    pub(super) length_scale_m: S,
+    /// Relative change of the derivatives per unit of a scaled step.
+    jacobian_change_rate: S,
+    /// Whether poses of this head may have mirror images although all cells see light.
+    pub(super) has_images: bool,
+}
+
+impl<S: Scalar> Compiled<S> {
+    /// Of no scene.
+    #[inline(always)]
+    pub(super) fn empty() -> Self {
+        Self {
+            plan: Plan::empty(),
+            planes: Vec::new(),
+            noise: Vec::new(),
+            limits: Vec::new(),
+            gates: [S::zero(); MAX_CELLS + 1],
+            offsets_s: Vec::new(),
+            length_scale_m: S::one(),
+            jacobian_change_rate: S::zero(),
+            has_images: false,
+        }
+    }
+
+    /// Compiles `scene` in place, for a processor whose RAM holds one solver and not two: cells
+    /// exposed at the reference instant.
+    ///
+    /// # Errors
+    /// Those of [`Plan::compile`]. It is then empty.
+    #[inline(never)]
+    pub(super) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+        self.planes.clear();
+        self.noise.clear();
+        self.limits.clear();
+        self.offsets_s.clear();
+        self.plan.set_scene(scene, tier)?;
+        let rounding = 16.0 * S::epsilon().as_f64();
+        let relative_error = match tier {
+            Tier::Paper => rounding,
+            Tier::Exact { tolerance } => tolerance.max(rounding),
+        };
+        let cells = scene.cells.iter();
+        self.length_scale_m = S::of(scene.length_scale_m());
+        self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)));
+        self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
+        self.limits.extend(cells.map(|Cell { detector, .. }| Limits {
+            faint_a: S::of(detector.faint_a),
+            saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
+            most_share: S::infinity(),
+        }));
+        self.gates = core::array::from_fn(|cells| S::of(chi2_gate(redundancy(cells))));
+        self.jacobian_change_rate = jacobian_change_rate(&self.planes, self.length_scale_m);
+        self.has_images = false;
+        Ok(())
+    }
+
+    /// The factor of the information of all cells with light at `pose`, the tool at rest.
+    pub(super) fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
+        let pairs = (0..self.plan.cell_count()).map(|cell| {
+            let pair = self.plan.photocurrents(cell, pose);
+            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
+        });
+        let sorted = Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits);
+        if sorted.usable.len() < 3 {
+            return None;
+        }
+        let problem = self.problem(&sorted, &MotionPrior::AT_REST);
+        problem.factor_at(&Transform::of(pose), &problem.whiteners(), &mut Workspace::new())
+    }
+
+    /// The pose on the planes of `sorted`.
+    pub(super) fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
+        planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.length_scale_m)
+    }
+
+    pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {
+        let sigmas = [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s];
+        let vector = |v: glam::DVec3| <S as Scalar>::Vec3::of(v);
+        let [linear, angular] = [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(vector);
+        Problem {
+            plan: &self.plan,
+            planes: &self.planes,
+            noise: &self.noise,
+            offsets_s: &self.offsets_s,
+            readings: &sorted.usable,
+            motion: Motion::new(linear, angular, sigmas, &self.offsets_s, self.length_scale_m),
+            length_scale_m: self.length_scale_m,
+            jacobian_change_rate: self.jacobian_change_rate,
+        }
+    }
+
+    /// Six unknowns need three cells.
+    pub(super) fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
+        if sorted.usable.len() >= 3 {
+            return None;
+        }
+        let outcome = if sorted.usable.len() + sorted.faint.count() >= 3 {
+            Outcome::TooDark
+        } else {
+            Outcome::Unobservable(Directions::all())
+        };
+        Some(Solution::without_pose(outcome, sorted.used))
+    }
+
+    /// A displacement in σ of a solution's pose, squared; infinite without a pose.
+    pub(super) fn squared_sigmas(
+        &self,
+        solution: &Solution<S>,
+        translation_m: glam::DVec3,
+        rotation_rad: glam::DVec3,
+    ) -> f64 {
+        let t = translation_m / self.length_scale_m.as_f64();
+        let scaled = [t.x, t.y, t.z, rotation_rad.x, rotation_rad.y, rotation_rad.z].map(S::of);
+        solution.factor.map_or(f64::INFINITY, |factor| {
+            let length = factor.length(&scaled).as_f64();
+            length * length
+        })
+    }
+}
