@@ -9,6 +9,7 @@ mod device_commands;
 mod doctor;
 mod foreign_text;
 mod full_disk;
+mod guide;
 mod health;
 mod hour;
 mod kill;

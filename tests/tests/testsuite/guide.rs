@@ -1,0 +1,297 @@
+//! The chapters of the guide do what they say: every command of `host/guide` is run, in the order of the page, and
+//! prints what the page shows.
+//!
+//! | block | what happens with it |
+//! |---|---|
+//! | `sh` | runs in bash, in one shell a chapter, in a folder that is empty at first, with `-euo pipefail` |
+//! | `text` | is what the `sh` block before it prints; `…` is any text, and any lines where it stands alone |
+//! | with a name, as `python ring.py` | becomes that file |
+//! | `console` | needs hardware or more rights: verbs and options of its commands must exist |
+//! | others | nothing |
+#![cfg(target_os = "linux")]
+
+use std::fmt::Write as _;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, killpg};
+use nix::unistd::Pid;
+use slitpose_tests::reference::data;
+use slitpose_tests::slitpose;
+
+/// Chapters take seconds. One that waits for what does not come ends as a failure, also on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// Any text within a line, any lines where it stands alone.
+const ANYTHING: &str = "…";
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Block {
+    /// Line of the page where its fence opens, from 1.
+    line: usize,
+    language: String,
+    /// Second word of the fence.
+    file: Option<String>,
+    text: Vec<String>,
+}
+
+fn guide() -> PathBuf {
+    data("../../host/guide")
+}
+
+fn page(name: &str) -> String {
+    fs::read_to_string(guide().join(name)).unwrap_or_else(|error| panic!("host/guide/{name}: {error}"))
+}
+
+fn blocks(page: &str) -> Vec<Block> {
+    let mut blocks: Vec<Block> = Vec::new();
+    let mut is_open = false;
+    for (line, text) in (1..).zip(page.lines()) {
+        match (text.strip_prefix("```"), is_open) {
+            (Some(_), true) => is_open = false,
+            (Some(words), false) => {
+                let mut words = words.split(' ');
+                let language = words.next().unwrap_or_default().to_owned();
+                blocks.push(Block { line, language, file: words.next().map(str::to_owned), text: Vec::new() });
+                is_open = true;
+            }
+            (None, true) => blocks.last_mut().expect("is open").text.push(text.to_owned()),
+            (None, false) => {}
+        }
+    }
+    assert!(!is_open, "the last block has no end");
+    blocks
+}
+
+/// A script whose lines have the numbers they have on the page. Each `sh` block writes to `outputs`/LINE,
+/// and the number of a command that fails to `outputs`/failed.
+fn script(blocks: &[Block], outputs: &Path) -> String {
+    let outputs = outputs.display();
+    let mut script = format!("trap 'echo $LINENO >{outputs}/failed' ERR; ");
+    let mut lines = 1;
+    for block in blocks {
+        let (open, close) = match (&block.file, block.language.as_str()) {
+            (Some(file), _) => (format!("cat >{file} <<'```'"), "```"),
+            (None, "sh") => (format!("exec >{outputs}/{} 2>&1", block.line), ""),
+            (None, _) => continue,
+        };
+        while lines < block.line {
+            script.push('\n');
+            lines += 1;
+        }
+        for line in [&[open], &block.text[..], &[close.to_owned()]].concat() {
+            writeln!(script, "{line}").expect("a string takes it");
+            lines += 1;
+        }
+    }
+    script
+}
+
+/// Whether `line` is `pattern`, in which `…` stands for any text.
+fn line_fits(pattern: &str, line: &str) -> bool {
+    let Some((start, rest)) = pattern.split_once(ANYTHING) else { return pattern == line };
+    let Some(line) = line.strip_prefix(start) else { return false };
+    let places = line.char_indices().map(|(place, _)| place).chain([line.len()]);
+    places.into_iter().any(|place| line_fits(rest, &line[place..]))
+}
+
+/// The number of lines of `shown` that fit `printed` from its start on; all of them if everything fits.
+fn fitting(shown: &[String], printed: &[&str]) -> usize {
+    match shown.split_first() {
+        None => 0,
+        Some((first, rest)) if first == ANYTHING => {
+            if rest.is_empty() {
+                return 1;
+            }
+            1 + (0..=printed.len()).map(|start| fitting(rest, &printed[start..])).max().expect("one at least")
+        }
+        Some((first, rest)) => match printed.split_first() {
+            Some((line, more)) if line_fits(first.trim_end(), line.trim_end()) => {
+                let fits = 1 + fitting(rest, more);
+                // Something is printed that is not shown.
+                if rest.is_empty() && !more.is_empty() { 0 } else { fits }
+            }
+            _ => 0,
+        },
+    }
+}
+
+/// Runs the chapter `name` and says what is wrong with it.
+fn run(name: &str, page: &str) -> Result<(), String> {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let [programs, work, outputs] = ["programs", "work", "outputs"].map(|part| folder.path().join(part));
+    for part in [&programs, &work, &outputs] {
+        fs::create_dir(part).expect("a folder");
+    }
+    symlink(slitpose!().path(), programs.join("slitpose")).expect("a link");
+    let blocks = blocks(page);
+    let file = folder.path().join(name);
+    fs::write(&file, script(&blocks, &outputs)).expect("a script");
+    let path = std::env::var("PATH").expect("a path");
+    let mut shell = Command::new("bash")
+        .args(["-euo", "pipefail"])
+        .arg(&file)
+        .current_dir(&work)
+        .env("PATH", format!("{}:{path}", programs.display()))
+        .env("SOURCE", data("../.."))
+        .env("SLITPOSE_CONFIG", "none")
+        .env("NO_COLOR", "1")
+        .stdin(Stdio::null())
+        .process_group(0)
+        .spawn()
+        .expect("bash starts");
+    let group = Pid::from_raw(i32::try_from(shell.id()).expect("an id"));
+    let since = Instant::now();
+    let status = loop {
+        if let Some(status) = shell.try_wait().expect("a child") {
+            break Some(status);
+        }
+        if since.elapsed() > PATIENCE {
+            break None;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    // What a chapter left running.
+    let _ = killpg(group, Signal::SIGKILL);
+
+    let output = |block: &Block| fs::read(outputs.join(block.line.to_string())).ok();
+    let commands = || blocks.iter().filter(|block| block.language == "sh" && block.file.is_none());
+    let place = |line: usize| format!("host/guide/{name}:{line}");
+    if status.is_none_or(|status| !status.success()) {
+        let last = commands().rfind(|block| output(block).is_some());
+        let printed = last.and_then(output).unwrap_or_default();
+        let printed = String::from_utf8_lossy(&printed);
+        let failed = fs::read_to_string(outputs.join("failed")).ok().and_then(|line| line.trim().parse().ok());
+        // Of a variable that is not set or a word out of place bash speaks itself.
+        let spoken = || printed.rsplit_once(&format!("{}: line ", file.display()))?.1.split(':').next()?.parse().ok();
+        let line = failed.or_else(spoken).or(last.map(|block| block.line)).unwrap_or(1);
+        let what = status.map_or_else(|| format!("did not end in {PATIENCE:?}"), |status| status.to_string());
+        return Err(format!(
+            "{}: {what}\n    {}\nThe block prints:\n{printed}",
+            place(line),
+            page.lines().nth(line - 1).unwrap_or_default(),
+        ));
+    }
+    let mut before: Option<&Block> = None;
+    for block in blocks.iter().filter(|block| block.file.is_none()) {
+        match (block.language.as_str(), before) {
+            ("sh", _) => before = Some(block),
+            ("text", Some(command)) => {
+                let printed = String::from_utf8(output(command).expect("it ran")).expect("UTF-8");
+                let fits = fitting(&block.text, &printed.lines().collect::<Vec<_>>());
+                if fits < block.text.len() {
+                    return Err(format!(
+                        "{}: is not what the commands of line {} print:\n    {}\nThey print:\n{printed}",
+                        place(block.line + 1 + fits),
+                        command.line,
+                        block.text[fits]
+                    ));
+                }
+            }
+            ("text", None) => return Err(format!("{}: no commands before this output", place(block.line))),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+#[track_caller]
+fn works(name: &str) {
+    let since = Instant::now();
+    if let Err(complaint) = run(name, &page(name)) {
+        panic!("{complaint}");
+    }
+    println!("{name}: {:.1} s", since.elapsed().as_secs_f64());
+}
+
+#[test]
+fn the_designer_gets_a_head() {
+    works("designer.md");
+}
+
+#[test]
+fn the_bench_engineer_finds_the_faults() {
+    works("bench.md");
+}
+
+#[test]
+fn the_lab_user_gets_recordings_and_tables() {
+    works("lab.md");
+}
+
+#[test]
+fn the_application_writer_closes_a_loop() {
+    works("application.md");
+}
+
+#[test]
+fn the_analyst_judges_poses() {
+    works("analyst.md");
+}
+
+#[test]
+fn every_chapter_is_in_the_index_and_is_run() {
+    let tests = include_str!("guide.rs");
+    let index = page("README.md");
+    for entry in fs::read_dir(guide()).expect("the guide") {
+        let name = entry.expect("an entry").file_name().into_string().expect("UTF-8");
+        if name == "README.md" {
+            continue;
+        }
+        assert!(index.contains(&format!("]({name})")), "host/guide/README.md does not list {name}");
+        assert!(tests.contains(&format!("works(\"{name}\")")), "no test runs {name}");
+        let lines = page(&name).lines().count();
+        assert!(lines <= 135, "{name} has {lines} lines");
+    }
+}
+
+#[test]
+fn commands_that_are_not_run_exist() {
+    for name in ["designer.md", "bench.md", "lab.md", "application.md", "analyst.md"] {
+        for block in blocks(&page(name)).iter().filter(|block| block.language == "console") {
+            for (line, text) in (block.line + 1..).zip(&block.text) {
+                let Some(command) = text.strip_prefix("$ slitpose ") else { continue };
+                let words: Vec<_> = command.split('#').next().unwrap_or_default().split_whitespace().collect();
+                let verbs = words.iter().take_while(|word| !word.starts_with('-'));
+                let help = slitpose!().run(verbs.chain([&"--help"]));
+                assert_eq!(help.code, 0, "host/guide/{name}:{line}: {text}\n{}", help.stderr);
+                let help = String::from_utf8(help.stdout).expect("UTF-8");
+                for option in words.iter().filter(|word| word.starts_with("--")) {
+                    assert!(help.contains(&format!("{option} ")), "host/guide/{name}:{line}: no {option}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_a_page_gets_wrong_is_told_with_its_line() {
+    let page = "# Page\n\n```python ring.py\nprint('ring')\n```\n\n```sh\nside=3\npython3 ring.py\n```\n\n\
+                ```text\nring\n```\n\n```sh\necho \"side $side\"\ntrue\n```\n\n```text\n…\nside …\n```\n";
+    assert_eq!(run("page.md", page), Ok(()));
+    for (from, to, line, said) in [
+        ("true", "slitpose no-such-verb", 18, "slitpose no-such-verb"),
+        ("true", "cat missing | sort", 18, "missing"),
+        ("echo \"side $side\"", "echo \"$sides\"", 17, "sides: unbound variable"),
+        ("```text\nring", "```text\nrong", 13, "rong"),
+        ("…\nside …", "side 3\nand more", 23, "and more"),
+        ("…\nside …", "…\nsite …", 23, "site …"),
+        ("```text\nring\n```\n\n```sh\necho", "```text\nring\n```\n\n```sh\necho first; echo", 0, ""),
+        ("print('ring')", "print('ring\\nrang')", 13, "ring"),
+    ] {
+        let wrong = page.replace(from, to);
+        assert_ne!(page, wrong);
+        let told = run("page.md", &wrong);
+        if line == 0 {
+            assert_eq!(told, Ok(()), "lines that `…` stands for");
+            continue;
+        }
+        let told = told.expect_err(to);
+        let start = format!("host/guide/page.md:{line}: ");
+        assert!(told.starts_with(&start) && told.contains(said), "{start}… {said}\nis not in:\n{told}");
+    }
+}
