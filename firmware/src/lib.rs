@@ -32,6 +32,45 @@
 //! closed for [`HOST_GONE_MS`]. Until the hardware confirms that the emitters are off, the
 //! board switches them off again at every poll.
 //!
+//! # Example
+//! A board over hardware that has no light answers a ping:
+//! ```
+//! use slitpose_firmware::{settings::Settings, *};
+//! use slitpose_protocol::*;
+//!
+//! struct Desk(u64);
+//! impl Hardware for Desk {
+//!     fn now_ticks(&mut self) -> u64 { self.0 += u64::from(TICK_HZ) / 1000; self.0 }
+//!     fn check(&self, _: &Configuration) -> Result<(), HardwareFault> { Ok(()) }
+//!     fn acquire(&mut self, _: Option<&Configuration>) -> Result<(), HardwareFault> { Ok(()) }
+//!     fn next_scan(&mut self, _: &mut RawScan) -> Result<bool, ScanError> { Ok(false) }
+//!     fn housekeeping(&mut self, _: Indicator) -> Health {
+//!         Health { supply_v: 3.3, temperature_k: 298.0, cpu_load_permille: 0 }
+//!     }
+//!     fn store(&mut self, _: Option<&Settings>) {}
+//!     fn stored(&mut self) -> Option<Result<(), StorageError>> { Some(Ok(())) }
+//!     fn reboot(&mut self, _: BootTarget) {}
+//! }
+//!
+//! let identity = Identity {
+//!     device_id: *b"desk number1", kind: BoardKind::Simulated, board: "desk", reset_cause: ResetCause::PowerOn,
+//!     hashes: Hashes { scene: None, calibration: None }, scaling: default_scaling(),
+//! };
+//! let mut board = Board::new(Desk(0), identity, default_configuration(), vec![0; DEFAULT_QUEUE_BYTES]).unwrap();
+//! let (mut request, mut sent) = ([0; MAX_REQUEST_BYTES], [0; TRANSFER_BYTES]);
+//! board.poll(Link::Open);
+//! board.receive(encode(&Request { number: 1, command: Command::Ping { token: 7 } }, &mut request).unwrap());
+//! board.poll(Link::Open);
+//!
+//! let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+//! let mut bytes = board.transmit(&mut sent);
+//! let mut is_answered = false;
+//! while let Some(message) = decoder.next::<Message>(&mut bytes) {
+//!     is_answered |= matches!(message, Ok(Message::Pong(Pong { token: 7, .. })));
+//! }
+//! assert!(is_answered);
+//! ```
+//!
 //! [`Status`]: slitpose_protocol::Status
 
 #![no_std]

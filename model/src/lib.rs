@@ -16,6 +16,49 @@
 //! # Number types
 //! One text serves `f32` (on the board) and `f64` (on the host): see [`Scalar`]. Descriptions and
 //! poses are always `f64`.
+//!
+//! # Example
+//! Six cells in a ring, what they deliver at a pose, and the pose from nothing but that:
+//! ```
+//! use std::f64::consts::{FRAC_PI_3, FRAC_PI_4};
+//! use glam::{DVec2, DVec3};
+//! use slitpose_model::*;
+//!
+//! let cell = |k: i32| {
+//!     let (sin, cos) = (FRAC_PI_3 * f64::from(k)).sin_cos();
+//!     let (out, along) = (DVec3::new(cos, sin, 0.0), DVec3::new(-sin, cos, 0.0));
+//!     let roll = if k % 2 == 0 { FRAC_PI_4 } else { -FRAC_PI_4 };
+//!     let x_axis_base = along * roll.cos() + DVec3::Z * roll.sin();
+//!     Cell {
+//!         detector: Detector {
+//!             centre_base_m: 25e-3 * out, x_axis_base, normal_base: -out, length_m: 12e-3, width_m: 1e-3,
+//!             responsivity_a_per_w: 0.54, dark_current_a: 0.0, interelectrode_ohm: None, saturation_a: None,
+//!             faint_a: DEFAULT_FAINT_A,
+//!         },
+//!         slit: Slit {
+//!             distance_m: 5e-3, width_m: 0.6e-3, length_m: 10e-3, offset_m: DVec2::ZERO, tilt_rad: DVec3::ZERO,
+//!             thickness_m: 0.0,
+//!         },
+//!         emitter: Emitter {
+//!             position_tool_m: 10e-3 * out, axis_tool: out, radiant_intensity_w_per_sr: 3.16e-3,
+//!             profile: Profile::from_half_angle(55_f64.to_radians()),
+//!         },
+//!     }
+//! };
+//! let scene = Scene { cells: (0..6).map(cell).collect(), ..Scene::default() };
+//! let tier = Tier::Exact { tolerance: 1e-6 };
+//! let plan = Plan::<f64>::compile(&scene, tier)?;
+//! let truth = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 0.5e-3), DVec3::new(0.0, 0.1, 0.05));
+//! let currents = Photocurrents::of_pairs((0..6).map(|k| plan.photocurrents(k, &truth)));
+//!
+//! let solver = Solver::<f64>::new(&scene, tier)?;
+//! let solution = solver.solve(&currents, Start::Cold, &MotionPrior::default());
+//! assert_eq!(solution.outcome, Outcome::Converged);
+//! let found = solution.estimate.expect("a pose").pose;
+//! assert!(found.translation_m.distance(truth.translation_m) < 1e-9);
+//! # Ok::<(), SceneError>(())
+//! ```
+
 #![no_std]
 
 mod aperture;

@@ -155,6 +155,23 @@
 //! └ COBS: six bytes without a zero follow
 //! ```
 //!
+//! The same in Rust; bytes may arrive cut anywhere:
+//! ```
+//! use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message, Pong, Request, encode};
+//!
+//! let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+//! let (mut early, mut late): (&[u8], &[u8]) =
+//!     (&[0x0b, 0x05, 0x07, 0x80, 0xfd], &[0x87, 0x51, 0x56, 0xd5, 0xc4, 0x6b, 0x00]);
+//! assert_eq!(decoder.next::<Message>(&mut early), None);
+//! let pong = Message::Pong(Pong { token: 7, tick: 170_000_000 });
+//! assert_eq!(decoder.next::<Message>(&mut late), Some(Ok(pong)));
+//!
+//! let mut buffer = [0; 16];
+//! let stop = encode(&Request { number: 3, command: Command::Stop }, &mut buffer)?;
+//! assert_eq!(stop, [0x07, 0x03, 0x02, 0x10, 0x20, 0xfa, 0x84, 0x00]);
+//! # Ok::<(), slitpose_protocol::EncodeError>(())
+//! ```
+//!
 //! # Versions, and what is not promised
 //! Promised for ever: the framing, and that message 0 starts with the version. Within a
 //! major version kinds are only added at the end, and the fields of a kind never change;
