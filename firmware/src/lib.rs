@@ -35,20 +35,25 @@
 //! # Example
 //! A board over hardware that has no light answers a ping:
 //! ```
-//! use slitpose_firmware::{settings::Settings, *};
+//! use slitpose_firmware::{pcb::*, settings::Settings, *};
 //! use slitpose_protocol::*;
 //!
 //! struct Desk(u64);
-//! impl Hardware for Desk {
-//!     fn now_ticks(&mut self) -> u64 { self.0 += u64::from(TICK_HZ) / 1000; self.0 }
+//! impl Acquisition for Desk {
 //!     fn check(&self, _: &Configuration) -> Result<(), HardwareFault> { Ok(()) }
+//!     fn limit_levels(&self, _: &Schedule, _: &mut [Level]) {}
 //!     fn acquire(&mut self, _: Option<&Configuration>) -> Result<(), HardwareFault> { Ok(()) }
 //!     fn next_scan(&mut self, _: &mut RawScan) -> Result<bool, ScanError> { Ok(false) }
+//! }
+//! impl Storage for Desk {
+//!     fn store(&mut self, _: Option<&Settings>) {}
+//!     fn stored(&mut self) -> Option<Result<(), StorageError>> { Some(Ok(())) }
+//! }
+//! impl System for Desk {
+//!     fn now_ticks(&mut self) -> u64 { self.0 += u64::from(TICK_HZ) / 1000; self.0 }
 //!     fn housekeeping(&mut self, _: Indicator) -> Health {
 //!         Health { supply_v: 3.3, temperature_k: 298.0, cpu_load_permille: 0 }
 //!     }
-//!     fn store(&mut self, _: Option<&Settings>) {}
-//!     fn stored(&mut self) -> Option<Result<(), StorageError>> { Some(Ok(())) }
 //!     fn reboot(&mut self, _: BootTarget) {}
 //! }
 //!
@@ -56,8 +61,8 @@
 //!     device_id: *b"desk number1", kind: BoardKind::Simulated, board: "desk", reset_cause: ResetCause::PowerOn,
 //!     hashes: Hashes { scene: None, calibration: None }, scaling: default_scaling(),
 //! };
-//! let mut board = Board::new(Desk(0), identity, default_configuration(), vec![0; DEFAULT_QUEUE_BYTES]).unwrap();
-//! let (mut request, mut sent) = ([0; MAX_REQUEST_BYTES], [0; TRANSFER_BYTES]);
+//! let mut board = Board::new(Desk(0), identity, default_configuration(), vec![0; 25 * 1024]).unwrap();
+//! let (mut request, mut sent) = ([0; MAX_REQUEST_BYTES], [0; TRANSMIT_BYTES]);
 //! board.poll(Link::Open);
 //! board.receive(encode(&Request { number: 1, command: Command::Ping { token: 7 } }, &mut request).unwrap());
 //! board.poll(Link::Open);

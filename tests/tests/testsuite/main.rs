@@ -7,6 +7,7 @@ mod damaged_captures;
 mod damaged_files;
 mod device_commands;
 mod doctor;
+mod documents;
 mod foreign_text;
 mod full_disk;
 mod guide;
