@@ -61,7 +61,7 @@
 //!     device_id: *b"desk number1", kind: BoardKind::Simulated, board: "desk", reset_cause: ResetCause::PowerOn,
 //!     hashes: Hashes { scene: None, calibration: None }, scaling: default_scaling(),
 //! };
-//! let mut board = Board::new(Desk(0), identity, default_configuration(), vec![0; 25 * 1024]).unwrap();
+//! let mut board = Board::new(Desk(0), identity, default_configuration(), vec![0; QUEUE_BYTES]).unwrap();
 //! let (mut request, mut sent) = ([0; MAX_REQUEST_BYTES], [0; TRANSMIT_BYTES]);
 //! board.poll(Link::Open);
 //! board.receive(encode(&Request { number: 1, command: Command::Ping { token: 7 } }, &mut request).unwrap());
