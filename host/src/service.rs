@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_manager_that_does_not_listen_holds_nobody_up() {
+    fn a_deaf_service_manager_blocks_no_thread() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
         let _manager = UnixDatagram::bind(&path).unwrap();

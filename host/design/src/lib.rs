@@ -1,6 +1,6 @@
-//! What the designer of a sensor head asks before anything is built.
+//! Tools for the designer of a sensor head.
 //!
-//! * [`survey`] tells what a scene can do;
+//! * [`survey`] shows what a scene can do;
 //! * [`plot`] draws;
 //! * [`paper`] calculates the source paper's experiments;
 //! * [`identification`] finds an emitter's profile from currents;

@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn long_text_is_cut_and_says_so() {
+    fn long_text_is_cut_and_gives_its_length() {
         let fits = "é".repeat(LONGEST);
         assert_eq!(printable(&fits).to_string(), fits);
         let long = "x".repeat(100_000);

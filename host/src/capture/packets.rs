@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn what_never_ends_is_no_packet_and_does_not_wait() {
+    fn an_endless_packet_is_passed_on_at_once() {
         let (mut packets, mut message) = (Packets::default(), Segment::default());
         let noise = [7; 3 * MAX_LINK_BYTES / 2];
         packets.push(&read(&noise, 1));

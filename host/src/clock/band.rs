@@ -12,7 +12,7 @@
 
 use std::collections::VecDeque;
 
-/// Rates that a board may have against the host, either way. Boards may run from their controller's
+/// Rates that a board may have against the host, either way. Boards may run from their MCU's
 /// own oscillator: HSI16 of the STM32G474 is good to 1 % at 30 °C and to another 1 % from 0 to 85 °C
 /// (DS12288, table of HSI16 characteristics). A crystal uses a hundredth of it.
 pub(super) const MOST_RATE: f64 = 0.025;

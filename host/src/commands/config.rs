@@ -1,7 +1,6 @@
-//! The configuration file of `run`, and which of several wishes counts.
+//! The configuration file of `run`, and the precedence of options.
 //!
-//! An option may be given as a flag, in the environment, or in the file; the first of them that is
-//! given counts. The file's values become the defaults of the command line, so that they are read
+//! Flags override environment variables, which override the file. The file's values become the defaults of the command line, so that they are read
 //! and checked by the same rules as flags.
 
 use std::collections::HashMap;

@@ -1,7 +1,7 @@
 //! The command line: one verb, one file.
 //!
 //! A verb has its arguments (`Args`) and a function `run`, which returns how it ended. To add
-//! one, add its file, its line in `Verb` and its line in [`run`].
+//! one, add its file, its line in `Verb` and its line in `run`.
 
 mod capture_files;
 mod completions;

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_answer_is_no_board_but_what_is_in_use_may_be() {
+    fn a_silent_port_has_no_board_and_a_busy_one_may_have() {
         let state = |name, state| Listed { state, ..Listed::new(debugger(name, "1")) };
         let silent = state("/dev/ttyACM0", PortState::NoAnswer);
         let used = state("/dev/ttyACM1", PortState::InUse);
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_might_be_a_board_is_asked() {
+    fn only_ports_that_may_have_a_board_are_asked() {
         let adapter = usb("/dev/zero", 0x0403, 0x6001, "A1");
         let ports = [board("/dev/null", FIRST), debugger("/dev/ttyACM1", "1"), adapter];
         let names = |search: &[&str], debuggers| {

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_found_is_in_it_and_nothing_else() {
+    fn a_bundle_holds_the_findings_and_no_other_file() {
         let names = |examination| unpacked(examination).into_keys().collect::<Vec<_>>();
         let mut examination = Examination { checks: vec![Finding::ok("scene", "fits")], ..Examination::default() };
         assert_eq!(names(&examination), ["report.json", "report.txt", "system.txt"]);

@@ -82,7 +82,7 @@ mod tests {
     use slitpose_head::finding::Grade::{Failed, Ok, Warning};
 
     #[test]
-    fn room_and_rate_are_measured_by_what_four_boards_need() {
+    fn room_and_rate_are_compared_with_the_need_of_four_boards() {
         let needed = 1e6;
         assert_eq!([3.7e9, 3.5e9, 59e6].map(|free| of_room(free, needed).grade), [Ok, Warning, Failed]);
         assert_eq!([5.1e6, 4.9e6, 0.9e6].map(|rate| of_rate(rate, needed).grade), [Ok, Warning, Failed]);

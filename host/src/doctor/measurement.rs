@@ -190,11 +190,9 @@ impl Measurement {
                 let next_step = "the host did not read in time: look at its load, hubs and cable";
                 Finding::failed("board", finding, next_step)
             }
-            _ => Finding::failed(
-                "board",
-                finding,
-                "the controller is overloaded: lower front_end.frame_rate_hz, and report it",
-            ),
+            _ => {
+                Finding::failed("board", finding, "the MCU is overloaded: lower front_end.frame_rate_hz, and report it")
+            }
         }
     }
 
@@ -239,7 +237,7 @@ impl Measurement {
         } else if !TEMPERATURE_K.contains(&temperature_k) {
             Finding::warning("health", finding, "keep the board between -40 and 85 C")
         } else if cpu_load_permille > BUSIEST_PERMILLE {
-            Finding::warning("health", finding, "lower front_end.frame_rate_hz: the controller has no time in hand")
+            Finding::warning("health", finding, "lower front_end.frame_rate_hz: the MCU has no time in reserve")
         } else {
             Finding::ok("health", finding)
         }

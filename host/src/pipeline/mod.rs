@@ -234,7 +234,7 @@ impl Pipeline {
     }
 
     /// Decodes a segment as [`feed`](Self::feed) does, but lets the scans wait for
-    /// [`solve_next`](Self::solve_next), [`solve_newest`](Self::solve_newest) or [`skip`](Self::skip).
+    /// `solve_next`, `solve_newest` or `skip`.
     ///
     /// # Errors
     /// As for [`push`](Self::push).

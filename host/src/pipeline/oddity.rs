@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn jumps_of_the_clock_are_told_and_gaps_and_restarts_are_none() {
+    fn clock_jumps_are_reported_and_gaps_and_restarts_are_not() {
         let mut watch = ClockWatch::default();
         let mut check = |sequence, tick| watch.check(sequence, tick, 1000, 1e6);
         for (sequence, tick) in [(10, 500), (11, 1500), (20, 10_500), (0, 70), (1, 1070), (2, 2500), (3, 3100)] {

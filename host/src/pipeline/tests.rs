@@ -130,7 +130,7 @@ fn without_instants_there_are_no_times_and_the_poses_are_the_same() {
 }
 
 #[test]
-fn a_link_opened_anew_begins_with_a_whole_packet_and_a_new_clock() {
+fn a_reopened_link_begins_with_a_whole_packet_and_a_new_clock() {
     let mut link = SimulatedLink::new();
     let mut pipeline = link.pipeline();
     let mut segment = link.segment(50, 0);
@@ -176,7 +176,7 @@ fn another_board_counts_its_own_scans() {
 }
 
 #[test]
-fn what_is_behind_the_end_is_not_taken() {
+fn scans_behind_the_end_are_not_solved() {
     let mut link = SimulatedLink::new();
     let mut pipeline = link.pipeline().until(Some(20.0 * link.frame_ns as f64 * 1e-9));
     let segment = link.segment(50, 0);

@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_in_turn_are_the_same_whatever_was_solved_ahead() {
+    fn poses_in_turn_do_not_depend_on_scans_solved_ahead() {
         on_a_large_stack(solve_some_ahead);
     }
 
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_skipped_is_counted_and_the_rest_is_followed() {
+    fn skipped_scans_are_counted_and_the_rest_is_followed() {
         let mut link = SimulatedLink::new();
         let mut pipeline = link.pipeline();
         for token in 0..5 {

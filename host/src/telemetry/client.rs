@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_told_from_something_else() {
+    fn a_missing_daemon_and_another_program_give_different_errors() {
         let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let address = StatusAddress::Tcp(silent.local_addr().unwrap());
         let answers =

@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_that_is_stuck_does_not_look_well() {
+    fn a_stuck_stream_is_reported() {
         assert_eq!(findings(running()), Vec::<String>::new());
         let told = |board: BoardReport, word: &str| {
             let findings = findings(board);

@@ -151,7 +151,7 @@ pub(crate) fn text(report: &DaemonReport, now: HostInstant) -> String {
     let boards = report.boards.iter().map(|board| (board.label(), board)).collect();
     let mut boards = Boards { out, boards };
     stream(&mut boards, now);
-    controller(&mut boards);
+    mcu(&mut boards);
     head(&mut boards);
     boards.out.0
 }
@@ -275,7 +275,7 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     });
 }
 
-fn controller(boards: &mut Boards<'_>) {
+fn mcu(boards: &mut Boards<'_>) {
     let gauge = "gauge";
     boards.each("slitpose_board_acquiring", gauge, "1 if the board acquires.", |board| {
         board.vitals.as_ref().map(|vitals| f64::from(u8::from(vitals.acquiring)))
@@ -283,7 +283,7 @@ fn controller(boards: &mut Boards<'_>) {
     boards.each("slitpose_board_supply_volts", gauge, "Supply voltage of the board.", |board| {
         board.vitals.as_ref().map(|vitals| vitals.supply_v.into())
     });
-    boards.each("slitpose_board_temperature_celsius", gauge, "Temperature of the board's controller.", |board| {
+    boards.each("slitpose_board_temperature_celsius", gauge, "Temperature of the board's MCU.", |board| {
         board.vitals.as_ref().map(|vitals| f64::from(vitals.temperature_k) - KELVIN_AT_0_CELSIUS)
     });
     boards.each("slitpose_board_cpu_ratio", gauge, "Share of the board's processor time in use.", |board| {

@@ -1,9 +1,9 @@
 //! The state of the daemon, its boards and their heads: counted, reported, and served.
 //!
-//! [`BoardStatistics`] counts the items of a board's pipeline, without allocating, and makes a [`BoardReport`] a few
-//! times a second. A [`DaemonReport`] holds those of all boards.
-//! [`view`] is for people, [`metrics`] for Prometheus, JSON for other programs; [`StatusServer`] offers
-//! all three, and [`fetch`] gets them.
+//! [`BoardStatistics`] counts the items of a board's pipeline, without allocating, and makes a `BoardReport` a few
+//! times a second. A `DaemonReport` holds those of all boards.
+//! `view` is for people, `metrics` for Prometheus, JSON for other programs; `StatusServer` offers
+//! all three, and `fetch` gets them.
 
 mod address;
 mod client;
@@ -11,7 +11,7 @@ mod connection;
 mod findings;
 mod latency;
 mod losses;
-pub mod metrics;
+pub(crate) mod metrics;
 mod origin;
 mod process;
 mod report;
@@ -19,7 +19,7 @@ mod server;
 mod statistics;
 #[cfg(test)]
 mod tests;
-pub mod view;
+pub(crate) mod view;
 
 pub(crate) use address::{DEFAULT_STATUS_ADDRESS, StatusAddress};
 pub(crate) use client::{FetchError, fetch};

@@ -136,7 +136,7 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     if let Some(vitals) = &report.vitals {
         put(
             &mut lines,
-            "controller",
+            "MCU",
             &format!(
                 "{:.2} V, {:.1} deg C, processor {:.0} %, last reset: {}",
                 vitals.supply_v,

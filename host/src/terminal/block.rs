@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_said_before_stays() {
+    fn earlier_messages_stay() {
         let mut drawn = Drawn::new(24, 80);
         drawn.draw(&lines(3, 3));
         assert_eq!(drawn.draw(&lines(3, 3))[0], "$ slitpose run");

@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_say_is_escaped() {
+    fn control_characters_are_escaped() {
         assert_eq!(layout(&[Line::new("said", "a\u{1b}[2Jb\nc")], 80), ["said        a\\u{1b}[2Jb\\nc"]);
     }
 }

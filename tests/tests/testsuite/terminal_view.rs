@@ -126,7 +126,7 @@ fn count(characters: u16) -> NonZero<u16> {
 }
 
 /// Names of lines that must not stand twice.
-const OTHERS: [&str; 6] = ["rate", "lost", "outcomes", "cells", "against", "controller"];
+const OTHERS: [&str; 6] = ["rate", "lost", "outcomes", "cells", "against", "MCU"];
 
 fn path(path: &Path) -> &str {
     path.to_str().expect("UTF-8")

@@ -65,7 +65,7 @@ pub struct Point {
     pub exact: Response<f64>,
 }
 
-/// Both experiments, and what the second tells about the first.
+/// Both experiments, and what follows from the second for the first.
 #[derive(Clone, Debug)]
 pub struct Study {
     /// Experiment 1.

@@ -90,7 +90,7 @@ pub(crate) struct Canvas {
 }
 
 impl Canvas {
-    /// An empty white sheet; `title` is what screen readers say.
+    /// An empty white sheet; `title` is for screen readers.
     pub(crate) fn new(width: f64, height: f64, title: &str) -> Self {
         let mut canvas = Self { writer: Writer::new(Vec::new()) };
         let mut svg = BytesStart::new("svg");

@@ -11,7 +11,7 @@ const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);
 const NOTE: TextStyle = TextStyle::new(12.0);
 const MARKER_RADIUS: f64 = 3.2;
 
-/// A curve with markers is thinner than one without: the markers are what was measured.
+/// A curve with markers is thinner than one without: the markers are the measured points.
 const JOINED_WIDTH: f64 = 1.2;
 
 /// Pixels between ticks, at least: room for a number.
@@ -24,7 +24,7 @@ pub(crate) enum Scale {
     Linear,
     /// Equal ratios are equal distances; every number must be above zero.
     Logarithmic,
-    /// As linear, but without ticks and numbers: what stands along it has names.
+    /// As linear, but without ticks and numbers: its entries have names.
     Bare,
 }
 

@@ -1,4 +1,4 @@
-//! Labels with symbols: what stands between `$` is set as a formula, `$X_A$` as italic X with a
+//! Labels with symbols: text between `$` is set as a formula, `$X_A$` as italic X with a
 //! small A below. `_` takes the next letter or a group in braces.
 
 /// A run of letters of one kind.

@@ -7,7 +7,7 @@ pub(crate) type Colour = &'static str;
 pub(crate) const INK: Colour = "#222222";
 /// Secondary text, dimension lines.
 pub(crate) const SOFT_INK: Colour = "#666666";
-/// Grid lines, outlines of what is not the matter at hand.
+/// Grid lines, outlines of secondary objects.
 pub(crate) const PALE: Colour = "#d4d4d4";
 /// Grid lines between numbered ones.
 pub(crate) const FAINT: Colour = "#ededed";

@@ -1,4 +1,4 @@
-//! What fits on a sheet, and how numbers are written there.
+//! Sizes of sheets, and the form of numbers on them.
 
 use slitpose_model::Cell;
 use thiserror::Error;
@@ -24,7 +24,7 @@ pub enum PlotError {
     },
 }
 
-/// Refuses what would lead to coordinates that are no numbers.
+/// Refuses values whose coordinates would not be finite.
 pub(super) fn require_drawable(number: usize, cell: &Cell) -> Result<(), PlotError> {
     let (detector, slit) = (&cell.detector, &cell.slit);
     let distances = [slit.distance_m, slit.width_m, slit.length_m, slit.thickness_m];
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_picture_is_told_with_its_size() {
+    fn a_scene_too_large_for_a_picture_is_refused_with_its_size() {
         let mut cell = BENCH.read().unwrap().scene.cells[0].clone();
         assert_eq!(require_drawable(0, &cell), Ok(()));
         cell.slit.width_m = 1e300;

@@ -5,7 +5,7 @@ use std::fs;
 use super::Settings;
 use slitpose_head::scene_file::SceneFile;
 
-/// What the compiler was asked for, as the build script passes it on.
+/// Optimisation level of the compiler, from the build script.
 const OPT_LEVEL: &str = env!("SLITPOSE_OPT_LEVEL");
 
 /// Name and value of each condition.
@@ -32,7 +32,7 @@ pub(super) fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static
     ]
 }
 
-/// What must be said before anybody reads a time.
+/// Conditions under which times were measured.
 pub(super) fn warnings() -> Vec<String> {
     let slow = format!(
         "This program was built with optimisation level {OPT_LEVEL}{}: its times say little. Build it with \
@@ -47,7 +47,7 @@ fn is_fast(opt_level: &str, debug_checks: bool) -> bool {
     !debug_checks && matches!(opt_level, "2" | "3")
 }
 
-/// The processor's name as Linux tells it.
+/// The processor's name, from Linux.
 fn processor() -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let name = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| model_name(&text));

@@ -79,7 +79,7 @@ fn program() -> Option<PathBuf> {
     path.is_file().then_some(path)
 }
 
-/// What `program` prints of `scene`; else what it said last.
+/// The output of `program` for `scene`, or its last message.
 fn run(program: &Path, scene: &str) -> Result<Vec<u8>, String> {
     let output = Command::new(program).arg(scene).output().map_err(|error| error.to_string())?;
     if output.status.success() {

@@ -1,4 +1,4 @@
-//! What a scene does not need is not computed: what each effect costs when it is there.
+//! Effects that a scene lacks are not computed: the cost of each effect where it is present.
 
 use std::hint::black_box;
 

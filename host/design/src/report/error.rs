@@ -21,7 +21,7 @@ pub enum ReportError {
         scene: String,
         /// How many cells it has.
         cells: usize,
-        /// What the solver says at home.
+        /// The outcome at home.
         outcome: Outcome,
     },
     /// A workspace in which cells are dark nearly everywhere.

@@ -7,7 +7,7 @@ use super::section::{Report, Table, Value};
 use super::{markdown, page};
 use slitpose_head::table::{Output, OutputError, TableWriter};
 
-/// Where a report goes. Made before anything is measured: an impossible place is told at once.
+/// The folder of a report. Made before anything is measured: an impossible place is refused at once.
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,

@@ -1,4 +1,4 @@
-//! The forward model: what an evaluation costs, and what it is worth.
+//! The forward model: cost and accuracy of an evaluation.
 
 use std::hint::black_box;
 
@@ -15,10 +15,10 @@ use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, cell_colour};
 
 pub(super) const TITLE: &str = "Forward model: error against time";
 
-/// What the exact tier is asked for.
+/// Tolerances of the exact tier.
 const TOLERANCES: [f64; 7] = [1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12];
 
-/// What stands for the truth.
+/// The tier that stands for the truth.
 const REFERENCE: Tier = Tier::Exact { tolerance: 1e-13 };
 
 /// Errors of electrode currents relative to the total current of their cell.
@@ -27,13 +27,13 @@ struct Spread {
     worst: f64,
 }
 
-/// One way to evaluate, with what came of it.
+/// One way to evaluate, with its results.
 struct Entry {
     tier: Tier,
     precision: Precision,
     /// Against the exact tier at its tightest, in `f64`.
     error: Spread,
-    /// Against the same tier in `f64`: what the number type costs.
+    /// Against the same tier in `f64`: the error of the number type.
     rounding: Option<Spread>,
     currents: RunTime,
     derivatives: RunTime,

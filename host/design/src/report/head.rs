@@ -10,7 +10,7 @@ use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Electronics;
 
-/// What stands for the truth: integrals far better than anything under study needs.
+/// The truth: integrals far more exact than any method under study.
 const TRUTH: Tier = Tier::Exact { tolerance: 1e-12 };
 
 /// The same for profiles given as tables: across their points third derivatives jump, and the exact tier
@@ -21,13 +21,13 @@ const TRUTH_OF_TABLES: Tier = Tier::Exact { tolerance: 1e-9 };
 /// half intensity at 55°.
 const EXPONENT: f64 = 1.246_972_446_943_724;
 
-/// What a solver is given by default.
+/// The default tolerance of a solver.
 pub(super) const STREAM: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// Poses tried for each one wanted.
 const TRIES: usize = 40;
 
-/// A scene and what is needed to study it.
+/// A scene, prepared for its study.
 pub(super) struct Head<'a> {
     pub(super) file: &'a SceneFile,
     /// The scene with the noise of its front end; without front end, with that of the file.
@@ -84,7 +84,7 @@ impl<'a> Head<'a> {
         Ok(Self { file, scene, frame, poses, truth, truth_tier })
     }
 
-    /// The scene without any noise: what is left is arithmetic.
+    /// The scene without any noise: only arithmetic remains.
     pub(super) fn silent(&self) -> Scene {
         Scene { noise: None, ..self.scene.clone() }
     }

@@ -41,7 +41,7 @@ impl Precision {
     }
 }
 
-/// What a solve starts from.
+/// The start of a solve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Start {
     /// Nothing.
@@ -66,7 +66,7 @@ impl Start {
 pub(super) enum Effort {
     /// The pose on the planes.
     Planes,
-    /// At most so many steps.
+    /// At most this many steps.
     Steps(usize),
     /// To the minimum.
     Full,
@@ -81,7 +81,7 @@ pub(super) struct Method {
     pub(super) effort: Effort,
 }
 
-/// What is asked of a solution, its number type forgotten.
+/// A solution without its number type.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved {
     pub(super) outcome: Outcome,

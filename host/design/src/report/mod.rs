@@ -1,13 +1,13 @@
-//! Error against run time, and what happens where numbers get difficult: `slitpose report`.
+//! Error against run time, and numerically difficult cases: `slitpose report`.
 //!
-//! [`study`] measures one scene and gives a [`Report`]: sections with tables and pictures. What a
-//! section says stands in its own file; a [`Folder`] takes it. Errors are reproducible
+//! [`study`] measures one scene and gives a [`Report`]: sections with tables and pictures. Each
+//! section has its own file; a [`Folder`] stores the report. Errors are reproducible
 //! to the last digit for a seed, times are what the machine gave.
 //!
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
-//!   `attainable` says how exact a pose can be at all;
+//!   `attainable` is the best accuracy of a pose at all;
 //! * `forward`, `solver`, `cycles`, `economy`, `motion` and `stiff` are the sections;
-//! * `section` is what they are made of; `page`, `markdown`, `folder` write it.
+//! * `section` has their parts; `page`, `markdown`, `folder` write it.
 
 mod accuracy;
 mod attainable;
@@ -39,13 +39,13 @@ pub use section::{Column, Report, Section, Table, Value};
 use head::Head;
 use slitpose_head::scene_file::SceneFile;
 
-/// Poses of a full study unless told otherwise: rms errors are known to 1 % or so.
+/// Default number of poses of a full study: rms errors are known to 1 % or so.
 pub const POSES: usize = 1000;
 
 /// Poses of a quick one: to 4 %.
 pub const QUICK_POSES: usize = 100;
 
-/// What a study is asked for.
+/// Settings of a study.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Poses of the workspace.
@@ -64,7 +64,7 @@ impl Settings {
         if self.quick { 5 } else { 21 }
     }
 
-    /// Poses that are timed: the first so many.
+    /// How many poses are timed, from the first on.
     fn timed_poses(&self) -> usize {
         self.poses.min(if self.quick { 50 } else { 200 })
     }
@@ -73,10 +73,10 @@ impl Settings {
 /// Sections of a study.
 pub const SECTIONS: u64 = 6;
 
-/// What makes a section.
+/// Makes a section.
 type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 
-/// Studies `file`. `progress` is told the title of each section before it begins.
+/// Studies `file`. `progress` gets the title of each section before it begins.
 ///
 /// # Errors
 /// If the scene gives no poses to study, or a table of cycles cannot be read.

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{Cell, Pair, Photocurrents, Plan, Pose, Reading, Scene, Uncertainty};
 
-/// Draws what a scene says of noise and of unsettled calibration.
+/// Draws the noise and the calibration errors of a scene.
 pub(super) struct NoiseSource {
     rng: ChaCha8Rng,
 }

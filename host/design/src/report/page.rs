@@ -77,7 +77,7 @@ fn of_table(table: &Table) -> String {
     text + "</tbody>\n</table></div>\n"
 }
 
-/// Escaped, with what stands between back ticks as code.
+/// Escaped, with text between back ticks as code.
 fn words(text: &str) -> String {
     let parts = text.split('`').enumerate().map(|(index, part)| {
         let part = escape(part);

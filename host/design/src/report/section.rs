@@ -1,4 +1,4 @@
-//! What a report is made of, before anybody decides how it is written.
+//! The parts of a report, independent of its format.
 
 /// One entry of a table.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,7 +108,7 @@ pub struct Section {
     pub title: &'static str,
     /// What a reader of nothing else should know of it; it stands at the head of the report.
     pub summary: Vec<String>,
-    /// What was done, and what follows from it.
+    /// Method and conclusions.
     pub paragraphs: Vec<String>,
     /// Pictures, which come first.
     pub(crate) pictures: Vec<Picture>,
@@ -121,7 +121,7 @@ pub struct Section {
 pub struct Report {
     /// The scene's name.
     pub scene: String,
-    /// Under which conditions the numbers hold: names and what they are.
+    /// Conditions under which the numbers hold: names and values.
     pub conditions: Vec<(&'static str, String)>,
     /// What a reader must know before believing a number.
     pub warnings: Vec<String>,

@@ -1,7 +1,6 @@
-//! How long things take, on a machine that does other things, too.
+//! Run times on a machine with other load.
 //!
-//! Candidates are timed in turn, round after round: what disturbs the machine for a while disturbs
-//! all of them alike, and the least time of each is the one that was disturbed least.
+//! Candidates are timed in turn, round after round: a temporary load disturbs all of them alike, and the least time of each is the one that was disturbed least.
 
 use std::time::Instant;
 

@@ -11,7 +11,7 @@ use super::sample::workspace_poses;
 /// What `solve`, `run`, `replay` and `simulate` ask for unless told otherwise.
 const TOLERANCE: f64 = 1e-6;
 
-/// The dearest pose of a cell is not far from the dearest of so many.
+/// Poses evaluated: the dearest of them is not far from the dearest of all.
 const MOST_SAMPLES: usize = 200;
 
 /// One cell's integrals at the tolerance of solving.
@@ -33,7 +33,7 @@ pub(super) fn poses_of(samples: usize) -> usize {
     samples.min(MOST_SAMPLES)
 }
 
-/// The costs of all cells over so many of `samples` poses of the workspace; `progress` is told of each.
+/// The costs of all cells over some of `samples` poses of the workspace; `progress` is called for each.
 pub(super) fn of_cells(
     file: &SceneFile,
     samples: usize,

@@ -1,4 +1,4 @@
-//! What a cell receives from the other emitters that are lit with its own.
+//! Light on a cell from other emitters that are lit with its own.
 
 use serde::Serialize;
 use slitpose_model::{Plan, Pose, Status};

@@ -1,4 +1,4 @@
-//! What a scene can do, before anything is built: the answers of `slitpose scene check`.
+//! What a scene can do, before the head is built: the answers of `slitpose scene check`.
 //!
 //! [`Survey::of`] evaluates the optics at home, over a sample of the workspace and along the six
 //! axes, and derives warnings. All numbers are SI and are serialised as they stand.
@@ -33,7 +33,7 @@ const TOLERANCE: f64 = 1e-4;
 /// The same where poses are solved for: that of `solve` and `run`.
 const SOLVING_TOLERANCE: f64 = 1e-6;
 
-/// Everything `slitpose scene check` tells.
+/// The result of `slitpose scene check`.
 #[derive(Debug, Serialize)]
 pub struct Survey {
     /// The scene's name.
@@ -50,7 +50,7 @@ pub struct Survey {
     pub(crate) coverage: Coverage,
     /// How far the tool moves along each axis with every cell lit and not faint.
     pub(crate) travel: Vec<Travel>,
-    /// What each cell's integrals take for a solver, over some of the workspace.
+    /// The cost of each cell's integrals for a solver, over some of the workspace.
     pub(crate) cost: Vec<CellCost>,
     /// Cross-talk of every lighting slot with more than one emitter.
     pub(crate) crosstalk: Vec<SlotCrosstalk>,
@@ -60,7 +60,7 @@ pub struct Survey {
     pub free_at_home: String,
     /// Whether poses have mirror images with nearly the same currents although all cells see light.
     pub mirror_images: bool,
-    /// What a designer should look at.
+    /// Warnings for the designer.
     #[serde(serialize_with = "serialize_lines")]
     pub warnings: Vec<Finding>,
 }
@@ -75,7 +75,7 @@ pub(crate) struct WorkspaceFacts {
 }
 
 impl Survey {
-    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is told of each pose that was
+    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is called for each pose that was
     /// evaluated, [`Self::poses_of`] in all.
     pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut()) -> Result<Self, SceneError> {
         let tier = Tier::Exact { tolerance: TOLERANCE };

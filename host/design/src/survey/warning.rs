@@ -1,4 +1,4 @@
-//! What a designer should look at, each with its number and a remedy.
+//! Warnings for the designer, each with its number and a remedy.
 
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::scene_file::SceneFile;
@@ -19,7 +19,7 @@ const MOST_EVALUATIONS: usize = 150;
 /// How much looser a tolerance is proposed.
 const LOOSER: f64 = 100.0;
 
-/// What turns a head that is blind to some directions, or to mirror images, into one that is not.
+/// Remedy for free directions and mirror images.
 const TURN_DETECTORS: &str = "turn every other detector about its normal, by 90° against its neighbours";
 
 /// Warnings only: none of these makes a scene unusable.

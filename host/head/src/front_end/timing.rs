@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_says_so() {
+    fn a_schedule_that_does_not_fit_is_refused() {
         let mut file = wide();
         file.front_end.as_mut().unwrap().frame_rate_hz = 8000.0;
         assert!(matches!(configuration(&file), Err(TimingError::Schedule { .. })));

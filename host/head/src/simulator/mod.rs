@@ -1,7 +1,7 @@
 //! A board with a tool in front of it, made of arithmetic.
 //!
 //! [`Trajectory`] moves the tool; the optics of the scene turn its pose at each instant into
-//! photocurrents; the electronics settle, add noise, saturate and quantise; [`SimulatedHardware`]
+//! photocurrents; the electronics settle, add noise, saturate and quantise; `SimulatedHardware`
 //! hands the words to the firmware's own core, as a board's converters would; [`SimulatedBoard`]
 //! lets time pass and carries bytes. Everything follows from the seed.
 

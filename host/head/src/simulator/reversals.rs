@@ -101,7 +101,7 @@ mod tests {
 
     /// No motion of 100,000 years is planned ahead, and none depends on what was asked before.
     #[test]
-    fn the_path_is_the_same_whatever_is_asked_and_in_which_order() {
+    fn the_path_does_not_depend_on_the_order_of_queries() {
         let (endless, once) = (reversals(f64::INFINITY), reversals(3.2e12));
         let times_s = [0.0, 0.3, 0.004, 40.0, 39.999, 12.0, 40.0, -1.0];
         for time_s in times_s {

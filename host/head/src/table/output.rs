@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn one_file_under_two_names_is_told() {
+    fn one_file_under_two_names_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         fs::write(path("old"), "old").unwrap();

@@ -95,7 +95,7 @@ impl Trial {
 const HEAD: &str =
     "| link | error µs: median | 99 % | most | uncertainty µs: median | most |\n|---|---|---|---|---|---|";
 
-/// A controller's own oscillator, 1.5 % off, while the board warms up: 19 ppm a second at most.
+/// An MCU's own oscillator, 1.5 % off, while the board warms up: 19 ppm a second at most.
 const RC: Link = Link { rate: -0.015, wander: 300e-6, wander_period_s: 100.0, ..USB };
 
 const UART: Link = Link { frame_ns: 0.0, up_ns: 250e3, down_ns: 100e3, jitter_ns: 30e3, ..USB };
@@ -169,7 +169,7 @@ fn an_hour_is_followed() {
 }
 
 #[test]
-fn new_fits_are_steered_to() {
+fn a_new_fit_is_approached_gradually() {
     let trial = Trial::run(&UART, 12, 60.0);
     println!("{:.0} ns from scan to scan", trial.unsteady_ns);
     // The uncertainty of 0.3 ms within a second is 300 ppm: 75 ns in the 250 µs of a scan. Rounding.

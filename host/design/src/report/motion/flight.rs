@@ -1,4 +1,4 @@
-//! What a moving tool does, and what is measured of it.
+//! Motions of a tool, and their measurements.
 
 use slitpose_model::{Photocurrents, Pose, Twist};
 

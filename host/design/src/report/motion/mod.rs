@@ -65,7 +65,7 @@ impl Following {
         }
     }
 
-    /// The pose asked of what a tracker tells.
+    /// The studied pose of a tracker's result.
     fn pose(self, tracked: Tracked) -> Solved {
         let raw = Solved::from(tracked.solution);
         match self {
@@ -214,7 +214,7 @@ fn follow(following: Following, resting: &Solver<f64>, frame: &Frame, flights: &
     (errors, fitting / counted)
 }
 
-/// What a frame costs, followed this way or that, at the simulator's own speed.
+/// Cost of a frame by the way it is followed, at the simulator's own speed.
 fn cost(head: &Head<'_>, frame: &Frame, settings: &Settings) -> Result<Table, ReportError> {
     let resting = Solver::<f64>::new(&head.scene, STREAM)?;
     let mut noise = NoiseSource::seeded(settings.seed);

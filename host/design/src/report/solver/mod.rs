@@ -1,4 +1,4 @@
-//! The solver: what each way to a pose costs, and how near it comes to the bound.
+//! The solver: the cost of each method, and its error against the bound.
 
 mod picture;
 mod tables;
@@ -27,7 +27,7 @@ pub(in crate::report) const PRIOR_RAD: f64 = 3e-4;
 /// Which model the light obeys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Light {
-    /// The exact one: what reality does.
+    /// The exact one, as in reality.
     Exact,
     /// That of the paper: an answer book for its own solver.
     Paper,
@@ -101,7 +101,7 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
     Ok(section)
 }
 
-/// What the default solver does for the user of this head.
+/// The default solver on this head.
 fn summary(entries: &[Entry], bound: (f64, f64)) -> Vec<String> {
     let full = |wanted: Start| {
         entries.iter().find(|Entry { run: Run { method, light }, .. }| {

@@ -10,7 +10,7 @@ use crate::report::noise::NoiseSource;
 use crate::report::section::{Column, Table, Value, column};
 use crate::report::{ReportError, Settings};
 
-/// What tells one run from another in a table.
+/// Columns that identify a run in a table.
 fn names(run: &Run) -> Vec<Value> {
     let light = if run.light == Light::Exact { "exact" } else { "paper" };
     let Method { tier, precision, start, effort } = run.method;

@@ -1,4 +1,4 @@
-//! One extreme case, and what came of it in both number types.
+//! One extreme case, and its results in both number types.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ const ENOUGH: f64 = 100.0;
 /// A solve that takes longer is not good, however exact: twenty scans at 4 kHz.
 const SLOW_S: f64 = 5e-3;
 
-/// What must come back.
+/// The expected result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Expected {
     /// One of these words, whatever the number.
@@ -36,7 +36,7 @@ impl Expected {
     }
 }
 
-/// What came of one case in one number type.
+/// The result of a case in one number type.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reached {
     /// How many came back without a value.
@@ -45,7 +45,7 @@ pub(super) struct Reached {
     pub(super) outcomes: BTreeMap<String, usize>,
     /// Error, in the unit of the case; `None` without a value.
     pub(super) error: Option<f64>,
-    /// What is attainable in this number type, in the same unit.
+    /// The attainable error in this number type, in the same unit.
     pub(super) attainable: Option<f64>,
     /// The slowest of the solves, seconds.
     pub(super) slowest_s: Option<f64>,
@@ -67,7 +67,7 @@ impl Reached {
         counted.join(", ")
     }
 
-    /// Error over what is attainable.
+    /// Error over attainable error.
     fn ratio(&self) -> Option<f64> {
         match (self.error?, self.attainable?) {
             (0.0, _) => Some(0.0),
@@ -119,7 +119,7 @@ impl Case {
         slowest_s.filter(|slowest_s| *slowest_s > SLOW_S)
     }
 
-    /// What came of it in `precision`.
+    /// The result in `precision`.
     pub(super) fn reached_in(&self, precision: Precision) -> Option<&Reached> {
         self.reached.iter().find(|(of, _)| *of == precision).map(|(_, reached)| reached)
     }

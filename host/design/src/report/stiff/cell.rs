@@ -8,7 +8,7 @@ use super::reference::Reference;
 use crate::report::head::exponent;
 use crate::report::method::Precision;
 
-/// As exact as `f64` can be asked to be: what it errs is the rounding's.
+/// As exact as `f64` can be: the rest is rounding.
 const TIGHTEST: Tier = Tier::Exact { tolerance: 1e-14 };
 
 /// A dark current, so that it can be seen to be all there is.
@@ -74,7 +74,7 @@ impl Lone {
         .currents()
     }
 
-    /// What the model answers in a number type, the dark current taken off exactly.
+    /// The model's currents in a number type, the dark current subtracted exactly.
     fn respond<S: Scalar>(&self, tier: Tier, emitter_m: DVec3) -> Result<(Response<S>, Pair<f64>), SceneError> {
         let plan = Plan::<S>::compile(&self.scene, tier)?;
         let pose = at(emitter_m);

@@ -1,4 +1,4 @@
-//! Stiff and extreme cases: where numbers get difficult, and what comes back.
+//! Stiff and extreme cases, which are numerically difficult, and their results.
 //!
 //! `cell` drives one cell's optics to extremes and compares with `reference`, an integration of its
 //! own; `pose` and `trial` drive solves there and compare with what rounding allows; `time` has

@@ -17,7 +17,7 @@ use slitpose_head::front_end::{Settling, configuration};
 const BEFORE: u64 = 20;
 const AFTER: u64 = 20;
 
-/// A frame has recovered when its pose is within so many σ.
+/// A frame has recovered when its pose is within this many σ.
 const RECOVERED_SIGMAS: f64 = 5.0;
 
 /// Lit minus dark of front ends with time constants from a nanosecond to a second.

@@ -17,17 +17,17 @@ pub(super) const POSES: usize = 20;
 const NEAR_HOME_M: f64 = 0.3e-3;
 const NEAR_HOME_RAD: f64 = 0.02;
 
-/// A solve is timed so often; the least counts, the others were disturbed.
+/// Repetitions of a timed solve; the least time counts, the others were disturbed.
 const TIMES: usize = 3;
 
 /// How far a warm start is off, per axis.
 const PRIOR_M: f64 = 3e-6;
 const PRIOR_RAD: f64 = 3e-4;
 
-/// What an error of a pose is told as.
+/// The measure of a pose error.
 pub(super) const AT_EMITTERS: &str = "pose at the emitters / µm";
 
-/// Poses and what is measured of them.
+/// Poses and their measurements.
 pub(super) struct Trial {
     pub(super) scene: Scene,
     pub(super) plan: Plan<f64>,
