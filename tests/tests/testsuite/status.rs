@@ -113,7 +113,7 @@ fn a_daemon_without_its_board_is_not_healthy() {
     loop {
         let (code, health) = get(&address, "/health");
         assert_eq!(code, 503, "{health}");
-        if health.starts_with("/dev/slitpose-no-such-port: searching: there is no ") {
+        if health.starts_with("/dev/slitpose-no-such-port, link: searching: there is no ") {
             break;
         }
         assert!(since.elapsed() < PATIENCE, "{health}");
