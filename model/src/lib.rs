@@ -64,13 +64,13 @@
 mod aperture;
 mod exact;
 mod identify;
+mod lanes;
 mod paper;
 mod plan;
 mod polygon;
 mod pose;
 mod power;
 mod profile;
-mod real;
 mod rectangle;
 mod response;
 mod scalar;
@@ -78,11 +78,10 @@ mod scene;
 mod solid_angle;
 mod solve;
 
-pub use exact::Integration;
 pub use identify::identified_relative_intensity;
 pub use plan::{CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
-pub use response::{Flags, Pair, Response, Status};
+pub use response::{Flags, Integration, Pair, Response, Status};
 pub use scalar::{Linear3, Scalar, Vector3};
 pub use scene::{
     BOLTZMANN_J_PER_K, Cell, DEFAULT_FAINT_A, Detector, ELEMENTARY_CHARGE_C, Emitter, Fault, MAX_CELLS,

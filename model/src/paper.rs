@@ -8,9 +8,8 @@
 
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::profile::Falloff;
-use crate::real::Real;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Real, Scalar};
 
 /// Half the angle θ under which a straight segment appears.
 ///

@@ -7,9 +7,8 @@
 use heapless::Vec;
 
 use crate::aperture::{Aperture, Turned};
-use crate::real::Real;
 use crate::response::Status;
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Real, Scalar};
 
 /// Four sides of the detector, four of each of two slit faces, mask plane, horizon.
 pub(crate) const MAX_CORNERS: usize = 16;

@@ -6,8 +6,7 @@
 
 use glam::{DQuat, DVec3};
 
-use crate::real::Real;
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Real, Scalar, Vector3};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,21 +126,21 @@ impl<R: Real> Transform<R> {
 
 impl<S: Scalar> Transform<S> {
     pub(crate) fn of(pose: &Pose) -> Self {
-        Self::of_parts(pose.rotation.to_array().map(S::of), <S as Scalar>::Vec3::of(pose.translation_m))
+        Self::of_parts(pose.rotation.to_array().map(S::of), S::Vec3::of(pose.translation_m))
     }
 
     /// From a quaternion of nearly unit length.
     #[inline]
-    fn of_parts(quaternion: [S; 4], translation: <S as Scalar>::Vec3) -> Self {
+    fn of_parts(quaternion: [S; 4], translation: S::Vec3) -> Self {
         let [x, y, z, w] = quaternion;
-        let inverse = Scalar::inverse_root(x * x + y * y + z * z + w * w);
+        let inverse = Real::inverse_root(x * x + y * y + z * z + w * w);
         let rotation @ [x, y, z, w] = quaternion.map(|component| component * inverse);
         let (one, two) = (S::one(), S::two());
         let (x2, y2, z2) = (two * x, two * y, two * z);
         let (xx, yy, zz) = (x * x2, y * y2, z * z2);
         let (xy, xz, yz) = (x * y2, x * z2, y * z2);
         let (wx, wy, wz) = (w * x2, w * y2, w * z2);
-        let vector = |a, b, c| <<S as Scalar>::Vec3 as Linear3<S>>::new(a, b, c);
+        let vector = |a, b, c| <S::Vec3 as Linear3<S>>::new(a, b, c);
         Self {
             columns: [
                 vector(one - (yy + zz), xy + wz, xz - wy),
@@ -170,7 +169,7 @@ impl<S: Scalar> Transform<S> {
     pub(crate) fn moved(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
         let a = rotation_rad * S::half();
         let [x, y, z, w] = self.rotation;
-        let v = <<S as Scalar>::Vec3 as Linear3<S>>::new(x, y, z);
+        let v = <S::Vec3 as Linear3<S>>::new(x, y, z);
         let imaginary = v + a * w + a.cross(v);
         let real = w - a.dot(v);
         Self::of_parts([imaginary.x(), imaginary.y(), imaginary.z(), real], self.translation + translation_m)

@@ -4,8 +4,7 @@
 //! mⁿ = m₀ⁿ·(1 + δ)ⁿ, δ = (m − m₀)/m₀, is a short binomial series. m − m₀ is exact, so that only the
 //! products round: three units in the last place at most.
 
-use crate::real::Real;
-use crate::scalar::Scalar;
+use crate::scalar::{Real, Scalar};
 
 /// Intervals of m.
 const SEGMENTS: usize = 32;

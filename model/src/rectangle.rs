@@ -1,8 +1,8 @@
 //! The rectangular spot of a slit parallel to its detector.
 
 use crate::aperture::{Face, Span};
-use crate::real::Real;
 use crate::response::Status;
+use crate::scalar::Real;
 
 /// One side of the spot along one axis, and how it moves.
 ///

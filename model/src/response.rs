@@ -2,8 +2,18 @@
 
 use core::fmt;
 
-use crate::exact::Integration;
 use crate::scalar::Scalar;
+
+/// What the integrals over a spot have taken, and how good it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Integration<S> {
+    /// Values of the profile that were needed for one cell's currents.
+    pub evaluations: usize,
+    /// Greatest error of each electrode's photocurrent, as a share of both together: the plan's
+    /// tolerance, unless the limit of work or rounding came first; infinite if no light was found by then where
+    /// there may be some.
+    pub relative_error: S,
+}
 
 /// Geometry of a cell's spot, and nothing else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

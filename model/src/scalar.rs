@@ -1,21 +1,72 @@
-//! The number type of the optics: `f32` on the board, `f64` on the host, one text for both.
+//! The numbers of the optics: `f32` on the board, `f64` on the host, one text for both; and several of them at once
+//! ([`crate::lanes`]), for code without branches.
 //!
 //! Elementary functions come from the `libm` crate on every platform, never from the platform's C
 //! library: the same bytes give the same pose, bit for bit, on any machine. Vectors are glam's.
 
 use core::fmt::Debug;
-use core::ops::{Add, AddAssign, Mul, Neg, Sub};
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 use glam::{DVec3, Vec3};
 use num_traits::{Float, FloatConst, NumAssignOps};
 
-use crate::real::Real;
+/// A real number, or one for each of several lanes.
+pub trait Real:
+    Copy
+    + Debug
+    + Default
+    + PartialEq
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + AddAssign
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+{
+    /// The number in a lane.
+    type Element: Scalar;
+    /// Three components.
+    type Vec3: Linear3<Self>;
+    /// Number of lanes.
+    const LANES: usize;
+
+    /// From the number of each lane.
+    fn of_lanes(lane: impl FnMut(usize) -> Self::Element) -> Self;
+    /// The number in lane `i`.
+    fn lane(self, i: usize) -> Self::Element;
+    /// √, to a unit or two in the last place; of lanes, correctly rounded.
+    fn root(self) -> Self;
+    /// 1/√ of a positive, normal number, to a unit or two in the last place.
+    fn inverse_root(self) -> Self;
+    /// Lane by lane: `yes` where a ≥ b, else `no`.
+    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
+
+    /// The same number in all lanes.
+    #[inline(always)]
+    fn all(value: Self::Element) -> Self {
+        Self::of_lanes(|_| value)
+    }
+
+    /// The nearest number to a constant, in all lanes.
+    #[inline(always)]
+    fn constant(value: f64) -> Self {
+        Self::all(Self::Element::of(value))
+    }
+
+    /// The inverse.
+    #[inline(always)]
+    fn inverse(self) -> Self {
+        Self::constant(1.0) / self
+    }
+}
 
 /// A real number the optics compute with, and the glam vector that goes with it.
-pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + Sync + 'static {
-    /// Three components of this number type.
-    type Vec3: Vector3<Self>;
-
+pub trait Scalar:
+    Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps + Debug + Default + Send + Sync + 'static
+{
     /// As many of this number type as the processor computes with at once.
     type Lanes: Real<Element = Self>;
 
@@ -31,12 +82,6 @@ pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + S
 
     /// This number to a real power.
     fn power(self, exponent: Self) -> Self;
-
-    /// √, to a unit or two in the last place.
-    fn square_root(self) -> Self;
-
-    /// 1/√ of a positive, normal number, to a unit or two in the last place.
-    fn inverse_root(self) -> Self;
 
     /// Arc tangent.
     fn arc_tangent(self) -> Self;
@@ -56,7 +101,7 @@ pub trait Scalar: Float + FloatConst + NumAssignOps + Debug + Default + Send + S
     /// √(x² + y²) of lengths, which never come near the ends of the number range.
     #[inline(always)]
     fn norm(x: Self, y: Self) -> Self {
-        (x * x + y * y).square_root()
+        (x * x + y * y).root()
     }
 
     /// One half.
@@ -133,7 +178,6 @@ fn single_root(x: f32) -> f32 {
 macro_rules! implement_scalar {
     ($scalar:ty, $vec3:ty, $lanes:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $atan2:ident]) => {
         impl Scalar for $scalar {
-            type Vec3 = $vec3;
             type Lanes = $lanes;
             const POWER_TERMS: usize = $terms;
             #[inline(always)]
@@ -157,14 +201,6 @@ macro_rules! implement_scalar {
                 (<$scalar>::from_bits(one | fraction), exponent)
             }
             #[inline(always)]
-            fn square_root(self) -> Self {
-                $root(self)
-            }
-            #[inline(always)]
-            fn inverse_root(self) -> Self {
-                $inverse_root(self)
-            }
-            #[inline(always)]
             fn arc_tangent(self) -> Self {
                 libm::$atan(self)
             }
@@ -179,6 +215,33 @@ macro_rules! implement_scalar {
             #[inline(always)]
             fn angle_from(self, x: Self) -> Self {
                 libm::$atan2(self, x)
+            }
+        }
+
+        impl Real for $scalar {
+            type Element = Self;
+            type Vec3 = $vec3;
+            const LANES: usize = 1;
+
+            #[inline(always)]
+            fn of_lanes(mut lane: impl FnMut(usize) -> Self) -> Self {
+                lane(0)
+            }
+            #[inline(always)]
+            fn lane(self, _: usize) -> Self {
+                self
+            }
+            #[inline(always)]
+            fn root(self) -> Self {
+                $root(self)
+            }
+            #[inline(always)]
+            fn inverse_root(self) -> Self {
+                $inverse_root(self)
+            }
+            #[inline(always)]
+            fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
+                if a >= b { yes } else { no }
             }
         }
 
@@ -256,13 +319,13 @@ mod tests {
         let mut x = f32::MIN_POSITIVE;
         while x < 1e38 {
             let exact = f64::from(x).sqrt();
-            assert!((f64::from(x.square_root()) / exact - 1.0).abs() < 2.0 * f64::from(f32::EPSILON), "{x:e}");
-            assert!((f64::from(Scalar::inverse_root(x)) * exact - 1.0).abs() < 2.0 * f64::from(f32::EPSILON), "{x:e}");
+            assert!((f64::from(x.root()) / exact - 1.0).abs() < 2.0 * f64::from(f32::EPSILON), "{x:e}");
+            assert!((f64::from(x.inverse_root()) * exact - 1.0).abs() < 2.0 * f64::from(f32::EPSILON), "{x:e}");
             x *= 1.000_37;
         }
-        assert_eq!(0f32.square_root(), 0.0);
-        assert_eq!(f32::INFINITY.square_root(), f32::INFINITY);
-        assert!((-1f32).square_root().is_nan() && f32::NAN.square_root().is_nan());
-        assert!((1e-42f32.square_root() / 1e-42f32.sqrt() - 1.0).abs() < 1e-6);
+        assert_eq!(0f32.root(), 0.0);
+        assert_eq!(f32::INFINITY.root(), f32::INFINITY);
+        assert!((-1f32).root().is_nan() && f32::NAN.root().is_nan());
+        assert!((1e-42f32.root() / 1e-42f32.sqrt() - 1.0).abs() < 1e-6);
     }
 }

@@ -9,7 +9,7 @@ use crate::scalar::Scalar;
 fn triangle<S: Scalar>(twice_area: S, a: [S; 2], b: [S; 2], c: [S; 2], height: S) -> S {
     let h2 = height * height;
     let dot = |p: [S; 2], q: [S; 2]| p[0] * q[0] + p[1] * q[1] + h2;
-    let (ra, rb, rc) = (dot(a, a).sqrt(), dot(b, b).sqrt(), dot(c, c).sqrt());
+    let (ra, rb, rc) = (dot(a, a).root(), dot(b, b).root(), dot(c, c).root());
     let denominator = ra * rb * rc + dot(a, b) * rc + dot(b, c) * ra + dot(c, a) * rb;
     S::two() * (height * twice_area).angle_from(denominator)
 }

@@ -43,7 +43,7 @@ impl<S: Scalar> Cone<S> {
         if !(q2 > S::zero() && a > S::zero() && b > S::zero()) {
             return None;
         }
-        let (q, sine) = (q2.sqrt(), sine2.sqrt() * side);
+        let (q, sine) = (q2.root(), sine2.root() * side);
         let down = -uz * q - ux * sine;
         if down <= S::zero() {
             return None;
@@ -56,7 +56,7 @@ impl<S: Scalar> Cone<S> {
         let at = |y: S| {
             let w = uy * y - uz * h;
             let root2 = w * w - (y * y + h * h) * a;
-            (root2 >= S::zero()).then(|| (ux * w + side * c * root2.sqrt()) / a)
+            (root2 >= S::zero()).then(|| (ux * w + side * c * root2.root()) / a)
         };
         // Over lines beside the cone there is nothing.
         strip.into_iter().filter_map(at).reduce(|one, other| if (one - other) * side > S::zero() { one } else { other })

@@ -20,18 +20,8 @@ use order::MAX_NODES;
 
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight};
+use crate::response::Integration;
 use crate::scalar::{Linear3, Scalar};
-
-/// What the integrals over a spot have taken, and how good it is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Integration<S> {
-    /// Values of the profile that were needed for one cell's currents.
-    pub evaluations: usize,
-    /// Greatest error of each electrode's photocurrent, as a share of both together: the plan's
-    /// tolerance, unless the limit of work or rounding came first; infinite if no light was found by then where
-    /// there may be some.
-    pub relative_error: S,
-}
 
 /// Whether the whole spot lies behind the emitter's horizon: u·d, linear over the spot, is nowhere
 /// positive.

@@ -120,7 +120,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             }
         }
         // Two standard deviations of what adds up by chance.
-        error += S::two() * rough.sqrt();
+        error += S::two() * rough.root();
         if error <= allowed * total || largest == S::zero() || panels.len() == MAX_PANELS {
             break;
         }

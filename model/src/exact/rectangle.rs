@@ -39,7 +39,7 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
         let nearest = across.low.position.max(across.high.position.min(S::zero()));
         let d2 = h2 + nearest * nearest;
         let (low, high) = (along.low.position, along.high.position);
-        ((low * low + d2).sqrt() + (high * high + d2).sqrt()) / (S::two() * along.half)
+        ((low * low + d2).root() + (high * high + d2).root()) / (S::two() * along.half)
     };
     let (reach_x, reach_y) = (reach(x, y), reach(y, x));
     let horizon = |slope: S| S::one() + least / slope;
@@ -50,7 +50,7 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
     let cosine = (middle / distance).min(S::one());
     let angle2 = (reach_x * reach_x).recip() + (reach_y * reach_y).recip();
     let tangent2 = (S::one() - cosine * cosine) / (cosine * cosine);
-    let spread = (tangent2 * angle2).sqrt() + S::half() * angle2;
+    let spread = (tangent2 * angle2).root() + S::half() * angle2;
     // ∂ln c = u/(u·d) − d/r², along either side, by the angle.
     let slope = |along: S, at: S| along * distance / middle - at / distance;
     let lobe = |slope: S, reach: S| orders.lobe_nodes(tangent2, slope, reach);
@@ -87,7 +87,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
         let (mut rl0, mut rl1, mut rl2, mut rl3) = (zero, zero, zero, zero);
         for (xi, weight_x) in rules.get(nodes.0) {
             let x = xm + hx * xi;
-            let inverse = (x * x + across2).sqrt().recip();
+            let inverse = (x * x + across2).root().recip();
             let inverse2 = inverse * inverse;
             let c = (ux * x + across_u) * inverse;
             let density = weight_x * h * inverse2 * inverse;

@@ -130,7 +130,7 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
     };
     let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(exponent, tolerance));
     let y_axis = normal.cross(x_axis);
-    let vector = |v: DVec3| <S as Scalar>::Vec3::of(v);
+    let vector = |v: DVec3| S::Vec3::of(v);
     Ok(CompiledCell {
         receiver: Receiver {
             axes: [x_axis, y_axis, normal].map(vector),

@@ -3,13 +3,13 @@
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::exact::{self, Integration, Orders, PolygonLight};
+use crate::exact::{self, Orders, PolygonLight};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::pose::Transform;
 use crate::profile::{CompiledProfile, Emission};
 use crate::rectangle::Rectangle;
-use crate::response::{Flags, Pair, Response, Status};
+use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Scalar};
 use crate::solid_angle;
 

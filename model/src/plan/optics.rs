@@ -3,9 +3,8 @@
 
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
-use crate::real::Real;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Real, Scalar};
 
 /// The detector on the base, without its aperture.
 #[derive(Clone, Debug)]

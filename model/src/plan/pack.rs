@@ -7,9 +7,8 @@ use crate::aperture::{Aperture, Face, Span};
 use crate::paper;
 use crate::pose::Transform;
 use crate::power::PowerLanes;
-use crate::real::Real;
 use crate::rectangle::{Rectangle, Verdict};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Real, Scalar};
 use crate::scene::MAX_CELLS;
 
 use super::optics::{Instant, Light, Receiver, Seen, Source, of_sides};

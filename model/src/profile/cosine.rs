@@ -1,8 +1,7 @@
 //! The profile cosⁿγ.
 
 use crate::power::{Power, PowerLanes};
-use crate::real::Real;
-use crate::scalar::Scalar;
+use crate::scalar::{Real, Scalar};
 
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
@@ -104,7 +103,7 @@ impl<S: Scalar> Emission<S> for Cosine<S> {
     }
 
     fn rescaling(&self, brightest: impl FnOnce() -> S, corner: S) -> (S, S) {
-        if corner > S::zero() && self.power.of(corner) > S::min_positive_value().sqrt() {
+        if corner > S::zero() && self.power.of(corner) > S::min_positive_value().root() {
             return (S::one(), S::one());
         }
         let brightest = brightest();

@@ -22,7 +22,7 @@ use heapless::Vec;
 use crate::scalar::Scalar;
 use crate::scene::MAX_PROFILE_KNOTS;
 
-use super::window::Windows;
+use super::window::{Piecewise, Windows};
 use super::{Emission, Falloff, Series};
 
 /// A table that ends before 90° gets one more point there.
@@ -111,16 +111,16 @@ impl<S: Scalar> Table<S> {
         let pieces = &self.points[..self.points.len() - 1];
         pieces.partition_point(|point| point.v <= v).max(1) - 1
     }
+}
 
-    /// Values of v at the points.
-    pub(super) fn positions(&self) -> impl Iterator<Item = S> {
-        self.points.iter().map(|point| point.v)
+impl Piecewise for Table<f64> {
+    fn end(&self) -> f64 {
+        let last_lit = self.points.iter().rposition(|point| point.value > 0.0).unwrap_or(0);
+        self.points[(last_lit + 1).min(self.points.len() - 1)].v
     }
 
-    /// The least v from which on there is no light.
-    pub(super) fn end(&self) -> S {
-        let last_lit = self.points.iter().rposition(|point| point.value > S::zero()).unwrap_or(0);
-        self.points[(last_lit + 1).min(self.points.len() - 1)].v
+    fn positions(&self) -> impl Iterator<Item = f64> + Clone {
+        self.points.iter().map(|point| point.v)
     }
 }
 

@@ -6,7 +6,6 @@
 
 use crate::scalar::Scalar;
 
-use super::table::Table;
 use super::{Falloff, MAX_TERMS, Series};
 
 /// Number of windows from the axis to where the light ends: 4.5° each for light up to 90°. A plan has room
@@ -30,6 +29,14 @@ const REMAINDERS: [f64; 5] = [0.34, 0.12, 0.05, 0.015, 0.0015];
 /// Exponents above which the product of profile and distance takes a node more, and another one: a node
 /// is worth a factor of a hundred and more.
 const STEEPNESSES: [f64; 2] = [3.0, 30.0];
+
+/// A profile given by its values at some positions, smooth between them.
+pub(super) trait Piecewise: Falloff<f64> {
+    /// 1 − cos γ where the light ends.
+    fn end(&self) -> f64;
+    /// 1 − cos γ of the values.
+    fn positions(&self) -> impl Iterator<Item = f64> + Clone;
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct Windows<S> {
@@ -57,7 +64,7 @@ impl<S: Scalar> Windows<S> {
     }
 
     /// As wide as `tolerance` allows.
-    pub(super) fn fit(table: &Table<f64>, tolerance: f64) -> Self {
+    pub(super) fn fit(table: &impl Piecewise, tolerance: f64) -> Self {
         let root = libm::sqrt(table.end());
         let mut fitted = Self::none();
         fitted.density = S::of(WINDOWS as f64 / root);
@@ -85,7 +92,7 @@ impl<S: Scalar> Windows<S> {
     /// The polynomial for c within `spread`·`centre` of `centre`.
     #[inline(always)]
     pub(super) fn near(&self, centre: S, spread: S) -> Option<Series<S>> {
-        let index = ((S::one() - centre).max(S::zero()).square_root() * self.density).to_usize()?;
+        let index = ((S::one() - centre).max(S::zero()).root() * self.density).to_usize()?;
         let window = self.windows.get(index)?;
         let (offset, reach) = (centre - self.centre(index), spread * centre);
         if offset.abs() + reach > window.reach {
@@ -140,7 +147,7 @@ struct Fit {
 
 impl Fit {
     /// Over γ ± `half_width` around the angle of cosine `centre`. `None` where there is no light.
-    fn over(table: &Table<f64>, centre: f64, half_width: f64) -> Option<Self> {
+    fn over(table: &impl Piecewise, centre: f64, half_width: f64) -> Option<Self> {
         let gamma = libm::acos(centre);
         let farther = libm::cos((gamma + half_width).min(core::f64::consts::FRAC_PI_2)).max(0.0);
         let nearer = libm::cos((gamma - half_width).max(0.0));
@@ -192,6 +199,7 @@ mod tests {
 
     use super::*;
     use crate::profile::Emission;
+    use crate::profile::table::Table;
 
     #[test]
     fn windows_stand_for_the_table_to_the_tolerance() {

@@ -185,5 +185,5 @@ fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
     if redundancy == 0 || visible <= negligible {
         return S::infinity();
     }
-    ((gate - S::of(redundancy as f64)) * (S::one() - visible) / visible).square_root()
+    ((gate - S::of(redundancy as f64)) * (S::one() - visible) / visible).root()
 }

@@ -4,8 +4,7 @@
 //! root of rounding; a triangle made of the rows themselves ([`Triangle`]) is good up to the inverse
 //! of rounding.
 
-use crate::real::Real;
-use crate::scalar::Scalar;
+use crate::scalar::{Real, Scalar};
 
 /// A vector of the six pose coordinates (translation, rotation).
 pub(crate) type Vector6<S> = [S; 6];
@@ -142,7 +141,7 @@ impl<S: Scalar> Factor<S> {
     /// |Lᵀ·v|: the length of a displacement in σ.
     pub(crate) fn length(&self, v: &Vector6<S>) -> S {
         let element = |i: usize| (i..6).fold(S::zero(), |sum, k| sum + self.lower[k][i] * v[k]);
-        (0..6).fold(S::zero(), |sum, i| sum + element(i) * element(i)).sqrt()
+        (0..6).fold(S::zero(), |sum, i| sum + element(i) * element(i)).root()
     }
 
     /// Whether the diagonal spans less than `ratio`.
@@ -165,12 +164,12 @@ impl<S: Scalar> Factor<S> {
                 for q in p + 1..6 {
                     let (a, b, c) =
                         (dot(&columns[p], &columns[p]), dot(&columns[q], &columns[q]), dot(&columns[p], &columns[q]));
-                    if c == S::zero() || c.abs() <= S::of(0.25) * S::epsilon() * (a * b).sqrt() {
+                    if c == S::zero() || c.abs() <= S::of(0.25) * S::epsilon() * (a * b).root() {
                         continue;
                     }
                     let theta = (b - a) / (S::two() * c);
-                    let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).sqrt());
-                    let cosine = (t * t + S::one()).sqrt().recip();
+                    let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).root());
+                    let cosine = (t * t + S::one()).root().recip();
                     let sine = t * cosine;
                     for set in [&mut columns, &mut vectors] {
                         for k in 0..6 {
@@ -183,7 +182,7 @@ impl<S: Scalar> Factor<S> {
             }
         }
         let mut pairs: [(S, Vector6<S>); 6] =
-            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).sqrt(), vectors[i]));
+            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).root(), vectors[i]));
         pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
         pairs
     }

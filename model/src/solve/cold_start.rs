@@ -359,8 +359,7 @@ impl<S: Scalar> Problem<'_, S> {
         for sigmas in [DISTINCT_SIGMAS, -DISTINCT_SIGMAS] {
             for (value, direction) in axes {
                 let far = direction.map(|element| element * (S::of(sigmas) / value));
-                let may_cross =
-                    !observability::is_free(value) && !self.is_smooth(square(&far).square_root(), workspace);
+                let may_cross = !observability::is_free(value) && !self.is_smooth(square(&far).root(), workspace);
                 if !may_cross || best.chi2 <= doubted || workspace.work == 0 {
                     continue;
                 }

@@ -125,7 +125,7 @@ impl<S: Scalar> Compiled<S> {
 
     pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {
         let sigmas = [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s];
-        let vector = |v: glam::DVec3| <S as Scalar>::Vec3::of(v);
+        let vector = |v: glam::DVec3| S::Vec3::of(v);
         let [linear, angular] = [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(vector);
         Problem {
             plan: &self.plan,

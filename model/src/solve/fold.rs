@@ -59,7 +59,7 @@ impl<S: Scalar> Compiled<S> {
         let mut loose = [S::one(); 6];
         for _ in 0..INVERSE_STEPS {
             let next = factor.backward(&factor.forward(&loose));
-            let scale = square(&next).square_root().recip();
+            let scale = square(&next).root().recip();
             loose = next.map(|value| value * scale);
         }
         let sigma = factor.length(&loose).recip();

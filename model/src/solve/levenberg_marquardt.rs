@@ -107,8 +107,8 @@ impl<S: Scalar> Problem<'_, S> {
     /// `pose` after a scaled step.
     pub(super) fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
-            <S as Scalar>::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m,
-            <S as Scalar>::Vec3::new(step[3], step[4], step[5]),
+            S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m,
+            S::Vec3::new(step[3], step[4], step[5]),
         )
     }
 
@@ -228,12 +228,12 @@ impl<S: Scalar> Problem<'_, S> {
         stopping: Stopping<S>,
         workspace: &Workspace<S>,
     ) -> Reach<S> {
-        let length = square(&step.step).square_root();
+        let length = square(&step.step).root();
         let jacobian_change = self.jacobian_change_rate * length;
         // At its end the currents differ from the linearised ones by that share of their change at most. In a valley
         // this bound stays above any tolerance, although nothing is left to gain.
         let is_in_valley = iterations > PATIENCE && step.predicted_reduction <= S::of(NEGLIGIBLE_REDUCTION);
-        let change = if is_in_valley { step.predicted_reduction.square_root() } else { length * at.steepness() };
+        let change = if is_in_valley { step.predicted_reduction.root() } else { length * at.steepness() };
         let is_tiny = jacobian_change * jacobian_change <= self.jacobian_change_rate * S::epsilon();
         let is_within = jacobian_change * change <= stopping.tolerance_sigmas && self.is_smooth(length, workspace);
         Reach { length, jacobian_change, is_last: is_tiny || is_within }
@@ -259,15 +259,15 @@ impl<S: Scalar> Problem<'_, S> {
         let (chi2, gradient) = self.reevaluate(trial, whiteners, workspace);
         let half_way = first.factor.forward(&gradient);
         let (second, reduction) = (first.factor.backward(&half_way), square(&half_way));
-        let ratio = (reduction / first.predicted_reduction).square_root();
+        let ratio = (reduction / first.predicted_reduction).root();
         // Written so that NaN is too old.
         let is_good = ratio <= S::of(MOST_SECOND_STEP);
         if !is_good {
             return Reused::TooOld;
         }
         let end = self.moved(trial, &second);
-        let remaining = reach.jacobian_change * square(&second).square_root() * at.steepness();
-        if remaining.max(ratio * reduction.square_root()) <= stopping.tolerance_sigmas {
+        let remaining = reach.jacobian_change * square(&second).root() * at.steepness();
+        if remaining.max(ratio * reduction.root()) <= stopping.tolerance_sigmas {
             Reused::Minimum(end, (chi2 - reduction).max(S::zero()))
         } else {
             Reused::Nearer(end)

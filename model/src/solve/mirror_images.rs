@@ -59,7 +59,7 @@ impl<S: Scalar> Compiled<S> {
         let (_, direction) = minimum.factor.as_ref()?.singular()[0];
         let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
         let length = S::of(sign * SOFT_STEP * f64::from(1_u32 << (index / 2)));
-        let [shift, turn] = [0, 3].map(|i| <S as Scalar>::Vec3::new(direction[i], direction[i + 1], direction[i + 2]));
+        let [shift, turn] = [0, 3].map(|i| S::Vec3::new(direction[i], direction[i + 1], direction[i + 2]));
         Some(minimum.pose.moved(shift * (length * self.length_scale_m), turn * length))
     }
 
@@ -155,8 +155,8 @@ pub(super) fn image<S: Scalar>(
         .enumerate()
         .filter(|(i, _)| pattern & 1 << i == 0)
         .for_each(|(_, (_, sides))| sides[1] = sides[0]);
-    let axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
-        .map(|(x, y, z)| <S as Scalar>::Vec3::new(S::of(x), S::of(y), S::of(z)));
+    let axes =
+        [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)].map(|(x, y, z)| S::Vec3::new(S::of(x), S::of(y), S::of(z)));
     let (places, axes) = (&places, &axes);
     Some(settle(*pose, length_scale_m, STEPS, |pose| {
         places.iter().flat_map(move |(cell, [_, beyond])| {

@@ -112,7 +112,7 @@ impl<S: Scalar> NormalEquations<S> {
     /// An estimate, low by √6 at most, of the norm of J: the most that a step of unit length changes the
     /// whitened currents.
     pub(super) fn steepness(&self) -> S {
-        (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).square_root()
+        (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).root()
     }
 
     /// The information times a step.

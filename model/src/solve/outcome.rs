@@ -151,7 +151,7 @@ pub struct Estimate<S = f64> {
 impl<S: Scalar> Estimate<S> {
     /// Standard deviations of (δt, δθ): m and rad.
     pub fn sigma(&self) -> [S; 6] {
-        core::array::from_fn(|i| self.covariance[i][i].sqrt())
+        core::array::from_fn(|i| self.covariance[i][i].root())
     }
 
     /// The same in `f64`.

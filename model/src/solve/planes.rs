@@ -54,11 +54,11 @@ impl<S: Scalar> PlaneCell<S> {
         let height = (cell.emitter.position_tool_m - detector.centre_base_m).dot(z);
         let magnification = if height > slit.distance_m { height / (height - slit.distance_m) } else { 1.0 };
         Self {
-            detector: <S as Scalar>::Vec3::of(detector.centre_base_m),
-            x_axis: <S as Scalar>::Vec3::of(x),
-            slit: <S as Scalar>::Vec3::of(detector.centre_base_m + to_base(slit_cell)),
-            along: <S as Scalar>::Vec3::of(to_base(along)),
-            emitter_tool: <S as Scalar>::Vec3::of(cell.emitter.position_tool_m),
+            detector: S::Vec3::of(detector.centre_base_m),
+            x_axis: S::Vec3::of(x),
+            slit: S::Vec3::of(detector.centre_base_m + to_base(slit_cell)),
+            along: S::Vec3::of(to_base(along)),
+            emitter_tool: S::Vec3::of(cell.emitter.position_tool_m),
             half_length: S::of(0.5 * detector.length_m),
             unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
@@ -178,10 +178,10 @@ pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
         };
         let step = factor.solve(&right);
         pose = pose.moved(
-            <S as Scalar>::Vec3::new(step[0], step[1], step[2]),
-            <S as Scalar>::Vec3::new(step[3], step[4], step[5]) * length_scale_m.recip(),
+            S::Vec3::new(step[0], step[1], step[2]),
+            S::Vec3::new(step[3], step[4], step[5]) * length_scale_m.recip(),
         );
-        let size = step.iter().fold(S::zero(), |sum, &value| sum + value * value).sqrt();
+        let size = step.iter().fold(S::zero(), |sum, &value| sum + value * value).root();
         if size < S::of(STEP_M) {
             break;
         }

@@ -40,6 +40,6 @@ pub(super) fn spread<S: Scalar>(index: usize) -> Transform<S> {
     Transform::of(&Pose::HOME).moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
 }
 
-fn vector<S: Scalar>(v: glam::DVec3) -> <S as Scalar>::Vec3 {
-    <S as Scalar>::Vec3::of(v)
+fn vector<S: Scalar>(v: glam::DVec3) -> S::Vec3 {
+    S::Vec3::of(v)
 }

@@ -54,7 +54,7 @@ impl<S: Scalar> Problem<'_, S> {
         if let Some(prior) = self.motion.prior {
             for i in 0..6 {
                 let mut row = [S::zero(); 12];
-                row[i] = prior[i / 3].sqrt();
+                row[i] = prior[i / 3].root();
                 triangle.add(row, S::zero());
             }
         }
@@ -95,7 +95,7 @@ impl<S: Scalar> Problem<'_, S> {
             let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
             let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
             let half_difference = S::half() * (uu - vv);
-            let radius = (half_difference * half_difference + uv * uv).square_root();
+            let radius = (half_difference * half_difference + uv * uv).root();
             least.min(S::one() - S::half() * (uu + vv) - radius)
         })
     }

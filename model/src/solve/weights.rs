@@ -23,7 +23,7 @@ impl<S: Scalar> Whitener<S> {
     /// direction that is known to nothing loses its weight, the other keeps its digits.
     fn loosened(&self, pair: [S; 2], variance: S) -> Self {
         let [a, b] = self.apply(pair);
-        let root = (S::one() + variance * (a * a + b * b)).square_root();
+        let root = (S::one() + variance * (a * a + b * b)).root();
         let factor = variance / (root * (S::one() + root));
         let [w0, w1] = self.rows;
         let along = [0, 1].map(|k| factor * (a * w0[k] + b * w1[k]));

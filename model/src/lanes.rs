@@ -1,95 +1,14 @@
-//! Numbers that branch-free optics compute with: one [`Scalar`], or several at once.
+//! Several numbers at once.
 //!
-//! The processors of hosts do two `f64` operations in one instruction. Cells do not depend on each
-//! other, so what is written for a [`Real`] serves one cell or a pair of them, with the same roundings:
-//! only operations that IEEE 754 defines to the last bit are used on lanes.
+//! The processors of hosts do two `f64` operations in one instruction. Cells do not depend on each other, so what
+//! is written for a [`Real`] serves one cell or a pair of them, with the same roundings: only operations that IEEE 754
+//! defines to the last bit are used on lanes.
 
-use core::fmt::Debug;
-use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+use core::ops::{Add, AddAssign, Mul, Neg, Sub};
 
 use wide::{CmpGe, f64x2};
 
-use crate::scalar::{Linear3, Scalar};
-
-/// A real number, or one for each of several lanes.
-pub trait Real:
-    Copy
-    + Debug
-    + Default
-    + PartialEq
-    + Send
-    + Sync
-    + 'static
-    + Add<Output = Self>
-    + AddAssign
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-    + Neg<Output = Self>
-{
-    /// The number in a lane.
-    type Element: Scalar;
-    /// Three components.
-    type Vec3: Linear3<Self>;
-    /// Number of lanes.
-    const LANES: usize;
-
-    /// From the number of each lane.
-    fn of_lanes(lane: impl FnMut(usize) -> Self::Element) -> Self;
-    /// The number in lane `i`.
-    fn lane(self, i: usize) -> Self::Element;
-    /// √.
-    fn root(self) -> Self;
-    /// 1/√.
-    fn inverse_root(self) -> Self;
-    /// Lane by lane: `yes` where a ≥ b, else `no`.
-    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
-
-    /// The same number in all lanes.
-    #[inline(always)]
-    fn all(value: Self::Element) -> Self {
-        Self::of_lanes(|_| value)
-    }
-
-    /// The nearest number to a constant, in all lanes.
-    #[inline(always)]
-    fn constant(value: f64) -> Self {
-        Self::all(Self::Element::of(value))
-    }
-
-    /// The inverse.
-    #[inline(always)]
-    fn inverse(self) -> Self {
-        Self::constant(1.0) / self
-    }
-}
-
-impl<S: Scalar> Real for S {
-    type Element = S;
-    type Vec3 = <S as Scalar>::Vec3;
-    const LANES: usize = 1;
-
-    #[inline(always)]
-    fn of_lanes(mut lane: impl FnMut(usize) -> S) -> S {
-        lane(0)
-    }
-    #[inline(always)]
-    fn lane(self, _: usize) -> S {
-        self
-    }
-    #[inline(always)]
-    fn root(self) -> S {
-        self.square_root()
-    }
-    #[inline(always)]
-    fn inverse_root(self) -> S {
-        Scalar::inverse_root(self)
-    }
-    #[inline(always)]
-    fn where_at_least(a: S, b: S, yes: S, no: S) -> S {
-        if a >= b { yes } else { no }
-    }
-}
+use crate::scalar::{Linear3, Real};
 
 impl Real for f64x2 {
     type Element = f64;
