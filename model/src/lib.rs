@@ -88,6 +88,6 @@ pub use scene::{
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, Cells, Directions, Estimate, MotionPrior, Outcome, Photocurrents, Reading, Smoothed, Solution, Solver, Start,
-    Tracked, Tracker, TwistEstimate, Verified, Weakness,
+    AXES, Cells, DegradedReason, Directions, Estimate, Filtered, MotionPrior, Outcome, Photocurrents, Reading,
+    Solution, Solver, Start, Tracked, Tracker, TwistEstimate, Verified,
 };

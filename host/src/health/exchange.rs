@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 use slitpose_model::{
-    MAX_CELLS, MotionPrior, Outcome, Photocurrents, Pose, Reading, Solution, Solver, Start, Twist, Weakness,
+    DegradedReason, MAX_CELLS, MotionPrior, Outcome, Photocurrents, Pose, Reading, Solution, Solver, Start, Twist,
 };
 use slitpose_protocol::Schedule;
 
@@ -254,7 +254,7 @@ impl Search {
 
 /// Whether all cells with light agree on a pose, and enough of them do.
 fn is_clean(solution: &Solution) -> bool {
-    matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(Weakness::FewerCells))
+    matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells))
         && solution.redundancy >= LEAST_REDUNDANCY
 }
 

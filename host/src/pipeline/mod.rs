@@ -20,7 +20,7 @@ mod waiting;
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
-use slitpose_model::{Pose, Smoothed, Solution, Tier, Tracked, TwistEstimate};
+use slitpose_model::{Filtered, Pose, Solution, Tier, Tracked, TwistEstimate};
 use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
 };
@@ -63,7 +63,7 @@ pub struct Record {
     /// Velocity at that instant, from this scan and a few before.
     pub twist: Option<TwistEstimate>,
     /// Pose and velocity filtered over many scans, if asked for.
-    pub filtered: Option<Smoothed>,
+    pub filtered: Option<Filtered>,
     /// Whether the photocurrents were computed, not measured.
     pub simulated: bool,
     /// Where the tool was at that instant; only simulators know.
@@ -499,7 +499,7 @@ fn session_of<'a>(
     earlier.iter_mut().chain(current).map(|session| &mut **session).find(|session| session.number() == number)
 }
 
-fn record(session: &Session, scan: &Scan, Tracked { solution, twist, smoothed }: Tracked) -> Record {
+fn record(session: &Session, scan: &Scan, Tracked { solution, twist, filtered }: Tracked) -> Record {
     Record {
         device: session.device(),
         sequence: scan.sequence(),
@@ -508,7 +508,7 @@ fn record(session: &Session, scan: &Scan, Tracked { solution, twist, smoothed }:
         arrival: scan.arrival,
         solution,
         twist,
-        filtered: smoothed,
+        filtered,
         simulated: session.kind() == BoardKind::Simulated,
         truth: scan.truth,
     }

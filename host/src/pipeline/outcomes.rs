@@ -4,7 +4,7 @@ use std::mem::discriminant;
 
 use schemars::JsonSchema;
 use serde::Serialize;
-use slitpose_model::{Directions, Outcome, Weakness};
+use slitpose_model::{DegradedReason, Directions, Outcome};
 
 /// Counts of solutions by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
@@ -28,7 +28,7 @@ impl Outcomes {
     fn kinds() -> [Outcome; 6] {
         [
             Outcome::Converged,
-            Outcome::Degraded(Weakness::FewerCells),
+            Outcome::Degraded(DegradedReason::FewerCells),
             Outcome::Ambiguous,
             Outcome::Unobservable(Directions::default()),
             Outcome::TooDark,

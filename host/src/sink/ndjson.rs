@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use slitpose_model::{Estimate, Outcome, Pose, Smoothed, TwistEstimate};
+use slitpose_model::{self as model, Estimate, Outcome, Pose, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
 use crate::link::DeviceId;
@@ -93,8 +93,8 @@ struct Filtered {
     frames: u32,
 }
 
-impl From<Smoothed> for Filtered {
-    fn from(filtered: Smoothed) -> Self {
+impl From<model::Filtered> for Filtered {
+    fn from(filtered: model::Filtered) -> Self {
         let Estimate { pose, covariance } = filtered.estimate;
         Self {
             translation_m: pose.translation_m.to_array(),

@@ -3,7 +3,7 @@
 //! The variable is v = 1 − cos γ, in which a profile that is smooth across the emitter's axis has no
 //! kink there. Through each point (v_i, y_i) goes a parabola P_i = y_i + m·(v − v_i) + q·(v − v_i)²;
 //! between two points the parabolas are blended by a step w that is flat at both ends (parabolic
-//! blending, Overhauser 1968, with a smoother step):
+//! blending, Overhauser 1968, with a filter step):
 //!
 //! I_rel = P_i + w(s)·(P_{i+1} − P_i),  w = s³(10 − 15s + 6s²),  s = (v − v_i)/(v_{i+1} − v_i).
 //!

@@ -18,7 +18,7 @@ use super::compiled::Compiled;
 use super::levenberg_marquardt::Minimum;
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::observability;
-use super::outcome::{Directions, Estimate, Outcome, Solution, Weakness};
+use super::outcome::{DegradedReason, Directions, Estimate, Outcome, Solution};
 use super::readings::Sorted;
 
 /// Two poses this many σ apart are two poses.
@@ -103,9 +103,9 @@ impl<S: Scalar> Compiled<S> {
         let gate = self.gates[sorted.usable.len()];
         solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, workspace));
         solution.outcome = if fit == Fit::None {
-            Outcome::Degraded(Weakness::Misfit)
+            Outcome::Degraded(DegradedReason::Misfit)
         } else if sorted.usable.len() < self.plan.cell_count() {
-            Outcome::Degraded(Weakness::FewerCells)
+            Outcome::Degraded(DegradedReason::FewerCells)
         } else {
             Outcome::Converged
         };

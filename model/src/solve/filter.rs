@@ -66,7 +66,7 @@ pub struct TwistEstimate {
 
 /// A pose from many frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Smoothed {
+pub struct Filtered {
     /// At the reference instant of the newest frame. Its covariance grows with what the poses stray
     /// from the parabola.
     pub estimate: Estimate,
@@ -248,7 +248,7 @@ impl FadingFilter {
     }
 
     /// The state, where the covariance of a single pose is `covariance`.
-    pub(super) fn smoothed(&self, covariance: &Matrix6<f64>) -> Option<Smoothed> {
+    pub(super) fn state(&self, covariance: &Matrix6<f64>) -> Option<Filtered> {
         let state = self.state?;
         // What bends add is no noise: it is not correlated as that is.
         let scaled = |noise: f64, bends: [f64; 2]| {
@@ -261,7 +261,7 @@ impl FadingFilter {
         let bends = state.bends();
         let per_second2 = (self.period_s * self.period_s).recip();
         // Of one frame's velocity nothing is known.
-        (state.frames >= 2).then(|| Smoothed {
+        (state.frames >= 2).then(|| Filtered {
             estimate: Estimate {
                 pose: state.pose,
                 covariance: scaled(state.spread[0][0], bends.map(|[pose, _]| pose)),
@@ -356,18 +356,18 @@ mod tests {
     /// Frames of a polynomial motion, through a filter.
     /// None of them is off by more than noise explains.
     fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter {
-        let mut smoother = FadingFilter::new(PERIOD, memory_s);
+        let mut filter = FadingFilter::new(PERIOD, memory_s);
         for frame in 0..frames {
-            smoother.update(&pose(f64::from(frame) * PERIOD), &UNIT, |_, _| 6.0);
+            filter.update(&pose(f64::from(frame) * PERIOD), &UNIT, |_, _| 6.0);
         }
-        smoother
+        filter
     }
 
     #[test]
     fn steady_acceleration_comes_through_without_delay() {
         let (velocity, acceleration) = (DVec3::new(0.3, -0.2, 0.1), DVec3::new(20.0, 0.0, -40.0));
         let at = |t: f64| Pose::from_vectors(velocity * t + acceleration * (0.5 * t * t), DVec3::ZERO);
-        let state = run(2e-3, 400, at).smoothed(&[[0.0; 6]; 6]).expect("many frames");
+        let state = run(2e-3, 400, at).state(&[[0.0; 6]; 6]).expect("many frames");
         let end = 399.0 * PERIOD;
         assert!((state.estimate.pose.translation_m - at(end).translation_m).length() < 1e-12);
         let expected = velocity + acceleration * end;
@@ -379,11 +379,11 @@ mod tests {
         for memory_s in [0.75e-3, 5e-3] {
             // The filter forgets its start; t³/6 in units of frames stays small enough for its digits.
             let at = |frame: f64| Pose::from_vectors(DVec3::X * (frame * frame * frame / 6.0), DVec3::ZERO);
-            let smoother = run(memory_s, 600, |t| at(t / PERIOD - 400.0));
-            let predicted = smoother.predict().expect("started");
+            let filter = run(memory_s, 600, |t| at(t / PERIOD - 400.0));
+            let predicted = filter.predict().expect("started");
             let pose = at(200.0).translation_m.x - predicted.pose.translation_m.x;
             let step = 0.5 * 200.0 * 200.0 - predicted.twist.linear_m_per_s.x * PERIOD;
-            let theta = smoother.state.expect("started").theta();
+            let theta = filter.state.expect("started").theta();
             assert!((pose * (1.0 - theta).powi(3) - 1.0).abs() < 1e-6, "{pose}");
             assert!((step / pose - astray(theta)).abs() < 1e-6, "{step} {pose}");
         }
@@ -392,12 +392,12 @@ mod tests {
     #[test]
     fn gains_start_as_least_squares_and_end_fading() {
         // A parabola through five points of which the last is one off: the textbook's weights.
-        let mut smoother = FadingFilter::new(PERIOD, 1.0);
+        let mut filter = FadingFilter::new(PERIOD, 1.0);
         for frame in 0..=PARABOLA_FROM {
             let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
-            smoother.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), &UNIT, |_, _| 6.0);
+            filter.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), &UNIT, |_, _| 6.0);
         }
-        let x = smoother.state.expect("started").pose.translation_m.x;
+        let x = filter.state.expect("started").pose.translation_m.x;
         assert!((x - 31.0).abs() < 1e-12, "{x}");
         let predicted = run(2e-3, 3000, |_| Pose::HOME).state.expect("started").advanced();
         let theta = predicted.theta();
@@ -410,18 +410,18 @@ mod tests {
 
     #[test]
     fn a_sudden_bend_shortens_the_memory_within_a_few_frames_and_the_lag_told_with_it() {
-        let mut smoother = run(0.1, 5_000, |_| Pose::HOME);
-        let lag_s = |smoother: &FadingFilter| smoother.smoothed(&UNIT).expect("many frames").lag_s;
-        assert!((lag_s(&smoother) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
+        let mut filter = run(0.1, 5_000, |_| Pose::HOME);
+        let lag_s = |filter: &FadingFilter| filter.state(&UNIT).expect("many frames").lag_s;
+        assert!((lag_s(&filter) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
         // Predictions err by twice what noise explains. The mean over 50 frames would need 12 to notice.
-        (0..12).for_each(|_| smoother.update(&Pose::HOME, &UNIT, |_, _| 4.0 * 12.0));
-        let memory = smoother.state.expect("started").memory * PERIOD;
+        (0..12).for_each(|_| filter.update(&Pose::HOME, &UNIT, |_, _| 4.0 * 12.0));
+        let memory = filter.state.expect("started").memory * PERIOD;
         assert!(memory < 0.1 * 0.05, "{memory}");
         // The step of which half has come through, as long as the memory is what it is now.
-        let (told, there) = (lag_s(&smoother), Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO));
+        let (told, there) = (lag_s(&filter), Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO));
         let mut frames = 0.0;
-        while smoother.state.expect("started").pose.translation_m.x < 0.5e-6 {
-            smoother.update(&there, &UNIT, |_, _| 6.0);
+        while filter.state.expect("started").pose.translation_m.x < 0.5e-6 {
+            filter.update(&there, &UNIT, |_, _| 6.0);
             frames += 1.0;
         }
         assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.2 * told, "{frames} frames, {told}");
@@ -430,14 +430,14 @@ mod tests {
     #[test]
     fn lag_is_what_a_small_step_shows() {
         for memory_s in [5e-3, 50e-3, 500e-3] {
-            let mut smoother = run(memory_s, 30_000, |_| Pose::HOME);
+            let mut filter = run(memory_s, 30_000, |_| Pose::HOME);
             let mut frames = 0.0;
             let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
-            while smoother.state.expect("started").pose.translation_m.x < 0.5e-6 {
-                smoother.update(&there, &UNIT, |_, _| 6.0);
+            while filter.state.expect("started").pose.translation_m.x < 0.5e-6 {
+                filter.update(&there, &UNIT, |_, _| 6.0);
                 frames += 1.0;
             }
-            let told = smoother.smoothed(&[[0.0; 6]; 6]).expect("many frames").lag_s;
+            let told = filter.state(&[[0.0; 6]; 6]).expect("many frames").lag_s;
             // Counted in whole frames, from the step's first one on.
             assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.1 * told, "{memory_s}: {frames} frames, {told}");
         }

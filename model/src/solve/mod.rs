@@ -44,8 +44,8 @@ mod warm_start;
 mod weights;
 
 pub use compiled::MotionPrior;
-pub use filter::{Smoothed, TwistEstimate};
-pub use outcome::{AXES, Cells, Directions, Estimate, Outcome, Solution, Verified, Weakness};
+pub use filter::{Filtered, TwistEstimate};
+pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};
 pub use readings::{Photocurrents, Reading};
 pub use solver::{Solver, Start};
 pub use tracker::{Tracked, Tracker};

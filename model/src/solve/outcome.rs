@@ -17,7 +17,7 @@ pub enum Outcome {
     /// A pose from all cells of the scene, and the data fit it.
     Converged,
     /// A pose, but for the reason given it deserves less trust.
-    Degraded(Weakness),
+    Degraded(DegradedReason),
     /// Several distinct poses explain the data.
     Ambiguous,
     /// The data leave these directions free.
@@ -30,7 +30,7 @@ pub enum Outcome {
 
 /// Why a pose deserves less trust.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Weakness {
+pub enum DegradedReason {
     /// Some cells are saturated, faint or missing; the others decide.
     FewerCells,
     /// A cell contradicted all others and was left out.
@@ -41,7 +41,7 @@ pub enum Weakness {
     Unfinished,
 }
 
-impl Weakness {
+impl DegradedReason {
     /// The word used in tables and messages.
     pub fn as_str(self) -> &'static str {
         match self {

@@ -7,7 +7,7 @@ use super::accept::Fit;
 use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Whiteners, Workspace};
-use super::outcome::{Outcome, Solution, Weakness};
+use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::Sorted;
 
 /// Cells that must be left to tell which one is the outlier: with four, two redundancies fit too much.
@@ -253,6 +253,6 @@ impl<S: Scalar> Compiled<S> {
 pub(super) fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
     solution.excluded.insert(cell);
     if solution.outcome.has_pose() {
-        solution.outcome = Outcome::Degraded(Weakness::CellExcluded);
+        solution.outcome = Outcome::Degraded(DegradedReason::CellExcluded);
     }
 }

@@ -11,7 +11,7 @@ use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::Workspace;
 use super::observability;
-use super::outcome::{Directions, Outcome, Solution, Weakness};
+use super::outcome::{DegradedReason, Directions, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 
 /// Where a solve starts.
@@ -22,7 +22,7 @@ pub enum Start<'a> {
     /// At an expected pose. Where the data do not fit near it the start is cold.
     Near(&'a Pose),
     /// On the planes, and there it ends: the pose by the positions of the light alone, without weights, which is
-    /// [`Weakness::Unfinished`].
+    /// [`DegradedReason::Unfinished`].
     PlanesOnly,
 }
 
@@ -103,7 +103,7 @@ impl<S: Scalar> Solver<S> {
     }
 
     /// Stops after `steps` from one start, to weigh error against time. A pose that has not reached its minimum is
-    /// [`Weakness::Unfinished`]; whether the data fit is not asked. A [`super::Tracker`] ignores it.
+    /// [`DegradedReason::Unfinished`]; whether the data fit is not asked. A [`super::Tracker`] ignores it.
     #[must_use]
     pub fn with_max_steps(mut self, steps: usize) -> Self {
         self.max_steps = Some(steps);
@@ -152,7 +152,7 @@ impl<S: Scalar> Solver<S> {
         let minimum = problem.minimise(start, &problem.whiteners(), stopping, workspace);
         let mut solution = self.compiled.conclude(sorted, &problem, &minimum, workspace, Fit::Full);
         if solution.outcome.has_pose() && !minimum.converged {
-            solution.outcome = Outcome::Degraded(Weakness::Unfinished);
+            solution.outcome = Outcome::Degraded(DegradedReason::Unfinished);
         }
         solution
     }
@@ -167,7 +167,7 @@ impl<S: Scalar> Solver<S> {
     fn near(&self, sorted: &Sorted<S>, pose: &Pose, motion: &MotionPrior) -> Solution<S> {
         let workspace = &mut Workspace::new();
         let mut solution = self.compiled.follow(sorted, motion, Transform::of(pose), None, workspace);
-        if matches!(solution.outcome, Outcome::Diverged | Outcome::Degraded(Weakness::Misfit)) {
+        if matches!(solution.outcome, Outcome::Diverged | Outcome::Degraded(DegradedReason::Misfit)) {
             let before = solution.iterations;
             solution = self.cold(sorted, motion);
             solution.iterations += before;

@@ -18,9 +18,9 @@ use crate::scalar::Scalar;
 
 use super::cold_start::{COLD_WORK, Search};
 use super::compiled::MotionPrior;
-use super::filter::{FadingFilter, Prediction, Smoothed, TwistEstimate};
+use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
-use super::outcome::{Outcome, Solution, Weakness};
+use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
 
@@ -78,7 +78,7 @@ pub struct Tracked<S: Scalar = f64> {
     /// Velocity at the reference instant, from this frame and a few before.
     pub twist: Option<TwistEstimate>,
     /// From many frames, if asked for.
-    pub smoothed: Option<Smoothed>,
+    pub filtered: Option<Filtered>,
 }
 
 /// Solves consecutive frames.
@@ -138,7 +138,7 @@ impl<S: Scalar> Tracker<S> {
         }
     }
 
-    /// Tells a pose from many frames, too, with a memory of `memory_s` seconds: see [`Smoothed`].
+    /// Tells a pose from many frames, too, with a memory of `memory_s` seconds: see [`Filtered`].
     #[must_use]
     pub fn with_filter(mut self, memory_s: f64) -> Self {
         self.filter = Some(FadingFilter::new(self.period_s, memory_s));
@@ -158,7 +158,7 @@ impl<S: Scalar> Tracker<S> {
             self.coast();
             self.is_misfit = false;
             self.lost.wait = 0;
-            return Tracked { solution, twist: None, smoothed: None };
+            return Tracked { solution, twist: None, filtered: None };
         };
         let solver = &self.solver;
         let squared_sigmas = |dt, dr| solver.compiled.squared_sigmas(&solution, dt, dr);
@@ -176,8 +176,8 @@ impl<S: Scalar> Tracker<S> {
         }
         Tracked {
             solution,
-            twist: self.motion.smoothed(&estimate.covariance).map(|state| state.twist),
-            smoothed: self.filter.as_ref().and_then(|filter| filter.smoothed(&estimate.covariance)),
+            twist: self.motion.state(&estimate.covariance).map(|state| state.twist),
+            filtered: self.filter.as_ref().and_then(|filter| filter.state(&estimate.covariance)),
         }
     }
 
@@ -334,5 +334,5 @@ fn unknown_motion(twist: &Twist) -> MotionPrior {
 }
 
 fn is_misfit<S: Scalar>(solution: &Solution<S>) -> bool {
-    solution.outcome == Outcome::Degraded(Weakness::Misfit)
+    solution.outcome == Outcome::Degraded(DegradedReason::Misfit)
 }

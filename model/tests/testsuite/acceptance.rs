@@ -4,7 +4,7 @@ use crate::common::{base, generator, pose_in_box, uniform, vector, wide};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    MotionPrior, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Tier, Weakness,
+    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Tier,
 };
 
 const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
@@ -66,7 +66,7 @@ fn an_outlier_is_left_out_only_if_no_other_cell_would_do() {
             solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST),
             solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST),
         ] {
-            let is_excluded = solution.outcome == Outcome::Degraded(Weakness::CellExcluded);
+            let is_excluded = solution.outcome == Outcome::Degraded(DegradedReason::CellExcluded);
             // A likelihood ratio of e¹⁰; minima are found to a small part of σ.
             if margin < 19.0 {
                 assert!(!is_excluded, "trial {trial}: χ² of {chi2:?}");

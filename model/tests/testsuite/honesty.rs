@@ -3,7 +3,8 @@
 use crate::common::{base, generator, pose_in_box, uniform, wide};
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Solver, Start, Status, Tier, Verified, Weakness,
+    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Solver, Start, Status, Tier,
+    Verified,
 };
 
 /// Converter noise of the scene, amperes: it outweighs the rest.
@@ -34,7 +35,7 @@ fn a_cell_that_answers_for_another_pose_is_left_out_and_named() {
                 Some(pose) => solver.solve(&Photocurrents::of_pairs(cells), Start::Near(pose), &MotionPrior::AT_REST),
             };
             assert_ne!(solution.outcome, Outcome::Converged, "cell {liar} at {pose:?} for {other:?}");
-            if solution.outcome == Outcome::Degraded(Weakness::CellExcluded) {
+            if solution.outcome == Outcome::Degraded(DegradedReason::CellExcluded) {
                 assert!(solution.excluded.contains(liar) && solution.excluded.count() == 1);
                 assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
                 let nees = solution.estimate.and_then(|estimate| estimate.nees(&pose)).expect("covariance");
@@ -60,7 +61,7 @@ fn five_cells_do_not_tell_which_of_them_lies() {
         readings.cells[3] = Reading::Light(pairs(solver.plan(), &other)[3]);
         let solution = solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST);
         assert!(solution.excluded.is_empty());
-        assert!(!matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(Weakness::FewerCells)));
+        assert!(!matches!(solution.outcome, Outcome::Converged | Outcome::Degraded(DegradedReason::FewerCells)));
     }
 }
 

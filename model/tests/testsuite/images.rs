@@ -5,8 +5,8 @@ use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver, Start, Tier,
-    Weakness,
+    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver,
+    Start, Tier,
 };
 
 const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
@@ -75,7 +75,7 @@ fn honest(name: &str, scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng, count: us
                 assert!(worst < 8.0, "{name}, {tier:?}: {worst:.1} σ off at {pose:?}");
                 right += 1;
             }
-            (Outcome::Degraded(Weakness::Misfit) | Outcome::Diverged, _) => {}
+            (Outcome::Degraded(DegradedReason::Misfit) | Outcome::Diverged, _) => {}
             other => panic!("{name}, {tier:?}: {other:?}"),
         }
     }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Tier, Twist, Weakness,
+    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solver, Start, Tier, Twist,
 };
 
 fn readings(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
@@ -119,7 +119,7 @@ fn fewer_cells_still_make_a_pose() {
         let mut readings = readings(solver.plan(), &pose);
         readings.cells[missing] = if missing % 2 == 0 { Reading::Missing } else { Reading::Saturated };
         let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
-        assert_eq!(solution.outcome, Outcome::Degraded(Weakness::FewerCells));
+        assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::FewerCells));
         assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
         let (dt, _) = solution.estimate.expect("pose").pose.displacement_from(&pose);
         assert!(dt.length() < 1e-9);
@@ -157,7 +157,7 @@ fn nonsense_is_no_pose() {
         });
         let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
         if let Some(estimate) = solution.estimate {
-            assert_eq!(solution.outcome, Outcome::Degraded(Weakness::Misfit), "{pairs:?}");
+            assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::Misfit), "{pairs:?}");
             assert!(estimate.pose.is_finite());
         }
     }

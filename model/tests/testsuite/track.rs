@@ -5,7 +5,9 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_model::{Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Tier, Tracked, Tracker, Weakness};
+use slitpose_model::{
+    DegradedReason, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Tier, Tracked, Tracker,
+};
 
 const PERIOD_S: f64 = 250e-6;
 const OFFSETS_S: [f64; 6] = [-34e-6, 0.0, 34e-6, -34e-6, 0.0, 34e-6];
@@ -128,7 +130,7 @@ fn a_motion_goes_on_after_a_gap_at_the_right_instant() {
         // One frame off, the tool would be 100 µm from where it is expected: a hit, and its motion forgotten.
         let twist = tracked.twist.expect("the motion is known");
         assert!((twist.twist.linear_m_per_s.x - 0.4).abs() < 0.05, "gap {gap}: {twist:?}");
-        assert!(tracked.smoothed.expect("filter").frames > 40, "gap {gap}");
+        assert!(tracked.filtered.expect("filter").frames > 40, "gap {gap}");
     }
 }
 
@@ -173,8 +175,8 @@ fn a_wall_costs_no_pose_and_does_not_ring() {
         assert!(tracked.solution.outcome.has_pose(), "frame {frame}: {:?}", tracked.solution.outcome);
         if frame > 205 {
             worst = worst.max(nees(&tracked, &truth));
-            if let Some(smoothed) = tracked.smoothed {
-                let filtered = smoothed.estimate.nees(&truth).expect("covariance");
+            if let Some(state) = tracked.filtered {
+                let filtered = state.estimate.nees(&truth).expect("covariance");
                 // χ² of six degrees exceeds 45 four times in a hundred million.
                 assert!(filtered < 45.0, "frame {frame}: {filtered}");
             }
@@ -191,8 +193,8 @@ fn a_jump_of_the_tool_is_believed_at_once() {
         let (tracked, truth) = rig.step(|_| if frame < 100 { Pose::HOME } else { there });
         assert!(nees(&tracked, &truth) < 45.0, "frame {frame}");
         if frame > 102 {
-            let smoothed = tracked.smoothed.expect("two frames");
-            assert!(smoothed.estimate.nees(&truth).expect("covariance") < 45.0, "frame {frame}");
+            let state = tracked.filtered.expect("two frames");
+            assert!(state.estimate.nees(&truth).expect("covariance") < 45.0, "frame {frame}");
         }
     }
 }
@@ -358,7 +360,7 @@ fn a_misfit_is_followed_where_it_is() {
         // A percent of current is some 60 µm of a spot on 12 mm.
         let off_m = (estimate.pose.translation_m - truth.translation_m).length();
         assert!(off_m < 0.3e-3, "frame {frame}: {off_m} {:?}", tracked.solution);
-        misfits += usize::from(tracked.solution.outcome == Outcome::Degraded(Weakness::Misfit));
+        misfits += usize::from(tracked.solution.outcome == Outcome::Degraded(DegradedReason::Misfit));
         if frame > 600 {
             late.push(tracked.solution.evaluations);
         }
@@ -443,12 +445,12 @@ fn a_filter_trades_noise_for_the_lag_it_tells() {
             if frame < 1000 {
                 continue;
             }
-            let smoothed = tracked.smoothed.expect("filter");
-            sum += smoothed.estimate.nees(&truth).expect("covariance");
+            let state = tracked.filtered.expect("filter");
+            sum += state.estimate.nees(&truth).expect("covariance");
             raw += tracked.solution.estimate.expect("pose").sigma()[0];
-            filtered += smoothed.estimate.sigma()[0];
+            filtered += state.estimate.sigma()[0];
             count += 1.0;
-            lag_s = smoothed.lag_s;
+            lag_s = state.lag_s;
         }
         println!(
             "memory {memory_s} s: NEES {:.2}, σ {:.3} of a frame's, lag {lag_s:.4} s",
@@ -473,7 +475,7 @@ fn a_lying_cell_is_left_out_frame_after_frame() {
         let tracked = rig.tracker.track(rig.frame, &readings);
         let truth = swing(rig.frame as f64 * PERIOD_S);
         rig.frame += 1;
-        if tracked.solution.outcome == Outcome::Degraded(Weakness::CellExcluded) {
+        if tracked.solution.outcome == Outcome::Degraded(DegradedReason::CellExcluded) {
             assert!(tracked.solution.excluded.contains(4), "frame {frame}");
             assert!(nees(&tracked, &truth) < 45.0, "frame {frame}");
         } else {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use slitpose_model::{Outcome, Tier, Verified, Weakness};
+use slitpose_model::{DegradedReason, Outcome, Tier, Verified};
 
 use super::{Conditions, Motion, Scan, Sight, WRONG_SIGMAS, most_lag_s};
 use crate::monte_carlo::layout::Table;
@@ -135,7 +135,7 @@ impl Report {
 
 impl Scan {
     fn is_wrong(&self) -> bool {
-        let is_doubted = matches!(self.outcome, Outcome::Degraded(Weakness::Misfit | Weakness::Unfinished));
+        let is_doubted = matches!(self.outcome, Outcome::Degraded(DegradedReason::Misfit | DegradedReason::Unfinished));
         !is_doubted && self.worst_sigmas.is_some_and(|sigmas| sigmas > WRONG_SIGMAS)
     }
 }

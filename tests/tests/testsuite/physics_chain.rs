@@ -5,7 +5,7 @@ use slitpose::pipeline::Record;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_model::{Estimate, MotionPrior, Outcome, Pose, Solver, Start, Tracker, Weakness};
+use slitpose_model::{DegradedReason, Estimate, MotionPrior, Outcome, Pose, Solver, Start, Tracker};
 use slitpose_tests::capture::{Decoded, STREAM, capture, decode, solve};
 use slitpose_tests::consistency::{error, nees, sigma, whiten, worst_axis};
 use slitpose_tests::scenes::{front_end, parse, ring, wide_with};
@@ -228,7 +228,9 @@ fn a_converter_at_its_limit_is_left_out() {
         match usable {
             6 => assert_eq!(solution.outcome, Outcome::Converged),
             4 | 5 if solution.estimate.is_none() => lost += 1,
-            4 | 5 => assert_eq!(solution.outcome, Outcome::Degraded(Weakness::FewerCells), "scan {}", scan.sequence),
+            4 | 5 => {
+                assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::FewerCells), "scan {}", scan.sequence);
+            }
             _ => {}
         }
     }

@@ -134,7 +134,7 @@ fn of_cost(cost: &CellCost) -> Option<Finding> {
              {tolerance:.0e} (an ordinary cell: 9), so that solving may fall behind"
         );
         let next_step = format!(
-            "take a wider or smoother profile or a smaller spot, or solve with --tolerance {:.0e} or --tier paper",
+            "take a wider or filter profile or a smaller spot, or solve with --tolerance {:.0e} or --tier paper",
             LOOSER * tolerance
         );
         Finding::warning(cell(cost.cell), text, next_step)

@@ -70,7 +70,7 @@ impl Following {
         let raw = Solved::from(tracked.solution);
         match self {
             Self::Honoured | Self::Ignored => raw,
-            Self::Filtered(_) => Solved { pose: tracked.smoothed.map(|smoothed| smoothed.estimate.pose), ..raw },
+            Self::Filtered(_) => Solved { pose: tracked.filtered.map(|filtered| filtered.estimate.pose), ..raw },
         }
     }
 
