@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome, interrupt};
-use crate::sink::{self, Format};
+use crate::sink::Format;
 use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
@@ -41,7 +41,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
-    let sink = sink::open(format, &mut output, false);
+    let sink = args.poses.open_sink(format, &mut output, false);
     let printing = Printing { sink, target: &target, format, is_terminal };
     let outcome = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, printing)?.run()?;
     if stop.load(Ordering::Relaxed) {

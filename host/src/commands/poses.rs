@@ -1,12 +1,14 @@
 //! How a stream of poses is solved, where it ends, and how it is written.
 
+use std::io::Write;
 use std::time::Duration;
 
 use slitpose_model::Tier;
 
 use super::options::{DEFAULT_TOLERANCE, TierOptions};
+use super::talk::talk;
 use crate::pipeline::Following;
-use crate::sink::Format;
+use crate::sink::{self, Format, Sink};
 
 /// A duration such as `10s`, `500ms` or `2m`.
 pub(super) fn parse_duration(text: &str) -> Result<f64, String> {
@@ -51,6 +53,19 @@ impl PoseOptions {
     /// The format to write in, `usual` unless one was asked for.
     pub(super) fn format_or(&self, usual: Format) -> Format {
         self.format.unwrap_or(usual)
+    }
+
+    /// The sink of `format`. Says so if that leaves out what was asked for.
+    pub(super) fn open_sink<'a>(
+        &self,
+        format: Format,
+        output: impl Write + Send + 'a,
+        live: bool,
+    ) -> Option<Box<dyn Sink + Send + 'a>> {
+        if format == Format::Csv && matches!(self.filter, Some(Filter(Some(_)))) {
+            talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));
+        }
+        sink::open(format, output, live)
     }
 
     /// How scans are followed.

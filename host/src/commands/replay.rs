@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
-use crate::sink;
 use crate::terminal;
 use slitpose_head::pace::Speed;
 
@@ -36,7 +35,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let is_terminal = io::stdout().is_terminal();
     let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = sink::open(format, output, terminal::is_live());
+    let sink = args.poses.open_sink(format, output, terminal::is_live());
     let printing = Printing { sink, target: "standard output", format, is_terminal };
     Playback::new(&args.files, &args.play, &args.poses, args.speed, printing)?.run()
 }

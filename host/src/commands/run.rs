@@ -19,7 +19,6 @@ use crate::device::{Search, Selector};
 use crate::link::DeviceId;
 use crate::pipeline::{self, PipelineError, SceneMatch};
 use crate::service::{self, Service};
-use crate::sink;
 use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::terminal;
 use slitpose_head::front_end;
@@ -106,7 +105,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         talk(format_args!("poses at {address}"));
     }
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = sink::open(args.poses.format(io::stdout().is_terminal()), output, terminal::is_live());
+    let sink = args.poses.open_sink(args.poses.format(io::stdout().is_terminal()), output, terminal::is_live());
     let service = Service::from_environment().map_err(CommandError::Service)?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));

@@ -71,7 +71,7 @@ impl<S: Scalar> Compiled<S> {
         sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
     }
 
-    /// What to tell of a refinement whose last expansion is in `workspace`.
+    /// The solution at a minimum whose linearisation is in `workspace`.
     pub(super) fn conclude(
         &self,
         sorted: &Sorted<S>,

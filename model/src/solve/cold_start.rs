@@ -1,7 +1,7 @@
-//! Cold starts: from the planes, from home, without a cell that lies, and from around.
+//! The pose of a tool that may be anywhere: from the planes, from home, without an outlier, and from starts around.
 //!
-//! The first pose that the data fit is the one, unless it may have mirror images ([`super::mirror_images`]):
-//! then those are looked for, the best counts, and where two fit alike there is no pose.
+//! The first pose that fits the data is the answer, unless it may have mirror images ([`super::mirror_images`]):
+//! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
@@ -166,7 +166,7 @@ impl<S: Scalar> Compiled<S> {
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
         if !search.has_begun || !may_have_images {
-            // What led nowhere in one frame may lead to it in another.
+            // A start that fails on the currents of one frame may succeed on those of another.
             let mut minimum = problem.minimise(on_planes, &whiteners, Stopping::exact(), workspace);
             let gate = self.gates[sorted.usable.len()];
             if minimum.converged && minimum.chi2 <= gate {
@@ -174,7 +174,7 @@ impl<S: Scalar> Compiled<S> {
             }
             let fit = self.fit(sorted, problem, &minimum);
             if fit == Fit::Full && !may_have_images {
-                // By far the most frequent end, with the last expansion still at hand.
+                // By far the most frequent end, with the last linearisation still at hand.
                 search.is_over = true;
                 return self.conclude(sorted, problem, &minimum, workspace, fit);
             }
@@ -209,19 +209,7 @@ impl<S: Scalar> Compiled<S> {
                 }
             }
             let start = search.under_way.take().or_else(|| {
-                let best = minima.best.filter(|_| fit != Fit::None).map(|(best, _)| best);
-                let (start, is_rough) = match next {
-                    Try::Exclusion { .. } => None,
-                    Try::Home => (fit == Fit::None).then(|| (Transform::of(&Pose::HOME), true)),
-                    Try::Soft(index) => best.and_then(|best| self.softened(&best, index)).map(|start| (start, false)),
-                    Try::Image(index) => best
-                        .and_then(|best| image(&self.planes, &sorted.usable, &best.pose, self.length_scale_m, index))
-                        .map(|start| (start, false)),
-                    Try::Around(index) => Some((starts::around(&on_planes, index), true)),
-                    // Without redundancy a rough approach leads past too many poses.
-                    Try::Spread(index) => Some((starts::spread(index), redundancy(sorted.usable.len()) > 0)),
-                }?;
-                Some((start, is_rough, 0))
+                self.start_of(next, sorted, &minima, &on_planes).map(|(start, is_rough)| (start, is_rough, 0))
             });
             search.next += 1;
             let Some((start, is_rough, before)) = start else { continue };
@@ -242,7 +230,7 @@ impl<S: Scalar> Compiled<S> {
                 if seen.has(&minimum, self.length_scale_m) {
                     continue;
                 }
-                // By rough weights χ² is nowhere larger than by true ones: here nothing fits.
+                // χ² by the true weights is no less: nothing fits here.
                 if minimum.converged && minimum.chi2 > self.gates[sorted.usable.len()] && next != Try::Home {
                     continue;
                 }
@@ -255,6 +243,28 @@ impl<S: Scalar> Compiled<S> {
         let solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
         search.found = if solution.outcome == Outcome::Ambiguous { minima.places() } else { [None; 2] };
         Solution { iterations, ..solution }
+    }
+
+    /// Where `next` starts, and whether that takes a rough approach first; `None` if there is nothing to try.
+    fn start_of(
+        &self,
+        next: Try,
+        sorted: &Sorted<S>,
+        minima: &Minima<S>,
+        on_planes: &Transform<S>,
+    ) -> Option<(Transform<S>, bool)> {
+        let best = minima.best.filter(|(_, fit)| *fit != Fit::None).map(|(best, _)| best);
+        match next {
+            Try::Exclusion { .. } => None,
+            Try::Home => best.is_none().then(|| (Transform::of(&Pose::HOME), true)),
+            Try::Soft(index) => Some((self.softened(&best?, index)?, false)),
+            Try::Image(index) => {
+                Some((image(&self.planes, &sorted.usable, &best?.pose, self.length_scale_m, index)?, false))
+            }
+            Try::Around(index) => Some((starts::around(on_planes, index), true)),
+            // Without redundancy a rough approach leads past too many poses.
+            Try::Spread(index) => Some((starts::spread(index), redundancy(sorted.usable.len()) > 0)),
+        }
     }
 
     /// The solution without an outlier, after a search for its mirror images on the other cells if the head may have
@@ -289,7 +299,7 @@ impl<S: Scalar> Compiled<S> {
         }
     }
 
-    /// What to tell of the poses that a search has found.
+    /// The answer, by the minima that a search has found.
     fn judge(
         &self,
         sorted: &Sorted<S>,
@@ -318,7 +328,7 @@ impl<S: Scalar> Compiled<S> {
         {
             return nothing(sorted, Outcome::Ambiguous);
         }
-        // The last expansion is another start's.
+        // The last linearisation belongs to another start.
         problem.linearise(&best.pose, whiteners, workspace);
         let solution = self.conclude(sorted, problem, &best, workspace, fit);
         if !may_have_images || fit == Fit::None && !is_valley {
@@ -342,7 +352,7 @@ fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
 impl<S: Scalar> Problem<'_, S> {
     /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
     /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
-    /// last expansion is at what is given.
+    /// last linearisation is at `minimum`.
     #[cold]
     #[inline(never)]
     pub(super) fn beyond_kink(

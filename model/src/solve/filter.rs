@@ -9,8 +9,8 @@
 //! and follows from the gains exactly.
 //!
 //! A parabola through many frames has little noise and cuts corners. As long as its predictions err
-//! by no more than noise explains the memory grows up to what was asked for; when they do not, it
-//! shrinks: a tool that rests is told with the noise of many frames, one that swings without delay.
+//! by no more than noise explains, the memory grows up to the one asked for; when they err by more, it
+//! shrinks: the pose of a resting tool has the noise of many frames, that of a swinging one has no delay.
 
 use glam::DVec3;
 
@@ -29,15 +29,15 @@ const PARABOLA_FROM: u32 = 4;
 /// Share of the newest frame in the running mean of squared errors.
 const NEWEST: f64 = 0.02;
 
-/// The same for the means that bends of translations and of rotations are told from.
+/// The same for the means that show the bends of translations and of rotations.
 const NEWEST_BEND: f64 = 0.01;
 
 /// Mean squared error of translations or rotations alone that chance explains, above 1: 2.7 of its
 /// standard deviations.
 const CHANCE_BEND: f64 = 0.16;
 
-/// What a swinging tool errs by in the velocity, squared, per what one does whose acceleration changes
-/// steadily, both by the same error of the predicted pose: of hands, 1.0 to 1.35.
+/// Squared velocity error of a swinging tool, relative to that of a tool whose acceleration changes steadily, both
+/// with the same error of the predicted pose: 1.0 to 1.35 for hands.
 const SWING: f64 = 1.2;
 
 /// The same for the mean that an alarm is raised by, and where: three standard deviations of the mean
@@ -64,16 +64,16 @@ pub struct TwistEstimate {
     pub covariance: Matrix6<f64>,
 }
 
-/// A pose from many frames.
+/// A filtered pose: from the frame and those before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filtered {
-    /// At the reference instant of the newest frame. Its covariance grows with what the poses stray
+    /// At the reference instant of the newest frame. Its covariance grows with the distance of the poses
     /// from the parabola.
     pub estimate: Estimate,
     /// At the same instant.
     pub twist: TwistEstimate,
-    /// Time after which a sudden step of the pose, too small to be told from noise, has come half
-    /// the way through: a fifth of the memory at this moment. Steady motion, and steady acceleration,
+    /// Time after which half of a sudden step of the pose that is smaller than the noise has come
+    /// through: a fifth of the present memory. Steady motion and steady acceleration
     /// come through without delay.
     pub lag_s: f64,
     /// Frames since the memory began.

@@ -1,6 +1,6 @@
 //! Where derivatives jump: a spot reaches the end of its detector.
 //!
-//! Either side of such a kink has its own expansion of χ², and a step by the one may lead into the other.
+//! Either side of such a kink has its own linearisation, and a step by the one may lead into the other.
 //! Where both say that χ² falls towards the other side its minimum lies on the kink; where both say that it
 //! falls away from there each side has a minimum of its own.
 
@@ -23,14 +23,14 @@ const HALVINGS: usize = 12;
 pub(super) enum Astride<S: Scalar> {
     /// The first of them is the least of χ². The factor of the side that tells less: the truth may lie there.
     Least(Option<Factor<S>>),
-    /// A pose with less χ², and its expansion.
+    /// A pose with less χ², and the normal equations there.
     Lower(Transform<S>, NormalEquations<S>),
     /// Nothing better.
     Nothing,
 }
 
 /// Where the derivatives jump between `at` and `there`, a `step` away, and either side says that χ² falls
-/// towards the other: the step from `at` to the least of the larger of both expansions, and that.
+/// towards the other: the step from `at` to the least of the larger of both linearised χ², and that least χ².
 ///
 /// It is the least of λ times the one and 1 − λ times the other for the λ at which both are equal.
 fn on_kink<S: Scalar>(
@@ -61,7 +61,8 @@ fn on_kink<S: Scalar>(
 }
 
 impl<S: Scalar> Problem<'_, S> {
-    /// What is to be found between `pose`, where χ² expands as `at`, and where a `step` leads, `there`.
+    /// Looks for less χ² between `pose`, where the normal equations are `at`, and the end of `step`, where they are
+    /// `there`.
     #[cold]
     #[inline(never)]
     pub(super) fn astride(

@@ -11,7 +11,7 @@ use super::outcome::Directions;
 const RANK_ROUNDINGS: f64 = 64.0;
 
 /// A direction is free, too, if its σ exceeds one radian (or its equivalent in translation): the
-/// expansion it stems from ends long before.
+/// linearisation it stems from holds much less far.
 const LARGEST_SIGMA: f64 = 1.0;
 
 /// A factor whose diagonal spans less than this has full rank without further proof.
@@ -51,7 +51,7 @@ pub(super) fn free_directions<S: Scalar>(factor: &Factor<S>) -> Option<Direction
     (!free.is_empty()).then(|| Directions::of_free(&free))
 }
 
-/// Whether the σ of a direction with this singular value has no end, or none that an expansion reaches.
+/// Whether the σ of a direction with this singular value is infinite, or beyond the range of any linearisation.
 pub(super) fn is_free<S: Scalar>(value: S) -> bool {
     // Written so that NaN is.
     let is_held = value > S::of(LARGEST_SIGMA.recip());

@@ -189,15 +189,16 @@ pub struct Solution<S: Scalar = f64> {
     pub redundancy: usize,
     /// Refinement steps taken, over all starts.
     pub iterations: usize,
-    /// Evaluations of all cells, with or without derivatives: what the solve cost, whatever the
+    /// Evaluations of all cells, with or without derivatives: the cost of the solve, whatever the
     /// processor.
     pub evaluations: usize,
     /// The cells whose currents entered.
     pub cells_used: Cells,
     /// Cells with light that contradict all others, and were left out for that.
     pub excluded: Cells,
-    /// How far one lying cell can have moved the pose, in σ of the pose, before χ² is as likely as
-    /// not to tell; infinite where nothing is left over to check with.
+    /// External reliability (Baarda 1968): how far, in σ of the pose, an error in the currents of one cell can have
+    /// moved the pose and yet be as likely as not to pass the gate of χ², which is the minimal detectable bias.
+    /// Infinite where there is no redundancy to check with.
     pub unnoticed_sigmas: S,
     /// Factor of the information in scaled coordinates; see [`Self::condition`].
     pub(crate) factor: Option<Factor<S>>,
@@ -206,7 +207,7 @@ pub struct Solution<S: Scalar = f64> {
 /// How well the data checked a pose that carries no other doubt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verified {
-    /// A cell that lies enough to move the pose by 30 σ shows: six cells hardly do better.
+    /// An error in one cell that moves the pose by 30 σ is detected: six cells hardly do better.
     Well,
     /// A cell can move the pose by more than 30 σ unnoticed, but not by more than 300 σ.
     Weakly,

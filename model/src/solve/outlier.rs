@@ -1,4 +1,8 @@
-//! One cell that contradicts all others: found, left out, and taken back when it agrees again.
+//! An outlier: one cell that contradicts all others is found, left out, and used again once it agrees.
+//!
+//! Each cell in turn is left out, and the others are solved for. A cell is the outlier if χ² without it passes the
+//! gate and is smaller than without any other cell by [`OUTLIER_THRESHOLD`]: a likelihood-ratio test of a mean shift
+//! in one cell (Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2).
 
 use crate::pose::Transform;
 use crate::scalar::Scalar;
@@ -10,18 +14,18 @@ use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::Sorted;
 
-/// Cells that must be left to tell which one is the outlier: with four, two redundancies fit too much.
+/// Least number of cells besides the outlier: with four, two redundancies leave too much that fits.
 const MIN_CELLS: usize = 5;
 
 /// χ² by which leaving out the outlier must beat leaving out any other cell: a likelihood ratio of
 /// 1 : 22 000.
 const OUTLIER_THRESHOLD: f64 = 20.0;
 
-/// χ² that an expansion may promise beyond the gate, and the cells yet agree: what it leaves out is
-/// small where the others fit.
+/// Multiple of the gate up to which a χ² by the linearised problem may still turn out to pass: where the other cells
+/// fit, the linearisation errs by less.
 const PROMISED_GATES: f64 = 4.0;
 
-/// Evaluations without which leaving out one more cell is not begun.
+/// Evaluations that must be left for one more cell to be tried.
 const LEAST_WORK: usize = 8;
 
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
@@ -75,7 +79,7 @@ impl<S: Scalar> Compiled<S> {
             let start = self.on_planes(&others);
             let approach = problem.minimise(start, &problem.coarse_whiteners(), Stopping::rough(), workspace);
             iterations += approach.iterations;
-            // Rough weights are nowhere larger than the true ones, and neither is χ² by them.
+            // No coarse weight exceeds the true one, so χ² by the true ones is no less.
             if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(OUTLIER_THRESHOLD)) {
                 search.runner_up = search.runner_up.min(approach.chi2);
                 continue;
@@ -109,7 +113,7 @@ impl<S: Scalar> Compiled<S> {
     }
 
     /// The pose near `start` of all cells but one, if leaving out that one, and no other, makes the data
-    /// fit there. The last expansion of all cells, at `start`, ranks them; only the first two are tried.
+    /// fit there. The normal equations of all cells at `start` rank the cells; only the first two are tried.
     pub(super) fn without_outlier_near(
         &self,
         sorted: &Sorted<S>,
@@ -131,7 +135,7 @@ impl<S: Scalar> Compiled<S> {
                 ranked[1] = Some((index, chi2));
             }
         }
-        // Where the expansion promises far more than noise, no step from there makes the others fit.
+        // Where the linearised χ² is far above the noise, no step from there makes the others fit.
         let promised = |chi2: S| chi2 <= S::of(PROMISED_GATES) * self.gates[sorted.usable.len() - 1];
         let mut tried = ranked.map(|ranked| {
             let (index, _) = ranked.filter(|(_, chi2)| promised(*chi2))?;
@@ -235,7 +239,7 @@ impl<S: Scalar> Compiled<S> {
         Some(solution)
     }
 
-    /// Whether all cells may agree near `pose`, by what the expansion there promises.
+    /// Whether all cells may agree near `pose`, by the linearised χ².
     fn may_agree(
         &self,
         sorted: &Sorted<S>,

@@ -1,17 +1,17 @@
-//! Following the tool from frame to frame.
+//! Poses frame after frame.
 //!
-//! The cells of a frame are exposed one after another; a pose belongs to one instant. The tracker
-//! carries each exposure to that instant with the tool's twist, which it takes from the frames
-//! before; the uncertainty of that twist enters the covariance. Poses themselves are not filtered:
-//! each rests on its own frame. A pose from many frames stands beside them, for those who ask for it.
+//! The cells of a frame are exposed one after another; a pose belongs to one instant. A cell exposed τ after it sees
+//! the pose (t + τ·v, exp(τ·ω)·R). The tracker takes the twist (v, ω) from the frames before, by a fading-memory
+//! polynomial ([`super::filter`]), and its uncertainty enters the covariance ([`super::twist`]). Poses are not
+//! filtered: each is solved from the currents of its own frame. A filtered pose can be had beside it.
 //!
-//! No pose is refused for being elsewhere than expected: a tool may hit a wall. What the currents of
-//! its own frame confirm is believed, and the motion before is forgotten. Where nothing is left to
-//! confirm it with, three cells, only what the tool can have done since is.
+//! A pose is accepted although it is far from the prediction: a tool may hit a wall. If the currents of its own
+//! frame confirm it, the motion before is forgotten. Three cells have no redundancy to confirm a pose with: there
+//! only a pose that the tool can have reached is accepted.
 //!
-//! A frame has a budget of work. Following a tool takes a few evaluations, whatever cells are left
-//! out; a tool that is lost, or followed where no pose explains the currents, is searched for in
-//! pieces, each on the currents of its own frame.
+//! Each frame has a budget of work. Following a tool takes a few evaluations, with or without an outlier. A tool that
+//! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the
+//! search on the currents of its own frame.
 
 use crate::pose::{Pose, Transform, Twist};
 use crate::scalar::Scalar;
@@ -24,14 +24,14 @@ use super::outcome::{DegradedReason, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
 
-/// Memory of the motion that carries exposures, in frames: long enough that the noise of the twist
-/// adds next to nothing to a pose's, short enough for the bends of a fast hand.
+/// Memory of the polynomial that predicts exposures, in frames: long enough that the noise of the twist
+/// adds next to nothing to that of a pose, short enough for the accelerations of a fast hand.
 const MEMORY_FRAMES: f64 = 2.0;
 
-/// Frames without a pose that the motion is trusted across.
+/// Frames without a pose over which the motion is extrapolated.
 const MAX_COAST: u32 = 8;
 
-/// Twist of a tool nothing is known about, standard deviation per axis: a fast hand.
+/// Standard deviation per axis of an unknown twist: a fast hand.
 const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
 const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
 
@@ -40,37 +40,38 @@ const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
 const ACCELERATION_M_PER_S2: f64 = 300.0;
 const ANGULAR_ACCELERATION_RAD_PER_S2: f64 = 3000.0;
 
-/// Frames from which on a bend is followed.
+/// Frames from which on acceleration is fitted.
 const BEND_FROM: u32 = 5;
 
 /// Squared error of a prediction, six axes together and in units of what noise explains, beyond
 /// which the tool did not go on as before: 1e-6 of honest frames (χ² with six degrees of freedom).
 const MANOEUVRE: f64 = 38.3;
 
-/// Most that bent motion may widen this bound: beyond, it is not followed but forgotten.
+/// Largest factor by which past prediction errors may widen this bound.
 const MOST_STRAIN: f64 = 10.0;
 
-/// What noise adds to the way that a tool can have made which hits something: back as fast as it came.
+/// Noise that is allowed for beyond the distance that a tool can have moved, in σ. A tool that hits something may
+/// turn back as fast as it came.
 const REACH_SIGMAS: f64 = 6.0;
 
 /// Evaluations of all cells that a frame may take: at some 2.4 µs each, exact tier and twist unknown, half
-/// of the 100 µs that a frame may cost at 4 kHz, for refinements that have begun are ended. Following
+/// of the 100 µs that a frame may cost at 4 kHz, because minimisations under way are completed. Following
 /// takes one to three.
 const FRAME_WORK: usize = 20;
 
-/// What a frame saves for a later search, and the most that is saved: with it a frame still takes no
-/// longer than the 250 µs to the next. The first search of all may take as much as a cold solve, so that
-/// a cold start has its pose at once; nothing waits for it yet.
+/// Evaluations that each frame leaves to a later search, and the most that are left: with them a frame still takes
+/// no longer than the 250 µs to the next. The first search may take as much as a cold solve, so that
+/// the first frame has a pose.
 const SAVED_A_FRAME: usize = 2;
 const MOST_SAVED: usize = 56;
 
-/// Frames without a search after one in vain, while a misfit is followed.
+/// Frames between two searches while a misfit is followed.
 const PAUSE: u32 = 256;
 
 /// A misfit elsewhere must have less than this share of the χ² of the one that is followed.
 const BETTER: f64 = 0.5;
 
-/// What one frame tells.
+/// The result of one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Tracked<S: Scalar = f64> {
     /// From this frame alone, but for the twist.
@@ -89,7 +90,7 @@ pub struct Tracker<S: Scalar> {
     motion: FadingFilter,
     filter: Option<FadingFilter>,
     next_frame: u64,
-    /// Of the tool before it was lost sight of: it may still be as fast.
+    /// Twist before the tool was lost: the tool may still be as fast.
     last_twist: Twist,
     /// σ of the last pose, mean of the axes: metres and radians.
     sigmas: [f64; 2],
@@ -138,7 +139,7 @@ impl<S: Scalar> Tracker<S> {
         }
     }
 
-    /// Tells a pose from many frames, too, with a memory of `memory_s` seconds: see [`Filtered`].
+    /// Also gives a filtered pose, with a memory of `memory_s` seconds: see [`Filtered`].
     #[must_use]
     pub fn with_filter(mut self, memory_s: f64) -> Self {
         self.filter = Some(FadingFilter::new(self.period_s, memory_s));

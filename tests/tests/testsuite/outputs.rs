@@ -36,6 +36,15 @@ fn folder_with_capture() -> (tempfile::TempDir, PathBuf, Vec<u8>) {
 }
 
 #[test]
+fn a_filtered_pose_that_csv_has_no_room_for_is_missed_aloud() {
+    let (_folder, capture, _) = folder_with_capture();
+    let replay = |format, filter| slitpose!().run(["replay", text(&capture), "--format", format, "--filter", filter]);
+    let says_so = |finished: Finished| finished.stderr.contains("CSV has no columns for the filtered pose");
+    assert!(says_so(replay("csv", "5ms")));
+    assert!(!says_so(replay("csv", "off")) && !says_so(replay("ndjson", "5ms")));
+}
+
+#[test]
 fn no_capture_is_replaced_by_a_result() {
     let (folder, capture, bytes) = folder_with_capture();
     let d = text(&capture);

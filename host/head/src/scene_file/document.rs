@@ -11,6 +11,7 @@ use toml::de::{DeArray, DeInteger, DeTable, DeValue};
 
 use super::error::{ContentFault, FilePlace, KeyPath, SceneFileError};
 use super::schema;
+use super::spelling::nearest;
 use crate::foreign::printable;
 
 type Entry<'a> = Spanned<DeValue<'a>>;
@@ -280,11 +281,4 @@ fn kind_of(value: &DeValue<'_>) -> &'static str {
         DeValue::Array(_) => "an array",
         DeValue::Table(_) => "a table",
     }
-}
-
-/// The known key that is spelled almost like `key`: two letters in five may differ.
-pub fn nearest<'a>(key: &str, known: &[&'a str]) -> Option<&'a str> {
-    let distance = |candidate: &str| strsim::damerau_levenshtein(key, candidate);
-    let best = known.iter().copied().min_by_key(|candidate| distance(candidate))?;
-    (5 * distance(best) <= 2 * best.chars().count()).then_some(best)
 }

@@ -6,8 +6,8 @@ use std::io;
 use slitpose_model::{Fault, Place};
 use thiserror::Error;
 
-use super::document::nearest;
 use super::shipped::SHIPPED;
+use super::spelling::nearest;
 use crate::foreign::printable;
 
 /// Why a scene cannot be had from a file.

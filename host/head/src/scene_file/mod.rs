@@ -12,6 +12,7 @@ mod lighting;
 mod optics;
 mod schema;
 mod shipped;
+mod spelling;
 mod workspace;
 
 use std::fs;
@@ -20,11 +21,11 @@ use std::path::Path;
 
 use slitpose_model::{Plan, Scene, Tier};
 
-pub use document::nearest;
 pub use electronics::FrontEnd;
 pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
 pub use lighting::Lighting;
 pub use shipped::{BASE, BENCH, SHIPPED, Shipped, WIDE};
+pub use spelling::nearest;
 pub use workspace::Workspace;
 
 use crate::foreign::printable;

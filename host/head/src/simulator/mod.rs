@@ -8,6 +8,7 @@
 mod board;
 mod electronics;
 mod hardware;
+mod knots;
 mod reversals;
 mod trajectory;
 

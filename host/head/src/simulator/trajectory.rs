@@ -6,9 +6,10 @@ use clap::ValueEnum;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{Pose, Twist};
+use slitpose_model::Pose;
 use thiserror::Error;
 
+use super::knots::on_path;
 use super::reversals::Reversals;
 use crate::table::{PoseColumns, TableError, TableReader};
 
@@ -126,20 +127,6 @@ impl Trajectory {
             Motion::Path(knots) => on_path(knots, time_s),
             Motion::Reversals(reversals) => reversals.pose(time_s),
         }
-    }
-}
-
-pub(super) fn on_path(knots: &[(f64, Pose)], time_s: f64) -> Pose {
-    let after = knots.partition_point(|&(knot_s, _)| knot_s <= time_s);
-    match (after.checked_sub(1).map(|before| knots[before]), knots.get(after)) {
-        (Some((start_s, start)), Some(&(end_s, end))) => {
-            let (dt, dr) = end.displacement_from(&start);
-            let per_second = (end_s - start_s).recip();
-            let twist = Twist { linear_m_per_s: dt * per_second, angular_rad_per_s: dr * per_second };
-            twist.advance(&start, time_s - start_s)
-        }
-        (Some((_, pose)), None) | (None, Some(&(_, pose))) => pose,
-        (None, None) => Pose::HOME,
     }
 }
 

@@ -1,6 +1,7 @@
 //! From halfwords to [`Instruction`]: the 16-bit encodings (DDI0403, A5.2) and what both widths share.
 
 use super::Size;
+use super::decode_fields::{bit, hint, immediate_shift, sign_extend};
 use super::decode_wide;
 use super::instruction::{
     Address, AluOp, Extension, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, Shift, ShiftKind, UnaryOp,
@@ -17,28 +18,6 @@ pub fn decode(first: u16, second: u16) -> Instruction {
         decode_wide::decode_wide(u32::from(first) << 16 | u32::from(second))
     } else {
         decode_narrow(u32::from(first))
-    }
-}
-
-/// Bit `n` of `word`.
-pub(super) fn bit(word: u32, n: u32) -> bool {
-    word >> n & 1 != 0
-}
-
-/// The low `bits` bits of `value` as a two's complement number.
-pub(super) fn sign_extend(value: u32, bits: u32) -> i32 {
-    (value << (32 - bits)) as i32 >> (32 - bits)
-}
-
-/// DecodeImmShift.
-pub(super) fn immediate_shift(kind: u32, amount: u32) -> Shift {
-    let or_32 = if amount == 0 { 32 } else { amount as u8 };
-    match (kind & 3, amount) {
-        (0, _) => Shift { kind: ShiftKind::Lsl, amount: amount as u8 },
-        (1, _) => Shift { kind: ShiftKind::Lsr, amount: or_32 },
-        (2, _) => Shift { kind: ShiftKind::Asr, amount: or_32 },
-        (_, 0) => Shift { kind: ShiftKind::Rrx, amount: 1 },
-        _ => Shift { kind: ShiftKind::Ror, amount: amount as u8 },
     }
 }
 
@@ -205,16 +184,6 @@ fn miscellaneous(h: u32) -> Instruction {
 
 fn if_then_or_hint(h: u32) -> Instruction {
     if h & 15 != 0 { Instruction::IfThen { state: h as u8 } } else { hint(h >> 4 & 15) }
-}
-
-/// The hints of both widths by number.
-pub(super) fn hint(number: u32) -> Instruction {
-    match number {
-        2 => Instruction::Wfe,
-        3 => Instruction::Wfi,
-        4 => Instruction::Sev,
-        _ => Instruction::Nop,
-    }
 }
 
 fn multiple(h: u32, is_load: bool) -> Instruction {

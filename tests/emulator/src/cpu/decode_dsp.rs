@@ -1,7 +1,6 @@
 //! The 32-bit encodings of operations on registers alone: shifts, extensions, DSP, multiplication, division.
 
-use super::decode::bit;
-use super::decode_wide::{rd, rm, rn, rt, set_flags, unless_15};
+use super::decode_fields::{bit, rd, rm, rn, rt, set_flags, unless_15};
 use super::instruction::{
     Extension, Instruction, ParallelKind, ParallelOp, SaturatingOp, SetFlags, ShiftKind, UnaryOp,
 };

@@ -1,8 +1,8 @@
 //! The 32-bit encodings (DDI0403, A5.3). Bits are numbered in the word `first halfword << 16 | second`.
 
 use super::Size;
-use super::decode::{bit, hint, immediate_shift, sign_extend};
 use super::decode_dsp::{multiply, multiply_long, register_operations};
+use super::decode_fields::{bit, hint, immediate_shift, rd, rm, rn, rt, set_flags, sign_extend, unless_15};
 use super::decode_float::decode_coprocessor;
 use super::instruction::{Address, AluOp, ImmediateCarry, Instruction, LoadKind, Reg, SetFlags, Special};
 
@@ -23,35 +23,6 @@ pub(super) fn decode_wide(w: u32) -> Instruction {
         (1 | 3, op) if op & 0x40 != 0 => decode_coprocessor(w),
         _ => Instruction::Undefined,
     }
-}
-
-/// Field Rn.
-pub(super) fn rn(w: u32) -> Reg {
-    Reg::at(w, 16)
-}
-
-/// Field Rd of data processing.
-pub(super) fn rd(w: u32) -> Reg {
-    Reg::at(w, 8)
-}
-
-/// Field Rm.
-pub(super) fn rm(w: u32) -> Reg {
-    Reg::at(w, 0)
-}
-
-/// Field Rt of loads and stores, Ra and RdLo of multiplications.
-pub(super) fn rt(w: u32) -> Reg {
-    Reg::at(w, 12)
-}
-
-/// A register field in which 15 stands for "none".
-pub(super) fn unless_15(register: Reg) -> Option<Reg> {
-    (register != Reg::PC).then_some(register)
-}
-
-pub(super) fn set_flags(w: u32) -> SetFlags {
-    if bit(w, 20) { SetFlags::Yes } else { SetFlags::No }
 }
 
 fn multiple(w: u32) -> Instruction {

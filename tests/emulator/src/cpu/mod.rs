@@ -15,6 +15,7 @@ mod code;
 mod cycles;
 pub mod decode;
 mod decode_dsp;
+mod decode_fields;
 mod decode_float;
 mod decode_wide;
 mod dsp;

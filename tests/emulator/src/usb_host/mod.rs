@@ -12,6 +12,7 @@
 //! one control transfer, `pipe` one bulk or interrupt endpoint, `traffic` has the frames and the
 //! choice of the next transaction. This module has the port, and what a user of the host may do.
 
+mod attempt;
 mod descriptors;
 mod enumeration;
 mod pipe;

@@ -1,8 +1,8 @@
 //! One bulk or interrupt endpoint, as the host keeps it.
 
 use super::MS;
+use super::attempt::{ATTEMPTS, Outcome, RETRY_TICKS};
 use super::descriptors::{AcmEndpoints, EndpointDescriptor};
-use super::traffic::{ATTEMPTS, Outcome, RETRY_TICKS};
 use crate::peripherals::Ticks;
 
 /// What became of a transaction.

@@ -1,17 +1,11 @@
 //! What an active port does: frames, and the transactions in them, one after another.
 
+use super::attempt::Outcome;
 use super::pipe::{self, Pipe, Pipes};
 use super::transfer::{Progress, Transfer};
-use super::{MS, Port, Received, Suspension, UsbHost, WATCH_TICKS};
+use super::{Port, Received, Suspension, UsbHost, WATCH_TICKS};
 use crate::peripherals::Ticks;
-use crate::usb_wire::{self, BusSignal, FRAME_TICKS, FullSpeedDevice, Handshake, InAnswer, OutPacket};
-
-/// From a NAK to the next attempt: 20 µs. Controllers differ: some ask again at once, some once a
-/// frame.
-pub(super) const RETRY_TICKS: Ticks = MS / 50;
-
-/// A device that does not answer is asked three times (USB 2.0 section 10.2.6).
-pub(super) const ATTEMPTS: u8 = 3;
+use crate::usb_wire::{self, BusSignal, FRAME_TICKS, FullSpeedDevice, InAnswer, OutPacket};
 
 /// Whom a transaction is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,36 +28,6 @@ pub(super) struct InFlight {
 enum Kind {
     In { endpoint: u8, answer: InAnswer },
     Out { endpoint: u8, setup: bool, toggle: bool, bytes: Vec<u8> },
-}
-
-/// How a transaction ended, whichever its direction.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Outcome {
-    Received { toggle: bool, bytes: Vec<u8> },
-    Sent(usize),
-    Nak,
-    Stall,
-    Silence,
-}
-
-impl Outcome {
-    fn of_in(answer: InAnswer) -> Self {
-        match answer {
-            InAnswer::Data { toggle, bytes } => Self::Received { toggle, bytes },
-            InAnswer::Nak => Self::Nak,
-            InAnswer::Stall => Self::Stall,
-            InAnswer::Silence => Self::Silence,
-        }
-    }
-
-    fn of_out(handshake: Handshake, len: usize) -> Self {
-        match handshake {
-            Handshake::Ack => Self::Sent(len),
-            Handshake::Nak => Self::Nak,
-            Handshake::Stall => Self::Stall,
-            Handshake::Silence => Self::Silence,
-        }
-    }
 }
 
 impl UsbHost {

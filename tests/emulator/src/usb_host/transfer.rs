@@ -1,7 +1,7 @@
 //! One control transfer: SETUP, data, status (USB 2.0 section 8.5.3).
 
 use super::MS;
-use super::traffic::{ATTEMPTS, Outcome, RETRY_TICKS};
+use super::attempt::{ATTEMPTS, Outcome, RETRY_TICKS};
 use crate::peripherals::Ticks;
 
 /// A device must finish any request within this time (section 9.2.6.1).
