@@ -20,7 +20,7 @@ use super::readings::Sorted;
 use super::{observability, starts};
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
-/// 1e-6 and derivatives.
+/// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too.
 pub(super) const COLD_WORK: usize = 600;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
@@ -190,17 +190,23 @@ impl<S: Scalar> Compiled<S> {
         // Of three cells alone no pose will come of it.
         let unfinished = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
         let mut seen = Seen::new();
+        let mut is_cut_short = false;
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
             if workspace.work == 0 {
                 if search.may_pause {
                     return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
                 }
+                is_cut_short = true;
                 break;
             }
             let fit = minima.best_fit();
             if next == (Try::Exclusion { late: self.has_images }) && fit == Fit::None {
                 if let Some(solution) = self.without_outlier(sorted, motion, &mut search.outlier, workspace) {
                     search.is_over = true;
+                    if !search.may_pause {
+                        // The search for images takes as much as a search of its own.
+                        workspace.work = workspace.work.max(COLD_WORK);
+                    }
                     let solution = self.unless_image(solution, sorted, motion, workspace);
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
@@ -240,7 +246,11 @@ impl<S: Scalar> Compiled<S> {
             minima.add(minimum, self.fit(sorted, problem, &minimum));
         }
         search.is_over = true;
-        let solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
+        let mut solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
+        if is_cut_short && may_have_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
+            // An image may fit as well, and was not looked for to the end.
+            solution = nothing(sorted, Outcome::Ambiguous);
+        }
         search.found = if solution.outcome == Outcome::Ambiguous { minima.places() } else { [None; 2] };
         Solution { iterations, ..solution }
     }

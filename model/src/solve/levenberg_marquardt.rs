@@ -124,7 +124,6 @@ impl<S: Scalar> Problem<'_, S> {
         let mut at = self.linearise(&pose, whiteners, workspace);
         let mut damping = S::zero();
         let mut iterations = 0;
-        let mut has_retried_undamped = false;
         let mut converged = false;
         while iterations < stopping.max_iterations && damping < S::of(STUCK) && workspace.work > 0 {
             let proposed = self.step(&at, damping, workspace);
@@ -140,12 +139,6 @@ impl<S: Scalar> Problem<'_, S> {
             let trial = self.moved(&pose, &step.step);
             let is_hardly_damped = damping <= S::of(FIRST_DAMPING);
             if reach.is_last && is_hardly_damped {
-                if damping > S::zero() && !has_retried_undamped {
-                    // A damped step stops short of the minimum.
-                    has_retried_undamped = true;
-                    damping = S::zero();
-                    continue;
-                }
                 let chi2 = (at.chi2 - step.predicted_reduction).max(S::zero());
                 if damping == S::zero() {
                     return Minimum { pose: trial, chi2, factor: Some(step.factor), iterations, converged: true };

@@ -263,3 +263,33 @@ fn three_cells_alone_have_no_pose_from_nothing() {
         assert!(followed.estimate.is_some() || followed.outcome == Outcome::Ambiguous, "{:?}", followed.outcome);
     }
 }
+
+#[test]
+fn an_outlier_does_not_make_an_image_a_pose() {
+    const POSES: usize = 200;
+    let mut rng = generator();
+    for (delta_rad, most_refused) in [(1e-3, POSES / 2), (3e-3, POSES / 10)] {
+        let solver = Solver::<f64>::new(&rolled(0.0, delta_rad), TIERS[0]).expect("scene");
+        assert!(solver.has_mirror_images());
+        let (mut right, mut refused) = (0, 0);
+        for cell in (0..6).cycle().take(POSES) {
+            let pose = pose_in_box(&mut rng, 2.5, 9.0);
+            let mut readings = seen(&solver, &pose, &mut rng);
+            let elsewhere = seen(&solver, &pose_in_box(&mut rng, 2.5, 9.0), &mut rng);
+            readings.cells[cell] = elsewhere.cells[cell];
+            let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+            match solution.estimate.filter(|_| solution.excluded.contains(cell)) {
+                Some(estimate) => {
+                    // 7e-10 of honest poses have more: χ² with six degrees of freedom.
+                    let nees = estimate.nees(&pose).expect("covariance");
+                    assert!(nees < 54.0, "rolls ± {delta_rad}: {nees:.0} at {pose:?}");
+                    right += 1;
+                }
+                None => refused += usize::from(solution.outcome == Outcome::Ambiguous),
+            }
+        }
+        println!("rolls ± {delta_rad}: {right} right, {refused} ambiguous of {POSES}");
+        // Both the outlier and the image have to be found out: images at 1e-3 differ by little more than noise.
+        assert!(right > POSES / 8 && refused < most_refused, "{right} right, {refused} ambiguous");
+    }
+}
