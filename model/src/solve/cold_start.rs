@@ -247,7 +247,7 @@ impl<S: Scalar> Compiled<S> {
         }
         search.is_over = true;
         let mut solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
-        if is_cut_short && may_have_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
+        if is_cut_short && self.has_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
             // An image may fit as well, and was not looked for to the end.
             solution = nothing(sorted, Outcome::Ambiguous);
         }
