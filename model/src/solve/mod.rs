@@ -23,6 +23,8 @@ mod chi2;
 mod cold_start;
 mod compiled;
 mod filter;
+#[cfg(test)]
+mod fixture;
 mod fold;
 mod kink;
 mod levenberg_marquardt;

@@ -1,0 +1,79 @@
+//! A head for unit tests: two cells along each axis, whose planes fix all six coordinates.
+
+use glam::{DVec2, DVec3};
+
+use crate::plan::{Plan, Tier};
+use crate::pose::Pose;
+use crate::scene::{Cell, DEFAULT_FAINT_A, Detector, Emitter, Noise, Profile, Scene, Slit, Uncertainty};
+
+use super::compiled::Compiled;
+use super::readings::Photocurrents;
+
+/// Detectors at ±22 mm on each axis, emitters at ±8 mm, slits 5 mm above the detectors.
+pub(super) fn head() -> Scene {
+    let mut scene = Scene {
+        noise: Some(Noise { shot_bandwidth_hz: 10e3, johnson_bandwidth_hz: 10e3, temperature_k: 300.0, adc_a: 0.6e-9 }),
+        uncertainty: Uncertainty::default(),
+        ..Scene::default()
+    };
+    for (direction, x_axis) in [(DVec3::X, DVec3::Y), (DVec3::Y, DVec3::Z), (DVec3::Z, DVec3::X)] {
+        for side in [1.0, -1.0] {
+            let direction = direction * side;
+            let cell = Cell {
+                detector: Detector {
+                    centre_base_m: direction * 22e-3,
+                    x_axis_base: x_axis,
+                    normal_base: -direction,
+                    length_m: 12e-3,
+                    width_m: 1e-3,
+                    responsivity_a_per_w: 0.54,
+                    dark_current_a: 0.0,
+                    interelectrode_ohm: None,
+                    saturation_a: None,
+                    faint_a: DEFAULT_FAINT_A,
+                },
+                slit: Slit {
+                    distance_m: 5e-3,
+                    width_m: 0.6e-3,
+                    length_m: 10e-3,
+                    offset_m: DVec2::ZERO,
+                    tilt_rad: DVec3::ZERO,
+                    thickness_m: 0.0,
+                },
+                emitter: Emitter {
+                    position_tool_m: direction * 8e-3,
+                    axis_tool: direction,
+                    radiant_intensity_w_per_sr: 3e-3,
+                    profile: Profile::Cosine { exponent: 1.2 },
+                },
+            };
+            scene.cells.push(cell).expect("six of sixteen");
+        }
+    }
+    scene
+}
+
+/// [`head`] in the paper tier.
+pub(super) fn compiled() -> Compiled<f64> {
+    let mut compiled = Compiled::empty();
+    compiled.set_scene(&head(), Tier::Paper).expect("a valid scene");
+    compiled
+}
+
+/// A pose with something in each coordinate.
+pub(super) fn pose() -> Pose {
+    Pose::HOME.perturbed(DVec3::new(0.8e-3, -0.5e-3, 0.3e-3), DVec3::new(0.05, 0.03, -0.04))
+}
+
+/// Noise-free currents at `pose`.
+pub(super) fn currents(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
+    Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
+}
+
+/// Where an emitter is in the frame of its cell.
+pub(super) fn emitter_in_cell(cell: &Cell, pose: &Pose) -> DVec3 {
+    let turned = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
+    let (x, z) = (cell.detector.x_axis_base, cell.detector.normal_base);
+    let from_centre = turned - cell.detector.centre_base_m;
+    DVec3::new(from_centre.dot(x), from_centre.dot(z.cross(x)), from_centre.dot(z))
+}
