@@ -91,7 +91,7 @@ impl<R: Real> Rectangle<R> {
         faces: [Face<R>; N],
         emitter: [R; 3],
         detector_half: [R; 2],
-    ) -> (Self, Verdict<R>) {
+    ) -> (Self, Visibility<R>) {
         let [ex, ey, ez] = emitter;
         let (zero, one) = (R::constant(0.0), R::constant(1.0));
         let behind = faces.iter().fold(zero, |behind, face| R::where_at_least(face.z, ez, one, behind));
@@ -104,7 +104,7 @@ impl<R: Real> Rectangle<R> {
         // A pose that is no number makes both extents none, and the spot dark.
         let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
         let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
-        (Self { x, y, height: ez }, Verdict { behind, cut, narrower, slack })
+        (Self { x, y, height: ez }, Visibility { behind, cut, narrower, slack })
     }
 
     /// Corners in order around the spot, relative to the emitter's foot point.
@@ -117,7 +117,7 @@ impl<R: Real> Rectangle<R> {
 
 /// What makes a status, lane by lane.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Verdict<R> {
+pub(crate) struct Visibility<R> {
     /// 1 where the emitter is at or behind a face.
     behind: R,
     /// 1 where an end of the detector cuts the spot along x.
@@ -129,7 +129,7 @@ pub(crate) struct Verdict<R> {
     slack: R,
 }
 
-impl<R: Real> Verdict<R> {
+impl<R: Real> Visibility<R> {
     #[inline(always)]
     pub(crate) fn slack_m(&self, lane: usize) -> R::Element {
         self.slack.lane(lane)
@@ -173,8 +173,8 @@ mod tests {
     /// The spot of a slit of 0.2 × 1 halfway between an emitter at height 1 and a detector of 2 × 0.4: magnified twice.
     fn spot(x: f64, height: f64) -> (Rectangle<f64>, Status) {
         let slit = Face { z: 0.5, x: Span::centred(0.0, 0.2), y: Span::centred(0.0, 1.0) };
-        let (spot, verdict) = Rectangle::of_beam([slit], [x, 0.0, height], [1.0, 0.2]);
-        (spot, verdict.status(0))
+        let (spot, visibility) = Rectangle::of_beam([slit], [x, 0.0, height], [1.0, 0.2]);
+        (spot, visibility.status(0))
     }
 
     #[test]

@@ -9,9 +9,9 @@ use clap::{Parser, ValueEnum};
 use slitpose_head::scene_file::{BASE, Shipped, WIDE};
 use slitpose_head::simulator::TrajectoryKind;
 use slitpose_model::{Scene, Tier, Uncertainty};
-use slitpose_tests::monte_carlo::lies::Conduct;
+use slitpose_tests::monte_carlo::outliers::Conduct;
 use slitpose_tests::monte_carlo::trials::Trials;
-use slitpose_tests::monte_carlo::{HALF_DEG, HALF_MM, cold, efficiency, lies, moving, subsets};
+use slitpose_tests::monte_carlo::{HALF_DEG, HALF_MM, cold, efficiency, moving, outliers, subsets};
 use slitpose_tests::verdicts::Verdicts;
 
 /// Root mean square error over the bound.
@@ -20,7 +20,7 @@ const MOST_RATIO: f64 = 1.03;
 /// Distance of the mean NEES from 6: 2.6 σ of 10 000 poses.
 const NEES_BAND: f64 = 0.09;
 
-/// A lie that leaves so much χ² passes no test on six degrees of freedom: gated at 54 (1e-9), noise
+/// An error that leaves so much χ² passes no test on six degrees of freedom: gated at 54 (1e-9), noise
 /// hides it in one of 500 000 cases. One that leaves less may pass any test.
 const HIDDEN_CHI2: f64 = 170.0;
 
@@ -50,7 +50,7 @@ enum Study {
     /// A tool that moves within the frame
     Moving,
     /// One cell answers for another pose
-    Lies,
+    Outliers,
     /// Three, four or five cells
     Subsets,
 }
@@ -122,18 +122,18 @@ fn moving(options: &Options, verdicts: &mut Verdicts) {
     }
 }
 
-fn lies(options: &Options, verdicts: &mut Verdicts) {
+fn outliers(options: &Options, verdicts: &mut Verdicts) {
     for conduct in [
         Conduct::Honest,
         Conduct::OneMissing,
         Conduct::OtherPose { least_sigmas: 30.0 },
         Conduct::Small { least_sigmas: 30.0, most_sigmas: 300.0 },
     ] {
-        let report = lies::study(&scene(&WIDE), Tier::Paper, conduct, options.trials(100_000));
+        let report = outliers::study(&scene(&WIDE), Tier::Paper, conduct, options.trials(100_000));
         println!("{report}");
         verdicts.check(report.failures.is_empty(), "honest data give the right pose");
         let blatant = report.unflagged.iter().filter(|case| case.least_chi2 > HIDDEN_CHI2).count();
-        verdicts.check(blatant == 0, "no wrong pose called converged whose lie noise could not hide");
+        verdicts.check(blatant == 0, "no wrong pose called converged whose error noise could not hide");
     }
 }
 
@@ -153,7 +153,7 @@ fn main() -> ExitCode {
             Study::Cold => cold(&options, &mut verdicts),
             Study::Efficiency => efficiency(&options, &mut verdicts),
             Study::Moving => moving(&options, &mut verdicts),
-            Study::Lies => lies(&options, &mut verdicts),
+            Study::Outliers => outliers(&options, &mut verdicts),
             Study::Subsets => subsets(&options, &mut verdicts),
         }
     }

@@ -7,7 +7,7 @@ use crate::aperture::{Aperture, Face, Span};
 use crate::paper;
 use crate::pose::Transform;
 use crate::power::PowerLanes;
-use crate::rectangle::{Rectangle, Verdict};
+use crate::rectangle::{Rectangle, Visibility};
 use crate::scalar::{Linear3, Real, Scalar};
 use crate::scene::MAX_CELLS;
 
@@ -115,14 +115,14 @@ impl<R: Real> Pack<R> {
     }
 
     #[inline(always)]
-    fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Verdict<R>) {
+    fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Visibility<R>) {
         let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
-        let (spot, verdict) = match &self.faces {
+        let (spot, visibility) = match &self.faces {
             Faces::Thin(face) => Rectangle::of_beam([*face], emitter, self.receiver.half),
             Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
         };
         let light = paper::rectangle_light::<R, _, GRADIENT>(&spot, seen.axis, &self.emission);
-        (of_sides::<R, GRADIENT>(&light, &spot, false), verdict)
+        (of_sides::<R, GRADIENT>(&light, &spot, false), visibility)
     }
 }
 
@@ -138,16 +138,16 @@ pub(super) fn linearise<R: Real>(
     for (index, pack) in packs.iter().enumerate() {
         let first = index * R::LANES;
         let seen = pack.see(first, instant, &pose);
-        let (light, verdict) = pack.light::<true>(&seen);
+        let (light, visibility) = pack.light::<true>(&seen);
         let (pair, jacobian) = pack.receiver.linearise(&pack.source, &light, &seen, true);
         for lane in 0..R::LANES.min(count - first) {
-            let status = verdict.status(lane);
+            let status = visibility.status(lane);
             let terms = if status.has_spot() {
                 CellTerms {
                     status,
                     pair: pair.map(|value| value.lane(lane)),
                     jacobian: jacobian.map(|row| row.map(|value| value.lane(lane))),
-                    slack_m: verdict.slack_m(lane),
+                    slack_m: visibility.slack_m(lane),
                 }
             } else {
                 CellTerms::dark(status)
@@ -169,11 +169,11 @@ pub(super) fn currents<R: Real>(
     for (index, pack) in packs.iter().enumerate() {
         let first = index * R::LANES;
         let seen = pack.see(first, instant, &pose);
-        let (light, verdict) = pack.light::<false>(&seen);
+        let (light, visibility) = pack.light::<false>(&seen);
         let gain = pack.receiver.responsivity * pack.source.intensity;
         let pair = pack.receiver.divide(gain * light.power.value, light.x_a.value(), true);
         for lane in 0..R::LANES.min(count - first) {
-            let lit = verdict.status(lane).has_spot();
+            let lit = visibility.status(lane).has_spot();
             sink(first + lane, if lit { pair.map(|value| value.lane(lane)) } else { Default::default() });
         }
     }

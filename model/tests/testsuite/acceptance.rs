@@ -50,7 +50,7 @@ fn an_outlier_is_left_out_only_if_no_other_cell_would_do() {
         let pose = pose_in_box(&mut rng, 2.5, 9.0);
         let mut cells = pairs(&solver, &pose);
         let cell = &mut cells[trial % 6];
-        // Small lies: those of which it is hard to tell who tells them.
+        // Small errors, whose cell is hard to name.
         let size = uniform(&mut rng, 5e-9, 40e-9);
         let turn = uniform(&mut rng, 0.0, std::f64::consts::TAU);
         (cell.i_x1_a, cell.i_x2_a) = (cell.i_x1_a + size * turn.cos(), cell.i_x2_a + size * turn.sin());
@@ -127,7 +127,7 @@ fn planes_are_those_of_the_light_whatever_the_dark_current() {
 }
 
 #[test]
-fn a_lie_that_fills_chi2_moves_the_pose_as_far_as_is_said() {
+fn an_error_that_fills_chi2_moves_the_pose_as_far_as_is_said() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
     let honest = pairs(&solver, &Pose::HOME);
     let told =
@@ -143,7 +143,7 @@ fn a_lie_that_fills_chi2_moves_the_pose_as_far_as_is_said() {
             (solution.outcome == Outcome::Converged)
                 .then(|| solution.estimate.and_then(|estimate| estimate.nees(&Pose::HOME)).expect("pose").sqrt())
         };
-        // The largest lie along this direction that passes.
+        // The largest error along this direction that passes.
         let (mut low, mut high) = (0.0, 1e-6);
         for _ in 0..12 {
             let middle = 0.5 * (low + high);

@@ -1,4 +1,4 @@
-//! Cells that lie, gains nobody knows, and what a pose says of its own worth.
+//! Outliers, gains nobody knows, and what a pose says of its own worth.
 
 use crate::common::{base, generator, pose_in_box, uniform, wide};
 use rand_distr::{Distribution, StandardNormal};
@@ -21,9 +21,9 @@ fn a_cell_that_answers_for_another_pose_is_left_out_and_named() {
     let (mut named, mut tried) = (0, 0);
     while tried < 500 {
         let (pose, other) = (pose_in_box(&mut rng, 3.0, 12.0), pose_in_box(&mut rng, 3.0, 12.0));
-        let liar = tried % 6;
-        let (mut cells, lie) = (pairs(solver.plan(), &pose), pairs(solver.plan(), &other));
-        cells[liar] = lie[liar];
+        let outlier = tried % 6;
+        let (mut cells, error) = (pairs(solver.plan(), &pose), pairs(solver.plan(), &other));
+        cells[outlier] = error[outlier];
         for pair in &mut cells {
             pair.i_x1_a += NOISE_A * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
             pair.i_x2_a += NOISE_A * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng);
@@ -34,9 +34,9 @@ fn a_cell_that_answers_for_another_pose_is_left_out_and_named() {
                 None => solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST),
                 Some(pose) => solver.solve(&Photocurrents::of_pairs(cells), Start::Near(pose), &MotionPrior::AT_REST),
             };
-            assert_ne!(solution.outcome, Outcome::Converged, "cell {liar} at {pose:?} for {other:?}");
+            assert_ne!(solution.outcome, Outcome::Converged, "cell {outlier} at {pose:?} for {other:?}");
             if solution.outcome == Outcome::Degraded(DegradedReason::CellExcluded) {
-                assert!(solution.excluded.contains(liar) && solution.excluded.count() == 1);
+                assert!(solution.excluded.contains(outlier) && solution.excluded.count() == 1);
                 assert_eq!((solution.cells_used.count(), solution.redundancy), (5, 4));
                 let nees = solution.estimate.and_then(|estimate| estimate.nees(&pose)).expect("covariance");
                 // χ² of six degrees exceeds 40 once in two million times.
@@ -45,7 +45,7 @@ fn a_cell_that_answers_for_another_pose_is_left_out_and_named() {
             }
         }
     }
-    println!("{named} of {} liars named", 2 * tried);
+    println!("{named} of {} outliers named", 2 * tried);
     // The rest are too small to be told from noise with certainty, or too wild for a fit.
     assert!(named >= 990);
 }
@@ -77,7 +77,7 @@ fn a_pose_says_how_well_it_was_checked() {
     assert!(all.unnoticed_sigmas.is_finite() && all.verified() != Verified::Not, "{}", all.unnoticed_sigmas);
     assert_eq!((three.redundancy, three.verified()), (0, Verified::Not));
 
-    // The claim: a lie that moves the pose this far has χ² at its gate, and a larger one above it.
+    // The claim: an error that moves the pose this far has χ² at its gate, and a larger one above it.
     let mut rng = generator();
     let bound = all.unnoticed_sigmas;
     for trial in 0..600 {
@@ -89,7 +89,7 @@ fn a_pose_says_how_well_it_was_checked() {
         let solution = solver.solve(&Photocurrents::of_pairs(cells), Start::Cold, &MotionPrior::AT_REST);
         if solution.outcome == Outcome::Converged {
             let shift = solution.estimate.and_then(|estimate| estimate.nees(&Pose::HOME)).expect("pose").sqrt();
-            // The gate is for noise and lie together; without noise the lie alone may fill it.
+            // The gate is for noise and error together; without noise the error alone may fill it.
             assert!(shift < bound * 1.1, "{shift} σ unnoticed, {bound} told");
         }
     }

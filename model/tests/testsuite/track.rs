@@ -289,7 +289,7 @@ fn whatever_a_head_sees_a_frame_keeps_to_its_budget() {
                 for _ in 0..600 {
                     let (tracked, truth) = faulty(&mut rig, motion, &mut fault);
                     evaluations.push(tracked.solution.evaluations);
-                    // Two cells that lie may agree on another pose; blocked ones say nothing false.
+                    // Two outliers may agree on another pose; blocked ones say nothing false.
                     let is_true = what.ends_with("lit") || what.ends_with("missing");
                     if is_true && tracked.solution.outcome.has_pose() {
                         assert!(nees(&tracked, &truth) < 60.0, "{what}: {:?}", tracked.solution);
@@ -479,7 +479,7 @@ fn a_lying_cell_is_left_out_frame_after_frame() {
             assert!(tracked.solution.excluded.contains(4), "frame {frame}");
             assert!(nees(&tracked, &truth) < 45.0, "frame {frame}");
         } else {
-            // For a moment the lie may be the truth.
+            // For a moment the outlier may be right.
             assert_eq!(tracked.solution.outcome, Outcome::Converged, "frame {frame}");
         }
     }

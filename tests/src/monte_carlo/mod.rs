@@ -7,7 +7,7 @@
 //! * [`cold`]: noise-free data, no idea where the tool is;
 //! * [`efficiency`]: errors against the Cramér–Rao bound and against the reported covariance;
 //! * [`moving`]: the same for a tool that moves while its cells are exposed one after another;
-//! * [`lies`]: one cell answers for another pose;
+//! * [`outliers`]: one cell answers for another pose;
 //! * [`subsets`]: three, four or five cells.
 //!
 //! [`trials`] draws reproducibly on all cores, [`data`] makes photocurrents, [`tally`] counts
@@ -17,8 +17,8 @@ pub mod cold;
 pub mod data;
 pub mod efficiency;
 pub mod layout;
-pub mod lies;
 pub mod moving;
+pub mod outliers;
 pub mod subsets;
 pub mod tally;
 pub mod trials;

@@ -24,8 +24,8 @@ pub struct Case {
     /// Error of the pose, m and rad, if there is one.
     pub error: Option<[f64; 6]>,
     /// What was done to the data, in σ; 0: nothing.
-    pub lie_sigmas: f64,
-    /// The χ² that is left at the pose that suits the lie best, were the optics linear.
+    pub error_sigmas: f64,
+    /// The χ² that is left at the pose that suits the error best, were the optics linear.
     pub least_chi2: f64,
 }
 
@@ -33,7 +33,7 @@ impl Case {
     /// Of an honest solve.
     pub fn new(trial: usize, truth: PoseRow, solution: Solution) -> Self {
         let error = solution.estimate.map(|estimate| error(&estimate.pose, &poses::pose(truth)));
-        Self { trial, truth, solution, error, lie_sigmas: 0.0, least_chi2: 0.0 }
+        Self { trial, truth, solution, error, error_sigmas: 0.0, least_chi2: 0.0 }
     }
 
     /// Largest error of a translation, mm, and of a rotation, rad; infinite without pose.
@@ -81,8 +81,8 @@ impl fmt::Display for Case {
             self.outcome(),
             cells_used.count()
         )?;
-        if self.lie_sigmas > 0.0 {
-            write!(f, ", lie {:.1} σ, least χ² {:.1}", self.lie_sigmas, self.least_chi2)?;
+        if self.error_sigmas > 0.0 {
+            write!(f, ", error {:.1} σ, least χ² {:.1}", self.error_sigmas, self.least_chi2)?;
         }
         if let (Some(error), Some(sigmas)) = (self.error, self.sigmas()) {
             write!(f, "; error {:.1e} mm {:.1e} rad", self.largest().0, self.largest().1)?;

@@ -6,9 +6,9 @@
 use slitpose_head::scene_file::{BASE, SceneFile, Shipped, WIDE};
 use slitpose_head::simulator::TrajectoryKind;
 use slitpose_model::{Tier, Uncertainty};
-use slitpose_tests::monte_carlo::lies::Conduct;
+use slitpose_tests::monte_carlo::outliers::Conduct;
 use slitpose_tests::monte_carlo::trials::Trials;
-use slitpose_tests::monte_carlo::{HALF_DEG, HALF_MM, cold, efficiency, lies, moving, subsets};
+use slitpose_tests::monte_carlo::{HALF_DEG, HALF_MM, cold, efficiency, moving, outliers, subsets};
 
 const SEED: u64 = 20_180_719;
 
@@ -121,10 +121,10 @@ fn a_moving_tool_is_no_worse_than_its_covariance() {
 }
 
 #[test]
-fn lies_do_not_pass_for_poses() {
+fn outliers_do_not_pass_for_poses() {
     let scene = read(&WIDE).scene;
     let study = |conduct, count| {
-        let report = lies::study(&scene, Tier::Paper, conduct, trials(count));
+        let report = outliers::study(&scene, Tier::Paper, conduct, trials(count));
         println!("{report}");
         report
     };
@@ -135,7 +135,7 @@ fn lies_do_not_pass_for_poses() {
     assert!(five.failures.is_empty());
     assert_eq!(five.tally.count("degraded: FewerCells").right, 1000);
     assert!(study(Conduct::OtherPose { least_sigmas: 30.0 }, 400).unflagged.is_empty());
-    // A small lie that leaves less χ² than noise can do passes any test. Gated at 1e-9 a quarter of a
+    // A small error that leaves less χ² than noise can do passes any test. Gated at 1e-9 a quarter of a
     // percent of these do: of 1000, 2.5 on average, and more than 11 in one draw of 100 000. A test
     // on each cell's share could halve that, not more.
     let small = study(Conduct::Small { least_sigmas: 30.0, most_sigmas: 300.0 }, 1000);

@@ -48,7 +48,7 @@ pub struct Report {
     pub unflagged: Vec<Case>,
     /// Honest data without a right pose.
     pub failures: Vec<Case>,
-    /// Lies by the χ² they leave at least: how many there were, and how many passed unflagged.
+    /// Outliers by the χ² they leave at least: how many there were, and how many passed unflagged.
     by_least_chi2: Vec<(f64, usize, usize)>,
 }
 
@@ -86,11 +86,11 @@ pub fn study(scene: &Scene, tier: Tier, conduct: Conduct, trials: Trials) -> Rep
             Conduct::OtherPose { least_sigmas } => (least_sigmas, None),
             Conduct::Small { least_sigmas, most_sigmas } => (least_sigmas, Some(most_sigmas)),
         };
-        let liar = rng.random_range(0..scene.cells.len());
-        let (lie, whitened) = loop {
-            let elsewhere = lit_pose(rng).1[liar];
-            let difference = [elsewhere.i_x1_a - pairs[liar].i_x1_a, elsewhere.i_x2_a - pairs[liar].i_x2_a];
-            let whitened = disturbance.whiten(liar, pairs[liar], difference);
+        let outlier = rng.random_range(0..scene.cells.len());
+        let (error, whitened) = loop {
+            let elsewhere = lit_pose(rng).1[outlier];
+            let difference = [elsewhere.i_x1_a - pairs[outlier].i_x1_a, elsewhere.i_x2_a - pairs[outlier].i_x2_a];
+            let whitened = disturbance.whiten(outlier, pairs[outlier], difference);
             let sigmas = length(&whitened);
             if sigmas >= least_sigmas {
                 let share = most_sigmas.map_or(1.0, |most| {
@@ -99,10 +99,10 @@ pub fn study(scene: &Scene, tier: Tier, conduct: Conduct, trials: Trials) -> Rep
                 break (difference.map(|value| value * share), whitened.map(|value| value * share));
             }
         };
-        add(&mut readings, liar, lie);
+        add(&mut readings, outlier, error);
         let mut case = Case::new(trial, row, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST));
-        case.lie_sigmas = length(&whitened);
-        case.least_chi2 = least_chi2(solver.plan(), &disturbance, &pose(row), liar, whitened);
+        case.error_sigmas = length(&whitened);
+        case.least_chi2 = least_chi2(solver.plan(), &disturbance, &pose(row), outlier, whitened);
         case
     });
     let is_wrong = |case: &&Case| case.by_sigmas() == Verdict::Wrong;
@@ -138,12 +138,12 @@ fn add(readings: &mut Photocurrents, cell: usize, difference: [f64; 2]) {
     }
 }
 
-/// The χ² that the whitened error `lie` of cell `liar` leaves when the pose follows it as well as
+/// The χ² that the whitened error `error` of cell `outlier` leaves when the pose follows it as well as
 /// it can: |b|² − |L⁻¹Jᵀb|² with LLᵀ = JᵀJ, J the whitened Jacobian of all cells.
 ///
-/// This is what any estimator has to tell the lie by, as long as the optics are linear over the
+/// This is what any estimator has to tell the error by, as long as the optics are linear over the
 /// error of the pose.
-fn least_chi2(plan: &Plan<f64>, disturbance: &Disturbance, pose: &Pose, liar: usize, lie: [f64; 2]) -> f64 {
+fn least_chi2(plan: &Plan<f64>, disturbance: &Disturbance, pose: &Pose, outlier: usize, error: [f64; 2]) -> f64 {
     // Millimetres go with tenths of radians on arms of 10 mm.
     const SCALE: [f64; 6] = [0.01, 0.01, 0.01, 1.0, 1.0, 1.0];
     let mut information: Matrix6 = Default::default();
@@ -157,25 +157,25 @@ fn least_chi2(plan: &Plan<f64>, disturbance: &Disturbance, pose: &Pose, liar: us
             for j in 0..6 {
                 information[i][j] += columns[i][0] * columns[j][0] + columns[i][1] * columns[j][1];
             }
-            if cell == liar {
-                pull[i] = columns[i][0] * lie[0] + columns[i][1] * lie[1];
+            if cell == outlier {
+                pull[i] = columns[i][0] * error[0] + columns[i][1] * error[1];
             }
         }
     }
     let followed: f64 = forward(&cholesky(&information), &pull).iter().map(|value| value * value).sum();
-    lie[0] * lie[0] + lie[1] * lie[1] - followed
+    error[0] * error[0] + error[1] * error[1] - followed
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { conduct, trials: Trials { count, seed }, tier, .. } = self;
-        writeln!(f, "lies, {conduct:?}, {tier:?}, ±{HALF_MM} mm ±{HALF_DEG}°, all cells lit, noise of the scene")?;
+        writeln!(f, "outliers, {conduct:?}, {tier:?}, ±{HALF_MM} mm ±{HALF_DEG}°, all cells lit, noise of the scene")?;
         writeln!(f, "  {count} poses, seed {seed}; wrong: beyond {WRONG_SIGMAS} σ")?;
         write!(f, "{}", self.tally)?;
         if !self.by_least_chi2.is_empty() {
-            let mut table = Table::new(&["least χ² up to", "lies", "unflagged"]);
-            for (most, lies, unflagged) in &self.by_least_chi2 {
-                table.row([most.to_string(), lies.to_string(), unflagged.to_string()]);
+            let mut table = Table::new(&["least χ² up to", "outliers", "unflagged"]);
+            for (most, outliers, unflagged) in &self.by_least_chi2 {
+                table.row([most.to_string(), outliers.to_string(), unflagged.to_string()]);
             }
             write!(f, "{table}")?;
         }
