@@ -20,7 +20,8 @@ use super::readings::Sorted;
 use super::{observability, starts};
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
-/// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too.
+/// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too: without it the
+/// search begins anew.
 pub(super) const COLD_WORK: usize = 600;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
@@ -37,12 +38,16 @@ pub(super) struct Search<S: Scalar> {
     has_begun: bool,
     /// The next of [`Try`].
     next: usize,
-    /// The best two poses so far, which are refined on the currents of the next frame first.
+    /// The best two poses so far. Those that fit are refined on the currents of the next frame first; others,
+    /// which take many steps, once nothing else is left to be tried.
     found: [Option<Transform<S>>; 2],
+    fits: bool,
     /// How far the next start was followed when the work was used up: where to, whether roughly, and
     /// in how many steps.
     under_way: Option<(Transform<S>, bool, usize)>,
     outlier: OutlierSearch<S>,
+    /// The cell that is an outlier: the search for mirror images of the pose without it.
+    without: Option<usize>,
     /// Whether it goes on with another frame's currents when its work is used up; else it ends.
     may_pause: bool,
     is_over: bool,
@@ -55,8 +60,10 @@ impl<S: Scalar> Search<S> {
             has_begun: false,
             next: 0,
             found: [None; 2],
+            fits: false,
             under_way: None,
             outlier: OutlierSearch::new(false),
+            without: None,
             may_pause: false,
             is_over: false,
         }
@@ -77,7 +84,10 @@ impl<S: Scalar> Search<S> {
 
     /// With what has been found and no answer yet.
     fn pause(&mut self, minima: &Minima<S>, solution: Solution<S>) -> Solution<S> {
-        self.found = minima.places();
+        if minima.best.is_some() {
+            self.found = minima.places();
+            self.fits = minima.best_fit() != Fit::None;
+        }
         solution
     }
 
@@ -159,6 +169,53 @@ impl<S: Scalar> Compiled<S> {
         search: &mut Search<S>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
+        if search.without.is_some() {
+            return self.search_without(sorted, motion, search, workspace);
+        }
+        let solution = self.search_all(sorted, motion, search, workspace);
+        let outlier = solution.excluded.iter().next().filter(|_| self.has_images);
+        let (Some(cell), Some(estimate)) = (outlier, solution.estimate) else { return solution };
+        // Among the others there may be an image that fits as well.
+        let anew = if search.may_pause {
+            Search::in_pieces()
+        } else {
+            workspace.work = workspace.work.max(COLD_WORK);
+            Search::at_once()
+        };
+        let found = [Some(Transform::of(&estimate.pose)), None];
+        *search = Search { found, fits: true, without: Some(cell), ..anew };
+        let mut searched = self.search_without(sorted, motion, search, workspace);
+        searched.iterations += solution.iterations;
+        searched
+    }
+
+    /// [`Self::search`] for mirror images of the pose without the outlier.
+    #[cold]
+    #[inline(never)]
+    fn search_without(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        search: &mut Search<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Solution<S> {
+        let outlier = sorted.usable.iter().position(|reading| Some(reading.cell) == search.without);
+        let Some(index) = outlier else {
+            return self.search_all(sorted, motion, search, workspace);
+        };
+        let mut solution = self.search_all(&sorted.without(index), motion, search, workspace);
+        exclude(&mut solution, sorted.usable[index].cell);
+        solution
+    }
+
+    /// [`Self::search`], but the pose without an outlier is not yet told from its images.
+    fn search_all(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &MotionPrior,
+        search: &mut Search<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Solution<S> {
         let problem = &self.problem(sorted, motion);
         let whiteners = problem.whiteners();
         let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
@@ -181,7 +238,7 @@ impl<S: Scalar> Compiled<S> {
             iterations += minimum.iterations;
             minima.add(minimum, fit);
         }
-        for before in search.found.into_iter().flatten().filter(|_| may_have_images) {
+        for before in search.found.into_iter().flatten().filter(|_| may_have_images && search.fits) {
             let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
             iterations += minimum.iterations;
             minima.add(minimum, self.fit(sorted, problem, &minimum));
@@ -200,14 +257,9 @@ impl<S: Scalar> Compiled<S> {
                 break;
             }
             let fit = minima.best_fit();
-            if next == (Try::Exclusion { late: self.has_images }) && fit == Fit::None {
+            if next == (Try::Exclusion { late: self.has_images }) && fit == Fit::None && search.without.is_none() {
                 if let Some(solution) = self.without_outlier(sorted, motion, &mut search.outlier, workspace) {
                     search.is_over = true;
-                    if !search.may_pause {
-                        // The search for images takes as much as a search of its own.
-                        workspace.work = workspace.work.max(COLD_WORK);
-                    }
-                    let solution = self.unless_image(solution, sorted, motion, workspace);
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
                 if search.outlier.is_paused() {
@@ -245,6 +297,16 @@ impl<S: Scalar> Compiled<S> {
             }
             minima.add(minimum, self.fit(sorted, problem, &minimum));
         }
+        if minima.best_fit() == Fit::None && may_have_images && !search.fits {
+            if workspace.work == 0 && search.may_pause {
+                return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+            }
+            for before in search.found.into_iter().flatten() {
+                let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
+                iterations += minimum.iterations;
+                minima.add(minimum, self.fit(sorted, problem, &minimum));
+            }
+        }
         search.is_over = true;
         let mut solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
         if is_cut_short && self.has_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
@@ -277,27 +339,6 @@ impl<S: Scalar> Compiled<S> {
         }
     }
 
-    /// The solution without an outlier, after a search for its mirror images on the other cells if the head may have
-    /// some.
-    #[cold]
-    #[inline(never)]
-    fn unless_image(
-        &self,
-        solution: Solution<S>,
-        sorted: &Sorted<S>,
-        motion: &MotionPrior,
-        workspace: &mut Workspace<S>,
-    ) -> Solution<S> {
-        let outlier = sorted.usable.iter().position(|reading| solution.excluded.contains(reading.cell));
-        let Some(index) = outlier.filter(|_| self.has_images) else {
-            return solution;
-        };
-        let mut searched = self.search(&sorted.without(index), motion, &mut Search::at_once(), workspace);
-        exclude(&mut searched, sorted.usable[index].cell);
-        searched.iterations += solution.iterations;
-        searched
-    }
-
     /// Whether nothing after [`Try`] `next` can change the answer.
     fn is_enough(&self, sorted: &Sorted<S>, minima: &Minima<S>, seen: &Seen<S>, next: usize) -> bool {
         let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
@@ -321,7 +362,7 @@ impl<S: Scalar> Compiled<S> {
         let Some((best, fit)) = minima.best else {
             return nothing(sorted, Outcome::Diverged);
         };
-        // A misfit is shown only where redundancy tells it from a mirror image.
+        // Fewer cells leave a mirror image that may be the pose; there, what fits nowhere has none.
         let is_nowhere = fit == Fit::None && (sorted.usable.len() < UNIQUE_FROM || is_elsewhere(problem, &best));
         // A valley without an end fits as well: what the data leave free along it is told.
         let is_valley = fit == Fit::None && best.chi2 <= self.gates[sorted.usable.len()];

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
     DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scalar, Scene, Solution, Solver,
-    Start, Tier,
+    Start, Tier, Tracker,
 };
 
 const TIERS: [Tier; 2] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }];
@@ -292,4 +292,37 @@ fn an_outlier_does_not_make_an_image_a_pose() {
         // Both the outlier and the image have to be found out: images at 1e-3 differ by little more than noise.
         assert!(right > POSES / 8 && refused < most_refused, "{right} right, {refused} ambiguous");
     }
+}
+
+#[test]
+fn a_tracker_finds_a_tool_without_its_outlier_and_not_an_image() {
+    const TOOLS: usize = 12;
+    const FRAMES: u64 = 600;
+    const PERIOD_S: f64 = 250e-6;
+    let mut rng = generator();
+    let solver = Solver::<f64>::new(&rolled(0.0, 3e-3), TIERS[0]).expect("scene");
+    let mut found = 0;
+    for cell in (0..6).cycle().take(TOOLS) {
+        let [pose, other] = [(); 2].map(|()| pose_in_box(&mut rng, 2.5, 9.0));
+        let mut tracker = Tracker::new(solver.clone(), PERIOD_S);
+        for frame in 0..20 {
+            tracker.track(frame, &seen(&solver, &pose, &mut rng));
+        }
+        // Out of sight for a second, and then with a cell that contradicts the others.
+        let first = (4000..4000 + FRAMES).find(|&frame| {
+            let mut readings = seen(&solver, &pose, &mut rng);
+            readings.cells[cell] = seen(&solver, &other, &mut rng).cells[cell];
+            let solution = tracker.track(frame, &readings).solution;
+            let estimate = solution.estimate.filter(|_| solution.excluded.contains(cell));
+            if let Some(estimate) = estimate {
+                let nees = estimate.nees(&pose).expect("covariance");
+                assert!(nees < 54.0, "frame {frame}: {nees:.0} at {pose:?}");
+            }
+            estimate.is_some()
+        });
+        println!("cell {cell}: {:?} frames", first.map(|frame| frame - 4000));
+        found += usize::from(first.is_some());
+    }
+    // Of the others two cells contradict the rest alike, or a misfit of all cells is near enough to be followed.
+    assert!(found >= TOOLS / 4, "{found} of {TOOLS} found");
 }
