@@ -52,7 +52,7 @@
 //! let currents = Photocurrents::of_pairs((0..6).map(|k| plan.photocurrents(k, &truth)));
 //!
 //! let solver = Solver::<f64>::new(&scene, tier)?;
-//! let solution = solver.solve(&currents, Start::Cold, &MotionPrior::default());
+//! let solution = solver.solve(&currents, Start::Cold, &MotionPrior::AT_REST);
 //! assert_eq!(solution.outcome, Outcome::Converged);
 //! let found = solution.estimate.expect("a pose").pose;
 //! assert!(found.translation_m.distance(truth.translation_m) < 1e-9);

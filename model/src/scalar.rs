@@ -64,9 +64,7 @@ pub trait Real:
 }
 
 /// A real number the optics compute with, and the glam vector that goes with it.
-pub trait Scalar:
-    Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps + Debug + Default + Send + Sync + 'static
-{
+pub trait Scalar: Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps {
     /// As many of this number type as the processor computes with at once.
     type Lanes: Real<Element = Self>;
 

@@ -18,7 +18,7 @@ use super::twist::Motion;
 use super::weights::CellNoise;
 
 /// What is known beforehand of the tool's motion within a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionPrior {
     /// The twist that carries each cell's exposure to the reference instant.
     pub twist: Twist,
@@ -104,13 +104,18 @@ impl<S: Scalar> Compiled<S> {
         Ok(())
     }
 
-    /// The factor of the information of all cells with light at `pose`, the tool at rest.
-    pub(super) fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
+    /// The readings that the head gives with the tool at rest at `pose`, without noise.
+    pub(super) fn seen_at(&self, pose: &Pose) -> Sorted<S> {
         let pairs = (0..self.plan.cell_count()).map(|cell| {
             let pair = self.plan.photocurrents(cell, pose);
             Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
         });
-        let sorted = Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits);
+        Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits)
+    }
+
+    /// The factor of the information of all cells with light at `pose`, the tool at rest.
+    pub(super) fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
+        let sorted = self.seen_at(pose);
         if sorted.usable.len() < 3 {
             return None;
         }

@@ -7,7 +7,6 @@
 use arrayvec::ArrayVec;
 
 use crate::pose::{Pose, Transform};
-use crate::response::Pair;
 use crate::scalar::{Linear3, Scalar};
 use crate::scene::MAX_CELLS;
 
@@ -17,7 +16,7 @@ use super::levenberg_marquardt::{Minimum, Stopping};
 use super::minima::are_distinct;
 use super::normal_equations::Workspace;
 use super::planes::{PlaneCell, settle};
-use super::readings::{Photocurrents, Sorted, Usable};
+use super::readings::{Sorted, Usable};
 use super::starts;
 
 /// Cells below which mirror images are searched for on any head, unless the tool was followed to where
@@ -68,23 +67,15 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn may_have_images(&self) -> bool {
         let home = Transform::of(&Pose::HOME);
         core::iter::once(home).chain((0..LOOKS).map(starts::spread::<S>)).any(|pose| {
-            self.seen_at(&pose)
-                .is_some_and(|(sorted, fixed)| fixed < S::of(FIXED) && self.has_image_near(&sorted, &pose))
+            let sorted = self.seen_at(&pose.to_pose());
+            sorted.usable.len() >= UNIQUE_FROM
+                && self.firmness_of_planes(&sorted, &pose) < S::of(FIXED)
+                && self.has_image_near(&sorted, &pose)
         })
     }
 
-    /// The readings that the head gives at `pose`, and the least singular value of the derivatives of
-    /// their planes; `None` with fewer cells than tell a pose without mirror images.
-    fn seen_at(&self, pose: &Transform<S>) -> Option<(Sorted<S>, S)> {
-        let at = pose.to_pose();
-        let pairs = (0..self.plan.cell_count()).map(|cell| {
-            let pair = self.plan.photocurrents(cell, &at);
-            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
-        });
-        let sorted = Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits);
-        if sorted.usable.len() < UNIQUE_FROM {
-            return None;
-        }
+    /// How firmly the planes of the readings fix `pose`: the least singular value of their derivatives.
+    fn firmness_of_planes(&self, sorted: &Sorted<S>, pose: &Transform<S>) -> S {
         let mut matrix: Matrix6<S> = [[S::zero(); 6]; 6];
         for reading in &sorted.usable {
             let (row, _) = self.planes[reading.cell].row(reading, pose, self.length_scale_m);
@@ -95,7 +86,7 @@ impl<S: Scalar> Compiled<S> {
             }
         }
         let factor = Factor::of_matrix(&matrix, S::zero(), S::epsilon());
-        Some((sorted, factor.map_or(S::zero(), |factor| factor.singular()[0].0)))
+        factor.map_or(S::zero(), |factor| factor.singular()[0].0)
     }
 
     /// Whether `pose`, which the readings are of, has an image that fits them nearly as well.

@@ -1,8 +1,8 @@
 //! The Gauss–Newton step, and what the linearised problem says without taking it.
 //!
 //! The normal equations (JᵀJ + λ·diag JᵀJ)·s = Jᵀr are solved by Cholesky factorisation. They square the condition
-//! number of J; where that would cost more than half of the digits, J itself is triangulated by QR
-//! factorisation (Björck 1996, section 2.4).
+//! number of J. Where that would cost more than half of the digits, J itself is factorised, by QR (Björck 1996,
+//! section 2.4).
 
 use crate::scalar::Scalar;
 

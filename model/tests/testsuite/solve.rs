@@ -180,7 +180,7 @@ fn exposures_and_twist_are_inverted_together() {
         let twist = Twist { linear_m_per_s: vector(&mut rng, 0.5), angular_rad_per_s: vector(&mut rng, 5.0) };
         let pairs = (0..6).map(|cell| solver.plan().photocurrents(cell, &twist.advance(&pose, offsets[cell])));
         let readings = Photocurrents::of_pairs(pairs);
-        let known = MotionPrior { twist, ..MotionPrior::default() };
+        let known = MotionPrior { twist, ..MotionPrior::AT_REST };
         let prior = pose.perturbed(DVec3::splat(2e-5), DVec3::splat(1e-3));
         let estimate = solver.solve(&readings, Start::Near(&prior), &known).estimate.expect("pose");
         let (dt, dr) = estimate.pose.displacement_from(&pose);

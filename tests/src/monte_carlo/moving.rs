@@ -133,7 +133,7 @@ fn follow(conditions: &Conditions, seed: u64) -> Run {
         tracked.extend(Frame::of(&solution.solution, truth, &bound));
 
         let time_s = (scan.tick as f64 + schedule.reference_ticks()) / f64::from(schedule.tick_hz);
-        let motion = MotionPrior { twist: twist(&trajectory, time_s), ..MotionPrior::default() };
+        let motion = MotionPrior { twist: twist(&trajectory, time_s), ..MotionPrior::AT_REST };
         known.extend(Frame::of(&solver.solve(&readings, Start::Near(truth), &motion), truth, &bound));
     }
     (tracked, known, unconverged)

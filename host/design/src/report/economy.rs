@@ -137,7 +137,7 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
             linear_m_per_s: DVec3::new(0.6, -0.64, 0.48) * SPEED_M_PER_S,
             angular_rad_per_s: DVec3::new(-0.48, 0.6, 0.64) * SPEED_RAD_PER_S,
         };
-        let known = MotionPrior { twist, ..MotionPrior::default() };
+        let known = MotionPrior { twist, ..MotionPrior::AT_REST };
         let vague = MotionPrior { linear_sigma_m_per_s: 5e-3, angular_sigma_rad_per_s: 0.5, ..known };
         for (name, motion) in [("in turn, twist known", known), ("in turn, twist uncertain", vague)] {
             let moving = Some((frame.exposures_s.clone(), motion));
@@ -188,7 +188,7 @@ fn measure(head: &Head<'_>, settings: &Settings, tier: Tier) -> Result<Vec<Entry
         // The same draws for every variant.
         let mut noise = NoiseSource::seeded(settings.seed);
         let mut solver = Solver::new(&variant.scene, tier)?;
-        let rest = (vec![0.0; variant.scene.cells.len()], MotionPrior::default());
+        let rest = (vec![0.0; variant.scene.cells.len()], MotionPrior::AT_REST);
         let (offsets_s, motion) = variant.moving.as_ref().unwrap_or(&rest);
         if variant.moving.is_some() {
             solver = solver.with_exposures(offsets_s);
