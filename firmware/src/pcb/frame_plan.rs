@@ -9,6 +9,11 @@
 //! ```
 //! A word belongs to the instant at which its samples are held, the end of the sampling
 //! time. The trigger is therefore early by the sampling time and the converters' latency.
+//!
+//! A conversion that comes late after another may be wrong (ES0430, "Wrong ADC result if conversion done late
+//! after calibration or previous conversion": by more than 1 ms). Where a schedule has such a pause, each slot
+//! converts its first cell once more, ahead of all others, and that word is not handed out.
+//!
 //! Times are in ticks of the timer, which runs at the processor's clock.
 
 use heapless::Vec;
@@ -28,6 +33,16 @@ pub const TRIGGER_LATENCY_TICKS: u32 = 2 * ADC_CLOCK_TICKS;
 /// Sampling times of the converters, in half periods of their clock, in the order of their
 /// codes (RM0440, ADC_SMPR1).
 const SAMPLING_HALF_CLOCKS: [u32; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
+
+/// The first code whose sampling time is long enough for the circuit at the pins. The sampling capacitor of 5 pF
+/// (DS12288, C_ADC) still has the voltage of the cell before, up to 4 096 codes away. It takes 5/(470 + 5) of that
+/// difference from the capacitor at the pin, 43 codes, which come back through 220 Ω: with 0.104 µs to half a code
+/// within 0.104 µs · ln(43/0.5) = 0.47 µs. Code 3 has 24.5 periods, 0.58 µs; code 2 would leave 2.6 codes.
+const LEAST_SAMPLING_CODE: usize = 3;
+
+/// Ticks without a conversion after which the next one may be wrong: the 1 ms of ES0430, less a tenth for a clock
+/// that runs late.
+const STALE_TICKS: u32 = TICK_HZ / 1_000 / 10 * 9;
 
 /// Half periods from the hold to the end of a conversion of twelve bits.
 const CONVERSION_HALF_CLOCKS: u32 = 25;
@@ -60,10 +75,15 @@ pub struct FramePlan {
     pub sampling_code: u8,
     /// Binary logarithm of the conversions summed by the converters.
     pub oversampling_log2: u8,
-    /// Cells, and so ranks of each converter.
+    /// Words of each converter a slot: one a cell, and one ahead of them if [`Self::has_leading_word`].
     pub ranks: u8,
+    /// Whether the first word of each slot is not handed out, because its conversion may come too late after the
+    /// one before.
+    pub has_leading_word: bool,
     /// Ticks from the start of a slot to the trigger.
     pub trigger_ticks: u32,
+    /// Ticks from the start of a slot to the end of its last conversion, at the latest.
+    pub converted_ticks: u32,
     /// Ticks from one slot to the next, for each slot.
     pub periods: Vec<u32, BOARD_SLOTS>,
     /// Emitters lit in each slot, bit k for emitter k.
@@ -101,7 +121,9 @@ impl FramePlan {
         }
         check_levels(configuration)?;
         let sampling_code = sampling_code(schedule.conversion_ticks)?;
-        let trigger_ticks = trigger_ticks(schedule, sampling_code)?;
+        let has_leading_word = longest_pause_ticks(schedule) > STALE_TICKS;
+        let trigger_ticks = trigger_ticks(schedule, sampling_code, has_leading_word)?;
+        let ranks = schedule.cells + u8::from(has_leading_word);
         let slots = schedule.slots.len();
         // At most as many slots as emitters, and a dark slot.
         let mut periods: Vec<u32, BOARD_SLOTS> = (0..slots.min(BOARD_SLOTS)).map(|_| schedule.slot_ticks).collect();
@@ -111,13 +133,16 @@ impl FramePlan {
             _ => return Err(HardwareFault::Timing),
         }
         let last_is_lit = schedule.slots.last().is_some_and(|set| !set.is_dark());
-        let word = |slot: Option<usize>, cell: u8| slot.map(|slot| slot as u8 * schedule.cells + cell);
+        let first = u8::from(has_leading_word);
+        let word = |slot: Option<usize>, cell: u8| slot.map(|slot| slot as u8 * ranks + first + cell);
         let cells = 0..schedule.cells;
         Ok(Self {
             sampling_code: sampling_code as u8,
             oversampling_log2: schedule.oversampling.trailing_zeros() as u8,
-            ranks: schedule.cells,
+            ranks,
+            has_leading_word,
             trigger_ticks,
+            converted_ticks: converted_ticks(schedule),
             periods,
             emitters: schedule.slots.iter().map(|set| set.0 as u8).collect(),
             off_ticks: (last_is_lit && idle > 0).then(|| schedule.slot_ticks.saturating_sub(OFF_LEAD_TICKS)),
@@ -150,7 +175,7 @@ fn conversion_ticks(code: usize) -> u32 {
 
 fn sampling_code(asked_ticks: u32) -> Result<usize, HardwareFault> {
     let distance = |code: &usize| conversion_ticks(*code).abs_diff(asked_ticks);
-    let nearest = (0..SAMPLING_HALF_CLOCKS.len()).min_by_key(distance).unwrap_or(0);
+    let nearest = (LEAST_SAMPLING_CODE..SAMPLING_HALF_CLOCKS.len()).min_by_key(distance).unwrap_or(LEAST_SAMPLING_CODE);
     let nearest_ticks = conversion_ticks(nearest);
     if nearest_ticks == asked_ticks {
         Ok(nearest)
@@ -159,8 +184,17 @@ fn sampling_code(asked_ticks: u32) -> Result<usize, HardwareFault> {
     }
 }
 
-fn trigger_ticks(schedule: &Schedule, sampling_code: usize) -> Result<u32, HardwareFault> {
-    let lead = TRIGGER_LATENCY_TICKS + sampling_ticks(sampling_code);
+/// The longest time between the end of a conversion and the start of the next.
+fn longest_pause_ticks(schedule: &Schedule) -> u32 {
+    let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
+    let slots = schedule.slots.len() as u32;
+    let idle = schedule.frame_ticks - slots * schedule.slot_ticks;
+    idle + schedule.slot_ticks - conversions * schedule.conversion_ticks
+}
+
+fn trigger_ticks(schedule: &Schedule, sampling_code: usize, has_leading_word: bool) -> Result<u32, HardwareFault> {
+    let leading = if has_leading_word { u32::from(schedule.oversampling) * schedule.conversion_ticks } else { 0 };
+    let lead = TRIGGER_LATENCY_TICKS + sampling_ticks(sampling_code) + leading;
     // A trigger at the very start of a period would coincide with the update.
     let least_ticks = lead + 1;
     let asked_ticks = schedule.settling_ticks;
@@ -171,12 +205,16 @@ fn trigger_ticks(schedule: &Schedule, sampling_code: usize) -> Result<u32, Hardw
     }
 }
 
-fn done_ticks(schedule: &Schedule) -> u32 {
+fn converted_ticks(schedule: &Schedule) -> u32 {
     let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
-    let last_slot = (schedule.slots.len() as u32 - 1) * schedule.slot_ticks;
     // Counted from the hold of the first conversion. The hold of the last conversion is one
     // conversion earlier than this sum, which therefore covers its end.
-    last_slot + schedule.settling_ticks + conversions * schedule.conversion_ticks + DMA_TICKS
+    schedule.settling_ticks + conversions * schedule.conversion_ticks
+}
+
+fn done_ticks(schedule: &Schedule) -> u32 {
+    let last_slot = (schedule.slots.len() as u32 - 1) * schedule.slot_ticks;
+    last_slot + converted_ticks(schedule) + DMA_TICKS
 }
 
 /// Codes of a level line, slot by slot. A slot that lights no emitter of the line keeps the
@@ -306,10 +344,44 @@ mod tests {
     }
 
     #[test]
-    fn every_conversion_time_of_the_converters_can_be_asked_for() {
-        for ticks in [60, 76, 100, 148, 240, 420, 1_040, 2_612] {
-            let code = sampling_code(ticks).unwrap();
-            assert_eq!(conversion_ticks(code), ticks);
+    fn conversion_times_of_the_converters_can_be_asked_for_if_the_pins_settle_within() {
+        for ticks in [148, 240, 420, 1_040, 2_612] {
+            assert_eq!(conversion_ticks(sampling_code(ticks).unwrap()), ticks);
         }
+        for ticks in [60, 76, 100] {
+            let refusal = HardwareFault::Conversion { asked_ticks: ticks, nearest_ticks: 148 };
+            assert_eq!(sampling_code(ticks), Err(refusal));
+        }
+        // The voltage at the pin after the sampling capacitor has taken its share, in codes from where it settles.
+        let left = |code: usize| {
+            let time_constant_s: f64 = 220.0 * (470e-12 + 5e-12);
+            let sampling_s = f64::from(sampling_ticks(code)) / f64::from(TICK_HZ);
+            4_096.0 * 5.0 / 475.0 * (-sampling_s / time_constant_s).exp()
+        };
+        assert!(left(LEAST_SAMPLING_CODE) < 0.5 && left(LEAST_SAMPLING_CODE - 1) > 2.0);
+    }
+
+    #[test]
+    fn the_first_conversion_after_a_millisecond_is_not_handed_out() {
+        let at = |frame_ticks| {
+            let mut configuration = default_configuration();
+            configuration.schedule.frame_ticks = frame_ticks;
+            FramePlan::new(&configuration).unwrap()
+        };
+        // 23 200 ticks of slots, of which the last ends with 5 762 − 2 210 of conversions.
+        let least = 153_000 + 23_200 - (5_800 - 3_552);
+        let [often, rarely] = [at(least), at(least + 1)];
+        assert!(!often.has_leading_word && rarely.has_leading_word);
+        assert_eq!((often.ranks, rarely.ranks), (6, 7));
+        // Four conversions of 148 ticks more; the cells' own samples stay where they are.
+        assert_eq!(often.trigger_ticks - rarely.trigger_ticks, 592);
+        assert_eq!(rarely.lit_at[..], [1, 9, 17, 4, 12, 20]);
+        assert_eq!(rarely.dark_at[..], [22, 23, 24, 25, 26, 27]);
+        assert_eq!(rarely.words(), 28);
+
+        let mut configuration = default_configuration();
+        (configuration.schedule.frame_ticks, configuration.schedule.settling_ticks) = (1_700_000, 698);
+        let fault = HardwareFault::Settling { asked_ticks: 698, least_ticks: 8 + 98 + 592 + 1 };
+        assert_eq!(FramePlan::new(&configuration), Err(fault));
     }
 }

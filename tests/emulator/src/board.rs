@@ -10,7 +10,7 @@ use crate::peripherals::adc::AdcGroup;
 use crate::peripherals::backup::Backup;
 use crate::peripherals::crs::Crs;
 use crate::peripherals::dac::Dac;
-use crate::peripherals::dma::Dma;
+use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
 use crate::peripherals::exti::{Exti, PVD_LINE};
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
@@ -21,7 +21,8 @@ use crate::peripherals::syscfg::Syscfg;
 use crate::peripherals::timer::Timer;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
-use crate::peripherals::{Edge, Effects, ResetCause, Ticks};
+use crate::peripherals::{Edge, Effects, Request, ResetCause, TICKS_PER_SECOND, Ticks};
+use crate::silicon::{Fault, Silicon};
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
@@ -36,6 +37,11 @@ const GATE_PORT: usize = 2;
 const FIRST_GATE: u32 = 6;
 /// PC6 to PC11.
 const GATES: u16 = 0x3F;
+
+/// Fault dma-latency: ticks of a transfer.
+const DMA_LATENCY_TICKS: std::ops::RangeInclusive<u64> = 5..=60;
+/// Fault pvd-slow: the detector's delay, 100 µs.
+const PVD_TICKS: Ticks = TICKS_PER_SECOND / 10_000;
 
 /// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0).
 const BROWN_OUT_V: f64 = 1.7;
@@ -92,7 +98,19 @@ pub struct Board<W> {
     gates: u8,
     levels: [u16; 2],
     gate_log: Option<Vec<GateEdge>>,
+    /// Transfers of DMA1 and DMA2 under way, with fault dma-latency.
+    moving: [Option<Moving>; 2],
+    /// When the detector's output follows the supply, with fault pvd-slow.
+    pvd_due: Ticks,
     next_event: Ticks,
+}
+
+/// A DMA transfer that takes its time.
+#[derive(Clone, Copy, Debug)]
+struct Moving {
+    channel: usize,
+    request: Request,
+    done: Ticks,
 }
 
 impl<W: World> Board<W> {
@@ -124,11 +142,21 @@ impl<W: World> Board<W> {
             gates: 0,
             levels: [0; 2],
             gate_log: None,
+            moving: [None; 2],
+            pvd_due: Ticks::MAX,
             next_event: Ticks::MAX,
         };
         board.scramble_ram();
         board.find_next_event();
         board
+    }
+
+    /// Gives the silicon its faults; before the board runs.
+    pub fn set_silicon(&mut self, silicon: Silicon, seed: u64) {
+        self.effects.silicon = silicon;
+        self.effects.chance = Bits::seeded(seed);
+        self.effects.clock_phase = self.effects.chance.within(0..=3);
+        self.flash.power_on(&self.effects);
     }
 
     /// The present, in ticks since the machine was made.
@@ -161,7 +189,8 @@ impl<W: World> Board<W> {
     /// that was under way leaves torn cells.
     pub fn reset(&mut self, cause: ResetCause) {
         self.effects.clear_signals();
-        self.flash.reset(self.effects.now());
+        self.moving = [None; 2];
+        self.flash.reset(&self.effects);
         self.effects.forget_code();
         self.rcc.reset(cause);
         self.power.reset();
@@ -185,6 +214,7 @@ impl<W: World> Board<W> {
         self.watchdog = Watchdog::new();
         if matches!(cause, ResetCause::PowerOn | ResetCause::BrownOut) {
             self.scramble_ram();
+            self.flash.power_on(&self.effects);
         }
         self.update_clocks();
         self.update_drive();
@@ -281,6 +311,7 @@ impl<W: World> Board<W> {
         if self.adc12.next_event() == now {
             let world = &mut self.world;
             self.adc12.advance(&mut self.effects, &mut |adc, channel| world.sample(now, adc, channel));
+            self.disturb_neighbours();
         }
         for timer in &mut self.timers {
             if timer.next_event() == now {
@@ -302,6 +333,19 @@ impl<W: World> Board<W> {
         if self.adc345.next_event() == now {
             let codes = InternalCodes { supply_v: self.power.supply_v(), temperature_c: self.temperature_c };
             self.adc345.advance(&mut self.effects, &mut |_, channel| codes.code(channel));
+            self.disturb_neighbours();
+        }
+        for controller in 0..2 {
+            if let Some(moving) = self.moving[controller].filter(|moving| moving.done == now) {
+                self.moving[controller] = None;
+                // A channel that was stopped meanwhile lets go, unless its access is on the bus already.
+                if self.dma.is_enabled(moving.channel) {
+                    self.carry_out(moving.channel, moving.request);
+                }
+            }
+        }
+        if self.pvd_due == now {
+            self.follow_pvd();
         }
         if self.watchdog.next_event() == now {
             self.watchdog.advance(&mut self.effects);
@@ -320,13 +364,40 @@ impl<W: World> Board<W> {
             if ready == 0 {
                 break;
             }
-            self.serve(ready);
+            if self.effects.silicon.has(Fault::DmaLatency) {
+                if !self.begin_transfers(ready) {
+                    break;
+                }
+            } else if let Some((channel, request)) = self.dma.select(ready, 0..DMA_CHANNELS) {
+                self.carry_out(channel, request);
+            }
         }
         self.find_next_event();
     }
 
-    fn serve(&mut self, ready: u128) {
-        let Some((channel, request)) = self.dma.select(ready) else { return };
+    /// Fault adc-neighbour.
+    #[inline]
+    fn disturb_neighbours(&mut self) {
+        if self.effects.silicon.has(Fault::AdcNeighbour) && self.adc12.is_converting() && self.adc345.is_converting() {
+            self.adc12.disturb(&mut self.effects);
+        }
+    }
+
+    /// Fault dma-latency: each controller that is free begins its next transfer. Gives whether one has.
+    fn begin_transfers(&mut self, ready: u128) -> bool {
+        let mut has_begun = false;
+        for (controller, moving) in self.moving.iter_mut().enumerate().filter(|(_, moving)| moving.is_none()) {
+            let channels = 8 * controller..8 * (controller + 1);
+            if let Some((channel, request)) = self.dma.select(ready, channels) {
+                let done = self.effects.now() + self.effects.chance.within(DMA_LATENCY_TICKS);
+                *moving = Some(Moving { channel, request, done });
+                has_begun = true;
+            }
+        }
+        has_begun
+    }
+
+    fn carry_out(&mut self, channel: usize, request: Request) {
         // Acknowledged first: the access itself may raise the next request.
         self.effects.withdraw(request);
         let moved = self.dma.transfer(channel).is_some_and(|transfer| {
@@ -349,7 +420,11 @@ impl<W: World> Board<W> {
             .min(self.usb_host.next_event())
             .min(self.flash.next_event())
             .min(self.adc345.next_event())
-            .min(self.watchdog.next_event());
+            .min(self.watchdog.next_event())
+            .min(self.pvd_due);
+        for moving in self.moving.iter().flatten() {
+            self.next_event = self.next_event.min(moving.done);
+        }
     }
 
     /// Tells the world, if gates or levels have changed.
@@ -369,8 +444,19 @@ impl<W: World> Board<W> {
         self.world.drive(at, gates, levels);
     }
 
-    /// Carries the detector's output to its interrupt line.
+    /// Lets the detector see the supply: at once, or late with fault pvd-slow.
     fn update_pvd(&mut self) {
+        if self.effects.silicon.has(Fault::PvdSlow) {
+            self.pvd_due = self.effects.now() + PVD_TICKS;
+        } else {
+            self.follow_pvd();
+        }
+    }
+
+    /// Carries the detector's output to its interrupt line.
+    fn follow_pvd(&mut self) {
+        self.pvd_due = Ticks::MAX;
+        self.power.compare();
         let low = self.power.is_low();
         if low != self.pvd {
             self.pvd = low;
@@ -386,9 +472,9 @@ impl<W: World> Board<W> {
     }
 
     fn write_rcc(&mut self, offset: u32, value: u32) {
-        let slow = !self.rcc.runs_from_pll();
+        let slow = !self.rcc.is_at_full_speed();
         let pulled = self.rcc.write(offset, value, self.power.backup_access(), &mut self.effects);
-        if slow && self.rcc.runs_from_pll() {
+        if slow && self.rcc.is_at_full_speed() {
             if self.flash.latency() < LATENCY_AT_170_MHZ {
                 self.effects.violation(value, "170 MHz need four wait states of the flash");
             }

@@ -96,12 +96,14 @@ pub struct FlashArray {
     bytes: Box<[u8]>,
     /// Offsets of double words whose ECC does not fit: a program or erase was cut short.
     torn: BTreeSet<usize>,
+    /// Offsets of double words that read as erased and are not: see [`crate::silicon::Fault::FlashTornOnes`].
+    refusing: BTreeSet<usize>,
 }
 
 impl FlashArray {
     /// Erased flash.
     pub fn erased() -> Self {
-        Self { bytes: vec![0xFF; FLASH_BYTES].into_boxed_slice(), torn: BTreeSet::new() }
+        Self { bytes: vec![0xFF; FLASH_BYTES].into_boxed_slice(), torn: BTreeSet::new(), refusing: BTreeSet::new() }
     }
 
     /// All bytes.
@@ -150,10 +152,21 @@ impl FlashArray {
         }
     }
 
+    /// Leaves a double word as its programming does that is cut short so early that it still reads as erased.
+    pub fn tear_unseen(&mut self, offset: usize) {
+        self.refusing.insert(offset);
+    }
+
+    /// Whether the erased double word at `offset` refuses to be programmed.
+    pub fn refuses(&self, offset: usize) -> bool {
+        self.refusing.contains(&offset)
+    }
+
     /// Erases `length` bytes from `offset` on. `complete` as in [`FlashArray::program`]: cells
     /// cut short read as a mixture of old and erased bits.
     pub fn erase(&mut self, offset: usize, length: usize, complete: f64) {
         if complete >= 1.0 {
+            self.refusing.retain(|refusing| !(offset..offset + length).contains(refusing));
             self.bytes[offset..offset + length].fill(0xFF);
             self.torn.retain(|torn| !(offset..offset + length).contains(torn));
             return;
@@ -168,9 +181,21 @@ impl FlashArray {
 
 /// Reproducible random bits (xorshift; Marsaglia, 2003, "Xorshift RNGs", triple 13, 7, 17), to
 /// decide which cells a cut operation has reached, and what RAM holds after power-on.
+#[derive(Clone, Debug)]
 pub(crate) struct Bits(u64);
 
+impl Default for Bits {
+    fn default() -> Self {
+        Self::seeded(1)
+    }
+}
+
 impl Bits {
+    /// A number of `range`.
+    pub(crate) fn within(&mut self, range: std::ops::RangeInclusive<u64>) -> u64 {
+        range.start() + (self.next() >> 16) % (range.end() - range.start() + 1)
+    }
+
     pub(crate) fn seeded(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
     }

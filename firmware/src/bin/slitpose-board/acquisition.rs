@@ -173,6 +173,11 @@ impl Sampler {
         Some(due.saturating_sub(clock.now()))
     }
 
+    /// Ticks until the next conversion begins; `None` during conversions.
+    pub fn pause_ticks(&self, clock: &mut Clock) -> Option<u32> {
+        self.run.as_ref().map_or(Some(u32::MAX), |run| run.pause_ticks(clock.now()))
+    }
+
     /// Starts again in step after words were lost.
     fn restart(&mut self, emitters: &mut Emitters, clock: &mut Clock) -> Result<bool, ScanError> {
         let Some(mut run) = self.run.take() else {
@@ -283,6 +288,20 @@ impl Run {
     fn finished(&self, now: u64) -> u64 {
         let done = self.tick + u64::from(self.plan.done_ticks);
         if now < done { 0 } else { (now - done) / u64::from(self.plan.frame_ticks) + 1 }
+    }
+
+    /// Ticks from `now` until the next conversion begins; `None` during conversions.
+    fn pause_ticks(&self, now: u64) -> Option<u32> {
+        let into_frame = now.saturating_sub(self.tick) % u64::from(self.plan.frame_ticks);
+        let slot = (into_frame as u32 / self.plan.periods[0]).min(self.plan.periods.len() as u32 - 1);
+        let into_slot = into_frame as u32 - slot * self.plan.periods[0];
+        let FramePlan { trigger_ticks, converted_ticks, periods, .. } = &self.plan;
+        if into_slot < *trigger_ticks {
+            Some(trigger_ticks - into_slot)
+        } else {
+            let is_over = into_slot >= *converted_ticks;
+            is_over.then(|| periods[slot as usize].saturating_sub(into_slot) + trigger_ticks)
+        }
     }
 
     fn advance(&mut self) {

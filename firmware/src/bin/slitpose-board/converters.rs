@@ -1,8 +1,10 @@
 //! The two converters: I_X1 of every cell on ADC1, I_X2 on ADC2. The same edge starts both,
-//! so that the two currents of a cell are held at the same instant.
+//! so that the two currents of a cell are held at the same instant. What all converters of the MCU have in common is
+//! here, too: [`crate::sensors`] has one of its own.
 
 use embassy_stm32::pac::adc::Adc;
 use embassy_stm32::pac::adc::vals::{Adstp, Dmacfg, Dmaen, Exten, Ovrmod, Rovsm, SampleTime, Trovs};
+use embassy_stm32::pac::adccommon::AdcCommon;
 use embassy_stm32::pac::adccommon::vals::Ckmode;
 use embassy_stm32::peripherals::{ADC1, ADC2};
 use embassy_stm32::{Peri, pac, rcc};
@@ -46,6 +48,7 @@ fn both() -> [Adc; 2] {
     [pac::ADC1, pac::ADC2]
 }
 
+/// Waits for `done`.
 fn wait(patience: u32, mut done: impl FnMut() -> bool) -> Result<(), Unresponsive> {
     if (0..patience).any(|_| done()) { Ok(()) } else { Err(Unresponsive) }
 }
@@ -66,10 +69,15 @@ impl Converters {
     /// Prepares both for scans of `plan`, with no word and no request left of earlier scans.
     pub fn prepare(&mut self, plan: &FramePlan) -> Result<(), Unresponsive> {
         if !self.is_up {
-            power_up()?;
+            // The reset undoes the first steps of an attempt that failed.
+            pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(true));
+            pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(false));
+            power_up(&both(), pac::ADC12_COMMON)?;
             self.is_up = true;
         }
         for (adc, inputs) in both().into_iter().zip(&INPUTS) {
+            enable(adc)?;
+            convert_in_vain(adc)?;
             configure(adc, inputs, plan);
         }
         Ok(())
@@ -86,7 +94,8 @@ impl Converters {
         }
     }
 
-    /// Ends sampling. Drops the conversion under way, and also a word that the DMA has not
+    /// Ends sampling, and switches both off until the next run: a converter that was only stopped takes channel 0
+    /// first (ES0430, "ADC channel 0 converted instead of the required ADC channel"). Drops the conversion under way, and also a word that the DMA has not
     /// fetched: the request for that word would outlive the stop and put the word ahead of
     /// the next run's words.
     pub fn stop(&mut self) -> Result<(), Unresponsive> {
@@ -95,6 +104,10 @@ impl Converters {
             if adc.cr().read().adstart() {
                 adc.cr().modify(|w| w.set_adstp(Adstp::STOP));
                 outcome = outcome.and(wait(PATIENCE, || !adc.cr().read().adstart()));
+            }
+            if adc.cr().read().aden() {
+                adc.cr().modify(|w| w.set_addis(true));
+                outcome = outcome.and(wait(PATIENCE, || !adc.cr().read().aden()));
             }
             adc.cfgr().modify(|w| w.set_dmaen(Dmaen::DISABLE));
             let _ = adc.dr().read();
@@ -109,36 +122,50 @@ impl Converters {
     }
 }
 
-/// Powers both up (RM0440, ADC): regulator, calibration, enable; each step is waited for.
-fn power_up() -> Result<(), Unresponsive> {
-    // The reset undoes the first steps of an attempt that failed.
-    pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(true));
-    pac::RCC.ahb2rstr().modify(|w| w.set_adc12rst(false));
-    // A quarter of the bus clock. Slots of whole periods of this clock have no jitter of the
+/// Powers converters up that have just been reset (RM0440, ADC): regulator and calibration; each step is waited for.
+pub fn power_up(converters: &[Adc], common: AdcCommon) -> Result<(), Unresponsive> {
+    // A quarter of the bus clock for all converters of the MCU: clocks of their own would disturb each other
+    // (ES0430, converters at work at the same time). Slots of whole periods of this clock have no jitter of the
     // trigger, other slots have up to one period.
-    pac::ADC12_COMMON.ccr().modify(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
-    for adc in both() {
+    common.ccr().modify(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
+    for adc in converters {
         adc.cr().modify(|w| w.set_deeppwd(false));
         adc.cr().modify(|w| w.set_advregen(true));
     }
     cortex_m::asm::delay(REGULATOR_CYCLES);
-    for adc in both() {
+    for adc in converters {
         adc.cr().modify(|w| w.set_adcal(true));
         wait(CALIBRATION_PATIENCE, || !adc.cr().read().adcal())?;
     }
     // Four periods of the converters' clock between the end of calibration and enabling.
     cortex_m::asm::delay(32);
-    for adc in both() {
-        adc.isr().write(|w| w.set_adrdy(true));
-        adc.cr().modify(|w| w.set_aden(true));
-        wait(PATIENCE, || adc.isr().read().adrdy())?;
-    }
     Ok(())
+}
+
+/// Switches a converter on, after [`power_up`].
+pub fn enable(adc: Adc) -> Result<(), Unresponsive> {
+    if adc.cr().read().aden() {
+        return Ok(());
+    }
+    adc.isr().write(|w| w.set_adrdy(true));
+    adc.cr().modify(|w| w.set_aden(true));
+    wait(PATIENCE, || adc.isr().read().adrdy())
+}
+
+/// One conversion that nobody reads: the first one after a pause may be wrong (ES0430, see
+/// [`slitpose_firmware::pcb::frame_plan`]).
+fn convert_in_vain(adc: Adc) -> Result<(), Unresponsive> {
+    adc.cfgr().write(|w| w.set_jqdis(true));
+    adc.cfgr2().write(|_| {});
+    adc.sqr1().write(|_| {});
+    adc.cr().modify(|w| w.set_adstart(true));
+    wait(PATIENCE, || !adc.cr().read().adstart())
 }
 
 fn configure(adc: Adc, inputs: &[u8], plan: &FramePlan) {
     let sampling = SampleTime::from_bits(plan.sampling_code);
-    let ranks = inputs.iter().take(plan.ranks.into()).enumerate();
+    let leading = inputs.iter().take(usize::from(plan.has_leading_word));
+    let ranks = leading.chain(inputs).take(plan.ranks.into()).enumerate();
     adc.sqr1().write(|w| {
         w.set_l(plan.ranks - 1);
         for (rank, &input) in ranks.clone().take(4) {

@@ -124,6 +124,11 @@ unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
     give_up()
 }
 
+/// The crystal has stopped, and every time is wrong from now on: a start anew finds another clock.
+fn has_lost_clock() -> bool {
+    pac::RCC.cifr().read().cssf()
+}
+
 /// Flash memory that was torn by a power cut reports an error of two bits. In the second
 /// bank, which holds settings only, the checksum of the settings shows the damage. In the
 /// first bank the firmware itself cannot be trusted.
@@ -131,6 +136,9 @@ unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
 #[allow(unsafe_code)]
 #[exception]
 unsafe fn NonMaskableInt() {
+    if has_lost_clock() {
+        give_up();
+    }
     let errors = pac::FLASH.eccr().read();
     let is_settings = errors.bk_ecc() && !errors.sysf_ecc();
     if (errors.eccd() || errors.eccd2()) && !is_settings {

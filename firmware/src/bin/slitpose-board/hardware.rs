@@ -110,7 +110,8 @@ impl System for BoardHardware {
         let cpu_load_permille = self.load.permille(self.clock.now());
         #[cfg(feature = "sensors")]
         {
-            let readings = self.sensors.read();
+            let Self { sensors, sampler, clock, .. } = self;
+            let readings = sensors.read(|| sampler.pause_ticks(clock));
             Health { supply_v: readings.supply_v, temperature_k: readings.temperature_k, cpu_load_permille }
         }
         #[cfg(not(feature = "sensors"))]

@@ -16,6 +16,7 @@
 
 mod acquisition;
 mod clock;
+mod clock_tree;
 mod converters;
 mod dma;
 mod emitters;
@@ -78,8 +79,7 @@ const POLL: Duration = Duration::from_millis(1);
 async fn main(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
     let mut p = embassy_stm32::init(config());
-    supply::boost();
-    embassy_stm32::rcc::reinit(clocks(), &mut p.RCC);
+    let has_crystal = clock_tree::raise(&mut p.RCC);
     faults::running();
     let emitters = [
         Output::new(p.PC6, Level::Low, Speed::Medium),
@@ -151,27 +151,5 @@ fn config() -> Config {
     // The processor's load is measured by its cycle counter, which stands still in sleep.
     // With a debugger attached the counter runs on and the load reads full.
     config.enable_debug_during_sleep = cfg!(feature = "defmt");
-    config
-}
-
-/// Clocks while running: 170 MHz from the internal oscillator for all but USB, which has an
-/// oscillator of its own, trimmed by the host's frames.
-fn clocks() -> embassy_stm32::rcc::Config {
-    use embassy_stm32::rcc::{Config, Hsi48Config, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk, mux};
-    let mut config = Config::new();
-    config.pll = Some(Pll {
-        source: PllSource::HSI,
-        prediv: PllPreDiv::DIV4,
-        mul: PllMul::MUL85,
-        divp: None,
-        divq: None,
-        divr: Some(PllRDiv::DIV2),
-    });
-    config.hsi = true;
-    config.sys = Sysclk::PLL1_R;
-    config.boost = true;
-    config.hsi48 = Some(Hsi48Config { sync_from_usb: true });
-    config.mux.clk48sel = mux::Clk48sel::HSI48;
-    config.mux.adc345sel = mux::Adcsel::SYS;
     config
 }

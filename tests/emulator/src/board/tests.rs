@@ -237,6 +237,8 @@ fn the_pll_needs_boost_and_wait_states() {
             put(&mut board, PWR + 0x80, 0);
             put(&mut board, FLASH_ACR, 4);
         }
+        put(&mut board, RCC + 8, 8 << 4 | 3);
+        board.effects.now += 170;
         put(&mut board, RCC + 8, 3);
         board.effects.violation_count()
     };

@@ -14,7 +14,8 @@
 //! hold instant, the end of the sampling time. The result, its flag and its DMA request come with
 //! the end of the last conversion of a rank.
 
-use super::{Effects, Request, Ticks, interrupt};
+use super::{Effects, Request, TICKS_PER_SECOND, Ticks, interrupt};
+use crate::silicon::Fault;
 
 const ISR: u32 = 0x00;
 const IER: u32 = 0x04;
@@ -83,6 +84,12 @@ const STOP_CLOCKS: u64 = 2;
 const CALIBRATION_TO_ENABLE_CLOCKS: u64 = 4;
 /// Start-up of the regulator: 20 µs (data sheet, t_ADCVREG_STUP).
 const REGULATOR_TICKS: Ticks = 3_400;
+/// Fault adc-stale: a conversion this long after the one before is wrong.
+const STALE_TICKS: Ticks = TICKS_PER_SECOND / 1_000;
+/// Fault adc-stale: by so many codes.
+const STALE_CODES: u16 = 700;
+/// Fault adc-neighbour: the most codes that a conversion is off by.
+const NEIGHBOUR_CODES: u64 = 8;
 /// Shortest clock period in ticks that the converter follows (60 MHz).
 const SHORTEST_CLOCK_TICKS: u64 = 3;
 
@@ -146,6 +153,10 @@ pub struct Adc {
     next: Ticks,
     missed_triggers: u64,
     swallow: bool,
+    /// ADSTP was set since the converter was enabled.
+    was_stopped: bool,
+    /// End of the last calibration or conversion.
+    last_conversion: Ticks,
 }
 
 impl Adc {
@@ -176,6 +187,8 @@ impl Adc {
             next: Ticks::MAX,
             missed_triggers: 0,
             swallow: false,
+            was_stopped: false,
+            last_conversion: 0,
         }
     }
 
@@ -363,7 +376,7 @@ impl Adc {
         self.cr |= ADSTART;
         self.plan = self.plan_sequence();
         if self.plan.trigger_mask == 0 {
-            self.begin(effects.now());
+            self.begin(effects.now(), 0);
         }
     }
 
@@ -401,14 +414,14 @@ impl Adc {
         ((self.cfgr >> 10 & 3) as u16) << (2 * trigger)
     }
 
-    /// A trigger edge, or the software start.
-    fn begin(&mut self, now: Ticks) {
+    /// A trigger edge, which the converter's clock sees `late` ticks later, or the software start.
+    fn begin(&mut self, now: Ticks, late: Ticks) {
         if self.phase != Phase::Idle {
             self.missed_triggers += 1;
             return;
         }
         self.rank = 0;
-        self.sample_rank(now + self.plan.trigger_delay);
+        self.sample_rank(now + late + self.plan.trigger_delay);
     }
 
     /// Sampling of the present rank starts at `at`.
@@ -423,7 +436,7 @@ impl Adc {
         let now = effects.now();
         if self.phase_at == now {
             match self.phase {
-                Phase::Hold => self.hold(sample),
+                Phase::Hold => self.hold(effects, sample),
                 Phase::Result => self.finish_rank(effects),
                 Phase::Idle => {}
             }
@@ -434,10 +447,16 @@ impl Adc {
     }
 
     #[inline]
-    fn hold(&mut self, sample: &mut impl FnMut(u8, u8) -> u16) {
+    fn hold(&mut self, effects: &Effects, sample: &mut impl FnMut(u8, u8) -> u16) {
         let rank = self.plan.ranks[self.rank];
         let lost_bits = 2 * (self.cfgr >> 3 & 3);
-        self.sum += u32::from(sample(self.number, rank.channel) >> lost_bits);
+        let is_zero = std::mem::take(&mut self.was_stopped) && effects.silicon.has(Fault::AdcStop);
+        let mut code = sample(self.number, if is_zero { 0 } else { rank.channel });
+        if effects.now() - self.last_conversion > STALE_TICKS && effects.silicon.has(Fault::AdcStale) {
+            code = code.abs_diff(STALE_CODES);
+        }
+        self.last_conversion = effects.now();
+        self.sum += u32::from(code >> lost_bits);
         self.conversions += 1;
         self.isr |= EOSMP;
         self.phase_at += self.plan.approximation;
@@ -489,11 +508,14 @@ impl Adc {
         if self.cr & ADCAL != 0 {
             self.cr &= !ADCAL;
             self.calibrated_at = Some(now);
+            self.last_conversion = now;
         } else if self.cr & ADSTP != 0 {
             self.cr &= !(ADSTP | ADSTART);
+            self.was_stopped = true;
         } else if self.cr & ADDIS != 0 {
             self.cr &= !(ADDIS | ADEN);
             self.isr &= !ADRDY;
+            self.was_stopped = false;
         } else if self.cr & ADEN != 0 {
             self.isr |= ADRDY;
         }
@@ -630,11 +652,24 @@ impl<const N: usize> AdcGroup<N> {
         }
     }
 
+    /// Whether one of the converters samples or converts.
+    #[inline]
+    pub fn is_converting(&self) -> bool {
+        self.adcs.iter().any(|adc| adc.phase != Phase::Idle)
+    }
+
+    /// Fault adc-neighbour: converters of the other group are at work, too.
+    pub fn disturb(&mut self, effects: &mut Effects) {
+        for adc in self.adcs.iter_mut().filter(|adc| adc.phase != Phase::Idle) {
+            adc.sum += effects.chance.within(0..=NEIGHBOUR_CODES) as u32;
+        }
+    }
+
     /// Timer trigger edges, as `Effects::take_triggers` returns them.
     pub fn trigger(&mut self, edges: u16, effects: &Effects) {
         for adc in &mut self.adcs {
             if adc.cr & (ADSTART | ADSTP) == ADSTART && adc.plan.trigger_mask & edges != 0 {
-                adc.begin(effects.now());
+                adc.begin(effects.now(), late_ticks(effects, adc.clock));
                 adc.next = adc.phase_at.min(adc.command_at);
             }
         }
@@ -679,6 +714,15 @@ impl<const N: usize> AdcGroup<N> {
             effects.set_line(line, level);
         }
     }
+}
+
+/// Fault trigger-phase: ticks to the next edge of the converters' clock, whose phase is that of the power-on, and an
+/// eighth of a clock, rounded up.
+fn late_ticks(effects: &Effects, clock: u64) -> Ticks {
+    if !effects.silicon.has(Fault::TriggerPhase) {
+        return 0;
+    }
+    (effects.clock_phase + clock - effects.now() % clock) % clock + clock.div_ceil(8)
 }
 
 fn prescaler(ccr: u32) -> u64 {

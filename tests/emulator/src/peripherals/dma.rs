@@ -3,7 +3,7 @@
 //!
 //! A request is served in the tick in which it arises; where several wait, by priority level,
 //! then DMA1 before DMA2, then by channel number. The hardware takes about five bus cycles for
-//! each transfer. Memory-to-memory transfers, synchronisation and request generators are not
+//! each transfer, and more on a busy bus: [`crate::silicon::Fault::DmaLatency`]. Memory-to-memory transfers, synchronisation and request generators are not
 //! modelled. The data move through the board, which owns the bus.
 
 use super::{Effects, Request, interrupt};
@@ -230,15 +230,21 @@ impl Dma {
         self.wanted
     }
 
-    /// The channel to serve next among the waiting requests `ready` (all of them wanted).
-    pub fn select(&self, ready: u128) -> Option<(usize, Request)> {
+    /// The channel of `channels` to serve next among the waiting requests `ready` (all of them wanted).
+    pub fn select(&self, ready: u128, channels: std::ops::Range<usize>) -> Option<(usize, Request)> {
         let serves = |channel: &Channel| {
             let request = channel.listens_to();
             request != 0 && ready >> request & 1 != 0
         };
-        let candidates = self.channels.iter().enumerate().filter(|(_, channel)| serves(channel));
+        let candidates =
+            self.channels.iter().enumerate().filter(|(index, channel)| channels.contains(index) && serves(channel));
         let best = candidates.min_by_key(|(index, channel)| (3 - channel.priority(), *index));
         best.map(|(index, channel)| (index, Request(channel.listens_to())))
+    }
+
+    /// Whether `channel` is still enabled.
+    pub fn is_enabled(&self, channel: usize) -> bool {
+        self.channels[channel].enabled()
     }
 
     /// What `channel` moves next; an error if a fault was injected.
@@ -378,7 +384,7 @@ mod tests {
     }
 
     fn serve(dma: &mut Dma, effects: &mut Effects) -> Transfer {
-        let (channel, request) = dma.select(1 << 5).expect("the channel listens");
+        let (channel, request) = dma.select(1 << 5, 0..CHANNELS).expect("the channel listens");
         assert_eq!((channel, request), (2, Request::ADC1));
         let transfer = dma.transfer(channel).expect("no fault injected");
         dma.finish(channel, true, effects);
@@ -407,7 +413,7 @@ mod tests {
             serve(&mut dma, &mut effects);
         }
         assert_eq!(dma.wanted(), 0);
-        assert_eq!(dma.select(1 << 5), None);
+        assert_eq!(dma.select(1 << 5, 0..CHANNELS), None);
         assert_eq!(effects.lines()[0], 1 << 13);
         dma.write(0, IFCR, TCIF << 8, &mut effects);
         assert_eq!((effects.lines()[0], dma.read(0, ISR, &mut effects)), (0, HTIF << 8 | GIF << 8));
@@ -430,10 +436,10 @@ mod tests {
         dma.write_multiplexer(0, 36, &mut effects);
         dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
         dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
-        assert_eq!(dma.select(1 << 5 | 1 << 36), Some((0, Request::ADC2)));
+        assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((0, Request::ADC2)));
         dma.write(0, CH3 + CCR, 0, &mut effects);
         dma.write(0, CH3 + CCR, EN | 2 << 12, &mut effects);
-        assert_eq!(dma.select(1 << 5 | 1 << 36), Some((2, Request::ADC1)));
+        assert_eq!(dma.select(1 << 5 | 1 << 36, 0..CHANNELS), Some((2, Request::ADC1)));
     }
 
     #[test]

@@ -2,6 +2,8 @@
 //! and the record of broken rules.
 
 use super::Ticks;
+use crate::memory::Bits;
+use crate::silicon::Silicon;
 use std::collections::BTreeMap;
 
 /// Position of an interrupt in the vector table (RM0440, "Interrupt and exception vectors").
@@ -137,6 +139,12 @@ pub struct Effects {
     pub(crate) boot_loader_entered: bool,
     /// The core waits on the bus until this instant.
     pub(crate) stalled_until: Ticks,
+    /// What the silicon does against its manual.
+    pub(crate) silicon: Silicon,
+    /// What it does by chance.
+    pub(crate) chance: Bits,
+    /// Phase of the converters' clock, in ticks of any period.
+    pub(crate) clock_phase: Ticks,
     violations: Vec<Violation>,
     violation_count: u64,
     unmodelled: BTreeMap<u32, u64>,

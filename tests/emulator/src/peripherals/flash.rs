@@ -7,6 +7,7 @@
 
 use super::{Effects, TICKS_PER_SECOND, Ticks, interrupt};
 use crate::memory::{BANK_BYTES, DOUBLE_WORD_BYTES, FLASH_BASE, FLASH_BYTES, FlashArray, PAGE_BYTES, load};
+use crate::silicon::Fault;
 
 const ACR: u32 = 0x00;
 const PDKEYR: u32 = 0x04;
@@ -113,11 +114,23 @@ impl Flash {
         }
     }
 
-    /// Reset or loss of power at `now`: an operation under way leaves torn cells.
-    pub fn reset(&mut self, now: Ticks) {
+    /// Power-on: with fault flash-virgin an error flag is set.
+    pub fn power_on(&mut self, effects: &Effects) {
+        if effects.silicon.has(Fault::FlashVirgin) {
+            self.sr |= PROGERR;
+        }
+    }
+
+    /// Reset or loss of power: an operation under way leaves torn cells.
+    pub fn reset(&mut self, effects: &Effects) {
         if let Some(operation) = self.operation.take() {
-            let granted = (now - operation.started) as f64 / (operation.done - operation.started) as f64;
-            self.apply(operation.work, granted);
+            let granted = (effects.now() - operation.started) as f64 / (operation.done - operation.started) as f64;
+            match operation.work {
+                Work::Program { offset, .. } if effects.silicon.has(Fault::FlashTornOnes) => {
+                    self.array.tear_unseen(offset);
+                }
+                work => self.apply(work, granted),
+            }
         }
         let array = std::mem::replace(&mut self.array, FlashArray::erased());
         *self = Self::new(array);
@@ -199,7 +212,8 @@ impl Flash {
             return Some(self.load_after(operation.work, offset, width));
         }
         if self.array.is_torn(offset) && self.eccr & ECCD == 0 {
-            let bank = if offset >= BANK_BYTES { BK_ECC } else { 0 };
+            let is_second = (offset >= BANK_BYTES) != effects.silicon.has(Fault::EccBank);
+            let bank = if is_second { BK_ECC } else { 0 };
             self.eccr = ECCD | bank | ((offset % BANK_BYTES) & !(DOUBLE_WORD_BYTES - 1)) as u32;
             effects.raise_nmi();
         }
@@ -246,6 +260,9 @@ impl Flash {
                 let data = u64::from(low) | u64::from(value) << 32;
                 if self.array.double_word(base) != u64::MAX && data != 0 {
                     self.fail(PROGERR, value, "a double word is programmed only after its erasure", effects);
+                } else if self.array.refuses(base) {
+                    self.latch = None;
+                    self.sr |= PROGERR;
                 } else {
                     self.begin(Work::Program { offset: base, data }, PROGRAM_TICKS, effects);
                 }
@@ -446,7 +463,7 @@ mod tests {
     fn a_torn_double_word_raises_the_nmi_once_per_flag() {
         let (mut flash, mut effects) = unlocked();
         program(&mut flash, &mut effects, [0, 1]);
-        flash.reset(PROGRAM_TICKS / 2);
+        flash.reset(&Effects::starting_at(PROGRAM_TICKS / 2));
         assert!(!effects.nmi);
         flash.load(OFFSET + 4, 4, &mut effects);
         assert!(std::mem::take(&mut effects.nmi));
@@ -465,7 +482,7 @@ mod tests {
         flash.write(KEYR, KEY1, &mut effects);
         flash.write(KEYR, KEY2, &mut effects);
         assert_ne!(flash.read(CR, &mut effects) & LOCK, 0);
-        flash.reset(0);
+        flash.reset(&Effects::starting_at(0));
         flash.write(KEYR, KEY1, &mut effects);
         flash.write(KEYR, KEY2, &mut effects);
         assert_eq!(flash.read(CR, &mut effects) & LOCK, 0);

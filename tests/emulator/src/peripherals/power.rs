@@ -118,10 +118,10 @@ impl Power {
     /// Sets the supply.
     pub fn set_supply_v(&mut self, volts: f64) {
         self.supply_v = volts;
-        self.compare();
     }
 
-    fn compare(&mut self) {
+    /// Lets the detector see the supply.
+    pub fn compare(&mut self) {
         let threshold = PVD_FALLING_V.get((self.cr2 >> 1 & 7) as usize);
         self.low = match threshold {
             Some(falling) if self.cr2 & PVDE != 0 => {
@@ -140,11 +140,14 @@ mod tests {
     fn detector_has_its_threshold_and_hysteresis() {
         let (mut power, mut effects) = (Power::new(3.3), Effects::default());
         power.set_supply_v(2.5);
+        power.compare();
         assert!(!power.is_low(), "the detector is off");
         power.set_supply_v(3.3);
+        power.compare();
         power.write(CR2, PVDE | 5 << 1, &mut effects);
         let seen = [2.85, 2.80, 2.88, 2.92].map(|volts| {
             power.set_supply_v(volts);
+            power.compare();
             (power.is_low(), power.read(SR2, &mut effects) & PVDO != 0)
         });
         assert_eq!(seen, [(false, false), (true, true), (true, true), (false, false)]);

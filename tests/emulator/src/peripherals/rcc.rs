@@ -1,10 +1,11 @@
 //! Reset and clock control (RM0440, "Reset and clock control").
 //!
-//! Oscillators and the PLL are ready as soon as they are switched on. Time does not follow the
-//! clock tree: the core clock is taken as 170 MHz throughout, and a program that settles on
-//! another one is recorded as unmodelled.
+//! The crystal takes its start-up time; the other oscillators and the PLL are ready as soon as they are
+//! switched on. Time does not follow the clock tree: the core clock is taken as 170 MHz throughout, and
+//! a program that settles on another one is recorded as unmodelled.
 
-use super::{Effects, ResetCause};
+use super::{Effects, ResetCause, TICKS_PER_SECOND, Ticks};
+use crate::silicon::Fault;
 
 const CR: u32 = 0x00;
 const ICSCR: u32 = 0x04;
@@ -34,7 +35,13 @@ const PLLON: u32 = 1 << 24;
 const CR_READY: [(u32, u32); 3] = [(1 << 8, 1 << 10), (1 << 16, 1 << 17), (PLLON, 1 << 25)];
 const SW: u32 = 0b11;
 const SW_PLL: u32 = 0b11;
-const PRESCALERS: u32 = 0b11_1111 << 8 | 0b1111 << 4;
+const PPRE: u32 = 0b11_1111 << 8;
+const HPRE: u32 = 0b1111 << 4;
+const HPRE_HALF: u32 = 0b1000 << 4;
+const HSEON: u32 = 1 << 16;
+const HSERDY: u32 = 1 << 17;
+/// Start of the timers that schedule frames: TIM2 and TIM5 of RCC_APB1ENR1.
+const FRAME_TIMERS: u32 = 0b1001;
 const PLLPEN: u32 = 1 << 16;
 const PLLPEN_AND_DIVIDER: u32 = 0xF803_0000;
 const PLLQEN: u32 = 1 << 20;
@@ -49,6 +56,10 @@ const IWDGRSTF: u32 = 1 << 29;
 /// High-speed internal oscillator, and the crystal of the NUCLEO-G474RE, in hertz.
 const HSI_HZ: u64 = 16_000_000;
 const HSE_HZ: u64 = 24_000_000;
+/// Start-up of the crystal: 2 ms (data sheet, t_SU(HSE), typical).
+const CRYSTAL_TICKS: Ticks = TICKS_PER_SECOND / 500;
+/// How long the bus stays at half speed after a switch above 80 MHz: 1 µs (RM0440, "Clock switching").
+const HALF_SPEED_TICKS: Ticks = TICKS_PER_SECOND / 1_000_000;
 
 /// A bit of one of the clock-enable registers; the reset register has the same layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,12 +125,16 @@ impl Pulled {
 pub struct Rcc {
     /// Registers without their ready bits.
     words: [u32; WORDS],
+    /// When the crystal was switched on.
+    crystal_since: Ticks,
+    /// When the PLL became the system clock.
+    switched_at: Ticks,
 }
 
 impl Rcc {
     /// State after power-on.
     pub fn new() -> Self {
-        let mut rcc = Self { words: [0; WORDS] };
+        let mut rcc = Self { words: [0; WORDS], crystal_since: 0, switched_at: 0 };
         rcc.reset(ResetCause::PowerOn);
         rcc
     }
@@ -153,7 +168,11 @@ impl Rcc {
     /// Value of a register.
     pub fn read(&mut self, offset: u32, effects: &mut Effects) -> u32 {
         match offset {
-            CR => CR_READY.iter().fold(self.get(CR), |cr, &(on, ready)| cr | if cr & on != 0 { ready } else { 0 }),
+            CR => {
+                let cr =
+                    CR_READY.iter().fold(self.get(CR), |cr, &(on, ready)| cr | if cr & on != 0 { ready } else { 0 });
+                if self.has_crystal(effects) { cr } else { cr & !HSERDY }
+            }
             CFGR => self.get(CFGR) | (self.get(CFGR) & SW) << 2,
             BDCR | CSR | CRRCR => self.get(offset) | (self.get(offset) & 1) << 1,
             CIFR => 0,
@@ -184,6 +203,11 @@ impl Rcc {
                 self.set(offset, value);
                 return Pulled { register: offset + AHB1ENR - AHB1RSTR, bits: value & !before };
             }
+            APB1ENR1 => {
+                let is_slow = self.runs_from_pll() && !self.is_at_full_speed();
+                effects.unmodelled_bits(value & !before & if is_slow { FRAME_TIMERS } else { 0 });
+                self.set(offset, value);
+            }
             _ if is_register(offset) => self.set(offset, value),
             _ => effects.unmodelled(),
         }
@@ -194,6 +218,17 @@ impl Rcc {
     #[inline]
     pub fn is_on(&self, gate: Gate) -> bool {
         self.words[(gate.register / 4) as usize] >> gate.bit & 1 != 0
+    }
+
+    /// Whether core and buses run at 170 MHz.
+    pub fn is_at_full_speed(&self) -> bool {
+        self.runs_from_pll() && self.get(CFGR) & HPRE == 0
+    }
+
+    /// Whether the crystal oscillates.
+    fn has_crystal(&self, effects: &Effects) -> bool {
+        let is_dead = effects.silicon.has(Fault::HseDead);
+        self.get(CR) & HSEON != 0 && !is_dead && effects.now() >= self.crystal_since + CRYSTAL_TICKS
     }
 
     /// Whether the core runs from the PLL.
@@ -244,19 +279,35 @@ impl Rcc {
         if self.runs_from_pll() && value & PLLON == 0 {
             effects.violation(value, "the PLL is switched off only while it is not the system clock");
         }
+        if value & HSEON != 0 && self.get(CR) & HSEON == 0 {
+            self.crystal_since = effects.now();
+        }
+        if value & PLLON != 0 && self.get(CR) & PLLON == 0 && self.get(PLLCFGR) & 3 == 3 && !self.has_crystal(effects) {
+            effects.violation(value, "the PLL is switched on only while its source is ready");
+        }
         self.set(CR, CR_READY.iter().fold(value, |cr, &(_, ready)| cr & !ready));
     }
 
     fn write_cfgr(&mut self, value: u32, effects: &mut Effects) {
+        let (was_pll, was_full) = (self.runs_from_pll(), self.is_at_full_speed());
         self.set(CFGR, value & !0b1100);
         if !self.runs_from_pll() {
             return;
         }
+        if !was_pll {
+            self.switched_at = effects.now();
+            if value & HPRE != HPRE_HALF {
+                effects.violation(value, "the system clock is raised above 80 MHz while HPRE = 2");
+            }
+        } else if self.is_at_full_speed() && !was_full && effects.now() < self.switched_at + HALF_SPEED_TICKS {
+            effects.violation(value, "HPRE is set to 1 at least 1 µs after the system clock was raised above 80 MHz");
+        }
         if self.get(CR) & PLLON == 0 {
             effects.violation(value, "the PLL is selected only while it is ready");
         }
-        effects.unmodelled_bits(value & PRESCALERS);
-        effects.unmodelled_bits(u32::from(self.pll_hz() != super::TICKS_PER_SECOND));
+        effects.unmodelled_bits(value & PPRE);
+        effects.unmodelled_bits(if value & HPRE == HPRE_HALF { 0 } else { value & HPRE });
+        effects.unmodelled_bits(u32::from(self.pll_hz() != TICKS_PER_SECOND));
     }
 
     fn write_pllcfgr(&mut self, value: u32, effects: &mut Effects) {
@@ -296,6 +347,7 @@ fn is_register(offset: u32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::silicon::Silicon;
 
     /// HSI / 4 × 85 / 2.
     const PLL_170_MHZ: u32 = 2 | 3 << 4 | 85 << 8 | 1 << 24;
@@ -306,6 +358,8 @@ mod tests {
         rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
         rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
         assert_eq!(rcc.read(CR, &mut effects), 1 << 8 | 1 << 10 | PLLON | 1 << 25);
+        rcc.write(CFGR, HPRE_HALF | 3, false, &mut effects);
+        effects.now += HALF_SPEED_TICKS;
         rcc.write(CFGR, 3, false, &mut effects);
         assert_eq!(rcc.read(CFGR, &mut effects), 0b1111);
         assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (0, 0));
@@ -321,6 +375,38 @@ mod tests {
         rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
         rcc.write(CFGR, 3, false, &mut effects);
         assert_eq!(effects.unmodelled_accesses().len(), 1);
+    }
+
+    #[test]
+    fn the_clock_is_raised_by_way_of_half_the_bus_clock() {
+        for (steps, broken) in [
+            // (value of CFGR, ticks until then)
+            (&[(HPRE_HALF | 3, 0), (3, HALF_SPEED_TICKS)][..], 0),
+            (&[(HPRE_HALF | 3, 0), (3, HALF_SPEED_TICKS - 1)], 1),
+            (&[(3, 0)], 1),
+        ] {
+            let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+            rcc.write(PLLCFGR, PLL_170_MHZ, false, &mut effects);
+            rcc.write(CR, 1 << 8 | PLLON, false, &mut effects);
+            for &(value, ticks) in steps {
+                effects.now += ticks;
+                rcc.write(CFGR, value, false, &mut effects);
+            }
+            assert_eq!(effects.violation_count(), broken, "{steps:?}");
+            assert!(rcc.is_at_full_speed());
+        }
+    }
+
+    #[test]
+    fn the_crystal_takes_its_time_or_does_not_start() {
+        for (silicon, is_ready) in [(Silicon::default(), true), ([Fault::HseDead].into_iter().collect(), false)] {
+            let (mut rcc, mut effects) = (Rcc::new(), Effects::default());
+            effects.silicon = silicon;
+            rcc.write(CR, 1 << 8 | HSEON, false, &mut effects);
+            assert_eq!(rcc.read(CR, &mut effects) & HSERDY, 0);
+            effects.now += CRYSTAL_TICKS;
+            assert_eq!(rcc.read(CR, &mut effects) & HSERDY != 0, is_ready);
+        }
     }
 
     #[test]

@@ -1,0 +1,139 @@
+//! What real silicon does against its manual, or at its worst: each fault can be switched on by itself.
+//!
+//! Without faults every transfer, trigger and conversion is ideal. The board must not show a wrong word with any of
+//! them; `tests/data/stm32g474/README.md` has the sources.
+
+use std::fmt;
+use std::str::FromStr;
+
+use thiserror::Error;
+
+/// A way in which the silicon misbehaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// After ADSTP the next conversion takes channel 0, unless the converter was disabled in between.
+    AdcStop,
+    /// A conversion later than 1 ms after the one before, or after calibration, is wrong.
+    AdcStale,
+    /// A converter is disturbed by one of the other group that converts at the same time.
+    AdcNeighbour,
+    /// Converters take a trigger 0 to 3 ticks late, by the phase of their clock, and an eighth of a clock more.
+    TriggerPhase,
+    /// Each DMA transfer takes 5 to 60 ticks from its turn to its end.
+    DmaLatency,
+    /// The ECC error of a torn double word names the other bank.
+    EccBank,
+    /// A double word torn while it was programmed reads as erased, and refuses to be programmed.
+    FlashTornOnes,
+    /// The flash reports a programming error from power-on until software clears it.
+    FlashVirgin,
+    /// The crystal does not start.
+    HseDead,
+    /// The supply detector reacts 100 µs late.
+    PvdSlow,
+    /// The USB host resets the bus, suspends it, and asks for descriptors again in the middle of streaming.
+    UsbHost,
+}
+
+impl Fault {
+    /// All faults, in the order in which they are listed.
+    pub const ALL: [Self; 11] = [
+        Self::AdcStop,
+        Self::AdcStale,
+        Self::AdcNeighbour,
+        Self::TriggerPhase,
+        Self::DmaLatency,
+        Self::EccBank,
+        Self::FlashTornOnes,
+        Self::FlashVirgin,
+        Self::HseDead,
+        Self::PvdSlow,
+        Self::UsbHost,
+    ];
+
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::AdcStop => "adc-stop",
+            Self::AdcStale => "adc-stale",
+            Self::AdcNeighbour => "adc-neighbour",
+            Self::TriggerPhase => "trigger-phase",
+            Self::DmaLatency => "dma-latency",
+            Self::EccBank => "ecc-bank",
+            Self::FlashTornOnes => "flash-torn-ones",
+            Self::FlashVirgin => "flash-virgin",
+            Self::HseDead => "hse-dead",
+            Self::PvdSlow => "pvd-slow",
+            Self::UsbHost => "usb-host",
+        }
+    }
+}
+
+/// A set of faults; empty by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Silicon(u16);
+
+impl Silicon {
+    /// All faults.
+    pub fn all() -> Self {
+        Fault::ALL.into_iter().collect()
+    }
+
+    /// Whether `fault` is among them.
+    #[inline]
+    pub fn has(self, fault: Fault) -> bool {
+        self.0 >> fault as u16 & 1 != 0
+    }
+}
+
+impl FromIterator<Fault> for Silicon {
+    fn from_iter<I: IntoIterator<Item = Fault>>(faults: I) -> Self {
+        Self(faults.into_iter().fold(0, |bits, fault| bits | 1 << fault as u16))
+    }
+}
+
+/// No fault has that name.
+#[derive(Debug, Error)]
+#[error("no silicon fault is called `{name}`; there are all, {}", Names)]
+pub struct UnknownFault {
+    name: String,
+}
+
+struct Names;
+
+impl fmt::Display for Names {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&Fault::ALL.map(Fault::name).join(", "))
+    }
+}
+
+impl FromStr for Silicon {
+    type Err = UnknownFault;
+
+    /// Names separated by commas, or `all`.
+    fn from_str(text: &str) -> Result<Self, UnknownFault> {
+        if text == "all" {
+            return Ok(Self::all());
+        }
+        let of = |name: &str| {
+            let fault = Fault::ALL.into_iter().find(|fault| fault.name() == name);
+            fault.ok_or_else(|| UnknownFault { name: name.to_owned() })
+        };
+        text.split(',').map(str::trim).map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_read_by_name_and_unknown_ones_told() {
+        let some: Silicon = "hse-dead, adc-stop".parse().expect("names");
+        assert!(some.has(Fault::HseDead) && some.has(Fault::AdcStop) && !some.has(Fault::AdcStale));
+        assert_eq!("all".parse::<Silicon>().expect("all"), Silicon::all());
+        assert!(Fault::ALL.into_iter().all(|fault| fault.name().parse::<Silicon>().expect("a name").has(fault)));
+        let error = "adc-stop,x".parse::<Silicon>().expect_err("no such fault").to_string();
+        assert!(error.contains("`x`") && error.contains("usb-host"), "{error}");
+    }
+}
