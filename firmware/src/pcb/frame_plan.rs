@@ -65,6 +65,10 @@ pub const LONGEST_FRAME_TICKS: u32 = i32::MAX as u32;
 /// ticks at least.
 const OFF_LEAD_TICKS: u32 = 32;
 
+/// Ticks by which the guard is at least later than the trigger that it waits for, and earlier than the next frame's
+/// light: what DMA may take on a busy bus.
+const GUARD_TICKS: u32 = 512;
+
 /// Code of the DACs at nominal level: the middle of their range.
 const NOMINAL_CODE: u32 = 2048;
 
@@ -91,6 +95,10 @@ pub struct FramePlan {
     /// Ticks from the start of the last slot until its emitters go off, if the slot is lit
     /// and an idle rest follows: 0.2 µs before the slot's end.
     pub off_ticks: Option<u32>,
+    /// Ticks without a trigger after which all emitters go off.
+    pub guard_ticks: u32,
+    /// Whether that happens in the idle rest of every frame, once or more.
+    pub guard_fires_in_rest: bool,
     /// Code of each level line in each slot.
     pub level_codes: [Vec<u16, BOARD_SLOTS>; LEVEL_LINES],
     /// Ticks of a frame.
@@ -132,6 +140,7 @@ impl FramePlan {
             Some(last) if slots <= BOARD_SLOTS => *last += idle,
             _ => return Err(HardwareFault::Timing),
         }
+        let (guard_ticks, guard_fires_in_rest) = guard(schedule.slot_ticks, trigger_ticks, idle);
         let last_is_lit = schedule.slots.last().is_some_and(|set| !set.is_dark());
         let first = u8::from(has_leading_word);
         let word = |slot: Option<usize>, cell: u8| slot.map(|slot| slot as u8 * ranks + first + cell);
@@ -146,6 +155,8 @@ impl FramePlan {
             periods,
             emitters: schedule.slots.iter().map(|set| set.0 as u8).collect(),
             off_ticks: (last_is_lit && idle > 0).then(|| schedule.slot_ticks.saturating_sub(OFF_LEAD_TICKS)),
+            guard_ticks,
+            guard_fires_in_rest,
             level_codes: core::array::from_fn(|line| line_codes(schedule, levels, line)),
             frame_ticks: schedule.frame_ticks,
             done_ticks: done_ticks(schedule),
@@ -202,6 +213,19 @@ fn trigger_ticks(schedule: &Schedule, sampling_code: usize, has_leading_word: bo
         Ok(asked_ticks - lead)
     } else {
         Err(HardwareFault::Settling { asked_ticks, least_ticks })
+    }
+}
+
+/// Ticks without a trigger after which the guard switches the emitters off, again and again, and whether it does so in
+/// every idle rest. A short rest it outlasts. In a long one it comes every one to two slots, and for the last time just
+/// before the next frame, whose light it leaves alone until that frame's first trigger.
+fn guard(slot_ticks: u32, trigger_ticks: u32, idle_ticks: u32) -> (u32, bool) {
+    let least = slot_ticks.saturating_add(GUARD_TICKS);
+    // The guard counts in steps of up to 2⁻¹⁶ of its time.
+    let lead = trigger_ticks + GUARD_TICKS + (idle_ticks >> 14);
+    match (slot_ticks.saturating_add(idle_ticks)).checked_sub(lead) {
+        Some(reach) if reach >= least => (reach / (reach / least), true),
+        _ => (least.saturating_add(idle_ticks), false),
     }
 }
 
@@ -267,6 +291,24 @@ mod tests {
         assert!(plan.is_level_constant(0) && plan.is_level_constant(1));
         // 23 200 ticks of slots less 38 in hand, and a microsecond for the DMA.
         assert_eq!(plan.done_ticks, 23_200 - 38 + 170);
+    }
+
+    #[test]
+    fn the_guard_waits_for_no_trigger_in_vain_but_in_a_rest() {
+        // Slots of 5 800 ticks with the trigger at 2 104: the last chance before the next frame's light is 512 before it.
+        assert_eq!(guard(5_800, 2_104, 2_104 + 1_024), (5_800 + 512, true));
+        assert_eq!(guard(5_800, 2_104, 2_104 + 1_023), (5_800 + 2_104 + 1_023 + 512, false));
+        assert_eq!(guard(5_800, 2_104, 0), (6_312, false));
+        for idle in [4_000, 19_300, 100_000, 10_000_000, LONGEST_FRAME_TICKS - 4 * 5_800] {
+            let (ticks, fires_in_rest) = guard(5_800, 2_104, idle);
+            assert!(fires_in_rest && (6_312..2 * 6_312).contains(&ticks), "{ticks}");
+            // From the last trigger of a frame to the next frame's light and first trigger.
+            let (light, trigger) = (5_800 - 2_104 + idle, 5_800 + idle);
+            let last = trigger / ticks * ticks;
+            assert!(last <= light - 512, "{idle}: {last} of {light}");
+        }
+        let plan = FramePlan::new(&default_configuration()).unwrap();
+        assert_eq!((plan.guard_ticks, plan.guard_fires_in_rest), (7_494, true));
     }
 
     #[test]

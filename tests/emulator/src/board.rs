@@ -283,6 +283,14 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
+    /// Halts those of TIM2 to TIM5 whose bits are set, from bit 0 on, and lets the others go on.
+    pub fn halt_timers(&mut self, frozen: u32) {
+        for (bit, timer) in self.timers.iter_mut().enumerate() {
+            timer.halt(frozen >> bit & 1 != 0, &self.effects);
+        }
+        self.find_next_event();
+    }
+
     /// Fault injection: sets OVR of ADC1 (`index` 0) or ADC2 (1).
     pub fn force_adc_overrun(&mut self, index: usize) {
         self.adc12.force_overrun(index, &mut self.effects);
@@ -359,6 +367,9 @@ impl<W: World> Board<W> {
             if edges != 0 {
                 self.adc12.trigger(edges, &self.effects);
                 self.adc345.trigger(edges, &self.effects);
+                for timer in &mut self.timers {
+                    timer.trigger(edges, &mut self.effects);
+                }
             }
             let ready = self.effects.pending_requests() & self.dma.wanted();
             if ready == 0 {

@@ -108,6 +108,13 @@ impl<W: World> Machine<W> {
         Stop::Reached
     }
 
+    /// Lets time pass until tick `end` while a debugger halts the core, or until a reset.
+    pub fn halt_until(&mut self, end: Ticks) {
+        self.board.halt_timers(self.cpu.frozen_in_halt());
+        self.board.advance_to(end);
+        self.board.halt_timers(0);
+    }
+
     /// Pulls the reset pin for an instant.
     pub fn pull_reset_pin(&mut self) {
         if self.powered && !self.browned_out {

@@ -7,6 +7,7 @@
 //!             ─compare 2────▶ DMA ─▶ the timer's next period   (only with an idle rest)
 //!             ─compare 4────▶ DMA ─▶ all gates off             (only with a rest behind a lit slot)
 //!             ─compare 1, 3─▶ DMA ─▶ level lines               (only where levels differ)
+//! guard timer ─no compare 2─▶ DMA ─▶ all gates off
 //! ```
 //! The frame of a word follows from the device clock, which runs from the same oscillator:
 //! frame n of a run starts n periods after the run. At every poll, before any scan is handed
@@ -18,7 +19,7 @@
 use core::sync::atomic::{AtomicU16, AtomicU32, Ordering, fence};
 
 use embassy_stm32::pac::timer::vals::{Mms, Ocm, Urs};
-use embassy_stm32::peripherals::{ADC1, ADC2, DMA1_CH1, TIM2};
+use embassy_stm32::peripherals::{ADC1, ADC2, DMA1_CH1, TIM2, TIM3};
 use embassy_stm32::{Peri, pac, rcc};
 use heapless::Vec;
 use slitpose_firmware::ScanError;
@@ -30,6 +31,7 @@ use crate::clock::Clock;
 use crate::converters::{Converters, Unresponsive};
 use crate::dma::{Channel, Table};
 use crate::emitters::{Emitters, GATE_DMA, LATE_GATE_DMA};
+use crate::guard::Guard;
 use crate::supply;
 
 /// Words in the ring of a converter: 85 frames of the default, 21 ms.
@@ -58,6 +60,7 @@ const LEVEL_DMA: [Channel; LEVEL_LINES] = [Channel::new(5, 56), Channel::new(6, 
 #[derive(Debug)]
 pub struct Sampler {
     converters: Converters,
+    guard: Guard,
     run: Option<Run>,
     /// Sequence number of the first frame of the next run.
     next_sequence: u64,
@@ -90,16 +93,17 @@ struct Look {
 }
 
 impl Sampler {
-    /// Takes the timer, both converters, and DMA1 as a whole, represented by its first
+    /// Takes both timers, both converters, and DMA1 as a whole, represented by its first
     /// channel.
     pub fn new(
         adc1: Peri<'static, ADC1>,
         adc2: Peri<'static, ADC2>,
         _timer: Peri<'static, TIM2>,
+        guard: Peri<'static, TIM3>,
         _dma: Peri<'static, DMA1_CH1>,
     ) -> Self {
         rcc::enable_and_reset::<TIM2>();
-        Self { converters: Converters::new(adc1, adc2), run: None, next_sequence: 0 }
+        Self { converters: Converters::new(adc1, adc2), guard: Guard::new(guard), run: None, next_sequence: 0 }
     }
 
     /// Stops what runs and starts `configuration`.
@@ -153,7 +157,8 @@ impl Sampler {
         };
         if run.proven == 0 {
             // After an overrun the words that follow are in the wrong places of the rings.
-            let proven = if self.converters.has_overrun() { None } else { run.prove(run.look(clock)) };
+            let is_broken = self.converters.has_overrun() || self.guard.has_fired();
+            let proven = if is_broken { None } else { run.prove(run.look(clock)) };
             match proven {
                 Some(0) => return Ok(false),
                 Some(frames) => run.proven = frames,
@@ -198,6 +203,7 @@ impl Sampler {
         let is_dark = emitters.darken();
         pac::TIM2.dier().write(|_| {});
         let converters = self.converters.stop();
+        self.guard.stop();
         for channel in WORD_DMA.into_iter().chain(LEVEL_DMA).chain([PERIOD_DMA]) {
             channel.stop();
         }
@@ -258,6 +264,7 @@ impl Sampler {
             channel.collect(register, Table::of_halves(&words[..ring]));
         }
         self.converters.start();
+        self.guard.start(plan);
         timer.sr().write(|_| {});
         timer.dier().write(|w| {
             w.set_ude(true);

@@ -69,11 +69,12 @@ impl Channel {
         channel.cr().modify(|w| w.set_en(true));
     }
 
-    /// Stops the channel and clears its flags.
+    /// Stops the channel and clears its flags, each by its own bit: a write to the global one may hide an error that
+    /// comes at the same time (ES0548 of the STM32G0, "DMA disable failure and error flag omission upon simultaneous
+    /// transfer error and global flag clear"; ES0430 has not been read for it).
     pub fn stop(self) {
         DMA1.ch(self.index).cr().modify(|w| w.set_en(false));
         DMA1.ifcr().write(|w| {
-            w.set_gif(self.index, true);
             w.set_tcif(self.index, true);
             w.set_htif(self.index, true);
             w.set_teif(self.index, true);

@@ -17,7 +17,7 @@ use crate::dma::{Channel, Table};
 const FIRST_PIN: u32 = 6;
 
 /// All gates, as bits of the port.
-const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
+pub const GATES: u32 = ((1 << CHANNELS) - 1) << FIRST_PIN;
 
 /// Processor cycles within which a pin surely follows its register: a microsecond.
 const PIN_CYCLES: u32 = TICK_HZ / 1_000_000;
@@ -30,10 +30,11 @@ static SLOT_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOAR
 /// change in the others.
 static LATE_GATES: [AtomicU32; BOARD_SLOTS] = [const { AtomicU32::new(0) }; BOARD_SLOTS];
 
+/// Switches all gates off near the end of the last slot, on compare 4 of the frame timer. Of channels of the same
+/// priority the first is served first, so that on a busy bus this never comes after the gates of the next slot.
+pub const LATE_GATE_DMA: Channel = Channel::new(2, 59);
 /// Writes the gates of the slot that begins, on every update of the frame timer.
-pub const GATE_DMA: Channel = Channel::new(2, 60);
-/// Switches all gates off near the end of the last slot, on compare 4 of the frame timer.
-pub const LATE_GATE_DMA: Channel = Channel::new(3, 59);
+pub const GATE_DMA: Channel = Channel::new(3, 60);
 
 /// Gates, as outputs, and the DACs behind the level lines.
 pub struct Emitters {

@@ -21,6 +21,7 @@ mod converters;
 mod dma;
 mod emitters;
 mod faults;
+mod guard;
 mod hardware;
 mod link;
 #[cfg(feature = "sensors")]
@@ -100,7 +101,7 @@ async fn main(spawner: Spawner) {
 
     let hardware = BoardHardware::new(
         emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
-        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.DMA1_CH1),
+        Sampler::new(p.ADC1, p.ADC2, p.TIM2, p.TIM3, p.DMA1_CH1),
         clock::Clock::start(p.TIM5),
         Output::new(p.PA5, Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]

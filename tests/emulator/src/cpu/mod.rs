@@ -272,6 +272,11 @@ impl Cpu {
         self.registers.sp()
     }
 
+    /// Peripherals that stand still while a debugger halts the core, as DBGMCU_APB1FZR1 has them.
+    pub fn frozen_in_halt(&self) -> u32 {
+        self.system.frozen_in_halt()
+    }
+
     /// Lowest value of the main stack pointer since reset.
     pub fn min_sp(&self) -> u32 {
         self.registers.min_msp

@@ -16,6 +16,8 @@ const SEVONPEND: u32 = 1 << 4;
 const LSPEN: u32 = 1 << 30;
 const ASPEN: u32 = 1 << 31;
 /// AIRCR key of a write, and what it reads as.
+/// Peripherals that stand still while a debugger halts the core (RM0440, "Debug support").
+const DBGMCU_APB1FZR1: u32 = 0xe004_2008;
 const VECTKEY: u32 = 0x05fa;
 const VECTKEYSTAT: u32 = 0xfa05;
 /// CFSR bits telling that MMFAR or BFAR holds an address.
@@ -52,7 +54,8 @@ pub(super) struct System {
     fault_address: u32,
     fpccr: u32,
     fpcar: u32,
-    pub fpdscr: u32,
+    pub(super) fpdscr: u32,
+    frozen_in_halt: u32,
     demcr: u32,
     cycle_counter: CycleCounter,
     pub systick: SysTick,
@@ -60,8 +63,13 @@ pub(super) struct System {
 }
 
 impl System {
+    pub(super) fn frozen_in_halt(&self) -> u32 {
+        self.frozen_in_halt
+    }
+
     pub fn new() -> Self {
         Self {
+            frozen_in_halt: 0,
             vtor: 0,
             ccr: STKALIGN,
             scr: 0,
@@ -214,6 +222,7 @@ impl Cpu {
             0xe000_ef34 => self.system.fpccr,
             0xe000_ef38 => self.system.fpcar,
             0xe000_ef3c => self.system.fpdscr,
+            DBGMCU_APB1FZR1 => self.system.frozen_in_halt,
             _ => IDENTIFICATION.iter().find(|&&(register, _)| register == address).map_or(0, |&(_, value)| value),
         }
     }
@@ -244,6 +253,7 @@ impl Cpu {
             0xe000_ef00 => self.nvic.pend_all(interrupt_bits(value >> 3 & 0x3c, 1 << (value & 31))),
             0xe000_ef34 => self.system.fpccr = written.over(self.system.fpccr) & (ASPEN | LSPEN),
             0xe000_ef38 => self.system.fpcar = written.over(self.system.fpcar) & !7,
+            DBGMCU_APB1FZR1 => self.system.frozen_in_halt = written.over(self.system.frozen_in_halt),
             0xe000_ef3c => self.system.fpdscr = written.over(self.system.fpdscr) & 0x07c0_0000,
             _ => {}
         }

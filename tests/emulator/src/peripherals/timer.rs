@@ -2,8 +2,8 @@
 //!
 //! Modelled: up-counting with prescaler, auto-reload and compare registers with or without
 //! preload, update and compare flags, interrupts and DMA requests, the reference signals
-//! OC1REF–OC4REF and the trigger output TRGO. Not modelled: capture, other counting modes,
-//! slave modes, one-pulse mode, dithering, and the output pins.
+//! OC1REF–OC4REF, the trigger output TRGO, and TIM3's reset by TIM2's. Not modelled: capture, other counting modes,
+//! other slave modes, one-pulse mode, dithering, and the output pins. A debugger may halt a timer.
 //!
 //! The counter is not stepped. It follows from the tick at which it was zero:
 //! CNT = (now − zero_at) / (PSC + 1). The timer asks to be called at the next compare match
@@ -36,6 +36,8 @@ const CR2_CCDS: u32 = 1 << 3;
 const CR2_MMS: u32 = 0b111 << 4;
 const UIF: u32 = 1;
 const UDE: u32 = 1 << 8;
+/// SMCR: reset mode (SMS = 4) by ITR1 (TS = 1), the trigger of TIM2 for TIM3 (RM0440, "TIM3 internal trigger connection").
+const RESET_BY_ITR1: u32 = 4 | 1 << 4;
 /// UIF and CC1IF to CC4IF.
 const FLAGS: u32 = 0x1F;
 /// Enable bits of the five interrupts and five DMA requests.
@@ -59,6 +61,7 @@ pub struct Timer {
     wiring: Wiring,
     cr1: u32,
     cr2: u32,
+    smcr: u32,
     dier: u32,
     sr: u32,
     ccmr: [u32; 2],
@@ -81,6 +84,8 @@ pub struct Timer {
     top: u32,
     /// Tick at which the counter, never wrapping, would have been zero.
     origin: Option<Ticks>,
+    /// A debugger halts the counter.
+    is_halted: bool,
     next: Ticks,
 }
 
@@ -130,6 +135,7 @@ impl Timer {
             wiring,
             cr1: 0,
             cr2: 0,
+            smcr: 0,
             dier: 0,
             sr: 0,
             ccmr: [0; 2],
@@ -146,6 +152,7 @@ impl Timer {
             done: 0,
             top: wiring.maximum,
             origin: None,
+            is_halted: false,
             next: Ticks::MAX,
         }
     }
@@ -171,7 +178,8 @@ impl Timer {
             PSC => self.psc,
             ARR => self.arr,
             CCR1..=CCR4 => self.ccr[channel_of(offset)],
-            SMCR | EGR => 0,
+            SMCR => self.smcr,
+            EGR => 0,
             _ => {
                 effects.unmodelled();
                 0
@@ -188,6 +196,11 @@ impl Timer {
                 effects.unmodelled_bits(value & !(CR2_CCDS | CR2_MMS));
                 self.cr2 = value & (CR2_CCDS | CR2_MMS);
             }
+            SMCR => {
+                let is_tim3 = self.wiring.interrupt == interrupt::TIM3;
+                effects.unmodelled_bits(if is_tim3 && value == RESET_BY_ITR1 { 0 } else { value });
+                self.smcr = value;
+            }
             DIER => self.write_dier(value, effects),
             SR => self.sr &= value,
             EGR => self.generate(value, effects),
@@ -200,6 +213,36 @@ impl Timer {
             _ => effects.unmodelled_bits(value),
         }
         self.update_line(effects);
+        self.schedule();
+    }
+
+    /// Trigger edges, as `Effects::take_triggers` returns them: a slave begins anew.
+    pub fn trigger(&mut self, edges: u16, effects: &mut Effects) {
+        let rising = 1 << (2 * Trigger::Tim2 as u16);
+        if self.smcr == RESET_BY_ITR1 && edges & rising != 0 && self.running() {
+            self.load_preloads();
+            self.restart(0, effects.now());
+            if self.cr1 & (CR1_URS | CR1_UDIS) == 0 {
+                self.raise(0, effects);
+            }
+            self.schedule();
+        }
+    }
+
+    /// A debugger halts the counter, or lets it go on.
+    pub fn halt(&mut self, is_halted: bool, effects: &Effects) {
+        if self.is_halted == is_halted {
+            return;
+        }
+        if is_halted {
+            self.held = self.count(effects.now());
+        }
+        self.is_halted = is_halted;
+        if !is_halted && self.cr1 & CR1_CEN != 0 {
+            let done = self.done;
+            self.restart(self.held, effects.now());
+            self.done = done;
+        }
         self.schedule();
     }
 
@@ -246,7 +289,7 @@ impl Timer {
     }
 
     fn running(&self) -> bool {
-        self.cr1 & CR1_CEN != 0
+        self.cr1 & CR1_CEN != 0 && !self.is_halted
     }
 
     /// Ticks per count.

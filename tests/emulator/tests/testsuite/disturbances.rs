@@ -7,8 +7,8 @@ use slitpose_protocol::{Command, Configuration, Level, RawScan};
 
 // Channels of DMA1, from 0, as the firmware uses them.
 const WORDS: [usize; 2] = [0, 1];
-const DARKNESS: usize = 3;
-const GATES: usize = 2;
+const DARKNESS: usize = 2;
+const GATES: usize = 3;
 const PERIODS: usize = 4;
 const LEVELS: [usize; 2] = [5, 6];
 

@@ -209,6 +209,40 @@ fn the_watchdog_ends_the_light_of_a_program_that_hangs() {
 }
 
 #[test]
+fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
+    let mut bench = lit();
+    let mut longest = 0;
+    for n in 0..20 {
+        change_phase(&mut bench, n);
+        until_lit_and_awake(&mut bench);
+        bench.forget();
+        let event = bench.rig.now();
+        // Less than the watchdog waits.
+        bench.rig.machine().halt_until(event + 50 * MS);
+        assert_eq!(bench.gates(), 0, "halted in the dark");
+        let dark = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at;
+        longest = longest.max(dark - event);
+        bench.run_ms(50);
+        let scans = bench.scans();
+        assert!(scans.len() >= 150, "it goes on: {}", scans.len());
+        let words = *scans.last().expect("scans");
+        let strange = scans.iter().filter(|scan| (scan.lit(), scan.dark()) != (words.lit(), words.dark()));
+        // The first frame of a run finds other light before it than the others.
+        assert!(strange.count() <= 1, "no frame with half of its light is handed out");
+    }
+    println!("halted: dark after {longest} ticks at most");
+    // What the guard waits, which is less than two slots.
+    assert!(longest < 2 * 5_800, "{longest}");
+    bench.assert_no_faults();
+    until_lit_and_awake(&mut bench);
+    let event = bench.rig.now();
+    bench.rig.machine().halt_until(event + 150 * MS);
+    assert_eq!(bench.gates(), 0);
+    bench.run_ms(5);
+    assert_comes_back(&mut bench, ResetCause::Watchdog);
+}
+
+#[test]
 fn a_falling_supply_ends_the_light_within_microseconds() {
     let mut bench = lit();
     let mut longest = 0;

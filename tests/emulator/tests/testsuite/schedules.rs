@@ -127,13 +127,8 @@ fn oversampling() {
 fn conversion_times() {
     let mut bench = Bench::quiet();
     // The least settling that conversion time 2612 allows is longer than the default's.
-    for (conversion_ticks, settling_ticks) in [
-        (148, 2_210),
-        (240, 2_210),
-        (420, 2_210),
-        (1_040, 2_210),
-        (2_612, 2_571),
-    ] {
+    for (conversion_ticks, settling_ticks) in [(148, 2_210), (240, 2_210), (420, 2_210), (1_040, 2_210), (2_612, 2_571)]
+    {
         let mut configuration = default_configuration();
         let schedule = &mut configuration.schedule;
         schedule.conversion_ticks = conversion_ticks;
