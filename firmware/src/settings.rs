@@ -60,6 +60,16 @@ pub struct Append {
     pub record: Vec<u8, RECORD_BYTES>,
 }
 
+impl Append {
+    /// Where to try again after this has failed: in the other page, or once more in the page that was erased, so that
+    /// the newest whole record stays. A double word whose programming was cut short may read as erased and yet refuse
+    /// to be programmed (RM0440, "Flash main memory programming sequences": an address is programmed only once).
+    pub fn elsewhere(self) -> Self {
+        let page = if self.erase { self.page } else { 1 - self.page };
+        Self { page, erase: true, offset: 0, ..self }
+    }
+}
+
 /// Settings stored in `pages`; `None` if there are none, if they were forgotten, or if
 /// they are of another version than this firmware's.
 pub fn stored(pages: &Pages) -> Option<Settings> {
@@ -271,6 +281,25 @@ mod tests {
                 assert_eq!(stored(&pages), Some(other), "bit {bit} of record {damaged}");
             }
         }
+    }
+
+    #[test]
+    fn a_store_that_failed_is_tried_where_the_newest_record_is_not() {
+        let mut pages = BLANK;
+        let first = append(&pages, Some(&settings(1)));
+        assert_eq!((first.page, first.erase), (0, false));
+        // A page that was erased for it is erased once more: the newest record is in the other.
+        let failed = Append { page: 1, erase: true, ..first.clone() };
+        assert_eq!(failed.clone().elsewhere(), failed);
+        carry_out(&mut pages, &first, usize::MAX, 0);
+        let second = append(&pages, Some(&settings(2)));
+        assert!(!second.erase);
+        let elsewhere = second.elsewhere();
+        assert_eq!((elsewhere.page, elsewhere.erase, elsewhere.offset), (1, true, 0));
+        carry_out(&mut pages, &elsewhere, usize::MAX, 0);
+        assert_eq!(stored(&pages), Some(settings(2)));
+        // From then on the other page is in use.
+        assert_eq!(append(&pages, None).page, 1);
     }
 
     #[test]

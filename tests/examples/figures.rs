@@ -16,6 +16,7 @@ use chain::Chain;
 use slitpose::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, WORLD_TIER, open_image};
+use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -140,7 +141,8 @@ fn held(file: &SceneFile, frame_ticks: u32, seconds: f64) -> (f64, u64) {
 
 fn boot(file: &SceneFile, row: &impl Fn(&str, String, &str)) {
     let image = open_image(None).expect("an image");
-    let mut rig = Rig::boot(&image, file, smooth(), NoiseSource::Off).expect("a head").with_link(Link::Uart);
+    let mut rig =
+        Rig::boot(&image, file, smooth(), NoiseSource::Off, Silicon::default()).expect("a head").with_link(Link::Uart);
     let origin = rig.machine().device_clock_origin().expect("started");
     row("power to clock", milliseconds(origin), "oscillator, PLL, settings; until the device clock starts");
     let hello = first_hello(&mut rig, true);
@@ -149,7 +151,7 @@ fn boot(file: &SceneFile, row: &impl Fn(&str, String, &str)) {
         milliseconds(hello),
         "end of its last byte; asked as soon as the clock runs, then every ms",
     );
-    let mut rig = Rig::boot(&image, file, smooth(), NoiseSource::Off).expect("a head");
+    let mut rig = Rig::boot(&image, file, smooth(), NoiseSource::Off, Silicon::default()).expect("a head");
     rig.set_open(true);
     let hello = first_hello(&mut rig, false);
     row(

@@ -40,6 +40,9 @@ const GATES: u16 = 0x3F;
 
 /// Fault dma-latency: ticks of a transfer.
 const DMA_LATENCY_TICKS: std::ops::RangeInclusive<u64> = 5..=60;
+/// Fault usb-host: ticks for which the bus is suspended, 5 ms, and between two times, 0.2 to 0.6 s.
+const USB_SUSPENDED_TICKS: Ticks = TICKS_PER_SECOND / 200;
+const USB_PAUSE_TICKS: std::ops::RangeInclusive<u64> = TICKS_PER_SECOND / 5..=TICKS_PER_SECOND / 5 * 3;
 /// Fault pvd-slow: the detector's delay, 100 µs.
 const PVD_TICKS: Ticks = TICKS_PER_SECOND / 10_000;
 
@@ -102,6 +105,8 @@ pub struct Board<W> {
     moving: [Option<Moving>; 2],
     /// When the detector's output follows the supply, with fault pvd-slow.
     pvd_due: Ticks,
+    /// When the USB host next suspends the bus or lets it go on, with fault usb-host.
+    usb_trouble: Ticks,
     next_event: Ticks,
 }
 
@@ -144,6 +149,7 @@ impl<W: World> Board<W> {
             gate_log: None,
             moving: [None; 2],
             pvd_due: Ticks::MAX,
+            usb_trouble: Ticks::MAX,
             next_event: Ticks::MAX,
         };
         board.scramble_ram();
@@ -156,7 +162,10 @@ impl<W: World> Board<W> {
         self.effects.silicon = silicon;
         self.effects.chance = Bits::seeded(seed);
         self.effects.clock_phase = self.effects.chance.within(0..=3);
-        self.flash.power_on(&self.effects);
+        if silicon.has(Fault::UsbHost) {
+            self.usb_trouble = *USB_PAUSE_TICKS.start();
+        }
+        self.find_next_event();
     }
 
     /// The present, in ticks since the machine was made.
@@ -214,7 +223,6 @@ impl<W: World> Board<W> {
         self.watchdog = Watchdog::new();
         if matches!(cause, ResetCause::PowerOn | ResetCause::BrownOut) {
             self.scramble_ram();
-            self.flash.power_on(&self.effects);
         }
         self.update_clocks();
         self.update_drive();
@@ -352,6 +360,9 @@ impl<W: World> Board<W> {
                 }
             }
         }
+        if self.usb_trouble == now {
+            self.trouble_usb();
+        }
         if self.pvd_due == now {
             self.follow_pvd();
         }
@@ -384,6 +395,19 @@ impl<W: World> Board<W> {
             }
         }
         self.find_next_event();
+    }
+
+    /// Fault usb-host.
+    fn trouble_usb(&mut self) {
+        let now = self.effects.now();
+        if self.usb_host.is_suspended() {
+            self.usb_host.resume(now);
+        } else if self.usb_host.dtr() {
+            self.usb_host.suspend(now);
+            self.usb_trouble = now + USB_SUSPENDED_TICKS;
+            return;
+        }
+        self.usb_trouble = now + self.effects.chance.within(USB_PAUSE_TICKS);
     }
 
     /// Fault adc-neighbour.
@@ -432,7 +456,8 @@ impl<W: World> Board<W> {
             .min(self.flash.next_event())
             .min(self.adc345.next_event())
             .min(self.watchdog.next_event())
-            .min(self.pvd_due);
+            .min(self.pvd_due)
+            .min(self.usb_trouble);
         for moving in self.moving.iter().flatten() {
             self.next_event = self.next_event.min(moving.done);
         }

@@ -8,6 +8,7 @@ use crate::board::Board;
 use crate::cpu::{Cpu, FaultReport, Step};
 use crate::memory::FlashArray;
 use crate::peripherals::{ResetCause, Ticks};
+use crate::silicon::Silicon;
 use crate::world::World;
 
 /// Timer index of the free-running device clock, TIM5.
@@ -63,6 +64,13 @@ impl<W: World> Machine<W> {
         };
         machine.reset(ResetCause::PowerOn);
         machine
+    }
+
+    /// The same with faults of the silicon, which come by chance from `seed`; before it runs.
+    #[must_use]
+    pub fn with_silicon(mut self, silicon: Silicon, seed: u64) -> Self {
+        self.board.set_silicon(silicon, seed);
+        self
     }
 
     /// The present, in ticks since the machine was made.

@@ -13,6 +13,7 @@ use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
+use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::talk::{ended, talk};
 use slitpose_emulator::terminal::{Terminal, TerminalError};
 use slitpose_emulator::world::{NoiseSource, WorldError};
@@ -55,6 +56,9 @@ struct Args {
     /// Device seconds a second, or max
     #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
     speed: Speed,
+    /// What the silicon does against its manual: names separated by commas, or all [default: nothing]
+    #[arg(long, value_name = "FAULTS", long_help = silicon_help())]
+    silicon: Option<Silicon>,
     /// The board's link that the terminal stands for
     #[arg(long, value_enum, default_value_t = LinkKind::Usb)]
     link: LinkKind,
@@ -88,6 +92,14 @@ enum Failure {
     Lockup(FaultReport),
 }
 
+fn silicon_help() -> String {
+    let lines = Fault::ALL.map(|fault| format!("\n  {:16} {}", fault.name(), fault.what()));
+    format!(
+        "What the silicon does against its manual: names separated by commas, or all [default: nothing]\n{}",
+        lines.concat()
+    )
+}
+
 /// The name this program talks under.
 const NAME: &str = "slitpose-emulator";
 
@@ -107,7 +119,7 @@ fn run(args: &Args) -> Result<(), Failure> {
         LinkKind::Usb => Link::Usb,
         LinkKind::Uart => Link::Uart,
     };
-    let rig = Rig::boot(&image, &scene, trajectory, noise)?.with_link(link);
+    let rig = Rig::boot(&image, &scene, trajectory, noise, args.silicon.unwrap_or_default())?.with_link(link);
     let terminal = Terminal::open()?;
     let mut out = io::stdout();
     writeln!(out, "{}", terminal.path().display())?;

@@ -14,6 +14,7 @@ use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
 use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
+use crate::silicon::Silicon;
 use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
@@ -21,6 +22,9 @@ const TOLERANCE: f64 = 1e-6;
 
 /// The tier the world is made of.
 pub const WORLD_TIER: Tier = Tier::Exact { tolerance: TOLERANCE };
+
+/// Seed of what the silicon's faults do by chance.
+const SILICON_SEED: u64 = 20_180_718;
 
 /// Longest time a program may take to its first start of the device clock.
 const BOOT_TICKS: Ticks = TICKS_PER_SECOND / 10;
@@ -108,9 +112,10 @@ impl Rig {
         scene: &SceneFile,
         trajectory: Trajectory,
         noise: NoiseSource,
+        silicon: Silicon,
     ) -> Result<Self, WorldError> {
         let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise)?;
-        let mut rig = Self::power_on(image, world);
+        let mut rig = Self::power_on(image, world, silicon);
         if let Some(origin) = rig.machine.device_clock_origin() {
             rig.machine.board.world.set_origin(origin);
         }
@@ -120,10 +125,14 @@ impl Rig {
 
 impl<W: World> Rig<W> {
     /// Powers a board with `image` in `world`, its host at its USB, and lets it start its clock.
-    pub fn power_on(image: &Image, world: W) -> Self {
+    pub fn power_on(image: &Image, world: W, silicon: Silicon) -> Self {
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
-        let mut rig = Self { machine: Machine::new(flash, world), link: Link::Usb, next_number: 0 };
+        let mut rig = Self {
+            machine: Machine::new(flash, world).with_silicon(silicon, SILICON_SEED),
+            link: Link::Usb,
+            next_number: 0,
+        };
         while rig.machine.device_clock_origin().is_none() && rig.now() < BOOT_TICKS {
             if rig.machine.run_until(rig.now() + 100) != Stop::Reached {
                 break;

@@ -25,19 +25,39 @@ pub enum Fault {
     EccBank,
     /// A double word torn while it was programmed reads as erased, and refuses to be programmed.
     FlashTornOnes,
-    /// The flash reports a programming error from power-on until software clears it.
-    FlashVirgin,
     /// The crystal does not start.
     HseDead,
     /// The supply detector reacts 100 µs late.
     PvdSlow,
-    /// The USB host resets the bus, suspends it, and asks for descriptors again in the middle of streaming.
+    /// The USB host suspends the bus in the middle of streaming, again and again.
     UsbHost,
 }
 
 impl Fault {
+    /// What it does, in a sentence.
+    pub fn what(self) -> &'static str {
+        match self {
+            Self::AdcStop => {
+                "after ADSTP the next conversion takes channel 0, unless the converter was disabled (ES0430)"
+            }
+            Self::AdcStale => "a conversion more than 1 ms after the one before or after calibration is wrong (ES0430)",
+            Self::AdcNeighbour => "ADC1 and ADC2 are off by up to 8 codes while ADC3 to ADC5 convert (ES0430)",
+            Self::TriggerPhase => {
+                "triggers are seen up to 3 ticks late, and an eighth of a clock more (DS12288, t_LATR)"
+            }
+            Self::DmaLatency => "each DMA transfer takes 5 to 60 ticks (no figure is published)",
+            Self::EccBank => {
+                "the ECC error of a torn double word names the other bank (no source; the image does not ask)"
+            }
+            Self::FlashTornOnes => "a torn double word reads as erased, and refuses to be programmed (RM0440)",
+            Self::HseDead => "the crystal does not start",
+            Self::PvdSlow => "the supply detector reacts 100 us late (no figure is published)",
+            Self::UsbHost => "the USB host suspends the bus for 5 ms in the middle of streaming, again and again",
+        }
+    }
+
     /// All faults, in the order in which they are listed.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 10] = [
         Self::AdcStop,
         Self::AdcStale,
         Self::AdcNeighbour,
@@ -45,7 +65,6 @@ impl Fault {
         Self::DmaLatency,
         Self::EccBank,
         Self::FlashTornOnes,
-        Self::FlashVirgin,
         Self::HseDead,
         Self::PvdSlow,
         Self::UsbHost,
@@ -61,7 +80,6 @@ impl Fault {
             Self::DmaLatency => "dma-latency",
             Self::EccBank => "ecc-bank",
             Self::FlashTornOnes => "flash-torn-ones",
-            Self::FlashVirgin => "flash-virgin",
             Self::HseDead => "hse-dead",
             Self::PvdSlow => "pvd-slow",
             Self::UsbHost => "usb-host",

@@ -1,6 +1,7 @@
 //! The cause of the last reset, and the ways to the next one: always with emitters off.
 //!
-//! A word that survives resets but not the loss of supply records how the last run ended.
+//! Words that survive resets but not the loss of supply record how the last run ended, and how many starts in a row
+//! have failed.
 
 use core::panic::PanicInfo;
 
@@ -17,6 +18,9 @@ const RUNNING: u32 = 0x736c_6974;
 const PANICKED: u32 = 0x736c_6970;
 /// The run ended to start the boot loader.
 const BOOT_LOADER: u32 = 0x736c_6962;
+
+/// Where the count of failed starts ends.
+const FAILED_MASK: u32 = 0xff;
 
 /// Number of polls of the write access to the word before it is taken for granted.
 const WRITE_ACCESS_LOOKS: u32 = 100;
@@ -45,6 +49,19 @@ pub fn reset_cause() -> ResetCause {
     } else {
         ResetCause::Unknown
     }
+}
+
+/// Starts in a row that ended in a panic, a fault or a hang before [`started_well`]; `cause`: that of this start.
+pub fn failed_starts(cause: ResetCause) -> u32 {
+    let has_failed = matches!(cause, ResetCause::Panic | ResetCause::Watchdog);
+    let failed = if has_failed { (pac::TAMP.bkpr(1).read().bkp() & FAILED_MASK) + 1 } else { 0 };
+    write_backup(1, failed.min(FAILED_MASK));
+    failed
+}
+
+/// Records that this start went well.
+pub fn started_well() {
+    write_backup(1, 0);
 }
 
 /// Records that the board is running.
@@ -79,6 +96,10 @@ fn recall() -> u32 {
 }
 
 fn remember(word: u32) {
+    write_backup(0, word);
+}
+
+fn write_backup(index: usize, word: u32) {
     pac::RCC.apb1enr1().modify(|w| {
         w.set_rtcapben(true);
         w.set_pwren(true);
@@ -88,9 +109,9 @@ fn remember(word: u32) {
     pac::PWR.cr1().modify(|w| w.set_dbp(true));
     // The write access takes effect a few cycles later.
     let _ = (0..WRITE_ACCESS_LOOKS).any(|_| pac::PWR.cr1().read().dbp());
-    pac::TAMP.bkpr(0).write(|w| w.set_bkp(word));
+    pac::TAMP.bkpr(index).write(|w| w.set_bkp(word));
     // The read makes sure that the word has been written.
-    let _ = pac::TAMP.bkpr(0).read();
+    let _ = pac::TAMP.bkpr(index).read();
 }
 
 fn start_boot_loader() -> ! {
@@ -129,9 +150,9 @@ fn has_lost_clock() -> bool {
     pac::RCC.cifr().read().cssf()
 }
 
-/// Flash memory that was torn by a power cut reports an error of two bits. In the second
-/// bank, which holds settings only, the checksum of the settings shows the damage. In the
-/// first bank the firmware itself cannot be trusted.
+/// Flash memory that was torn by a power cut reports an error of two bits. While the settings are read, their checksum
+/// shows the damage. At any other time it is the firmware that cannot be trusted. The bank that the memory names is
+/// not asked for: no source says that it is always right.
 // SAFETY: the handler only accesses the error flags of the flash memory.
 #[allow(unsafe_code)]
 #[exception]
@@ -140,7 +161,10 @@ unsafe fn NonMaskableInt() {
         give_up();
     }
     let errors = pac::FLASH.eccr().read();
-    let is_settings = errors.bk_ecc() && !errors.sysf_ecc();
+    #[cfg(feature = "storage")]
+    let is_settings = crate::storage::is_reading();
+    #[cfg(not(feature = "storage"))]
+    let is_settings = false;
     if (errors.eccd() || errors.eccd2()) && !is_settings {
         give_up();
     }

@@ -38,7 +38,7 @@ use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
-use embassy_time::{Duration, Timer};
+use embassy_time::{Duration, Instant, Timer};
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
 use slitpose_firmware::{Board, Identity};
 use slitpose_protocol::{BoardKind, Hashes};
@@ -73,6 +73,12 @@ type Core = Mutex<ThreadModeRawMutex, RefCell<Board<BoardHardware, &'static mut 
 /// The watchdog resets the board when it has not been polled for this long.
 const WATCHDOG_US: u32 = 100_000;
 
+/// Failed starts in a row after which stored settings are passed over.
+const PATIENCE_STARTS: u32 = 3;
+
+/// A start has gone well when the core has been polled for this long.
+const STARTED: Duration = Duration::from_secs(1);
+
 /// The core is polled at least this often.
 const POLL: Duration = Duration::from_millis(1);
 
@@ -95,9 +101,12 @@ async fn main(spawner: Spawner) {
     #[cfg(feature = "storage")]
     let (store, settings) = storage::open(p.FLASH).unzip();
     #[cfg(feature = "storage")]
-    let settings = settings.flatten();
+    let stored = settings.flatten();
     #[cfg(not(feature = "storage"))]
-    let settings: Option<slitpose_firmware::settings::Settings> = None;
+    let stored: Option<slitpose_firmware::settings::Settings> = None;
+    // Stored settings may be what keeps the board from starting.
+    let is_passed_over = stored.is_some() && faults::failed_starts(reset_cause) >= PATIENCE_STARTS;
+    let settings = stored.filter(|_| !is_passed_over);
 
     let hardware = BoardHardware::new(
         emitters::Emitters::new(emitters, Output::new(p.PB5, Level::High, Speed::Low), p.DAC1, p.DAC2),
@@ -139,9 +148,15 @@ async fn main(spawner: Spawner) {
 
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_US);
     watchdog.unleash();
+    let started = Instant::now();
+    let mut has_started_well = false;
     loop {
         let next = links.poll();
         watchdog.pet();
+        if !has_started_well && started.elapsed() >= STARTED {
+            has_started_well = true;
+            faults::started_well();
+        }
         Timer::after(next.min(POLL)).await;
     }
 }

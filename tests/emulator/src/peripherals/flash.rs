@@ -114,13 +114,6 @@ impl Flash {
         }
     }
 
-    /// Power-on: with fault flash-virgin an error flag is set.
-    pub fn power_on(&mut self, effects: &Effects) {
-        if effects.silicon.has(Fault::FlashVirgin) {
-            self.sr |= PROGERR;
-        }
-    }
-
     /// Reset or loss of power: an operation under way leaves torn cells.
     pub fn reset(&mut self, effects: &Effects) {
         if let Some(operation) = self.operation.take() {

@@ -175,6 +175,11 @@ impl UsbHost {
         self.hurry(now);
     }
 
+    /// Whether traffic is stopped, or about to be.
+    pub fn is_suspended(&self) -> bool {
+        self.port == Port::Suspended || self.suspension == Some(Suspension::Begin)
+    }
+
     /// Opens (`true`) or closes the serial port: sets DTR as soon as the device is configured.
     pub fn set_dtr(&mut self, dtr: bool, now: Ticks) {
         self.dtr = dtr;

@@ -2,6 +2,7 @@
 //! instants the schedule names, scan after scan.
 
 use crate::common::chain::Chain;
+use crate::common::silicon;
 use slitpose_emulator::machine::{Machine, Stop};
 use slitpose_emulator::memory::FlashArray;
 use slitpose_emulator::peripherals::Ticks;
@@ -259,7 +260,7 @@ fn witnessed(schedule: &Schedule, start: Ticks, slot: usize, cell: usize) -> [u1
 fn every_conversion_is_held_at_its_tick_in_its_light() {
     let mut flash = FlashArray::erased();
     open_image(None).expect("an image").load_into(&mut flash);
-    let mut machine = Machine::new(flash, Witness::default());
+    let mut machine = Machine::new(flash, Witness::default()).with_silicon(silicon(), 1);
     let run = |machine: &mut Machine<Witness>, seconds: f64| {
         assert_eq!(machine.run_until(machine.now() + (seconds * 170e6) as Ticks), Stop::Reached);
     };

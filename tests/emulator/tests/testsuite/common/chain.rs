@@ -2,6 +2,7 @@
 
 #![allow(dead_code, reason = "each program uses its part")]
 
+use super::silicon;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::world::NoiseSource;
@@ -36,7 +37,7 @@ impl Chain {
     /// waits for the hello.
     pub fn open(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource) -> Self {
         let image = open_image(None).expect("an image");
-        let mut rig = Rig::boot(&image, scene, trajectory, noise).expect("a head for the board");
+        let mut rig = Rig::boot(&image, scene, trajectory, noise, silicon()).expect("a head for the board");
         let origin = rig.machine().device_clock_origin().expect("the program starts its clock");
         rig.set_open(true);
         let mut chain = Self {

@@ -1,6 +1,7 @@
 //! A board on the bench: what its host hears, and every change of its emitter pins and every
 //! instant at which a converter holds a sample.
 
+use super::silicon;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -113,7 +114,7 @@ impl Bench {
         let now = Drive { at: 0, gates: 0, levels: [0; 2] };
         let recorder = Recorder { world, now, drives: Vec::new(), holds: Vec::new(), records_holds: false };
         let mut bench = Self {
-            rig: Rig::power_on(&image, recorder),
+            rig: Rig::power_on(&image, recorder, silicon()),
             image,
             scene,
             scaling: slitpose_firmware::pcb::default_scaling(),

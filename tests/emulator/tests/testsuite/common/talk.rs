@@ -3,6 +3,7 @@
 //! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
+use super::silicon;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image};
@@ -286,7 +287,7 @@ impl Talk {
     fn boot_with(noise: NoiseSource) -> Self {
         let image = open_image(None).expect("firmware/build has made an image");
         let scene = Shipped::named("wide").expect("a shipped scene").read().expect("shipped scenes are valid");
-        let rig = Rig::boot(&image, &scene, at_rest(), noise).expect("the board fits the scene");
+        let rig = Rig::boot(&image, &scene, at_rest(), noise, silicon()).expect("the board fits the scene");
         Self { rig, ear: Listener::default() }
     }
 
