@@ -110,7 +110,7 @@ impl<R: Real> Transform<R> {
         self.translation
     }
 
-    /// The Cayley transform R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²) with a = δθ/2: orthogonal like the
+    /// The Cayley transform `R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²)` with a = δθ/2: orthogonal like the
     /// exponential, equal to it up to |δθ|³/12, without trigonometric functions.
     #[inline(always)]
     pub(crate) fn small_turn(rotation_rad: R::Vec3) -> impl Fn(R::Vec3) -> R::Vec3 {
