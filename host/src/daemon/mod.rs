@@ -96,7 +96,7 @@ pub(crate) struct Daemon {
 pub(crate) struct Ended {
     /// For each board: the user's name for it, the counts of its data, and its error.
     pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
-    /// The error of printing.
+    /// The result of printing.
     pub printed: io::Result<()>,
     /// The state of the recording.
     pub capture: RecorderReport,
