@@ -43,7 +43,7 @@ impl Percentiles {
 pub struct Latency {
     /// Durations since the start.
     pub(crate) total: Percentiles,
-    /// Durations of the last full interval: see [`Rates::interval_s`](super::Rates::interval_s).
+    /// Durations of the last full interval: see [`Rates::interval_s`](super::report::Rates::interval_s).
     pub(crate) recent: Percentiles,
 }
 
