@@ -34,12 +34,12 @@ impl Accuracy {
         self.beyond_five_sigma += u64::from(beyond);
     }
 
-    /// How many poses were added.
+    /// The number of poses added.
     pub(crate) fn count(&self) -> u64 {
         self.count
     }
 
-    /// Three lines for people; `against` names where the truth comes from.
+    /// The result in three lines for people; `against` names the source of the truth.
     pub(crate) fn lines(&self, against: &str) -> Vec<Line> {
         if self.count == 0 {
             return Vec::new();
@@ -66,7 +66,7 @@ impl Accuracy {
     }
 }
 
-/// Names of the axes and units of a millionth along them.
+/// Names of the axes, and of a millionth of the unit along each.
 const AXES: [(&str, &str); 6] = [("x", "um"), ("y", "um"), ("z", "um"), ("rx", "urad"), ("ry", "urad"), ("rz", "urad")];
 
 /// Compares poses with a table.
@@ -95,11 +95,11 @@ struct Axis {
 }
 
 impl Comparison {
-    /// With the CSV table `file`: the columns of a pose, and `seq`, as `simulate --truth` and `replay
-    /// --format csv` write it, or else `time_s`, device seconds.
+    /// Opens the reference, the CSV table `file`: the columns of a pose, and either `seq`, as `simulate --truth` and
+    /// `replay --format csv` write it, or `time_s`, device seconds.
     ///
     /// # Errors
-    /// If it is no such table.
+    /// If `file` is no such table.
     pub(crate) fn open(file: &str) -> Result<Self, PathError> {
         let table = TableReader::open(file)?;
         let reference = match table.optional_column("seq")? {
@@ -121,7 +121,7 @@ impl Comparison {
     /// Compares the next pose.
     ///
     /// # Errors
-    /// If the table cannot be read on.
+    /// If the table cannot be read further.
     pub(crate) fn add(&mut self, record: &Record) -> Result<(), TableError> {
         let reference = match &mut self.reference {
             Reference::Scans { table, sequence, poses, next } => {
@@ -179,7 +179,7 @@ fn read_scan(table: &mut TableReader, sequence: Column, poses: PoseColumns) -> R
         if row.text(poses.first()).is_empty() {
             continue;
         }
-        // Numbers of scans are whole; what is not comes out as its whole part and meets no scan.
+        // Scan numbers are integers; a fractional one is truncated.
         return Ok(Some((number as u64, poses.pose(&row)?)));
     }
     Ok(None)

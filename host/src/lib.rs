@@ -1,23 +1,22 @@
-//! The live side of a slit-and-detector tracker, and the `slitpose` command. What a head is stands in
-//! [`slitpose_head`], what its designer asks in [`slitpose_design`], the optics and the solver in
-//! [`slitpose_model`].
+//! Live tracking with a slit-and-detector head, and the `slitpose` command. [`slitpose_head`] describes
+//! heads, [`slitpose_design`] serves their designers, [`slitpose_model`] has the optics and the solver.
 //!
 //! For other programs:
 //!
 //! * [`clock`] reads the clocks of the host;
 //! * [`link`] holds the bytes that a link has delivered, and identifies boards;
-//! * [`device`] carries bytes to boards and back, and speaks with them;
-//! * [`health`] watches the cells of a head;
+//! * [`device`] finds boards, and exchanges bytes and commands with them;
+//! * [`health`] monitors the cells of a head;
 //! * [`pipeline`] turns bytes into poses;
-//! * [`datagram`] hands the newest pose to control loops;
+//! * [`datagram`] sends the newest pose to control loops;
 //! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
-//! Behind the commands: `terminal` draws for the user, `comparison` holds poses against a reference, `capture` writes
+//! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `capture` writes
 //! and reads captures, `sink` writes poses, `daemon` follows boards live, `service` notifies the service manager,
 //! `doctor` examines boards, heads and hosts.
 //!
-//! Inside, everything is SI. Millimetres and degrees appear in scene files, on the command line
+//! Internally all units are SI. Millimetres and degrees appear in scene files, on the command line
 //! and in pictures, with the unit in the name.
 //!
 //! # Example

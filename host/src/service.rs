@@ -1,6 +1,6 @@
-//! Notifies the service manager that has started the program: ready, alive, about to end.
+//! Notifies the service manager that the program is ready, alive or about to end.
 //!
-//! systemd's protocol (`sd_notify(3)`): one datagram a message, to the socket named in the environment. Without a
+//! systemd's protocol (`sd_notify(3)`): one datagram per message, to the socket named in the environment. Without a
 //! service manager nothing is sent.
 
 use std::ffi::OsStr;
@@ -9,10 +9,10 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
-/// The program is up and follows its boards, or waits for them.
+/// The program follows its boards, or waits for them.
 pub(crate) const READY: &str = "READY=1";
 
-/// The program lives: to be sent every [`Service::watchdog_every`].
+/// The program is alive: to be sent every [`Service::watchdog_every`].
 pub(crate) const ALIVE: &str = "WATCHDOG=1";
 
 /// The program is about to end.
@@ -34,19 +34,19 @@ impl Service {
         let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
         let manager = variable("NOTIFY_SOCKET").map(|name| open(&name)).transpose()?;
         let number = |name| variable(name)?.to_str()?.parse::<u64>().ok();
-        // Meant for another process: a child of the one that is watched.
+        // Set if the watchdog is for another process, such as the parent of this one.
         let is_other = number("WATCHDOG_PID").is_some_and(|process| process != u64::from(std::process::id()));
         let limit_us = number("WATCHDOG_USEC").filter(|_| !is_other);
         Ok(Self { manager, watchdog_every: limit_us.and_then(watchdog_every) })
     }
 
-    /// Period of [`ALIVE`]: half the time after which the manager gives the program up; `None` if it does not watch.
+    /// Period of [`ALIVE`]: half the watchdog timeout of the manager; `None` without a watchdog.
     pub(crate) fn watchdog_every(&self) -> Option<Duration> {
         self.watchdog_every.filter(|_| self.manager.is_some())
     }
 
-    /// Tells the manager, if there is one: [`READY`], [`ALIVE`], [`STOPPING`], or a `STATUS=` line for people.
-    /// It never waits and allocates nothing.
+    /// Sends [`READY`], [`ALIVE`], [`STOPPING`], or a `STATUS=` line for people to the manager, if there is one.
+    /// Never blocks, allocates nothing.
     ///
     /// # Errors
     /// If the manager does not accept the message.
@@ -64,12 +64,12 @@ fn open(name: &OsStr) -> io::Result<(UnixDatagram, SocketAddr)> {
     Ok((socket, address(name)?))
 }
 
-/// Half of the limit; `None` for zero, which is no limit.
+/// Half of the timeout; `None` for zero, which means no timeout.
 fn watchdog_every(limit_us: u64) -> Option<Duration> {
     (limit_us > 0).then(|| Duration::from_micros(limit_us / 2).max(Duration::from_micros(1)))
 }
 
-/// A path, or behind `@` a name that is in no file system.
+/// The socket's address: a path, or after `@` a name in the abstract namespace.
 fn address(name: &OsStr) -> io::Result<SocketAddr> {
     match name.as_bytes() {
         [b'/', ..] => SocketAddr::from_pathname(name),

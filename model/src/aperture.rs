@@ -1,7 +1,7 @@
-//! The opening in the mask, seen from one emitter: where the beam's edges fall on the detector.
+//! The slit in the mask, compiled: the faces that bound the beam.
 //!
 //! Cell frame, metres. Positions on the detector are kept relative to the emitter's foot point
-//! (x − e_x, y − e_y): the optics depend on nothing else, and nothing cancels for a far emitter.
+//! (x − e_x, y − e_y): the optics depend on nothing else, and a far emitter causes no cancellation.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -9,14 +9,14 @@ use crate::pose::rotation_exp;
 use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::Slit;
 
-/// The compiled opening.
+/// The compiled slit.
 #[derive(Clone, Debug)]
 pub(crate) enum Aperture<S: Scalar> {
     /// A thin mask, slit sides parallel to the detector's.
     Thin(Face<S>),
     /// A thick mask, slit sides parallel to the detector's: lower and upper face.
     Thick(Face<S>, Face<S>),
-    /// A slit turned against the detector; the faces of a thin mask coincide.
+    /// A slit rotated relative to the detector; the two faces of a thin mask coincide.
     Turned(Turned<S>),
 }
 
@@ -28,7 +28,7 @@ pub(crate) struct Face<S> {
     pub(crate) y: Span<S>,
 }
 
-/// An interval with its length kept apart, so that it survives a far origin.
+/// An interval and its length, stored because the difference of its ends cancels far from the origin.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Span<S> {
     pub(crate) low: S,
@@ -47,7 +47,7 @@ impl<S: Scalar> Span<S> {
 pub(crate) struct Turned<S: Scalar> {
     /// Corners of the faces, in order around the slit.
     pub(crate) faces: [[S::Vec3; 4]; 2],
-    /// One face suffices for a thin mask.
+    /// Number of distinct faces: 1 for a thin mask, else 2.
     pub(crate) face_count: usize,
     /// Centre of the slit.
     pub(crate) centre: S::Vec3,
@@ -55,27 +55,27 @@ pub(crate) struct Turned<S: Scalar> {
     pub(crate) normal: S::Vec3,
     /// Half the mask's thickness.
     pub(crate) half_thickness: S,
-    /// How much the paper tier takes it for a tilted slit: from 0 where its sides are parallel to the
-    /// detector's to 1 from [`TILTED_RAD`] on.
+    /// Weight of the paper tier's definition for a tilted slit: 0 where the slit's sides are parallel to
+    /// the detector's, rising to 1 at a rotation of [`TILTED_RAD`].
     pub(crate) skew: S,
 }
 
-/// Sine of a turn that is rounding of degrees in radians.
+/// Sine of a rotation that is only the rounding of degrees converted to radians.
 const PARALLEL: f64 = 1e-14;
 
-/// From this turn on a slit is a tilted one for the paper tier. Below, its definition of the beam's axis
-/// changes smoothly to that of a rectangle, which differs by up to 3e-4 of the current: over 0.1° that
-/// is no steeper than currents are anyway.
+/// From this rotation on the paper tier treats a slit as tilted. Below it, the definition of the beam's
+/// axis changes smoothly to that of a rectangle. The two differ by up to 3e-4 of the current, which
+/// over 0.1° is no steeper than the current's own slope.
 const TILTED_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 
 impl<S: Scalar> Aperture<S> {
     pub(crate) fn compile(slit: &Slit) -> Self {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
         let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
-        // Sine of the turn against the nearest orientation with sides along x and y.
+        // Sine of the rotation from the nearest orientation with sides along x and y.
         let within = axes.x_axis.x.abs().min(axes.x_axis.y.abs());
         let turn = libm::sqrt(axes.z_axis.x * axes.z_axis.x + axes.z_axis.y * axes.z_axis.y + within * within);
-        // No turn to rounding, or a multiple of 90° about z: a rectangle.
+        // No rotation beyond rounding, or a multiple of 90° about z: a rectangle.
         if turn <= PARALLEL {
             let is_across = axes.x_axis.y.abs() > axes.x_axis.x.abs();
             let [along_x, along_y] =
@@ -123,7 +123,7 @@ impl<S: Scalar> Aperture<S> {
         if thickness > 0.0 { Self::Thick(face(-0.5 * thickness), face(0.5 * thickness)) } else { Self::Thin(face(0.0)) }
     }
 
-    /// The corners of the faces that bound the beam, for the treatment of general polygons.
+    /// The corners of the faces that bound the beam, for [`crate::polygon`].
     pub(crate) fn corners(&self) -> heapless::Vec<[S::Vec3; 4], 2> {
         let of_face = |face: &Face<S>| {
             [

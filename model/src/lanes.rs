@@ -1,8 +1,8 @@
-//! Several numbers at once.
+//! Two `f64` in one SIMD register.
 //!
-//! The processors of hosts do two `f64` operations in one instruction. Cells do not depend on each other, so what
-//! is written for a [`Real`] serves one cell or a pair of them, with the same roundings: only operations that IEEE 754
-//! defines to the last bit are used on lanes.
+//! Host processors do two `f64` operations in one instruction. Cells do not depend on each other, so code generic
+//! over [`Real`] evaluates one cell or two at once. Both round alike: lanes use only operations that IEEE 754
+//! defines to the last bit.
 
 use core::ops::{Add, AddAssign, Mul, Neg, Sub};
 

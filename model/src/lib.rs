@@ -1,9 +1,9 @@
 //! Optics of emitter-slit-detector cells, and the pose of a tool that carries the emitters.
 //!
 //! Each cell is an infrared emitter on the tool, a slit in a mask on the base, and behind it a
-//! one-dimensional position-sensitive detector whose two photocurrents tell where the light that
-//! passes the slit falls, and how much. A [`Scene`] describes the cells; compiled to a [`Plan`] it
-//! answers what each cell delivers at a [`Pose`] and how that changes with the pose.
+//! one-dimensional position-sensitive detector whose two photocurrents measure position and power of
+//! the light that passes the slit. A [`Scene`] describes the cells; a [`Plan`], compiled from the
+//! scene, gives each cell's photocurrents at a [`Pose`] and their derivatives with respect to the pose.
 //!
 //! # Conventions
 //! * SI units throughout: metres, radians, amperes, watts, seconds.
@@ -14,11 +14,11 @@
 //!   electrode 1 to electrode 2, z the outward normal, y = z × x.
 //!
 //! # Number types
-//! One text serves `f32` (on the board) and `f64` (on the host): see [`Scalar`]. Descriptions and
+//! The code is generic over `f32` (on the board) and `f64` (on the host): see [`Scalar`]. Scenes and
 //! poses are always `f64`.
 //!
 //! # Example
-//! Six cells in a ring, what they deliver at a pose, and the pose from nothing but that:
+//! Six cells in a ring, their photocurrents at a pose, and the pose solved from these photocurrents alone:
 //! ```
 //! use std::f64::consts::{FRAC_PI_3, FRAC_PI_4};
 //! use glam::{DVec2, DVec3};

@@ -1,9 +1,9 @@
-//! The paper tier: equations (3) to (5) of De La Cruz, Gosselin, Bachta, Morel 2018, as printed
-//! but in forms that do not cancel.
+//! The paper tier: equations (3) to (5) of De La Cruz, Gosselin, Bachta, Morel 2018, in equivalent
+//! forms without cancellation.
 //!
-//! The spot is seen as a rectangular plate of a × b at distance d, perpendicular to the beam's
-//! central axis. With α, β the tangents of the half angles under which the spot's mid-lines
-//! appear, equation (3), Ω = 4·arccos √((1+α²+β²)/((1+α²)(1+β²))), equals
+//! The spot is taken as a rectangular plate of a × b at distance d, perpendicular to the beam's
+//! central axis. With α, β the tangents of half the angles that the spot's mid-lines subtend,
+//! equation (3), Ω = 4·arccos √((1+α²+β²)/((1+α²)(1+β²))), equals
 //! Ω = 4·atan(αβ/√(1+α²+β²)), which keeps all digits for small plates.
 
 use crate::polygon::{EmitterGradient, Polygon};
@@ -11,10 +11,10 @@ use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
 use crate::scalar::{Linear3, Real, Scalar};
 
-/// Half the angle θ under which a straight segment appears.
+/// Half the angle θ that a straight segment subtends at the emitter.
 ///
-/// The segment runs from `low` to `high` on a line whose squared distance from the emitter is d²,
-/// both ends measured from the foot of the perpendicular. With r₀, r₁ the distances of its ends:
+/// The segment runs from `low` to `high`, measured from the foot of the perpendicular, on a line at
+/// squared distance d² from the emitter. With r₀, r₁ the distances of its ends from the emitter:
 /// tan(θ/2) = |a×b|/(|a||b| + a·b) = (high − low)·d/D, D = r₀r₁ + low·high + d².
 #[derive(Clone, Copy)]
 struct HalfAngle<R> {
@@ -45,7 +45,7 @@ impl<R: Real> HalfAngle<R> {
         Self::new([low, high], length, distance2, rays, rays.map(R::inverse))
     }
 
-    /// Derivatives of ln tan(θ/2) by `low`, `high` and d².
+    /// Derivatives of ln tan(θ/2) with respect to `low`, `high` and d².
     #[inline(always)]
     fn slopes(&self) -> [R; 3] {
         let (one, half) = (R::constant(1.0), R::constant(0.5));
@@ -60,7 +60,7 @@ impl<R: Real> HalfAngle<R> {
     }
 }
 
-/// Equation (3) and its derivatives by ln α and ln β.
+/// Equation (3) and its derivatives with respect to ln α and ln β.
 #[inline(always)]
 fn plate_solid_angle<R: Real>(alpha2: R, beta2: R) -> (R, R, R) {
     let (one, four) = (R::constant(1.0), R::constant(4.0));
@@ -71,7 +71,7 @@ fn plate_solid_angle<R: Real>(alpha2: R, beta2: R) -> (R, R, R) {
     (four * quarter_angle(tangent), slope * beta, slope * alpha)
 }
 
-/// Below this tangent the arc tangent's series ends within rounding after its terms here.
+/// Below this tangent, the terms of the arc tangent's series that are left out are less than rounding.
 const SMALL_TANGENT: f64 = 0.03;
 
 /// arctan of a tangent ≥ 0.
@@ -81,14 +81,14 @@ fn quarter_angle<R: Real>(tangent: R) -> R {
         return R::of_lanes(|i| tangent.lane(i).arc_tangent());
     }
     let square = tangent * tangent;
-    // t⁰/1 − t²/3 + t⁴/5 − …: the first one left out is t¹²/13, 4e-20 of the first.
+    // t⁰/1 − t²/3 + t⁴/5 − …: the first term left out is t¹²/13, 4e-20 of the first.
     let sum = [9.0, 7.0, 5.0, 3.0, 1.0]
         .into_iter()
         .fold(R::constant(1.0 / 11.0), |sum, odd: f64| R::constant(odd.recip()) - square * sum);
     tangent * sum
 }
 
-/// What the paper tier says of a spot whose geometry alone is asked for.
+/// Solid angle and angle of emission of a spot in the paper tier.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Beam<S> {
     /// Ω of the plate, steradians.
@@ -106,7 +106,7 @@ pub(crate) fn rectangle_beam<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> B
 }
 
 /// Lengths of the rays to the mid-points of a rectangle's sides (x low, x high, y low, y high), and
-/// their inverses. The mid-lines end there, so that they serve the plate, too.
+/// their inverses. The plate's mid-lines end at the same points.
 struct Rays<R> {
     lengths: [R; 4],
     inverses: [R; 4],
@@ -168,7 +168,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let inverse = sum.dot(sum).inverse_root();
     let direction = sum * inverse;
     let cosine = axis.dot(direction);
-    // Behind the horizon there is no light; the profile is not asked there.
+    // Behind the horizon there is no light, and the profile is not defined.
     let in_front = |value| R::where_at_least(zero, cosine, zero, value);
     let front = R::where_at_least(zero, cosine, one, cosine);
     let (alpha, beta) = rays.plate(spot);
@@ -181,8 +181,8 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let (relative, slope) = (in_front(relative), in_front(slope));
     let weight = omega * slope;
 
-    // d cos γ = w·d(sum) with w = (u − cos γ·direction)/|sum|; each unit vector turns by the part
-    // of its ray's motion across the ray: v_i = (w − (w·â_i)â_i)/r_i.
+    // d cos γ = w·d(sum) with w = (u − cos γ·direction)/|sum|; a unit vector â_i changes by the component
+    // of its ray's motion across the ray, over r_i: v_i = (w − (w·â_i)â_i)/r_i.
     let w = (axis - direction * cosine) * inverse;
     let z = -spot.height;
     let (xm, ym) = (spot.x.middle, spot.y.middle);
@@ -199,7 +199,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
 
     let (oa, ob) = (by_alpha * relative, by_beta * relative);
     let ([a_low, a_high, a_distance2], [b_low, b_high, b_distance2]) = (alpha.slopes(), beta.slopes());
-    // ½·∂(distance²)/∂side of the mid-line across: the mid-line of x runs at y.middle.
+    // ½·∂(distance²)/∂side of the other mid-line: the mid-line along x lies at y.middle.
     let (across_x, across_y) = (ob * b_distance2 * xm, oa * a_distance2 * ym);
     let by_side = [
         oa * a_low + across_x + weight * (v[0].x() + x_middle),
@@ -219,7 +219,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     }
 }
 
-/// The plate that stands for a polygonal spot: a is the chord through the centroid along x,
+/// The plate equivalent to a polygonal spot: a is the chord through the centroid along x,
 /// b = area/a, centred on the centroid along y.
 struct PolygonPlate<S: Scalar> {
     alpha: HalfAngle<S>,
@@ -253,14 +253,14 @@ impl<S: Scalar> PolygonPlate<S> {
     }
 }
 
-/// The beam's central axis. Of a tilted slit it goes to the spot's centroid, of a rectangle along the
-/// sum of the unit vectors to the mid-points of the plate's edges; `skew` leads from one to the other.
+/// The beam's central axis: for a tilted slit, the ray to the spot's centroid; for a rectangle, the sum
+/// of the unit vectors to the mid-points of the plate's edges. `skew` blends the two definitions.
 struct CentralAxis<S: Scalar> {
     ends: [S::Vec3; 4],
     centroid: S::Vec3,
     skew: S,
     sum: S::Vec3,
-    /// Of both definitions, before it is given unit length.
+    /// Weighted sum of both definitions, before normalisation.
     blend: S::Vec3,
     direction: S::Vec3,
 }
@@ -273,16 +273,16 @@ impl<S: Scalar> CentralAxis<S> {
         Self { ends, centroid, skew, sum, blend, direction: unit(blend) }
     }
 
-    /// Derivative of cos γ by the emitter's position, for edge mid-points and a centroid whose x and y
-    /// move by `ends` and `centroid`.
+    /// Derivative of cos γ with respect to the emitter's position, given those of x and y of the edge
+    /// mid-points (`ends`) and of the centroid.
     fn turn(&self, axis: S::Vec3, ends: [[S::Vec3; 2]; 4], centroid: [S::Vec3; 2]) -> S::Vec3 {
-        // A unit vector turns by the part of a motion across itself, over the vector's length.
+        // A unit vector changes by the component of the motion across it, over the vector's length.
         let across = |v: S::Vec3, of: S::Vec3| {
             let inverse = of.length().recip();
             let unit = of * inverse;
             (v - unit * unit.dot(v)) * inverse
         };
-        // All points are as high as the emitter is above the detector: z falls as it rises.
+        // Relative to the emitter all points have z = −height: z falls as the emitter rises.
         let along = |weight: S::Vec3, [x, y]: [S::Vec3; 2]| {
             x * weight.x() + y * weight.y() - S::Vec3::new(S::zero(), S::zero(), weight.z())
         };
@@ -303,8 +303,8 @@ pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3, skew:
     }
 }
 
-/// Power and centroid (relative to the emitter's foot) of a polygonal spot, with derivatives by
-/// the emitter's position (foot fixed) and axis. `skew`: see [`Turned`](crate::aperture::Turned).
+/// Power and centroid (relative to the emitter's foot) of a polygonal spot, with derivatives with respect
+/// to the emitter's position (foot fixed) and axis. `skew`: see [`Turned`](crate::aperture::Turned).
 pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     polygon: &Polygon<S>,
     axis: S::Vec3,

@@ -1,8 +1,8 @@
 //! The polygonal spot of a turned slit, or of a spot that the emitter's horizon (γ = 90°) cuts.
 //!
 //! The detector's rectangle is clipped by the planes through the emitter and each slit edge. No
-//! slit corner is ever projected, so corners beside or above the emitter need no special case.
-//! Positions are relative to the emitter's foot point; edges know how they move with the emitter.
+//! slit corner is projected, so corners beside or above the emitter need no special case.
+//! Positions are relative to the emitter's foot point. Each edge carries its motion with the emitter.
 
 use heapless::Vec;
 
@@ -10,7 +10,7 @@ use crate::aperture::{Aperture, Turned};
 use crate::response::Status;
 use crate::scalar::{Linear3, Real, Scalar};
 
-/// Four sides of the detector, four of each of two slit faces, mask plane, horizon.
+/// Four sides of the detector, four of each of the two slit faces, the mask plane and the horizon make 14.
 pub(crate) const MAX_CORNERS: usize = 16;
 
 /// A line in the detector plane, F(X, Y) = normal·(X, Y) + offset, positive inside.
@@ -21,16 +21,16 @@ pub(crate) struct Line<S: Scalar> {
     pub(crate) motion: Motion<S>,
 }
 
-/// What a line does when the emitter moves.
+/// How a line moves with the emitter.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Motion<S: Scalar> {
-    /// An end of the detector (it cuts the spot along x): stands still.
+    /// An end of the detector, which cuts the spot along x: fixed.
     DetectorEnd,
-    /// Another line that stands still.
+    /// Another fixed line.
     Still,
     /// Shadow of the slit edge from `corner` (relative to the emitter) along `edge`.
     Shadow { corner: S::Vec3, edge: S::Vec3 },
-    /// The emitter's horizon for its axis.
+    /// The emitter's horizon, perpendicular to its `axis`.
     Horizon { axis: S::Vec3 },
 }
 
@@ -40,8 +40,8 @@ impl<S: Scalar> Line<S> {
         self.normal[0] * point[0] + self.normal[1] * point[1] + self.offset
     }
 
-    /// The plane through the emitter and the slit edge from `corner` to `next`, `centre` inside
-    /// (all relative to the emitter).
+    /// The plane through the emitter and the slit edge from `corner` to `next`, with the slit's `centre`
+    /// on the positive side. All positions are relative to the emitter.
     fn shadow(corner: S::Vec3, next: S::Vec3, centre: S::Vec3, height: S) -> Self {
         let mut edge = next - corner;
         let mut normal = corner.cross(edge);
@@ -52,7 +52,7 @@ impl<S: Scalar> Line<S> {
         Self { normal: [normal.x(), normal.y()], offset: -normal.z() * height, motion: Motion::Shadow { corner, edge } }
     }
 
-    /// Outward speed of the line at `point` per motion of the emitter: (∂F/∂e)/|∇F|.
+    /// Outward motion of the line at `point` per motion of the emitter, (∂F/∂e)/|∇F|.
     /// With F = (p − q)·((q − e)×E): ∂F/∂e = −E×(p − q).
     pub(crate) fn speed_by_position(&self, point: S::Vec3) -> S::Vec3 {
         let inverse = self.inverse_gradient();
@@ -63,7 +63,7 @@ impl<S: Scalar> Line<S> {
         }
     }
 
-    /// Outward speed at `point` per turn of the emitter's axis: (∂F/∂u)/|∇F|.
+    /// Outward motion of the line at `point` per change of the emitter's axis, (∂F/∂u)/|∇F|.
     pub(crate) fn speed_by_axis(&self, point: S::Vec3) -> S::Vec3 {
         match self.motion {
             Motion::Horizon { .. } => point * self.inverse_gradient(),
@@ -76,8 +76,8 @@ impl<S: Scalar> Line<S> {
     }
 }
 
-/// A quantity with its derivatives by the emitter's position (on fixed detector coordinates)
-/// and axis, cell frame.
+/// A quantity and its derivatives with respect to the emitter's position (at fixed detector
+/// coordinates) and axis, cell frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EmitterGradient<R: Real> {
     pub(crate) value: R,
@@ -147,7 +147,7 @@ impl<S: Scalar> Polygon<S> {
         }
     }
 
-    /// The part that the emitter's front half-space lights: u·(p − e) > 0.
+    /// Clips the spot to the emitter's front half-space, u·(p − e) > 0; whether any area is left.
     pub(crate) fn clip_horizon(&mut self, axis: S::Vec3) -> bool {
         self.clip(Line {
             normal: [axis.x(), axis.y()],
@@ -157,7 +157,7 @@ impl<S: Scalar> Polygon<S> {
         self.has_area()
     }
 
-    /// Keeps the side where `line` is positive (Sutherland and Hodgman 1974).
+    /// Clips the spot to the side where `line` is positive (Sutherland and Hodgman 1974).
     fn clip(&mut self, line: Line<S>) {
         let count = self.corners.len();
         let values: Vec<S, MAX_CORNERS> = self.corners.iter().map(|&corner| line.at(corner)).collect();
@@ -167,7 +167,7 @@ impl<S: Scalar> Polygon<S> {
         }
         let (mut corners, mut lines) = (Vec::new(), Vec::new());
         let mut push = |corner, line| {
-            // A convex polygon gains at most one corner a cut; the capacity covers all cuts.
+            // A convex polygon gains at most one corner per cut; the capacity covers all cuts.
             let _ = corners.push(corner);
             let _ = lines.push(line);
         };
@@ -193,7 +193,8 @@ impl<S: Scalar> Polygon<S> {
         self.lines = lines;
     }
 
-    /// Whether more than rounding is left: that of corners far from the emitter's foot.
+    /// Whether the area exceeds the rounding of its corners, which grows with their distance from the
+    /// emitter's foot.
     fn has_area(&self) -> bool {
         let perimeter = (0..self.corners.len()).fold(S::zero(), |sum, i| sum + self.edge_length(i));
         let farthest = self.corners.as_flattened().iter().fold(S::zero(), |most, x| most.max(x.abs()));
@@ -215,9 +216,9 @@ impl<S: Scalar> Polygon<S> {
         self.lines.iter().enumerate().map(move |(i, line)| (line, self.corners[i], self.corners[(i + 1) % count]))
     }
 
-    /// The greatest cos γ of a ray to the spot, for an emitter of this axis.
+    /// The greatest cos γ of a ray to the spot, for an emitter with this axis.
     pub(crate) fn greatest_cosine(&self, axis: S::Vec3) -> S {
-        // Where the axis itself lands in the spot, if it goes down.
+        // Inside the spot if the axis itself points down and meets it: cos γ = 1.
         let down = -axis.z();
         let lands = [axis.x() * self.height / down, axis.y() * self.height / down];
         let is_left_of = |([ax, ay], [bx, by]): ([S; 2], [S; 2])| {
@@ -290,8 +291,8 @@ impl<S: Scalar> Polygon<S> {
         (left, right)
     }
 
-    /// Motion by the emitter's position, on fixed detector coordinates, of the area and of the
-    /// centroid's x and y.
+    /// Derivatives of the area and of the centroid's x and y with respect to the emitter's position,
+    /// at fixed detector coordinates.
     ///
     /// An edge that moves outward by δ adds ∫δ ds of area and ∫pδ ds of first moment; δ is linear
     /// along an edge, so both integrals are exact.
@@ -312,8 +313,8 @@ impl<S: Scalar> Polygon<S> {
         (area, x * inverse, y * inverse)
     }
 
-    /// Motion of the end on edge `i` of the chord through the centroid, when the centroid's y
-    /// moves by `y_moved`: on the line, F_x·dx + F_y·dy + ∂F/∂e·de = 0.
+    /// Derivative of x of the centroid chord's end on edge `i` with respect to the emitter's position,
+    /// given that of the centroid's y, `y_moved`: on the line, F_x·dx + F_y·dy + ∂F/∂e·de = 0.
     pub(crate) fn chord_motion(&self, i: usize, y_moved: S::Vec3) -> S::Vec3 {
         let line = &self.lines[i];
         let [_, yc] = self.centroid();
@@ -324,8 +325,8 @@ impl<S: Scalar> Polygon<S> {
     }
 }
 
-/// Light that has not yet passed the mask where its plane dips below the detector surface is not
-/// light through the slit: only points behind the mask count.
+/// Where a tilted mask dips below the detector surface, light reaches the detector in front of the
+/// mask and has not passed the slit: only points behind the mask count.
 fn mask_plane<S: Scalar>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
     let below = turned.centre - emitter + turned.normal * -turned.half_thickness;
     Line {

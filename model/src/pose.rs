@@ -1,8 +1,8 @@
-//! Where the tool is, and how fast it moves.
+//! Pose and velocity of the tool.
 //!
 //! Transforms are named `a_from_b`; a pose is `base_from_tool`: p_base = R·p_tool + t.
-//! Perturbations follow the convention of the covariance: t' = t + δt, R' = exp(δθ)·R, both in
-//! the base frame and independent of each other.
+//! Perturbations, and hence covariances, follow t' = t + δt, R' = exp(δθ)·R, both in the base
+//! frame and independent of each other.
 
 use glam::{DQuat, DVec3};
 
@@ -18,7 +18,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Tool frame and base frame coincide: the home pose of every scene.
+    /// The home pose of every scene: tool frame and base frame coincide.
     pub const HOME: Self = Self { rotation: DQuat::IDENTITY, translation_m: DVec3::ZERO };
 
     /// From a translation in metres and a rotation vector in radians.
@@ -40,8 +40,8 @@ impl Pose {
         }
     }
 
-    /// The displacement that leads from `other` to this pose:
-    /// (t − t', log(R R'ᵀ)), metres and radians. The inverse of [`Self::perturbed`].
+    /// The displacement from `other`, (R', t'), to this pose: (t − t', log(R·R'ᵀ)), metres and radians.
+    /// The inverse of [`Self::perturbed`].
     pub fn displacement_from(&self, other: &Self) -> (DVec3, DVec3) {
         (self.translation_m - other.translation_m, rotation_log(self.rotation * other.rotation.conjugate()))
     }
@@ -55,14 +55,14 @@ impl Pose {
 /// Velocity of the tool in the base frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Twist {
-    /// Of the tool frame's origin, m/s.
+    /// Velocity of the tool frame's origin, m/s.
     pub linear_m_per_s: DVec3,
     /// Angular velocity, rad/s.
     pub angular_rad_per_s: DVec3,
 }
 
 impl Twist {
-    /// The pose after `duration_s` of this constant velocity.
+    /// The pose after `duration_s` seconds at this constant velocity.
     pub fn advance(&self, pose: &Pose, duration_s: f64) -> Pose {
         pose.perturbed(self.linear_m_per_s * duration_s, self.angular_rad_per_s * duration_s)
     }
@@ -90,8 +90,7 @@ pub fn rotation_log(rotation: DQuat) -> DVec3 {
     v * (2.0 * libm::atan2(sine, q.w) / sine)
 }
 
-/// A pose as the hot path wants it: rotation matrix and translation in the plan's number type, the
-/// same in all lanes.
+/// A pose in the plan's number type, the same in all lanes, with its rotation also as a matrix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Transform<R: Real> {
     columns: [R::Vec3; 3],
@@ -111,8 +110,8 @@ impl<R: Real> Transform<R> {
         self.translation
     }
 
-    /// Cayley's rotation, R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²) with a = δθ/2: orthogonal like the
-    /// exponential, equal to it up to |δθ|³/12, and free of trigonometry.
+    /// The Cayley transform `R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²)` with a = δθ/2: orthogonal like the
+    /// exponential, equal to it up to |δθ|³/12, without trigonometric functions.
     #[inline(always)]
     pub(crate) fn small_turn(rotation_rad: R::Vec3) -> impl Fn(R::Vec3) -> R::Vec3 {
         let a = rotation_rad * R::constant(0.5);
@@ -152,7 +151,7 @@ impl<S: Scalar> Transform<S> {
         }
     }
 
-    /// The same in each lane.
+    /// This transform in each lane.
     #[inline(always)]
     pub(crate) fn in_all_lanes<R: Real<Element = S>>(&self) -> Transform<R> {
         let all = |v: <S as Real>::Vec3| R::Vec3::new(R::all(v.x()), R::all(v.y()), R::all(v.z()));
@@ -163,8 +162,8 @@ impl<S: Scalar> Transform<S> {
         }
     }
 
-    /// This transform after a small displacement in the base frame: see [`Self::small_turn`], whose
-    /// quaternion is (a, 1), normalised.
+    /// This transform after a small displacement in the base frame. The rotation is that of
+    /// [`Self::small_turn`]: the quaternion (a, 1), normalised.
     #[inline]
     pub(crate) fn moved(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
         let a = rotation_rad * S::half();
@@ -175,7 +174,7 @@ impl<S: Scalar> Transform<S> {
         Self::of_parts([imaginary.x(), imaginary.y(), imaginary.z(), real], self.translation + translation_m)
     }
 
-    /// Back to a pose.
+    /// This transform as a pose.
     pub(crate) fn to_pose(self) -> Pose {
         Pose { rotation: DQuat::from_array(self.rotation.map(S::as_f64)), translation_m: self.translation.as_dvec3() }
     }

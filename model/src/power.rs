@@ -1,21 +1,21 @@
-//! cos γ to a real power, for the profile cosⁿγ: from a table, to the last digits.
+//! cos γ to a real power, for the profile cosⁿγ, by table and series.
 //!
-//! c = m·2ᵉ with m in ½…1; next to the middle m₀ of one of [`SEGMENTS`] intervals
-//! mⁿ = m₀ⁿ·(1 + δ)ⁿ, δ = (m − m₀)/m₀, is a short binomial series. m − m₀ is exact, so that only the
-//! products round: three units in the last place at most.
+//! c = m·2ᵉ with m in ½…1. Around the middle m₀ of one of [`SEGMENTS`] intervals,
+//! mⁿ = m₀ⁿ·(1 + δ)ⁿ, δ = (m − m₀)/m₀, is a short binomial series. m − m₀ is exact and only the products
+//! round: the error is at most three units in the last place.
 
 use crate::scalar::{Real, Scalar};
 
 /// Intervals of m.
 const SEGMENTS: usize = 32;
 
-/// Powers of two that are tabulated; c below 2⁻¹⁴ is left to the library's power.
+/// Tabulated powers of two; for c below 2⁻¹⁴ the library's power is called.
 const OCTAVES: usize = 16;
 
 /// Most terms of the series.
 const MAX_TERMS: usize = 8;
 
-/// A power with one exponent.
+/// The function cⁿ for one exponent n.
 #[derive(Clone, Debug)]
 pub(crate) struct Power<S> {
     exponent: S,
@@ -24,11 +24,11 @@ pub(crate) struct Power<S> {
     middles: [[S; 2]; SEGMENTS],
     /// 2ⁿᵉ for e = 1, 0, −1, …
     octaves: [S; OCTAVES],
-    /// Whether the series is short enough: not for very narrow beams.
+    /// Whether the series is short enough; it is not for very narrow beams.
     has_series: bool,
 }
 
-/// What a table knows of one c, for the series to finish.
+/// The table's entry for one c, input of the series.
 #[derive(Clone, Copy, Default)]
 struct Anchor<S> {
     delta: S,
@@ -73,7 +73,7 @@ impl<S: Scalar> Power<S> {
         if octave >= OCTAVES || !self.has_series {
             return None;
         }
-        // 1 ≤ 2m < 2: segments of 2m are as wide as it takes to count by its leading bits.
+        // 1 ≤ 2m < 2: the leading bits of 2m number the segment.
         let significand = significand * S::half();
         let step = S::of(2.0 * SEGMENTS as f64);
         let segment = ((significand - S::half()) * step).to_usize()?.min(SEGMENTS - 1);
@@ -83,7 +83,7 @@ impl<S: Scalar> Power<S> {
     }
 }
 
-/// 2ⁿᵉ: the rounding of n·e would cost digits.
+/// 2ⁿᵉ, corrected for the rounding of n·e.
 fn power_of_two(n: f64, e: f64) -> f64 {
     let product = n * e;
     libm::exp2(product) * (1.0 + libm::fma(n, e, -product) * core::f64::consts::LN_2)
@@ -108,7 +108,7 @@ pub(crate) struct PowerLanes<R: Real> {
 }
 
 impl<R: Real> PowerLanes<R> {
-    /// One table a lane.
+    /// One table per lane.
     pub(crate) fn of(table: impl Fn(usize) -> Power<R::Element>) -> Self {
         let tables: heapless::Vec<_, 2> = (0..R::LANES).map(table).collect();
         Self {
@@ -136,7 +136,7 @@ impl<R: Real> PowerLanes<R> {
 mod tests {
     use super::*;
 
-    /// Three units in the last place, as the module promises; the library's power has one of its own.
+    /// Three units in the last place, as stated above; the library's power errs by one of its own.
     fn check<S: Scalar>(exponent: f64) {
         let power = Power::<S>::compile(exponent);
         for i in 1..20_000 {
@@ -146,7 +146,7 @@ mod tests {
                 continue;
             }
             let error = (power.of(c).as_f64() - exact).abs() / exact;
-            // The library's power is given a rounded exponent, which ln c multiplies.
+            // The library's power takes a rounded exponent, whose error ln c multiplies.
             let library = !power.has_series || c.as_f64() < 1e-4;
             let rounding = if library { exponent * c.as_f64().ln().abs() } else { 0.0 };
             assert!(error < (4.0 + rounding) * S::epsilon().as_f64(), "{c:?}^{exponent}: {error}");

@@ -4,7 +4,7 @@ use crate::aperture::{Face, Span};
 use crate::response::Status;
 use crate::scalar::Real;
 
-/// One side of the spot along one axis, and how it moves.
+/// One side of the spot along one axis, with its motion.
 ///
 /// A slit edge q at height q_z lands at X = (q − e)·k relative to the emitter's foot, with the
 /// magnification k = e_z/(e_z − q_z). An edge of the detector is a slit edge at height 0: k = 1.
@@ -21,8 +21,8 @@ pub(crate) struct Extent<S> {
     pub(crate) low: Edge<S>,
     pub(crate) high: Edge<S>,
     pub(crate) middle: S,
-    /// The middle from the detector's centre: of a far emitter aside, the foot point is so far away
-    /// that adding it back would cost digits.
+    /// The middle relative to the detector's centre. For an emitter far to the side, adding the foot
+    /// point to `middle` would cost digits.
     pub(crate) landing: S,
     pub(crate) half: S,
 }
@@ -35,17 +35,17 @@ pub(crate) struct Rectangle<S> {
     pub(crate) height: S,
 }
 
-/// Where a side comes from, in place of the number of a face.
+/// Origin of a side that is an edge of the detector; else the index of its face.
 const DETECTOR: f64 = -1.0;
 
 impl<R: Real> Extent<R> {
-    /// Intersection of the beam through `spans` (with their magnifications) and the detector; empty
-    /// if its half length is not positive. Second: where an end of the detector cuts the beam, 1.
-    /// Third: how far the nearest other edge is from taking over.
+    /// Intersection of the beam through `spans` (with their magnifications) and the detector, empty if
+    /// its half length is not positive; 1 if an end of the detector cuts the beam, else 0; distance of
+    /// the nearest other edge from becoming a side of the spot.
     #[inline(always)]
     fn of_beam<const N: usize>(spans: [(Span<R>, [R; 2]); N], e: R, detector_half: R) -> (Self, R, R) {
         let (one, half) = (R::constant(1.0), R::constant(0.5));
-        // From the detector's centre first: q·k − e·m with m = q_z/(e_z − q_z) does not cancel.
+        // Relative to the detector's centre, q·k − e·m with m = q_z/(e_z − q_z) does not cancel.
         let mut low = Edge { position: -detector_half, magnification: one };
         let mut high = Edge { position: detector_half, magnification: one };
         let (mut from_low, mut from_high) = (R::constant(DETECTOR), R::constant(DETECTOR));
@@ -71,7 +71,7 @@ impl<R: Real> Extent<R> {
         }
         let zero = R::constant(0.0);
         let cut = R::where_at_least(from_low, zero, R::where_at_least(from_high, zero, zero, one), one);
-        // Both sides of one face: its length survives where the difference would cancel.
+        // If both sides are of one face, its magnified length replaces the difference, which may cancel.
         let difference = high.position - low.position;
         let one_face = R::where_at_least(from_low, from_high, length, difference);
         let extent = R::where_at_least(from_high, from_low, one_face, difference);
@@ -84,8 +84,8 @@ impl<R: Real> Extent<R> {
 }
 
 impl<R: Real> Rectangle<R> {
-    /// The spot of the beam that passes all `faces`, for an emitter at `emitter`, and for each lane
-    /// whether it is one: where it is not, the rectangle means nothing.
+    /// The spot of the beam from `emitter` that passes all `faces`, and its visibility per lane. In lanes
+    /// without a spot the rectangle is meaningless.
     #[inline(always)]
     pub(crate) fn of_beam<const N: usize>(
         faces: [Face<R>; N],
@@ -101,7 +101,7 @@ impl<R: Real> Rectangle<R> {
         });
         let (x, cut, slack_x) = Extent::of_beam(magnified.map(|(face, by)| (face.x, by)), ex, detector_half[0]);
         let (y, _, slack_y) = Extent::of_beam(magnified.map(|(face, by)| (face.y, by)), ey, detector_half[1]);
-        // A pose that is no number makes both extents none, and the spot dark.
+        // With a pose that is NaN both half extents are NaN, and the spot is dark.
         let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
         let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
         (Self { x, y, height: ez }, Visibility { behind, cut, narrower, slack })
@@ -115,7 +115,7 @@ impl<R: Real> Rectangle<R> {
     }
 }
 
-/// What makes a status, lane by lane.
+/// The quantities that decide the status, lane by lane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Visibility<R> {
     /// 1 where the emitter is at or behind a face.
@@ -124,8 +124,8 @@ pub(crate) struct Visibility<R> {
     cut: R,
     /// The smaller half extent.
     narrower: R,
-    /// How far the spot's sides are from being those of another edge, metres on the detector: there
-    /// the derivatives jump.
+    /// Least motion of the spot's sides after which another edge bounds the spot, metres on the
+    /// detector: the derivatives jump there.
     slack: R,
 }
 
@@ -148,16 +148,16 @@ impl<R: Real> Visibility<R> {
     }
 }
 
-/// What a rectangular spot delivers, and its derivatives by the spot's sides
-/// (x low, x high, y low, y high), by the emitter's height and by its axis. The value of the centroid
-/// is counted from the middle of the spot, its derivatives are those of the whole.
+/// Power and centroid of the light on a rectangular spot, with derivatives with respect to the spot's
+/// sides (x low, x high, y low, y high), the emitter's height and its axis. The value of the centroid is
+/// relative to the middle of the spot; its derivatives include those of the middle.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RectangleLight<R: Real> {
     pub(crate) power: SideGradient<R>,
     pub(crate) centroid: SideGradient<R>,
 }
 
-/// A quantity and its derivatives by sides, height and axis.
+/// A quantity and its derivatives with respect to sides, height and axis.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SideGradient<R: Real> {
     pub(crate) value: R,

@@ -1,21 +1,21 @@
-//! What one cell answers to one pose.
+//! The response of one cell at one pose: currents, geometry and flags.
 
 use core::fmt;
 
 use crate::scalar::Scalar;
 
-/// What the integrals over a spot have taken, and how good it is.
+/// Cost and accuracy of the integrals over a spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Integration<S> {
-    /// Values of the profile that were needed for one cell's currents.
+    /// Evaluations of the profile for one cell's currents.
     pub evaluations: usize,
-    /// Greatest error of each electrode's photocurrent, as a share of both together: the plan's
-    /// tolerance, unless the limit of work or rounding came first; infinite if no light was found by then where
-    /// there may be some.
+    /// Greatest error of each electrode's photocurrent, relative to the sum of both: the plan's
+    /// tolerance, or more if rounding or [`Plan::MAX_EVALUATIONS`](crate::Plan::MAX_EVALUATIONS) prevents that;
+    /// infinite if the limit was reached before any light was found.
     pub relative_error: S,
 }
 
-/// Geometry of a cell's spot, and nothing else.
+/// Geometric status of a cell's spot; the power of the light does not matter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
     /// The whole spot lies between the ends of the active area.
@@ -51,7 +51,7 @@ impl fmt::Display for Status {
     }
 }
 
-/// What the light does beyond geometry.
+/// Flags of the light and the currents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Flags {
     /// I_O is above the detector's saturation current.
@@ -75,18 +75,18 @@ impl fmt::Display for Flags {
     }
 }
 
-/// The two currents of a cell, amperes.
+/// The two electrode currents of a cell, amperes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pair<S> {
-    /// I_X1, of the electrode at x = −Lx/2.
+    /// I_X1, current of the electrode at x = −Lx/2.
     pub i_x1_a: S,
-    /// I_X2, of the electrode at x = +Lx/2.
+    /// I_X2, current of the electrode at x = +Lx/2.
     pub i_x2_a: S,
 }
 
 impl<S: Scalar> Pair<S> {
-    /// Equation (1) of De La Cruz et al. 2018: a total current divided by the light's position,
-    /// I_X1,2 = I/2·(1 ∓ 2X_A/Lx).
+    /// A total current divided between the electrodes according to the light's position X_A:
+    /// I_X1,2 = I/2·(1 ∓ 2X_A/Lx), equation (1) of De La Cruz et al. 2018.
     #[inline(always)]
     pub fn divide(total_a: S, x_a_m: S, detector_length_m: S) -> Self {
         let half = S::half() * total_a;
@@ -101,14 +101,14 @@ impl<S: Scalar> Pair<S> {
     }
 }
 
-/// Everything the model says of one cell at one pose.
+/// The model's full response of one cell at one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Response<S> {
-    /// Geometry.
+    /// Geometric status.
     pub status: Status,
-    /// Light.
+    /// Flags of the light and the currents.
     pub flags: Flags,
-    /// Position X_A of the light on the detector, metres; `None` where there is no light.
+    /// Position X_A of the light on the detector, metres; `None` without light.
     pub x_a_m: Option<S>,
     /// Angle γ between the emitter's axis and the beam's central axis, radians; `None` without spot.
     pub gamma_rad: Option<S>,
@@ -118,6 +118,6 @@ pub struct Response<S> {
     pub i_o_a: S,
     /// I_X1 and I_X2, dark current included.
     pub currents: Pair<S>,
-    /// What the integrals took, and how good they are; `None` in the paper tier, and where nothing is to integrate.
+    /// Cost and accuracy of the integrals; `None` in the paper tier and where there is nothing to integrate.
     pub integration: Option<Integration<S>>,
 }

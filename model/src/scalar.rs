@@ -1,8 +1,8 @@
-//! The numbers of the optics: `f32` on the board, `f64` on the host, one text for both; and several of them at once
-//! ([`crate::lanes`]), for code without branches.
+//! Number types of the optics: `f32` on the board, `f64` on the host, and SIMD lanes ([`crate::lanes`]) for
+//! code without branches.
 //!
 //! Elementary functions come from the `libm` crate on every platform, never from the platform's C
-//! library: the same bytes give the same pose, bit for bit, on any machine. Vectors are glam's.
+//! library: the same input gives the same pose, bit for bit, on any machine. Vectors are glam's.
 
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
@@ -10,7 +10,7 @@ use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 use glam::{DVec3, Vec3};
 use num_traits::{Float, FloatConst, NumAssignOps};
 
-/// A real number, or one for each of several lanes.
+/// A real number, or a SIMD vector of one per lane.
 pub trait Real:
     Copy
     + Debug
@@ -26,9 +26,9 @@ pub trait Real:
     + Div<Output = Self>
     + Neg<Output = Self>
 {
-    /// The number in a lane.
+    /// Number type of one lane.
     type Element: Scalar;
-    /// Three components.
+    /// Vector of three components.
     type Vec3: Linear3<Self>;
     /// Number of lanes.
     const LANES: usize;
@@ -37,9 +37,9 @@ pub trait Real:
     fn of_lanes(lane: impl FnMut(usize) -> Self::Element) -> Self;
     /// The number in lane `i`.
     fn lane(self, i: usize) -> Self::Element;
-    /// √, to a unit or two in the last place; of lanes, correctly rounded.
+    /// √, within two units in the last place; for SIMD lanes, correctly rounded.
     fn root(self) -> Self;
-    /// 1/√ of a positive, normal number, to a unit or two in the last place.
+    /// 1/√ of a positive, normal number, within two units in the last place.
     fn inverse_root(self) -> Self;
     /// Lane by lane: `yes` where a ≥ b, else `no`.
     fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
@@ -65,11 +65,11 @@ pub trait Real:
 
 /// A real number the optics compute with, and the glam vector that goes with it.
 pub trait Scalar: Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps {
-    /// As many of this number type as the processor computes with at once.
+    /// The lanes that a processor evaluates at once: two for `f64`, one for `f32`.
     type Lanes: Real<Element = Self>;
 
-    /// Terms of a binomial series in δ ≤ 1/64 that reach this type's last digit, for exponents of some
-    /// units.
+    /// Number of terms with which a binomial series in δ ≤ 1/64 reaches this type's precision, for
+    /// exponents up to about 3.
     const POWER_TERMS: usize;
 
     /// The nearest representable number to an `f64`.
@@ -96,7 +96,7 @@ pub trait Scalar: Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst
     /// Significand in 1…2 and exponent of a positive, normal number.
     fn split(self) -> (Self, i32);
 
-    /// √(x² + y²) of lengths, which never come near the ends of the number range.
+    /// √(x² + y²) of lengths, whose squares neither overflow nor underflow.
     #[inline(always)]
     fn norm(x: Self, y: Self) -> Self {
         (x * x + y * y).root()
@@ -115,7 +115,7 @@ pub trait Scalar: Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst
     }
 }
 
-/// The operations branch-free optics need of a three-component vector.
+/// The operations on three-component vectors that branch-free optics need.
 pub trait Linear3<S>:
     Copy
     + Debug
@@ -146,7 +146,7 @@ pub trait Linear3<S>:
     fn length(self) -> S;
 }
 
-/// A three-component vector of one scalar: glam's.
+/// A three-component vector of one scalar, implemented by glam's types.
 pub trait Vector3<S>: Linear3<S> {
     /// From an `f64` vector, rounded.
     fn of(value: DVec3) -> Self;
@@ -155,8 +155,8 @@ pub trait Vector3<S>: Linear3<S> {
 }
 
 /// 1/√x without a call: a core with single precision in hardware takes 20 cycles for this, 80 for the
-/// library's root and a division. The first guess halves the exponent (Lomont 2003); each of Newton's
-/// steps then doubles its five bits.
+/// library's root and a division. The first guess halves the exponent (Lomont 2003) and is right to
+/// five bits; each Newton step doubles their number.
 #[inline(always)]
 fn single_inverse_root(x: f32) -> f32 {
     let half = 0.5 * x;
@@ -167,7 +167,7 @@ fn single_inverse_root(x: f32) -> f32 {
     y + y * (0.5 - half * y * y)
 }
 
-/// √x = x/√x, with the cases that this leaves out.
+/// √x as x·(1/√x); the library's root for zero, subnormal, negative and non-finite x.
 #[inline(always)]
 fn single_root(x: f32) -> f32 {
     if (f32::MIN_POSITIVE..f32::INFINITY).contains(&x) { x * single_inverse_root(x) } else { libm::sqrtf(x) }

@@ -1,8 +1,8 @@
-//! What a scene is made of: detectors, slits, emitters, and what is known of noise.
+//! The description of a sensor head: detectors, slits, emitters, noise and calibration uncertainty.
 //!
-//! Everything here is `f64` in SI units. Lengths and directions of detectors are in the base
-//! frame, those of emitters in the tool frame. A [`Scene`] only describes; compile it to a
-//! [`Plan`](crate::Plan) to evaluate it.
+//! All values are `f64` in SI units. Positions and directions of detectors are in the base frame,
+//! those of emitters in the tool frame. To evaluate a [`Scene`], compile it to a
+//! [`Plan`](crate::Plan).
 
 use glam::{DVec2, DVec3};
 use heapless::Vec;
@@ -20,8 +20,8 @@ pub const MAX_CELLS: usize = 16;
 /// Most knots a tabulated emission profile can have.
 pub const MAX_PROFILE_KNOTS: usize = 64;
 
-/// A current below which a cell is flagged faint unless the scene says otherwise: 50 nA is
-/// about 40 times the noise of a single lit-minus-dark sample of the default front end.
+/// Default of [`Detector::faint_a`], amperes: about 40 times the noise of a single lit-minus-dark
+/// sample of the default front end.
 pub const DEFAULT_FAINT_A: f64 = 50e-9;
 
 /// The optics of a sensor head.
@@ -31,16 +31,16 @@ pub struct Scene {
     pub cells: Vec<Cell, MAX_CELLS>,
     /// Noise of the measured currents; `None`: noise-free.
     pub noise: Option<Noise>,
-    /// What calibration has not settled.
+    /// Uncertainty left by calibration.
     pub uncertainty: Uncertainty,
 }
 
-/// A head whose emitters all sit at the tool's origin has no arm: any length scale serves.
+/// For a head whose emitters all sit at the tool's origin; any length scale serves there.
 const DEFAULT_LENGTH_SCALE_M: f64 = 0.01;
 
 impl Scene {
-    /// Root-mean-square distance of the emitters from the tool's origin, metres: the length that
-    /// makes turns and shifts of the tool comparable. A centimetre if it is zero.
+    /// Length that makes rotations and translations of the tool comparable, metres: root-mean-square
+    /// distance of the emitters from the tool's origin, or 0.01 if that distance is zero.
     pub fn length_scale_m(&self) -> f64 {
         let squares: f64 = self.cells.iter().map(|cell| cell.emitter.position_tool_m.length_squared()).sum();
         let length_scale_m = libm::sqrt(squares / self.cells.len() as f64);
@@ -75,26 +75,26 @@ pub struct Detector {
     pub length_m: f64,
     /// Width Ly of the active area, metres.
     pub width_m: f64,
-    /// Responsivity S, ampere per watt.
+    /// Responsivity S, amperes per watt.
     pub responsivity_a_per_w: f64,
     /// Dark current I_D of both electrodes together, amperes.
     pub dark_current_a: f64,
     /// Inter-electrode resistance, ohms; `None`: no Johnson noise.
     pub interelectrode_ohm: Option<f64>,
-    /// Total current I_O above which the detector saturates; `None`: never.
+    /// Total current I_O above which the detector saturates, amperes; `None`: never.
     pub saturation_a: Option<f64>,
-    /// Photocurrent I_O − I_D below which the cell is flagged faint.
+    /// Photocurrent I_O − I_D below which the cell is flagged faint, amperes.
     pub faint_a: f64,
 }
 
 /// A rectangular slit in an otherwise opaque mask.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slit {
-    /// Height d_B of the mask's mid-plane above the detector surface, metres.
+    /// Height d_B of the mask's mid-plane above the detector surface, at the slit's centre, metres.
     pub distance_m: f64,
-    /// Width w, along the cell's x if not tilted, metres.
+    /// Width w, along the cell's x if the slit is not tilted, metres.
     pub width_m: f64,
-    /// Length l, along the cell's y if not tilted, metres.
+    /// Length l, along the cell's y if the slit is not tilted, metres.
     pub length_m: f64,
     /// Centre of the slit in the cell's x and y, metres.
     pub offset_m: DVec2,
@@ -111,7 +111,7 @@ pub struct Emitter {
     pub position_tool_m: DVec3,
     /// Direction of its axis in the tool frame, unit length.
     pub axis_tool: DVec3,
-    /// Radiant intensity I_e on the axis, watt per steradian.
+    /// Radiant intensity I_e on the axis, watts per steradian.
     pub radiant_intensity_w_per_sr: f64,
     /// Relative radiant intensity I_rel as a function of the angle γ to the axis.
     pub profile: Profile,
@@ -126,15 +126,14 @@ pub enum Profile {
         /// The exponent n.
         exponent: f64,
     },
-    /// Points (γ in radians, I_rel), ascending from γ = 0, met exactly; between them I_rel is smooth and
-    /// stays between its neighbours: blended parabolas in 1 − cos γ. A table that ends before 90° falls
-    /// to zero there.
+    /// Points (γ in radians, I_rel), ascending from γ = 0. I_rel passes through the points and is
+    /// interpolated between them by blended parabolas in 1 − cos γ, without overshoot. A table that ends
+    /// before 90° falls to zero at 90°.
     Table(Vec<(f64, f64), MAX_PROFILE_KNOTS>),
 }
 
 impl Profile {
-    /// The cosine profile whose intensity has fallen to one half at `half_angle_rad`:
-    /// n = ln ½ / ln cos φ.
+    /// The cosine profile that falls to one half at φ = `half_angle_rad`: n = ln ½ / ln cos φ.
     pub fn from_half_angle(half_angle_rad: f64) -> Self {
         let exponent = -core::f64::consts::LN_2 / libm::log(libm::cos(half_angle_rad));
         Self::Cosine { exponent }
@@ -143,15 +142,14 @@ impl Profile {
 
 /// White noise of the measured currents.
 ///
-/// Shot noise of light and Johnson noise have bandwidths of their own because subtracting a dark sample
-/// doubles the variance of the latter, of the dark current's shot noise and of the converter, but not
-/// of the former.
+/// There are two bandwidths because subtracting a dark sample doubles the variance of Johnson noise, of
+/// the dark current's shot noise and of the converter, but not that of the light's shot noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
     /// One-sided noise bandwidth of the shot noise of light, hertz.
     pub shot_bandwidth_hz: f64,
-    /// One-sided noise bandwidth of what is there without light: Johnson noise of the inter-electrode
-    /// resistance, and shot noise of the dark current. Hertz.
+    /// One-sided noise bandwidth of the noise without light, hertz: Johnson noise of the inter-electrode
+    /// resistance, and shot noise of the dark current.
     pub johnson_bandwidth_hz: f64,
     /// Temperature of the detectors, kelvin.
     pub temperature_k: f64,
@@ -160,18 +158,18 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// 2q·B: variance of a current per ampere that flows (Schottky 1918), A.
+    /// 2q·B: variance of the shot noise per ampere of current (Schottky 1918), A.
     pub fn shot_a(&self) -> f64 {
         2.0 * ELEMENTARY_CHARGE_C * self.shot_bandwidth_hz
     }
 
-    /// 2q·I_D·B: variance of the dark current of both electrodes of `detector` together, A².
+    /// 2q·I_D·B: variance of the shot noise of the dark current of `detector`, both electrodes together, A².
     pub fn dark_shot_a2(&self, detector: &Detector) -> f64 {
         2.0 * ELEMENTARY_CHARGE_C * self.johnson_bandwidth_hz * detector.dark_current_a
     }
 
-    /// 4kT·B/R_ie: variance of what the inter-electrode resistance of `detector` drives out of one
-    /// electrode into the other (Johnson 1928), A². Zero where the resistance is not given.
+    /// 4kT·B/R_ie: variance of the Johnson noise current that the inter-electrode resistance of `detector`
+    /// drives from one electrode to the other (Johnson 1928), A². Zero if the resistance is not given.
     pub fn johnson_a2(&self, detector: &Detector) -> f64 {
         detector
             .interelectrode_ohm
@@ -179,34 +177,34 @@ impl Noise {
     }
 }
 
-/// Standard deviations of what calibration has not settled. Zero: known.
+/// Standard deviations of the parameters after calibration. Zero: known exactly.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Uncertainty {
-    /// Of each emitter's intensity (common to both electrodes of its cell), relative.
+    /// Relative standard deviation of each emitter's intensity, common to both electrodes of its cell.
     pub emitter_gain_relative: f64,
-    /// Of each electrode's gain, relative.
+    /// Relative standard deviation of each electrode's gain.
     pub electrode_gain_relative: f64,
-    /// Of where each cell's detector, slit and emitter are to each other, per axis of space, metres: a
-    /// displaced cell sees its spot moved and its light changed.
+    /// Standard deviation of the relative position of each cell's detector, slit and emitter, per axis of
+    /// space, metres. A displacement moves the spot and changes its power.
     pub position_m: f64,
 }
 
-/// Why a scene cannot be compiled: the place in the scene, and what is wrong there.
+/// Why a scene cannot be compiled.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error("{place}: {fault}")]
 pub struct SceneError {
-    /// Where.
+    /// The place in the scene.
     pub place: Place,
-    /// What.
+    /// The fault there.
     pub fault: Fault,
 }
 
-/// A place in a scene, in the words of the scene file.
+/// A place in a scene, in the terms of the scene file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// The cell's number; `None`: a property of the scene.
     pub cell: Option<usize>,
-    /// The section in the scene file, e.g. `slit`; for keys that stand in `[[cell]]` itself: `cell`.
+    /// The section in the scene file, e.g. `slit`; `cell` for keys in `[[cell]]` itself.
     pub section: &'static str,
     /// The key, e.g. `width_mm`.
     pub key: &'static str,
@@ -222,43 +220,43 @@ impl core::fmt::Display for Place {
     }
 }
 
-/// What can be wrong with a value of a scene.
+/// A fault of a value in a scene, with that value.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Fault {
     /// NaN or infinite.
     #[error("{0} is not a finite number")]
     NotFinite(f64),
-    /// Beyond anything a head can have: a slip of units.
+    /// Larger than any head can have, probably a mistake of units.
     #[error("{0} is more than any sensor head can have; check its unit")]
     TooLarge(f64),
-    /// Below zero where that has no meaning.
+    /// A negative value of a quantity that cannot be negative.
     #[error("{0} is negative; give zero or more")]
     Negative(f64),
-    /// Zero or below where a positive number is needed.
+    /// Zero or negative where a positive number is needed.
     #[error("{0} is not positive; give more than zero")]
     NotPositive(f64),
-    /// An axis that is not a unit vector.
+    /// An axis that is not a unit vector; its length.
     #[error("axis has length {0}, not 1; divide it by its length")]
     NotUnit(f64),
-    /// Two axes that must be perpendicular and are not.
+    /// Two axes that must be perpendicular and are not; their scalar product.
     #[error("x_axis and normal are not perpendicular, their scalar product is {0}; correct one of them")]
     NotPerpendicular(f64),
-    /// The mask reaches below the detector's surface.
+    /// The mask reaches below the detector's surface, by so many metres.
     #[error("the mask reaches {0} m below the detector surface; raise slit.distance_mm or make the mask thinner")]
     MaskInDetector(f64),
     /// No cell at all.
     #[error("the scene has no cell; add at least one [[cell]]")]
     NoCells,
-    /// A profile table without at least two knots.
+    /// A profile table with fewer than two knots; their number.
     #[error("a profile needs at least two knots, this one has {0}")]
     TooFewKnots(usize),
-    /// A profile table that does not start on the axis.
+    /// A profile table that does not start on the axis; its first angle, degrees.
     #[error("a profile starts at 0 degrees, this one at {0}")]
     FirstKnotNotZero(f64),
-    /// Profile angles not ascending, or beyond 90°.
+    /// Profile angles not ascending, or beyond 90°; the two angles, degrees.
     #[error("profile angles must ascend and not pass 90 degrees, but {1} follows {0}")]
     KnotOrder(f64, f64),
-    /// An unusable half angle.
+    /// A half angle not between 0° and 90°, degrees.
     #[error("half angle {0} degrees is not between 0 and 90")]
     HalfAngle(f64),
 }

@@ -3,9 +3,9 @@
 use crate::scalar::Scalar;
 
 /// Solid angle of the triangle with corners `a`, `b`, `c` (relative to the foot point of an
-/// observer at `height`), twice its area given (Van Oosterom and Strackee 1983):
-/// tan(Ω/2) = a·(b×c)/(abc + (a·b)c + (b·c)a + (c·a)b), where the triple product of a triangle in a
-/// plane is the height times twice its area, so that nothing cancels.
+/// observer at `height`), given twice its area (Van Oosterom and Strackee 1983):
+/// tan(Ω/2) = a·(b×c)/(abc + (a·b)c + (b·c)a + (c·a)b). The triple product is computed without
+/// cancellation as the height times twice the area.
 fn triangle<S: Scalar>(twice_area: S, a: [S; 2], b: [S; 2], c: [S; 2], height: S) -> S {
     let h2 = height * height;
     let dot = |p: [S; 2], q: [S; 2]| p[0] * q[0] + p[1] * q[1] + h2;
@@ -17,6 +17,6 @@ fn triangle<S: Scalar>(twice_area: S, a: [S; 2], b: [S; 2], c: [S; 2], height: S
 /// Solid angle of a convex polygon given as a fan: its first corner, and for each triangle twice
 /// its area and the two other corners.
 pub(crate) fn of_fan<S: Scalar>(first: [S; 2], fan: impl Iterator<Item = (S, [S; 2], [S; 2])>, height: S) -> S {
-    // A sliver thinner than its corners' rounding has none.
+    // The sum is negative only for a sliver thinner than its corners' rounding.
     fan.fold(S::zero(), |sum, (twice, b, c)| sum + triangle(twice, first, b, c, height)).max(S::zero())
 }

@@ -1,8 +1,8 @@
 //! Batches: consecutive scans in one packet.
 //!
-//! The scans of a batch are one after the other in sequence, exactly one frame apart
-//! in ticks, and were taken by one configuration at one set of emitter levels; so
-//! count, tick, configuration and levels stand once. Anything else closes the batch.
+//! The scans of a batch are consecutive in sequence, exactly one frame apart in ticks,
+//! and taken by one configuration at one set of emitter levels; so sequence, tick,
+//! configuration and levels are sent once. A scan that differs begins another batch.
 //!
 //! Layout of `samples`: for each scan, little-endian u16 words,
 //! `lit I_X1, lit I_X2` of cell 0, 1, …, then, if the schedule has a dark slot,
@@ -23,12 +23,12 @@ const PAIR_BYTES: usize = size_of::<WordPair>();
 /// Bytes of the largest scan: [`MAX_CELLS`] cells, lit and dark.
 pub const MAX_SCAN_BYTES: usize = 2 * MAX_CELLS * PAIR_BYTES;
 
-/// Consecutive scans as they cross the wire.
+/// Consecutive scans, as sent on the wire.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Batch<'a> {
-    /// Number of the configuration the scans were taken by, as
-    /// [`Hello::configuration`](crate::Hello::configuration) announces it. Samples may
-    /// only be read with the schedule that has the same number.
+    /// Number of the configuration of the scans, announced by
+    /// [`Hello::configuration`](crate::Hello::configuration). Samples may only be read
+    /// with the schedule of the same number.
     pub configuration: u16,
     /// Sequence number of the first scan.
     pub sequence: u64,
@@ -36,7 +36,7 @@ pub struct Batch<'a> {
     pub tick: u64,
     /// Level of each emitter in all scans of the batch.
     pub levels: Levels,
-    /// The words, laid out as the module says.
+    /// The words, in the layout above.
     #[serde(borrow)]
     pub samples: &'a [u8],
 }
@@ -45,7 +45,7 @@ impl<'a> Batch<'a> {
     /// The scans of the batch, read by the schedule of the same configuration number.
     ///
     /// # Errors
-    /// If the batch cannot have been made by this schedule.
+    /// If the batch does not fit this schedule.
     pub fn scans(&self, schedule: &Schedule) -> Result<Scans<'a>, BatchError> {
         let cells = usize::from(schedule.cells);
         if cells == 0 || self.levels.len() != cells {
@@ -124,7 +124,7 @@ pub enum BatchError {
         /// Bytes of one scan by the schedule.
         scan_bytes: usize,
     },
-    /// The counts would run past 64 bits, which no board reaches.
+    /// Sequence or tick would exceed 64 bits, which no board reaches.
     #[error("batch starts at sequence {sequence}, tick {tick}: past the end of the counters")]
     Counters {
         /// Sequence number of the first scan.
@@ -134,7 +134,7 @@ pub enum BatchError {
     },
 }
 
-/// Collects scans until they make a [`Batch`]; `BYTES` is the room for samples.
+/// Collects scans into a [`Batch`]; `BYTES` is the capacity for samples.
 #[derive(Debug, Clone)]
 pub struct BatchBuilder<const BYTES: usize> {
     configuration: u16,
@@ -148,8 +148,8 @@ pub struct BatchBuilder<const BYTES: usize> {
 impl<const BYTES: usize> BatchBuilder<BYTES> {
     const ROOM_FOR_ONE: () = assert!(BYTES >= MAX_SCAN_BYTES, "room for one scan at least");
 
-    /// An empty batch for the scans of one configuration, closed at `limit` scans (at
-    /// least one) or when `BYTES` are full.
+    /// An empty batch for scans of one configuration, full at `limit` scans (at least
+    /// one) or when `BYTES` are used.
     pub fn new(configuration: u16, schedule: &Schedule, limit: usize) -> Self {
         let () = Self::ROOM_FOR_ONE;
         Self {
@@ -162,7 +162,7 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
         }
     }
 
-    /// Scans held.
+    /// Number of scans held.
     pub fn len(&self) -> usize {
         self.scans
     }
@@ -172,7 +172,7 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
         self.scans == 0
     }
 
-    /// Scans until the batch should be sent.
+    /// Number of scans until the batch should be sent.
     pub fn remaining(&self) -> usize {
         self.limit.saturating_sub(self.scans)
     }
@@ -182,18 +182,18 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
         self.scans >= self.limit
     }
 
-    /// A scan of zeros in the shape this batch takes.
+    /// A scan of zeros with the shape of this batch.
     pub fn blank(&self) -> RawScan {
         RawScan::new(self.first.cells(), self.first.has_dark())
     }
 
-    /// Whether `scan` has the shape this batch takes.
+    /// Whether `scan` has the shape of this batch.
     pub fn fits(&self, scan: &RawScan) -> bool {
         scan.cells() == self.first.cells() && scan.has_dark() == self.first.has_dark()
     }
 
-    /// Whether `scan` may join: right shape, room left, and, unless the batch is empty,
-    /// next in sequence, one frame later, same levels.
+    /// Whether `scan` can be added: right shape, room left, and, unless the batch is
+    /// empty, next in sequence, one frame later, same levels.
     pub fn continues(&self, scan: &RawScan) -> bool {
         if !self.fits(scan) {
             return false;
@@ -210,8 +210,8 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
             && self.first.levels() == scan.levels()
     }
 
-    /// Adds `scan` if it [`continues`](Self::continues) the batch and tells whether it
-    /// did. If not, the caller sends what is held, clears and pushes again.
+    /// Adds `scan` if it [`continues`](Self::continues) the batch, and returns whether
+    /// it did. If not, the caller sends the batch, clears it and pushes again.
     #[must_use]
     pub fn push(&mut self, scan: &RawScan) -> bool {
         if !self.continues(scan) {
@@ -222,14 +222,14 @@ impl<const BYTES: usize> BatchBuilder<BYTES> {
         }
         for pair in scan.lit().iter().chain(scan.dark().into_iter().flatten()) {
             let [first, second] = pair.map(u16::to_le_bytes);
-            // `continues` has seen to the room.
+            // `continues` has checked the capacity.
             let _ = self.samples.extend_from_slice(&[first[0], first[1], second[0], second[1]]);
         }
         self.scans += 1;
         true
     }
 
-    /// What is held, as it goes on the wire; `None` when empty.
+    /// The scans held, as sent on the wire; `None` when empty.
     pub fn batch(&self) -> Option<Batch<'_>> {
         (!self.is_empty()).then(|| Batch {
             configuration: self.configuration,
@@ -340,7 +340,7 @@ mod tests {
         let cut = Batch { samples: &batch.samples[..7], ..batch.clone() };
         let error = BatchError::Length { bytes: 7, scan_bytes: 8 };
         assert_eq!(cut.scans(&one_cell()).unwrap_err(), error);
-        // One scan: its number and the frame behind it must both be numbers.
+        // One scan: neither the next sequence number nor the end of its frame may overflow.
         for (sequence, tick) in [(u64::MAX, 0), (0, u64::MAX - 249)] {
             let last = Batch { sequence, tick, ..batch.clone() };
             assert_eq!(last.scans(&one_cell()).unwrap_err(), BatchError::Counters { sequence, tick });

@@ -1,9 +1,9 @@
-//! Host to device: everything a board can be asked.
+//! Host to device: the commands of a board.
 //!
-//! Each command travels in a [`Request`] with a number the host chooses; the board
+//! Each command is sent in a [`Request`] with a number chosen by the host; the board
 //! answers every number once. Every command is valid in every state. The order of the
 //! variants is their number on the wire; a new one goes to the end, and a board that
-//! does not know it yet says so.
+//! does not know it rejects it.
 
 use postcard::take_from_bytes;
 use serde::{Deserialize, Serialize};
@@ -16,21 +16,21 @@ use crate::schema;
 /// A command and the number its [`Reply`](crate::Reply) will carry.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Request {
-    /// Chosen by the host; the board compares it with nothing.
+    /// A number chosen by the host; the board only returns it.
     pub number: u16,
-    /// What to do.
+    /// The command.
     pub command: Command,
 }
 
-/// What a host may ask of a board.
+/// A command of a host to a board.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Command {
     /// Send a [`Hello`](crate::Hello).
     Hello,
-    /// Light and sample by the configuration in force. Accepted without effect while
+    /// Start acquisition with the configuration in force. Accepted without effect while
     /// acquiring.
     Start,
-    /// Switch the emitters off and sample no more. Accepted without effect while idle.
+    /// Stop acquisition and switch the emitters off. Accepted without effect while idle.
     Stop,
     /// Replace the configuration; while acquiring, from the next frame on.
     Configure(Configuration),
@@ -39,22 +39,22 @@ pub enum Command {
         /// Returned in the pong.
         token: u32,
     },
-    /// Show which board this is by its indicator light.
+    /// Blink the indicator light to identify the board.
     Identify {
-        /// For how many seconds; 0 ends it.
+        /// Duration in seconds; 0 ends it.
         seconds: u8,
     },
-    /// Keep the configuration in force and these hashes, also without supply; the board
-    /// starts with them from then on. Answered when they are safe.
+    /// Store the configuration in force and these hashes in flash memory; the board
+    /// starts with them from then on. Answered when they are stored.
     Store(Hashes),
-    /// Forget what was stored; the board starts with its defaults from then on.
+    /// Erase the stored data; the board starts with its defaults from then on.
     Forget,
-    /// Stop, go dark, and start anew, once the reply has been sent.
+    /// Stop, switch the emitters off, and reset, once the reply has been sent.
     Reboot(BootTarget),
 }
 
-/// What a board belongs to. The board compares them with nothing; a host that is about
-/// to read its words by another scene or calibration does.
+/// Hashes of the scene and calibration that a board belongs to. The board only stores
+/// them; the host compares them with the scene and calibration it uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Hashes {
     /// Hash of the scene; `None` without one.
@@ -63,34 +63,35 @@ pub struct Hashes {
     pub calibration: Option<u64>,
 }
 
-/// What a board starts after a [`Reboot`](Command::Reboot).
+/// The program that a board starts after a [`Reboot`](Command::Reboot).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BootTarget {
     /// The firmware.
     Firmware,
-    /// The controller's own boot loader, to be given new firmware.
+    /// The boot loader of the MCU, to receive new firmware.
     BootLoader,
 }
 
-/// What a board acquires by.
+/// The configuration of an acquisition.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Configuration {
-    /// When what is lit and sampled.
+    /// The times at which emitters are lit and cells sampled.
     pub schedule: Schedule,
-    /// Level of each emitter, one a cell.
+    /// Level of each emitter, one per cell.
     pub levels: Levels,
-    /// Whether the board keeps to them.
+    /// Whether the board adjusts the levels.
     pub exposure: Exposure,
 }
 
-/// Who sets the levels of the emitters.
+/// Control of the emitters' levels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum Exposure {
-    /// The host: levels stay as configured.
+    /// The levels stay as configured.
     #[default]
     Fixed,
-    /// The board: from the levels configured it lowers an emitter that saturates its
-    /// detector and raises one whose light is faint. Batches carry the levels in force.
+    /// Starting from the configured levels, the board lowers an emitter that saturates
+    /// its detector and raises one whose light is faint. Batches carry the levels in
+    /// force.
     Automatic,
 }
 

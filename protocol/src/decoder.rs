@@ -1,12 +1,12 @@
-//! Bytes in, values out.
+//! Decodes values from bytes.
 //!
-//! The decoder does no input of its own: it is handed whatever bytes have arrived, cut
-//! anywhere, and gives one result for each delimiter that ends a frame. After damage
-//! of any kind it is back in step at the next delimiter.
+//! The decoder does no I/O: it receives bytes, cut anywhere, and returns one result for
+//! each delimiter that ends a frame. After any damage it resynchronises at the next
+//! delimiter.
 
 use crate::frame::{DELIMITER, FrameError, Packet, PayloadError, open};
 
-/// Decoder for one direction of a link; `N` is the longest packet it takes, delimiter
+/// Decoder for one direction of a link; `N` is the length of the longest packet, delimiter
 /// included: [`MAX_MESSAGE_BYTES`](crate::MAX_MESSAGE_BYTES) on a host,
 /// [`MAX_REQUEST_BYTES`](crate::MAX_REQUEST_BYTES) on a board.
 ///
@@ -25,7 +25,7 @@ use crate::frame::{DELIMITER, FrameError, Packet, PayloadError, open};
 #[derive(Debug, Clone)]
 pub struct Decoder<const N: usize> {
     frame: [u8; N],
-    /// Bytes since the last delimiter. Those beyond `N - 1` are counted, not kept.
+    /// Number of bytes since the last delimiter. Bytes beyond `N - 1` are only counted.
     bytes: u64,
     counters: DecoderCounters,
 }
@@ -40,14 +40,14 @@ impl<const N: usize> Decoder<N> {
     /// Longest frame, that is, packet without its delimiter.
     const LIMIT: usize = N - 1;
 
-    /// A decoder that has seen nothing.
+    /// A decoder without input.
     pub const fn new() -> Self {
         Self { frame: [0; N], bytes: 0, counters: DecoderCounters::new() }
     }
 
-    /// Takes bytes from the front of `input` up to the end of the next frame and gives
-    /// what the frame held; `None` once all input is taken and no frame has ended.
-    /// Call it until it gives `None`.
+    /// Consumes bytes from the front of `input` up to the end of the next frame and
+    /// returns the frame's value; `None` if all input is consumed and no frame has
+    /// ended. To be called until it returns `None`.
     ///
     /// # Errors
     /// If the frame is damaged or unknown. The decoder has counted it and is ready for
@@ -63,23 +63,23 @@ impl<const N: usize> Decoder<N> {
         Some(result)
     }
 
-    /// Forgets the frame under way, as when a link is opened anew; its bytes count as
+    /// Drops the incomplete frame, for a link that is reopened; its bytes count as
     /// skipped.
     pub fn reset(&mut self) {
         self.counters.bytes_skipped += core::mem::take(&mut self.bytes);
     }
 
-    /// What has come in so far.
+    /// The counters so far.
     pub fn counters(&self) -> DecoderCounters {
         self.counters
     }
 
-    /// Bytes of the frame under way, which has not ended yet.
+    /// Number of bytes of the incomplete frame.
     pub fn pending_bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Moves input into `frame` and gives the number of bytes of a frame that ended.
+    /// Moves input into `frame`; returns the number of bytes of a frame that ended.
     fn fill(&mut self, input: &mut &[u8]) -> Option<u64> {
         loop {
             let end = input.iter().position(|&byte| byte == DELIMITER);
@@ -102,18 +102,18 @@ impl<const N: usize> Decoder<N> {
     }
 }
 
-/// What a [`Decoder`] has seen. Every frame is counted in exactly one of the frame
-/// counters, and every byte belongs to a packet, to `bytes_skipped`, to the frame under
-/// way ([`Decoder::pending_bytes`]) or is a delimiter on its own.
+/// Counters of a [`Decoder`]. Every frame is counted in exactly one of the frame
+/// counters, and every byte belongs to a packet, to `bytes_skipped`, to the incomplete
+/// frame ([`Decoder::pending_bytes`]) or is a single delimiter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DecoderCounters {
-    /// Bytes taken in.
+    /// Bytes received.
     pub bytes: u64,
-    /// Bytes of frames that gave no value, their delimiters included.
+    /// Bytes of frames without a value, delimiters included.
     pub bytes_skipped: u64,
-    /// Frames that gave a value.
+    /// Frames with a value.
     pub packets: u64,
-    /// Frames with more bytes than any packet has.
+    /// Frames longer than the longest packet.
     pub overlong: u64,
     /// Frames with broken stuffing or without payload.
     pub misframed: u64,
@@ -139,8 +139,8 @@ impl DecoderCounters {
         }
     }
 
-    /// Frames that were damaged on their way. Unknown and malformed ones arrived as
-    /// they were sent and are not among them.
+    /// Frames damaged on the link. Unknown and malformed ones arrived as sent and do not
+    /// count.
     pub fn damaged(&self) -> u64 {
         self.overlong + self.misframed + self.bad_checksum
     }

@@ -8,43 +8,43 @@ use thiserror::Error;
 
 use crate::ProtocolVersion;
 
-/// Marks the end of a packet; occurs nowhere else.
+/// The byte that ends a packet; occurs nowhere else.
 pub const DELIMITER: u8 = 0;
 
-/// No packet from a board is longer, delimiter included. 20 scans of six cells with a
-/// dark slot fit, or 7 of sixteen cells.
+/// Length of the longest packet from a board, delimiter included. It holds 20 scans of
+/// six cells with a dark slot, or 7 of sixteen cells.
 pub const MAX_MESSAGE_BYTES: usize = 1024;
 
-/// No packet from a host is longer, delimiter included: the largest, a
+/// Length of the longest packet from a host, delimiter included. The largest, a
 /// [`Configure`](crate::Command::Configure) of 16 cells in 17 slots, takes 140.
 pub const MAX_REQUEST_BYTES: usize = 160;
 
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 const CRC_BYTES: usize = size_of::<u32>();
 
-/// A value that may stand in a packet: a [`Message`](crate::Message) or a
+/// The value of a packet: a [`Message`](crate::Message) or a
 /// [`Request`](crate::Request).
 pub trait Packet<'p>: Serialize + Sized {
-    /// Reads the value from a payload whose checksum has been found right.
+    /// Reads the value from a payload with a correct checksum.
     ///
     /// # Errors
-    /// If the payload is no such value, or has bytes left over.
+    /// If the payload is not such a value, or has extra bytes.
     fn from_payload(payload: &'p [u8]) -> Result<Self, PayloadError>;
 }
 
-/// Bytes of the longest run that a code byte of the stuffing stands for.
+/// Length of the longest run of one code byte of the stuffing.
 const RUN_BYTES: usize = 254;
 
 /// Writes `value` as a packet to the start of `out` and returns the packet, delimiter
-/// included. Works within `out`: value and checksum go to a place a little behind the
-/// start, and move forward as they are stuffed.
+/// included. Works in place: value and checksum are written a little after the start,
+/// and move forward as they are stuffed.
 ///
 /// # Errors
-/// If `out` is too small; what it holds then means nothing.
+/// If `out` is too small; its contents are then undefined.
 pub fn encode<'o, 'p>(value: &impl Packet<'p>, out: &'o mut [u8]) -> Result<&'o [u8], EncodeError> {
     let available = out.len();
     let too_small = EncodeError { available };
-    // Stuffing puts one byte in front, and one behind each full run.
+    // Stuffing adds one byte at the start, and one after each full run.
     let start = 1 + available / RUN_BYTES;
     let place = out.get_mut(start..).ok_or(too_small)?;
     let length = postcard::to_slice(value, place).map_err(|_| too_small)?.len();
@@ -61,9 +61,9 @@ fn close(out: &mut [u8], start: usize, length: usize) -> Option<&[u8]> {
     Some(&out[..=stuffed])
 }
 
-/// Stuffs the bytes from `start` to `end` and moves them to the start of `bytes`; returns
-/// how many they are then. `start` is so large that no byte is overwritten before it has
-/// been moved.
+/// Stuffs the bytes from `start` to `end`, moves them to the start of `bytes`, and returns
+/// their number. `start` is large enough that no byte is overwritten before it has been
+/// moved.
 fn stuff(bytes: &mut [u8], start: usize, end: usize) -> usize {
     let (mut from, mut to) = (start, 0);
     loop {
@@ -74,7 +74,7 @@ fn stuff(bytes: &mut [u8], start: usize, end: usize) -> usize {
         bytes[to] = run as u8 + 1;
         bytes.copy_within(from..from + run, to + 1);
         to += run + 1;
-        // A full run stands for itself; behind any other a zero is left out.
+        // A full run is sent as it is; after any other run a zero is omitted.
         from += if run == RUN_BYTES { run } else { run + 1 };
         if is_last {
             return to;
@@ -105,15 +105,15 @@ pub struct EncodeError {
     pub available: usize,
 }
 
-/// Why a frame gave no value.
+/// Why a frame has no value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum FrameError {
-    /// More bytes than any packet has stood between two delimiters.
+    /// There are more bytes between two delimiters than in the longest packet.
     #[error("{bytes} bytes without a delimiter, no packet has more than {limit}")]
     Overlong {
         /// Bytes between the delimiters.
         bytes: u64,
-        /// Bytes the decoder takes.
+        /// Most bytes that the decoder accepts.
         limit: usize,
     },
     /// The stuffing points past the end of the frame.
@@ -122,21 +122,21 @@ pub enum FrameError {
         /// Bytes of the frame, still stuffed.
         bytes: usize,
     },
-    /// There is no room for a checksum and one byte of payload.
+    /// The frame is too short for a checksum and one byte of payload.
     #[error("a frame of {bytes} bytes holds no payload")]
     Short {
         /// Bytes of the frame, unstuffed.
         bytes: usize,
     },
-    /// The payload is not what was sent.
+    /// The checksum is wrong: the payload was damaged.
     #[error("checksum {received:#010x} received, {computed:#010x} computed")]
     Checksum {
-        /// Checksum of the payload that arrived.
+        /// Checksum of the received payload.
         computed: u32,
-        /// Checksum that came with it.
+        /// Received checksum.
         received: u32,
     },
-    /// The payload arrived as it was sent, but cannot be read.
+    /// The payload is undamaged but cannot be read.
     #[error(transparent)]
     Payload(#[from] PayloadError),
 }
@@ -144,13 +144,13 @@ pub enum FrameError {
 /// Why an undamaged payload cannot be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum PayloadError {
-    /// The payload ends before it says what it is.
+    /// The payload ends before its kind.
     #[error("a payload of {bytes} bytes does not say what it is")]
     NoKind {
         /// Bytes of the payload.
         bytes: usize,
     },
-    /// A message this version does not know; nothing is wrong with the link.
+    /// A message unknown to this version; the link is fine.
     #[error("message kind {kind} is unknown: the board is newer than this program")]
     UnknownMessage {
         /// Number of the variant.
@@ -170,7 +170,7 @@ pub enum PayloadError {
         /// Version of this crate.
         ours: ProtocolVersion,
     },
-    /// A command this version does not know.
+    /// A command unknown to this version.
     #[error("command {number} is of unknown kind {kind}: the host is newer than the board")]
     UnknownCommand {
         /// Number the host gave the command.

@@ -1,8 +1,8 @@
-//! What crosses the wire between a slitpose board and its host.
+//! The wire protocol between a slitpose board and its host.
 //!
-//! The crate has no clock, no input or output, and allocates nothing; it turns values
-//! into bytes and bytes into values. This page describes the bytes well enough to write
-//! a decoder in any language; `tests/golden.rs` pins them.
+//! The crate has no clock, does no I/O and allocates nothing; it encodes values as bytes
+//! and decodes them. This page specifies the bytes for decoders in any language;
+//! `tests/golden.rs` tests them.
 //!
 //! # Framing
 //! The link is a byte stream in each direction (USB serial, UART, pipe or file).
@@ -19,11 +19,11 @@
 //!   run is not part of the data.
 //! * Packets from a board have at most [`MAX_MESSAGE_BYTES`], from a host at most
 //!   [`MAX_REQUEST_BYTES`], 0x00 included.
-//! * 0x00 on its own means nothing and may come at any time. Whoever opens a link sends
-//!   one first, which ends whatever half a packet was left in it.
+//! * A single 0x00 has no meaning and may come at any time. The side that opens a link
+//!   first sends one, which ends any incomplete packet left in it.
 //!
 //! A receiver collects bytes up to 0x00, undoes the stuffing, compares the checksum, and
-//! drops what does not agree; that is all there is to staying in step.
+//! drops packets that do not agree; no other synchronisation is needed.
 //!
 //! # Values
 //! Payloads are [postcard](https://postcard.jamesmunns.com/wire-format) values:
@@ -38,7 +38,7 @@
 //! | `bytes`, `str` | varint count of bytes, then the bytes (`str`: UTF-8) |
 //! | `?T` | 0, or 1 and the value |
 //! | enum | varint number of the variant, then its fields |
-//! | struct | its fields in order, nothing between or around |
+//! | struct | its fields in order, without padding |
 //!
 //! # Board to host
 //! A payload is one enum; the first byte is its number.
@@ -50,13 +50,13 @@
 //! 4 software, 5 watchdog, 6 panic) · `?u64` scene hash · `?u64` calibration hash ·
 //! scaling (`f64` zero code, `f64` amperes per code, `u8` bits, `u16` saturation code:
 //! [`AdcScaling`]) · `u16` configuration · schedule.
-//! It comes when the link is opened, when it is asked for, and whenever the schedule has
-//! changed, ahead of the batches taken by the new one.
+//! It is sent when the link is opened, on request, and whenever the schedule has changed,
+//! before the batches of the new schedule.
 //!
 //! *schedule*: `u32` ticks per second · `u32` frame ticks · `list u16` slots (bit k:
 //! emitter k is lit; 0: dark; at most 17) · `u32` slot ticks · `u32` settling ticks ·
-//! `u32` conversion ticks · `u16` oversampling · `u8` cells. What the numbers mean for
-//! time stands at [`Schedule`].
+//! `u32` conversion ticks · `u16` oversampling · `u8` cells. [`Schedule`] explains their
+//! timing.
 //!
 //! **1 Batch**: `u16` configuration · `u64` sequence and `u64` tick of the first scan ·
 //! `list u16` emitter levels (0x8000: nominal; one a cell) · `bytes` samples. Samples are
@@ -90,13 +90,13 @@
 //! seconds · **6 Store**: `?u64` scene hash, `?u64` calibration hash · **7 Forget** ·
 //! **8 Reboot**: enum target (0 firmware, 1 boot loader).
 //!
-//! Every command whose number can be read gets one Reply, after everything else it
-//! yields; a command of unknown kind gets rejection 0 (unsupported).
+//! Every command with a readable number gets one Reply, after all other messages it
+//! causes; a command of unknown kind gets rejection 0 (unsupported).
 //!
 //! # Schemas
-//! Every kind as `name:fields`, first the messages, then the commands, each from number 0 on: what the
-//! keys of a Hello are hashes of ([`schema`]). Lines that are indented continue the one before, with
-//! nothing between. Variants of an enum, `a|b`, are numbered from 0.
+//! Every kind as `name:fields`, first the messages, then the commands, each from number 0 on. The keys of a
+//! Hello are hashes of these texts ([`schema`]). Indented lines continue the line before without a
+//! separator. Variants of an enum, `a|b`, are numbered from 0.
 //!
 //! ```text
 //! Hello:protocol{major u8,minor u8},message_keys bytes,command_keys bytes,device_id [u8;12],kind(Physical|
@@ -175,14 +175,14 @@
 //! # Versions, and what is not promised
 //! Promised for ever: the framing, and that message 0 starts with the version. Within a
 //! major version kinds are only added at the end, and the fields of a kind never change;
-//! bytes left over behind the fields make a payload malformed. A receiver skips kinds it
-//! does not know.
+//! extra bytes after the fields make a payload malformed. A receiver skips kinds it does
+//! not know.
 //!
-//! Not promised: that a varint or a stuffed run takes its shortest form (receivers take
-//! any) · the number of scans in a batch, or that it is constant · when Status comes ·
+//! Not promised: that a varint or a stuffed run has its shortest form (receivers accept
+//! any) · the number of scans in a batch, or that it is constant · the times of Status ·
 //! the texts of Event, and the names of board and firmware · that sequence or tick start
-//! at 0 when a host connects · that nothing is lost: sequence numbers show what is · that
-//! tick rates of two boards agree to better than their crystals.
+//! at 0 when a host connects · that nothing is lost (gaps in the sequence show losses) ·
+//! that tick rates of two boards agree better than their crystals.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -219,11 +219,10 @@ pub const PROTOCOL: ProtocolVersion = ProtocolVersion { major: 2, minor: 0 };
 /// Version of the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProtocolVersion {
-    /// Raised when anything that exists changes: two majors do not understand each
-    /// other.
+    /// Incremented when an existing part changes: two majors are incompatible.
     pub major: u8,
-    /// Raised when a message or command is added: two minors of a major understand
-    /// what both know.
+    /// Incremented when a message or command is added: two minors of one major share all
+    /// kinds known to both.
     pub minor: u8,
 }
 

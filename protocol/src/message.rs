@@ -1,7 +1,7 @@
-//! Device to host: everything a board says.
+//! Device to host: the messages of a board.
 //!
 //! The order of the variants is their number on the wire; a new one goes to the end.
-//! Text and samples are borrowed from the decoder, so decoding copies nothing twice.
+//! Text and samples are borrowed from the decoder.
 
 use postcard::take_from_bytes;
 use serde::{Deserialize, Serialize};
@@ -16,18 +16,18 @@ use crate::schedule_error::ScheduleError;
 use crate::schema::{self, SchemaKeys, SchemaMismatch};
 use crate::{PROTOCOL, ProtocolVersion};
 
-/// Anything a board sends.
+/// A message of a board.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Message<'a> {
-    /// Who the board is and how it samples.
+    /// The board's identity and how it samples.
     #[serde(borrow)]
     Hello(Hello<'a>),
     /// Consecutive scans.
     #[serde(borrow)]
     Batch(Batch<'a>),
-    /// Counters and health, twice a second.
+    /// Counters and health, twice per second.
     Status(Status),
-    /// Something happened that no command asked for.
+    /// An event on the board.
     #[serde(borrow)]
     Event(Event<'a>),
     /// The end of a command.
@@ -45,8 +45,8 @@ impl<'p> Packet<'p> for Message<'p> {
         if kind as usize >= schema::MESSAGES.len() {
             return Err(PayloadError::UnknownMessage { kind });
         }
-        // Said before the fields are read: another major version lays them out
-        // differently, and "wrong version" helps where "malformed" does not.
+        // Checked before the fields are read: another major version has another layout,
+        // and "wrong version" is more helpful than "malformed".
         if let (schema::HELLO_KIND, &[major, minor, ..]) = (kind, fields)
             && major != PROTOCOL.major
         {
@@ -59,12 +59,12 @@ impl<'p> Packet<'p> for Message<'p> {
     }
 }
 
-/// Who the board is and how it samples: sent when a link is opened, when asked for, and
-/// after every accepted [`Configure`](crate::Command::Configure) ahead of the first batch
-/// it applies to, so that a recording can be read on its own.
+/// The board's identity and how it samples. Sent when a link is opened, on request, and
+/// after every accepted [`Configure`](crate::Command::Configure), before the first batch
+/// it applies to, so that a recording is self-contained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Hello<'a> {
-    /// Version of this protocol the board speaks.
+    /// The board's version of this protocol.
     pub protocol: ProtocolVersion,
     /// Schema key of each message kind the board knows.
     #[serde(borrow)]
@@ -80,21 +80,21 @@ pub struct Hello<'a> {
     pub board: &'a str,
     /// Version of the firmware, for people.
     pub firmware: &'a str,
-    /// Why the board last started.
+    /// Cause of the last reset.
     pub reset_cause: ResetCause,
-    /// What is stored on the board of the scene and calibration it belongs to.
+    /// Stored hashes of the scene and calibration that the board belongs to.
     pub hashes: Hashes,
-    /// What a word is worth in amperes.
+    /// Conversion of words to amperes.
     pub scaling: AdcScaling,
-    /// Number of the configuration in force, counted up (and round) by the board at
-    /// every accepted Configure; batches carry it.
+    /// Number of the configuration in force, incremented by the board, with wrap-around,
+    /// at every accepted Configure; batches carry it.
     pub configuration: u16,
     /// The schedule of that configuration.
     pub schedule: Schedule,
 }
 
 impl Hello<'_> {
-    /// Checks that every message and command known to both sides is laid out alike.
+    /// Checks that every message and command known to both sides has the same layout.
     ///
     /// # Errors
     /// The first kind whose schema keys differ.
@@ -104,32 +104,31 @@ impl Hello<'_> {
     }
 }
 
-/// Where the photocurrents of a board come from.
+/// Origin of a board's photocurrents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BoardKind {
-    /// From detectors with light on them.
+    /// Measured on detectors.
     Physical,
-    /// From a model.
+    /// Computed by a model.
     Simulated,
 }
 
-/// Why a board started.
+/// Cause of a board's last reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ResetCause {
-    /// The board cannot tell.
+    /// Unknown to the board.
     Unknown,
-    /// The supply came up.
+    /// The supply was switched on.
     PowerOn,
-    /// The supply sagged.
+    /// The supply voltage dropped.
     BrownOut,
     /// The reset pin.
     Pin,
-    /// The firmware asked for it.
+    /// A request of the firmware.
     Software,
     /// The watchdog was not fed.
     Watchdog,
-    /// The firmware met a state that it takes for impossible, or touched memory that is
-    /// not there.
+    /// A panic of the firmware, or an access to invalid memory.
     Panic,
 }
 
@@ -141,56 +140,56 @@ pub struct Status {
     pub tick: u64,
     /// Whether the board is acquiring; if not, its emitters are off.
     pub acquiring: bool,
-    /// Scans taken: the sequence number the next scan would have at the earliest.
+    /// Scans taken: the least possible sequence number of the next scan.
     pub scans_taken: u64,
-    /// Scans dropped because the link did not take them in time or nobody listened.
+    /// Scans dropped because the link was too slow or not open.
     pub scans_dropped: u64,
-    /// Batches those scans were in.
+    /// Batches of those scans.
     pub batches_dropped: u32,
-    /// Scans that never left the converters: overwritten before they were collected, or
-    /// cut off when the configuration changed.
+    /// Scans lost in acquisition: overwritten before they were collected, or cut off
+    /// when the configuration changed.
     pub scans_lost: u64,
-    /// Times the converters or their memory reported an overrun.
+    /// Overruns of the converters or their DMA.
     pub adc_overruns: u32,
     /// Replies, events and hellos dropped because the host sent commands without
     /// reading the answers.
     pub replies_dropped: u32,
-    /// Frames from the host that carried no readable command number.
+    /// Frames from the host without a readable command number.
     pub commands_damaged: u32,
     /// Commands answered with a rejection.
     pub commands_rejected: u32,
     /// Supply voltage in volts.
     pub supply_v: f32,
-    /// Temperature of the controller in kelvin.
+    /// Temperature of the MCU in kelvin.
     pub temperature_k: f32,
-    /// Share of processor time in use, in thousandths.
+    /// CPU load in thousandths.
     pub cpu_load_permille: u16,
 }
 
-/// Something happened that no command asked for.
+/// An event on the board that is not the answer to a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event<'a> {
-    /// Device tick at which it happened.
+    /// Device tick of the event.
     pub tick: u64,
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
-    /// What happened, for people; programs rely on counters and replies.
+    /// Description for people; programs rely on counters and replies.
     pub text: &'a str,
 }
 
-/// How bad an [`Event`] is.
+/// Severity of an [`Event`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Severity {
-    /// Worth knowing.
+    /// Information.
     Info,
     /// Data may be missing.
     Warning,
-    /// The board cannot do its job until someone acts.
+    /// The board cannot measure until the user acts.
     Error,
 }
 
-/// The end of a command: sent once for every command whose number could be read, after
-/// everything else the command yields.
+/// The end of a command: sent once for every command with a readable number, after all
+/// other messages that the command causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
     /// Number of the command, as the host gave it.
@@ -199,8 +198,8 @@ pub struct Reply {
     pub outcome: Result<(), Rejection>,
 }
 
-/// Why a command was not carried out. The board is as it was before, unless the variant
-/// says otherwise.
+/// Why a command was not carried out. The state of the board is unchanged, unless the
+/// variant says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
 pub enum Rejection {
     /// The firmware does not know the command.
@@ -243,30 +242,30 @@ pub enum Rejection {
     /// An earlier Store or Forget has not finished.
     #[error("settings are being stored: wait for the reply")]
     Storing,
-    /// What was to be stored could not be read back. What was stored before is still
-    /// there, unless the Forget failed half-way.
+    /// The stored data could not be read back. The data stored before remain, unless a
+    /// Forget failed half-way.
     #[error("settings could not be stored: the board's flash memory does not take them")]
     Storage,
 }
 
-/// What part of a board failed, or cannot do what was asked.
+/// The part of a board that failed, or that cannot run a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
 pub enum HardwareFault {
     /// The timers cannot make the durations of the schedule.
     #[error("the timers cannot make this schedule: change its durations")]
     Timing,
-    /// The converters need another time for a conversion.
+    /// The converters cannot run with this conversion time.
     #[error("a conversion cannot take {asked_ticks} ticks: the nearest possible is {nearest_ticks}")]
     Conversion {
-        /// Ticks of a conversion asked for.
+        /// Requested ticks of a conversion.
         asked_ticks: u32,
-        /// What comes nearest among the times the converters can take.
+        /// Nearest possible ticks of a conversion.
         nearest_ticks: u32,
     },
     /// The first conversion comes too early to be prepared.
     #[error("settling of {asked_ticks} ticks is too short to start a conversion in: at least {least_ticks}")]
     Settling {
-        /// Ticks of settling asked for.
+        /// Requested ticks of settling.
         asked_ticks: u32,
         /// Least possible with this conversion time.
         least_ticks: u32,
@@ -274,18 +273,18 @@ pub enum HardwareFault {
     /// The converters cannot sum this many conversions.
     #[error("the converters cannot sum {oversampling} conversions: use a power of two")]
     Oversampling {
-        /// Conversions asked for.
+        /// Requested number of conversions.
         oversampling: u16,
     },
     /// The board has fewer channels than the schedule has cells.
     #[error("{cells} cells asked for, the board has {channels}")]
     Channels {
-        /// Cells asked for.
+        /// Requested number of cells.
         cells: u8,
-        /// Cells the board can sample.
+        /// Number of cells that the board can sample.
         channels: u8,
     },
-    /// The emitters cannot be driven at the levels asked for.
+    /// The emitters cannot be driven at the requested levels.
     #[error("the emitters cannot be driven as asked: lower the levels")]
     Emitters,
     /// Two emitters that are lit together share one source of their level.
@@ -296,7 +295,7 @@ pub enum HardwareFault {
         /// The second.
         second: u8,
     },
-    /// The supply is too low to measure by.
+    /// The supply voltage is too low for measurement.
     #[error("the supply is too low: check the cable and the power source")]
     Supply,
     /// The converters or their data path did not start or stop.
@@ -316,8 +315,7 @@ pub struct Pong {
     pub tick: u64,
 }
 
-/// The pose a simulator had at the reference instant of a scan. Sent by simulators
-/// only, never by a board with light in it.
+/// The true pose at the reference instant of a scan. Sent by simulated boards only.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// Sequence number of the scan.

@@ -1,5 +1,4 @@
-//! One scan: what the converters read in one frame, before any number has a unit of
-//! current.
+//! One scan: the converters' codes of one frame, before conversion to currents.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -27,18 +26,18 @@ impl Level {
 pub type Levels = Vec<Level, MAX_CELLS>;
 
 /// Two words of one cell: the sums of its I_X1 and of its I_X2 conversions, in ADC
-/// codes. [`AdcScaling`] says what a code is worth.
+/// codes. [`AdcScaling`] converts them to amperes.
 pub type WordPair = [u16; 2];
 
-/// The words of one frame, with the count and the tick that belong to them.
+/// The words of one frame, with its sequence number and tick.
 ///
-/// All arrays have room for [`MAX_CELLS`] cells and the value lives where it is put:
-/// 184 bytes, no heap. Whoever fills one starts from [`RawScan::new`] and writes
-/// through the `_mut` accessors, which show exactly the cells there are.
+/// All arrays have room for [`MAX_CELLS`] cells: 184 bytes, no heap. To fill one, start
+/// from [`RawScan::new`] and write through the `_mut` accessors, which return exactly the
+/// existing cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RawScan {
-    /// Number of this scan: every scan the board has taken since its reset counts,
-    /// whether or not it reached the wire; the first is 0.
+    /// Number of this scan among all scans that the board has taken since its reset, sent
+    /// or not; the first is 0.
     pub sequence: u64,
     /// Device tick at which the frame started.
     pub tick: u64,
@@ -52,8 +51,8 @@ pub struct RawScan {
 const _: () = assert!(size_of::<RawScan>() == 184);
 
 impl RawScan {
-    /// A scan of zeros for `cells` cells (more than [`MAX_CELLS`] are cut to that),
-    /// with or without dark words.
+    /// A scan of zeros for `cells` cells, [`MAX_CELLS`] at most, with or without dark
+    /// words.
     pub fn new(cells: usize, has_dark: bool) -> Self {
         Self {
             sequence: 0,
@@ -71,7 +70,7 @@ impl RawScan {
         usize::from(self.cells)
     }
 
-    /// Level each emitter was driven at.
+    /// Drive level of each emitter.
     pub fn levels(&self) -> &[Level] {
         &self.levels[..self.cells()]
     }
@@ -110,30 +109,30 @@ impl RawScan {
     }
 }
 
-/// What a word is worth: a word w of `oversampling` conversions is the current
+/// Conversion of words to currents: a word w of `oversampling` conversions is the current
 /// (w / oversampling − `zero_code`) · `amperes_per_code`.
 ///
-/// The scale is signed because a detector's anodes source current and a single-supply
-/// stage then swings down from a code near the top.
+/// The scale is signed because a detector's anodes source current, for which a
+/// single-supply stage swings down from a code near the top.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AdcScaling {
-    /// Code of one conversion at zero current; it need not be a whole number.
+    /// Code of one conversion at zero current; it need not be an integer.
     pub zero_code: f64,
-    /// Amperes for one code of one conversion; negative when the code falls as the
-    /// current rises.
+    /// Amperes per code of one conversion; negative if the code falls as the current
+    /// rises.
     pub amperes_per_code: f64,
     /// Bits of one conversion.
     pub bits: u8,
-    /// The last code that can be trusted in the direction of rising current: from it
-    /// on, towards more current, the stage or the converter saturates.
+    /// The code at which, in the direction of rising current, the stage or the converter
+    /// begins to saturate.
     pub saturation_code: u16,
 }
 
 impl AdcScaling {
-    /// Checks that words can be turned into currents.
+    /// Checks that words can be converted to currents.
     ///
     /// # Errors
-    /// The first disagreement found, with its numbers.
+    /// The first contradiction found, with its numbers.
     pub fn validate(&self) -> Result<(), ScalingError> {
         // The widest conversion whose largest allowed sum still fits a word.
         const MAX_BITS: u8 = (u16::MAX / MAX_OVERSAMPLING).ilog2() as u8 + 1;
@@ -153,8 +152,8 @@ impl AdcScaling {
         Ok(())
     }
 
-    /// The current at the end of the converter's range, in amperes: the most that could be
-    /// measured if the stage in front of it followed that far.
+    /// The current at the end of the converter's range, in amperes: the greatest that could
+    /// be measured if the stage in front of it reached that far.
     pub fn full_scale_a(&self) -> f64 {
         let end = if self.amperes_per_code < 0.0 { 0.0 } else { f64::from((1_u32 << self.bits.min(16)) - 1) };
         (end - self.zero_code) * self.amperes_per_code

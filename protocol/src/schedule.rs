@@ -1,6 +1,6 @@
-//! The time model: which emitter is lit when, and when each word is sampled.
+//! The time model: when each emitter is lit, and when each word is sampled.
 //!
-//! A frame starts at a device tick and is cut into equal slots. In each slot a set
+//! A frame starts at a device tick and is divided into equal slots. In each slot a set
 //! of emitters is lit (or none: the dark slot), the front end settles, and then the
 //! ADC pair samples every cell in rank order, `oversampling` conversions for each.
 //! Cell k has rank k and emitter k; I_X1 is converted by ADC1 and I_X2 by ADC2 at
@@ -10,11 +10,11 @@
 //! frame tick + s·slot_ticks + settling_ticks + (r·oversampling + j)·conversion_ticks
 //! ```
 //!
-//! A word is the sum of its conversions, so it belongs to their mean instant, which
-//! replaces j by (oversampling − 1)/2.
+//! A word is the sum of its conversions; its instant is their mean, with
+//! j = (oversampling − 1)/2.
 //!
-//! Board, simulator and solver all take their instants from here; none computes its
-//! own. Ticks are periods of the board's timer clock, `tick_hz` of them a second.
+//! Board, simulator and solver all compute their instants by this module. Ticks are
+//! periods of the board's timer clock, `tick_hz` of them per second.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -72,9 +72,9 @@ impl EmitterSet {
 
 /// One frame of lighting and sampling, repeated without pause.
 ///
-/// A schedule that came over the wire may be nonsense until [`validate`](Self::validate)
-/// has accepted it; the other methods never panic, but only a valid schedule gives
-/// them their meaning.
+/// A schedule received over the wire may be invalid until [`validate`](Self::validate)
+/// has accepted it. The other methods never panic, but their results are meaningless for
+/// an invalid schedule.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Schedule {
     /// Device ticks per second.
@@ -96,10 +96,10 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Checks that the schedule can be run and that every cell gets its light.
+    /// Checks that the schedule can be run and lights the emitter of every cell.
     ///
     /// # Errors
-    /// The first disagreement found, with its numbers.
+    /// The first contradiction found, with its numbers.
     pub fn validate(&self) -> Result<(), ScheduleError> {
         self.check_numbers()?;
         self.check_lighting()?;
@@ -214,9 +214,9 @@ impl Schedule {
     }
 
     /// Ticks from the frame start to the reference instant of a scan: the mean of the
-    /// lit instants of all cells. A pose solved from the scan, and a
-    /// [`Truth`](crate::Truth) sent for it, belong to this instant; being the centre of
-    /// the exposures it is where a constant velocity disturbs a pose least.
+    /// lit instants of all cells. It is the instant of the pose solved from the scan, and
+    /// of its [`Truth`](crate::Truth). A constant velocity disturbs the pose least at
+    /// this centre of the exposures.
     ///
     /// 0 for a schedule that lights nothing.
     pub fn reference_ticks(&self) -> f64 {
@@ -226,8 +226,8 @@ impl Schedule {
         if lit == 0 { 0.0 } else { sum / f64::from(lit) }
     }
 
-    /// Ticks from the frame start to the last conversion of a scan: whoever has the scan has it
-    /// after that. 0 for a schedule that lights nothing.
+    /// Ticks from the frame start to the last conversion of a scan, its earliest possible
+    /// arrival. 0 for a schedule that lights nothing.
     pub fn last_sample_ticks(&self) -> u64 {
         let spread = u64::from(self.oversampling.saturating_sub(1)) * u64::from(self.conversion_ticks);
         (0..usize::from(self.cells))
@@ -237,8 +237,8 @@ impl Schedule {
             .map_or(0, |first| first + spread)
     }
 
-    /// Words one scan puts on the wire: two currents of each cell, lit, and as many
-    /// again if there is a dark slot.
+    /// Words of one scan on the wire: two lit words per cell, and two dark ones if there
+    /// is a dark slot.
     pub fn words_per_scan(&self) -> usize {
         let lit = 2 * usize::from(self.cells);
         if self.dark_slot().is_some() { 2 * lit } else { lit }

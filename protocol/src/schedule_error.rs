@@ -1,4 +1,4 @@
-//! What can be wrong with a schedule, as a board reports it to its host.
+//! Errors of a schedule, as a board reports them to its host.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -23,13 +23,13 @@ pub enum ScheduleError {
     /// The number of cells is not in 1 to [`MAX_CELLS`](crate::MAX_CELLS).
     #[error("{cells} cells: give 1 to 16")]
     CellCount {
-        /// Cells asked for.
+        /// Requested number of cells.
         cells: u8,
     },
     /// The number of conversions in a word is not in 1 to [`MAX_OVERSAMPLING`](crate::MAX_OVERSAMPLING).
     #[error("oversampling {oversampling}: give 1 to 16, the sum must fit a 16-bit word")]
     Oversampling {
-        /// Conversions asked for.
+        /// Requested number of conversions.
         oversampling: u16,
     },
     /// A quantity that divides or advances time is zero.

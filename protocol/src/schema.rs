@@ -1,8 +1,8 @@
-//! The protocol as a table: each kind of message and command, what its fields are, and
-//! a key that changes when they do.
+//! The protocol as a table: each kind of message and command, its fields, and a key that
+//! changes with them.
 //!
-//! A board sends its keys in [`Hello`](crate::Hello), so that two programs built from
-//! different sources notice before one misreads the other. A key is the 64-bit FNV-1a
+//! A board sends its keys in [`Hello`](crate::Hello), so that programs built from
+//! different sources detect a mismatch before they misread data. A key is the 64-bit FNV-1a
 //! hash of `name:fields` in ASCII. In `fields` types are written as they are encoded:
 //! `u8` and `f64` fixed, other integers varints, `[T;n]` exactly n, `[T;..n]` a count
 //! and up to n, `bytes` and `str` a count and as many bytes, `a|b` an enum numbered
@@ -136,8 +136,8 @@ const fn key_bytes<const N: usize>(table: &[Schema]) -> [u8; N] {
     out
 }
 
-/// Keys of all kinds a peer knows, in the order of its table: 8 bytes each, little
-/// endian. A newer peer has more of them.
+/// Keys of all kinds known to a peer, in the order of its table: 8 bytes each, little
+/// endian. A newer peer has more keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SchemaKeys<'a>(pub &'a [u8]);
 
@@ -154,10 +154,10 @@ impl SchemaKeys<'static> {
 }
 
 impl SchemaKeys<'_> {
-    /// Compares the peer's keys with our table, as far as both reach.
+    /// Compares the peer's keys with the table `ours`, for the kinds known to both.
     ///
     /// # Errors
-    /// The first kind that is laid out differently.
+    /// The first kind with another layout.
     pub fn check(self, ours: &[Schema]) -> Result<(), SchemaMismatch> {
         let (theirs, _) = self.0.as_chunks::<KEY_BYTES>();
         for (schema, &bytes) in ours.iter().zip(theirs) {
@@ -170,7 +170,7 @@ impl SchemaKeys<'_> {
     }
 }
 
-/// A kind that the two sides lay out differently.
+/// A kind with different layouts on the two sides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error(
     "{name} has schema key {ours:016x} here and {theirs:016x} on the board: \
@@ -181,7 +181,7 @@ pub struct SchemaMismatch {
     pub name: &'static str,
     /// Key in this crate.
     pub ours: u64,
-    /// Key the board sent.
+    /// Key sent by the board.
     pub theirs: u64,
 }
 

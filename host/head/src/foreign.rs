@@ -1,10 +1,10 @@
 //! Text from outside, escaped for a terminal.
 //!
 //! Names and messages of boards, scene files, tables, captures, file names and answers of other
-//! programs may hold anything. On a terminal, control characters of C0 and C1 (ECMA-48) move the
-//! cursor, change its title or answer on the user's behalf; bidirectional controls (Unicode Standard
-//! Annex #9) show a text in another order than it has; invisible characters hide one. Here they come
-//! out as their escapes, such as `\u{1b}`.
+//! programs may contain any character. On a terminal, control characters of C0 and C1 (ECMA-48) move
+//! the cursor, change its title or send input on the user's behalf; bidirectional controls (Unicode
+//! Standard Annex #9) change the displayed order; invisible characters hide text. This module replaces
+//! them by their escapes, such as `\u{1b}`.
 //!
 //! * [`printable`] is for a name, a field or a message inside a sentence: one line, bounded.
 //! * [`printable_lines`] is for a whole text: lines and tabs stay, and so does its length.
@@ -15,7 +15,7 @@ use std::fmt::{self, Write};
 /// The most characters of a foreign text inside a sentence: two lines of a terminal.
 pub const LONGEST: usize = 160;
 
-/// `text` for use inside a sentence; [`LONGEST`] characters of it at most, then how many there are.
+/// `text` for use inside a sentence: at most [`LONGEST`] characters, then their total number.
 pub fn printable(text: &str) -> Printable<'_> {
     Printable { text, longest: LONGEST }
 }
@@ -49,7 +49,7 @@ impl Printable<'_> {
 
 impl fmt::Display for Printable<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Escapes are longer than what they stand for: the bound is on what is shown.
+        // Escapes are longer than their characters: the bound is on the displayed text.
         let mut room = self.longest;
         for character in self.text.chars() {
             let shown = if is_hidden(character) { character.escape_default().count() } else { 1 };
@@ -63,7 +63,7 @@ impl fmt::Display for Printable<'_> {
     }
 }
 
-/// Whether a terminal would act on a character, or not show it.
+/// Whether a terminal would act on a character, or not display it.
 fn is_hidden(character: char) -> bool {
     character.is_control()
         || matches!(character,

@@ -10,10 +10,10 @@
 //! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads.
 //!
-//! Inside, everything is SI. Millimetres and degrees appear in scene files, with the unit in the name.
+//! Internally all units are SI. Millimetres and degrees appear in scene files, with the unit in the name.
 //!
 //! # Example
-//! What a board would measure in front of a shipped head, tool at home:
+//! The currents measured by a simulated board with a shipped head, tool at home:
 //! ```
 //! use slitpose_head::{front_end::Stage, scene_file::WIDE};
 //! use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};

@@ -1,19 +1,19 @@
-//! CDR as ROS 2 writes it: four bytes that name the encoding, then values in little-endian order,
+//! CDR as used by ROS 2: four bytes that name the encoding, then values in little-endian order,
 //! each aligned to its size from the end of those four bytes.
 //!
-//! Written here because only five kinds of value are wanted and the bulk is one long `uint8[]`,
-//! which serde, the way of the crates for it, would carry byte by byte.
+//! Written here because only five kinds of value are needed and the bulk is one long `uint8[]`,
+//! which the existing crates, through serde, would copy byte by byte.
 
 /// Plain CDR, little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// Writes one message into a buffer that is used again and again.
+/// Writes one message into a reused buffer.
 pub(super) struct Encoder<'a> {
     bytes: &'a mut Vec<u8>,
 }
 
 impl<'a> Encoder<'a> {
-    /// Begins a message; what was in `bytes` is forgotten.
+    /// Begins a message; clears `bytes`.
     pub(super) fn new(bytes: &'a mut Vec<u8>) -> Self {
         bytes.clear();
         bytes.extend_from_slice(&ENCAPSULATION);
@@ -58,7 +58,7 @@ impl<'a> Encoder<'a> {
         self.bytes.extend_from_slice(value);
     }
 
-    /// Text counts with a zero behind it.
+    /// A text; its length includes a final zero.
     pub(super) fn text(&mut self, value: &str) {
         self.length(value.len() + 1);
         self.bytes.extend_from_slice(value.as_bytes());
@@ -66,7 +66,7 @@ impl<'a> Encoder<'a> {
     }
 }
 
-/// Reads one message; `None` wherever it ends too soon.
+/// Reads one message; all methods return `None` if it ends too soon.
 pub(super) struct Decoder<'a> {
     body: &'a [u8],
     at: usize,
@@ -109,8 +109,8 @@ impl<'a> Decoder<'a> {
         self.take(length)
     }
 
-    /// The number of elements, of `SIZE` bytes each, of a sequence. No more than there is room for,
-    /// so that it can be trusted when memory is set aside.
+    /// The number of elements, of `SIZE` bytes each, of a sequence. Limited by the length of the message, so
+    /// that it is safe for allocation.
     fn length<const SIZE: usize>(&mut self) -> Option<usize> {
         let length = usize::try_from(self.u32()?).ok()?;
         (length.checked_mul(SIZE)? <= self.body.len() - self.at).then_some(length)

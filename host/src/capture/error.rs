@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::link::DeviceId;
 
-/// What went wrong with a capture.
+/// Why a capture cannot be written or read.
 #[derive(Debug, Error)]
 pub(crate) enum CaptureError {
     /// A capture of an earlier run would be lost.
@@ -16,7 +16,7 @@ pub(crate) enum CaptureError {
         /// The file.
         path: PathBuf,
     },
-    /// Another program writes a capture there.
+    /// Another program records to this file.
     #[error("{} is being recorded by another program; give another name, or end that program", path.display())]
     InUse {
         /// The file.
@@ -32,10 +32,10 @@ pub(crate) enum CaptureError {
         /// The file.
         path: PathBuf,
     },
-    /// The file cannot be made.
+    /// The file cannot be created.
     #[error("cannot write to {}; give a file in a folder that exists and may be written", path.display())]
     Create {
-        /// The file asked for.
+        /// The requested file.
         path: PathBuf,
         /// The system's error.
         source: io::Error,
@@ -46,7 +46,7 @@ pub(crate) enum CaptureError {
         /// The pipe.
         path: PathBuf,
     },
-    /// Writing failed on the way.
+    /// Writing failed during the recording.
     #[error(
         "recording to {} has ended: writing failed; its first {kept_bytes} bytes are whole and can be replayed; \
          make room there, then record to another file",
@@ -55,7 +55,7 @@ pub(crate) enum CaptureError {
     Write {
         /// The file.
         path: PathBuf,
-        /// How much of it is whole.
+        /// Number of its bytes that are whole.
         kept_bytes: u64,
         /// The system's error.
         source: io::Error,
@@ -66,7 +66,7 @@ pub(crate) enum CaptureError {
     /// A board without a scene.
     #[error("board {device} is not part of this capture; its scene must be given first")]
     UnknownDevice {
-        /// Which one.
+        /// The board.
         device: DeviceId,
     },
     /// The file cannot be opened.
@@ -77,12 +77,12 @@ pub(crate) enum CaptureError {
         /// The system's error.
         source: io::Error,
     },
-    /// Reading failed on the way.
+    /// Reading failed before the end.
     #[error("reading {} failed after {bytes} bytes; copy it from that medium if you can, and read the copy", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// How much was read.
+        /// Number of bytes read.
         bytes: u64,
         /// The system's error.
         source: io::Error,

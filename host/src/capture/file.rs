@@ -1,8 +1,8 @@
 //! One file of a capture, on any medium.
 //!
-//! Scenes, metadata and hellos are written again and again, so that damage costs the chunk it is in:
-//! metadata ahead of each chunk, the last hello of each board at the beginning of each chunk, scenes
-//! [now and then](SCENE_EVERY), and scenes and metadata at the end of the file.
+//! Scenes, metadata and hellos are repeated, so that damage affects only the chunk it is in: metadata before
+//! each chunk, the last hello of each board at the beginning of each chunk, scenes before every
+//! [`SCENE_EVERY`]th chunk, and scenes and metadata at the end of the file.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -25,11 +25,11 @@ use crate::pipeline::Record;
 /// Level 3 makes captures 4 % shorter and takes twice as long (six cells at 4 kHz).
 const ZSTD_LEVEL: u32 = 1;
 
-/// A chunk that grows beyond this ends before it is flushed: what a damaged byte costs at most. Half
-/// of it would make captures 1.5 % longer.
+/// Most bytes of a chunk, and so the most lost by a damaged byte. Half of it would make captures 1.5 %
+/// longer.
 const CHUNK_BYTES: u64 = 1 << 17;
 
-/// Scenes are written again ahead of each chunk with a number divisible by this: some 10 s apart.
+/// Scenes are repeated before each chunk with a number divisible by this: some 10 s apart.
 const SCENE_EVERY: u64 = 32;
 
 /// Name of the tool's frame.
@@ -47,7 +47,7 @@ pub(super) struct Channels {
     pose_stamped: u16,
     twist: u16,
     report: u16,
-    /// Whether the board was the first of its file: others have their number in the name of their frame.
+    /// Whether the board was the first of its file: the frames of others are named with their number.
     is_first: bool,
 }
 
@@ -88,9 +88,9 @@ impl<M: Medium> CaptureFile<M> {
             .compression(Some(Compression::Zstd))
             .compression_level(ZSTD_LEVEL)
             .compression_threads(0)
-            // Chunks end where copies are due.
+            // Chunks are ended explicitly, where copies are due.
             .chunk_size(None)
-            // Chunks gather in memory, so that each reaches the file whole.
+            // Chunks are collected in memory, so that each reaches the file whole.
             .disable_seeking(true);
         let sink = Sink::new(medium);
         let written_bytes = sink.position();
@@ -114,7 +114,7 @@ impl<M: Medium> CaptureFile<M> {
         })
     }
 
-    /// Writes setup and channels of a board, ahead of its data. `hello` is its last one; empty: none.
+    /// Writes setup and channels of a board, before its data. `hello`: its last hello packet, empty if none.
     pub(super) fn add_device(&mut self, setup: &Setup, hello: &[u8], log_ns: u64) -> Result<Channels, McapError> {
         let source = &setup.scene.source;
         let attachment = setup.attachment(|name| self.scenes.get(name).is_some_and(|taken| taken != source));
@@ -183,7 +183,7 @@ impl<M: Medium> CaptureFile<M> {
 
     /// Writes a pose and a velocity, if the record has them.
     pub(super) fn pose(&mut self, channels: Channels, record: &Record, log_ns: u64) -> Result<(), McapError> {
-        // Saturates, and a negative time does not exist.
+        // Saturates; times are never negative.
         let device_ns = (record.device_time_s * 1e9) as u64;
         let (stamp_ns, publish_ns) = match record.host_time {
             Some(time) => (time.utc_ns, time.utc_ns),
@@ -223,11 +223,11 @@ impl<M: Medium> CaptureFile<M> {
         self.writer.write_to_known_channel(&header, &self.message)
     }
 
-    /// Ends the chunk, writes what stands between two chunks, and begins the next with the hellos.
+    /// Ends the chunk, writes the copies between two chunks, and begins the next with the hellos.
     fn begin_chunk(&mut self, log_ns: u64) -> Result<(), McapError> {
         self.chunks += 1;
         self.chunk_bytes = 0;
-        // Of all boards, also if that of one was just written: they stand together ahead of each chunk.
+        // Copies for all boards, even for one just written: they stand together before each chunk.
         self.write_copies(self.chunks.is_multiple_of(SCENE_EVERY), log_ns)?;
         let (mut hello, mut message) = (Segment::default(), Vec::new());
         for board in self.boards.values().filter(|board| !board.hello.is_empty()) {
@@ -242,7 +242,7 @@ impl<M: Medium> CaptureFile<M> {
         Ok(())
     }
 
-    /// Writes the metadata of all boards again, and their scenes if asked to.
+    /// Repeats the metadata of all boards, and their scenes if `with_scenes`.
     fn write_copies(&mut self, with_scenes: bool, log_ns: u64) -> Result<(), McapError> {
         let Self { writer, scenes, boards, .. } = self;
         if with_scenes {
@@ -269,21 +269,21 @@ impl<M: Medium> CaptureFile<M> {
         self.written_bytes.load(Ordering::Relaxed) + self.chunk_bytes
     }
 
-    /// Bytes of links that came behind the last flush.
+    /// Bytes of links written after the last flush.
     pub(super) fn unflushed_link_bytes(&self) -> u64 {
         self.unflushed_link_bytes
     }
 
     /// Ends the file.
     pub(super) fn finish(&mut self) -> Result<(), McapError> {
-        // The records are safe before the summary is tried.
+        // The records are safe before the summary is written.
         self.flush()?;
         self.write_copies(true, self.log_ns)?;
         self.writer.finish()?;
         Ok(())
     }
 
-    /// After a failure: cuts the file back to the last flush, and gives its length and the medium.
+    /// After a failure: cuts the file back to the last flush; returns its length and the medium.
     pub(super) fn cut_back(self) -> (u64, M) {
         self.writer.into_inner().cut_back()
     }
@@ -320,7 +320,7 @@ fn ros_channel<M: Medium>(
     about: &[(&str, &str)],
 ) -> Result<u16, McapError> {
     let schema = writer.add_schema(of.name, "ros2msg", of.definition.as_bytes())?;
-    // The profile asks for the quality of service, which nothing but a ROS publisher has.
+    // The ROS profile requires the quality of service, which only ROS publishers have.
     let about = about.iter().chain([&("offered_qos_profiles", "")]);
     let metadata = about.map(|(key, value)| ((*key).to_owned(), (*value).to_owned())).collect();
     writer.add_channel(schema, topic, "cdr", &metadata)

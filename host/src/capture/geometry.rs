@@ -1,4 +1,4 @@
-//! Poses and velocities as ROS 2 has them.
+//! Poses and velocities as ROS 2 messages.
 
 use glam::DVec3;
 use slitpose_model::{Estimate, Pose, TwistEstimate};
@@ -62,8 +62,8 @@ fn vector(encoder: &mut Encoder<'_>, vector: DVec3) {
     }
 }
 
-/// Row-major; ROS 2 has the same order and the same meaning as the solver: rotations about the fixed
-/// axes of the frame.
+/// A row-major covariance, in the solver's order and meaning, which are those of ROS 2: rotations about the
+/// fixed axes of the frame.
 fn covariance(encoder: &mut Encoder<'_>, matrix: &[[f64; 6]; 6]) {
     for value in matrix.as_flattened() {
         encoder.f64(*value);

@@ -1,4 +1,4 @@
-//! The meaning of records: which board a channel or a scene belongs to.
+//! The interpretation of records: the board to which a channel or a scene belongs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,13 +11,13 @@ use super::setup::{METADATA, Setup, SetupError};
 use crate::link::{DeviceId, Segment};
 use slitpose_head::scene_file::fnv1a_64;
 
-/// A scene is some kilobytes of text. Longer attachments are not ours.
+/// Longest scene accepted: scenes are some kilobytes of text, longer attachments are foreign.
 const MAX_SCENE_BYTES: usize = 1 << 20;
 
-/// More than one host can follow.
+/// Most boards accepted, more than one host can follow.
 const MAX_BOARDS: usize = 256;
 
-/// Each board may have had several, one after the other.
+/// Most scenes accepted: each board may have had several in turn.
 const MAX_SCENES: usize = 2 * MAX_BOARDS;
 
 /// Channels, scenes and boards, which give records their meaning.
@@ -28,9 +28,9 @@ pub(super) struct Index {
     scenes: BTreeMap<u64, String>,
     /// Boards with their last settings.
     setups: BTreeMap<DeviceId, Setup>,
-    /// Boards whose last hello is known to who reads: copies of it are passed over.
+    /// Boards whose last hello has been read: copies of it are skipped.
     greeted: BTreeSet<DeviceId>,
-    /// Settings may be missing: those ahead are to be looked for.
+    /// Whether settings may be missing, so that later copies must be searched.
     pub(super) misses_settings: bool,
     /// Records that are damaged, so far.
     pub(super) damaged_records: u64,
@@ -48,14 +48,14 @@ enum Channel {
 }
 
 impl Index {
-    /// Counts a damaged record, or bytes that are none. Its content is unknown: hellos count again.
+    /// Counts a damaged record, or bytes that are not a record. As it may have held a hello, hellos count again.
     pub(super) fn count_damage(&mut self, bytes: u64) {
         self.damaged_records += 1;
         self.damaged_bytes += bytes;
         self.greeted.clear();
     }
 
-    /// Interprets a record; gives an entry if it is one.
+    /// Interprets a record; returns its entry, if any.
     pub(super) fn interpret(&mut self, opcode: u8, record: &[u8], segment: &mut Segment) -> Option<Entry> {
         let taken = match opcode {
             op::CHANNEL => self.take_channel(record).map(|()| None),
@@ -70,8 +70,8 @@ impl Index {
         taken.flatten()
     }
 
-    /// Takes a scene or the settings of a board that stand further on in the file. `Some` if the settings
-    /// of a board are known then, with an entry if they are new.
+    /// Reads a scene or the settings of a board from further on in the file. `Some` if the settings of a
+    /// board are then known, with an entry if they are new.
     pub(super) fn take_ahead(&mut self, opcode: u8, record: &[u8]) -> Option<Option<Entry>> {
         match opcode {
             op::ATTACHMENT => self.take_attachment(record).and(None),
@@ -117,7 +117,7 @@ impl Index {
                 self.misses_settings = true;
                 None
             }
-            // The scene was damaged and is counted; there may be another copy.
+            // The scene was damaged and has been counted; there may be another copy.
             Err(SetupError::Scene { .. }) => {
                 self.misses_settings = true;
                 Some(None)
@@ -129,14 +129,14 @@ impl Index {
         }
     }
 
-    /// Takes the settings of a board; gives an entry if they are new.
+    /// Reads the settings of a board; returns an entry if they are new.
     fn settle(&mut self, entries: &BTreeMap<String, String>) -> Result<Option<Entry>, SetupError> {
         let (setup, channels) = Setup::from_metadata(entries, &self.scenes)?;
         let device = setup.device;
         if self.setups.len() >= MAX_BOARDS && !self.setups.contains_key(&device) {
             return Err(SetupError::TooMany { limit: MAX_BOARDS });
         }
-        // Should the chunk with the channels be damaged; a file that was edited may number otherwise.
+        // In case the chunk with the channels is damaged. An edited file may have other numbers.
         self.channels.entry(channels.link).or_insert(Channel::Link(device));
         self.channels.entry(channels.hello).or_insert(Channel::Hello(device));
         if self.setups.get(&device) == Some(&setup) {
@@ -156,7 +156,7 @@ impl Index {
                 self.greeted.insert(*device);
                 Entry::Link { device: Some(*device), log_ns }
             }
-            // Each chunk has one; it says something new at the beginning, and behind damage.
+            // Each chunk has a hello; it is news only at the beginning and after damage.
             Some(Channel::Hello(device)) if self.greeted.insert(*device) => Entry::Hello { device: *device, log_ns },
             Some(Channel::Hello(_) | Channel::Other) | None => return Some(None),
         };
@@ -165,7 +165,7 @@ impl Index {
     }
 }
 
-/// The entries of a metadata record, if it is one of ours.
+/// The entries of a metadata record, if it has settings of a board.
 fn metadata(record: &[u8]) -> Option<BTreeMap<String, String>> {
     match mcap::parse_record(op::METADATA, record) {
         Ok(Record::Metadata(metadata)) if metadata.name == METADATA => Some(metadata.metadata),

@@ -4,7 +4,7 @@ use super::cdr::{Decoder, Encoder};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Read, Segment};
 
-/// The clock of a read that has no time: no host runs for 584 years.
+/// Time of a read without time: a clock reaches it after 584 years.
 const NO_TIME: u64 = u64::MAX;
 
 /// Writes `segment` into `bytes`, which is cleared first.
@@ -24,7 +24,7 @@ pub(super) fn encode(segment: &Segment, bytes: &mut Vec<u8>) {
     instants(&mut encoder, segment.asked.iter().map(|asked| Some(asked.at)));
 }
 
-/// UTC goes as its distance from the monotonic clock: nearly constant, so that it compresses to nothing.
+/// UTC is stored as its difference from the monotonic clock, which is nearly constant and compresses well.
 fn instants(encoder: &mut Encoder<'_>, all: impl ExactSizeIterator<Item = Option<HostInstant>> + Clone) {
     encoder.length(all.len());
     for at in all.clone() {
@@ -36,7 +36,7 @@ fn instants(encoder: &mut Encoder<'_>, all: impl ExactSizeIterator<Item = Option
     }
 }
 
-/// Reads a message into `segment`; `None` if it is none, and then `segment` is empty.
+/// Reads a message into `segment`; `None` if `bytes` are not a message, and `segment` is then empty.
 pub(super) fn decode(bytes: &[u8], segment: &mut Segment) -> Option<()> {
     segment.clear();
     let decoded = fill(bytes, segment);

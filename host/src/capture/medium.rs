@@ -1,26 +1,26 @@
-//! The file under a capture, and how many of its bytes are safe.
+//! The file under a capture, and the number of its bytes that are on the disk.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Bytes that gather before they are handed on, unless they are flushed first.
+/// Size of the buffer.
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// Something a capture can be written to.
+/// A medium to which a capture can be written.
 pub(super) trait Medium: Write {
-    /// Waits until all that was written would survive a power cut.
+    /// Waits until all written bytes would survive a power cut.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Forgets all behind the first `length` bytes; nothing is written afterwards.
+    /// Drops all bytes after the first `length`; nothing is written afterwards.
     fn truncate(&mut self, length: u64) -> io::Result<()>;
 }
 
 impl Medium for File {
     fn sync(&mut self) -> io::Result<()> {
         match self.sync_data() {
-            // A pipe or a device has nothing to wait for.
+            // A pipe or a device has nothing to sync.
             Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
             synced => synced,
         }
@@ -46,15 +46,15 @@ impl<M: Medium> Sink<M> {
         Self { medium, buffer: Vec::with_capacity(BUFFER_BYTES), position: Arc::default(), safe: 0 }
     }
 
-    /// How many bytes were written; the writer of captures does not count them.
+    /// The number of bytes written, which the MCAP writer does not report.
     pub(super) fn position(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.position)
     }
 
-    /// After a failure: takes back, if it can, what came behind the last flush, and gives the length
-    /// that is safe and the medium.
+    /// After a failure: drops, if possible, the bytes after the last flush; returns the safe length and
+    /// the medium.
     pub(super) fn cut_back(mut self) -> (u64, M) {
-        // What cannot be cut off is a record without an end, which readers pass over.
+        // Otherwise a record without an end remains, which readers skip.
         let _ = self.medium.truncate(self.safe);
         (self.safe, self.medium)
     }
@@ -88,7 +88,7 @@ impl<M: Medium> Write for Sink<M> {
     }
 }
 
-/// Tells where it is and goes nowhere else: the writer of captures only asks.
+/// Only reports its position: the MCAP writer does not seek.
 impl<M: Medium> Seek for Sink<M> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         match to {

@@ -1,17 +1,17 @@
 //! Captures: the bytes of boards with their instants, in files that describe themselves.
 //!
 //! A capture is an MCAP file (<https://mcap.dev/spec>) with the bytes of every link, scene and
-//! settings of every board, some poses, and reports; CAPTURES.md describes it for others who read or
-//! write such files. [`CaptureSeries`] writes, [`CaptureReader`] reads; neither looks at a clock for
-//! what it writes down.
+//! settings of every board, some poses, and reports; CAPTURES.md describes it for other programs that
+//! read or write such files. [`CaptureSeries`] writes, [`CaptureReader`] reads; the times they record
+//! are arguments.
 //!
-//! Promises, and how they are kept:
-//! * *All that was flushed can be read*, wherever the file is cut: each chunk reaches the file whole,
-//!   and a record says how long it is.
-//! * *Damage costs the chunk it is in*: settings, scenes and hellos are written again and again, and
-//!   behind bytes that are no record the next one is looked for.
+//! Guarantees:
+//! * *All flushed data can be read*, wherever the file is cut: each chunk reaches the file whole,
+//!   and each record begins with its length.
+//! * *Damage affects only the chunk it is in*: settings, scenes and hellos are repeated, and after bytes
+//!   that are not a record the reader searches for the next one.
 //! * *Each file stands alone*: it begins with scenes, settings and the last hello of each board, and
-//!   a packet is never split between two, since one that has not ended is held back.
+//!   a packet is never split between two files, because incomplete packets are held back.
 //! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
 
 mod cdr;
@@ -41,7 +41,7 @@ pub(crate) use reader::{CaptureReader, End};
 pub(crate) use series::{CaptureSeries, Limits};
 pub(crate) use setup::{Settings, Setup, SetupError};
 
-/// What a capture says of the program that writes it.
+/// Information in a capture about the program that writes it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct About {
     /// JSON schema of all reports.

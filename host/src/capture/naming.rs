@@ -1,4 +1,4 @@
-//! Where the files of a capture stand.
+//! The names of the files of a capture.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -21,7 +21,7 @@ pub(crate) enum Existing {
 /// Stands for standard output.
 const STANDARD_OUTPUT: &str = "-";
 
-/// Makes a file under a name that survives a power cut, too.
+/// Creates a file whose name, too, survives a power cut.
 pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
     if path.is_dir() {
         return Err(io::ErrorKind::IsADirectory.into());
@@ -29,7 +29,7 @@ pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
     if path == Path::new(STANDARD_OUTPUT) {
         return io::stdout().as_fd().try_clone_to_owned().map(File::from);
     }
-    // Something that is no regular file, such as a device or a named pipe, is written as it is.
+    // A special file, such as a device or a named pipe, is opened as it is.
     if special_file::is_special(path) {
         return special_file::open(path);
     }
@@ -41,9 +41,9 @@ pub(super) fn create(path: &Path, existing: Existing) -> io::Result<File> {
     Ok(file)
 }
 
-/// Lets the names in the folder of `path` survive a power cut.
+/// Syncs the folder of `path`, so that the names in it survive a power cut.
 pub(super) fn sync_folder(path: &Path) {
-    // Some file systems cannot; the file itself is there.
+    // Some file systems cannot; the file itself is synced.
     let _ = File::open(folder_of(path)).and_then(|folder| folder.sync_all());
 }
 
@@ -59,7 +59,7 @@ pub(super) fn numbered(path: &Path, number: u64) -> PathBuf {
     path.with_file_name(format!("{stem}-{number:04}.{extension}"))
 }
 
-/// The number behind those that are there.
+/// The number after the existing ones.
 pub(super) fn next_number(path: &Path) -> io::Result<u64> {
     let (stem, extension) = parts(path);
     let mut last = 0;

@@ -1,4 +1,4 @@
-//! The byte stream of one board on its way into a capture: whole packets at a time.
+//! Divides the byte stream of one board into messages of whole packets.
 
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message};
 
@@ -7,17 +7,17 @@ use crate::link::{Read, Segment};
 /// Most bytes in a message.
 const MAX_LINK_BYTES: usize = 1 << 20;
 
-/// A hello's payload begins with a zero, which stuffing turns into this.
+/// First byte of a hello: its payload begins with a zero, which byte stuffing encodes as this.
 const FIRST_BYTE_OF_HELLO: u8 = 1;
 
-/// Holds back a packet that has not ended, so that a capture can be split between any two messages.
+/// Holds back an incomplete packet, so that a capture can be split between any two messages.
 #[derive(Debug, Default)]
 pub(super) struct Packets {
     pending: Segment,
 }
 
 impl Packets {
-    /// Whether `segment` must wait until what is held back has been [taken as it is](Self::take_rest).
+    /// Whether the bytes held back must be [taken incomplete](Self::take_rest) before `segment` is pushed.
     pub(super) fn must_end_before(&self, segment: &Segment) -> bool {
         segment.opened && !self.pending.is_empty()
     }
@@ -27,13 +27,13 @@ impl Packets {
         self.pending.append(segment);
     }
 
-    /// Moves the next whole packets to `message`. `false` if there are none, nor anything else to say.
+    /// Moves the next whole packets to `message`. `false` if there are neither packets nor pings.
     pub(super) fn next(&mut self, message: &mut Segment) -> bool {
         let bytes = &self.pending.bytes;
         let within = &bytes[..bytes.len().min(MAX_LINK_BYTES)];
         let length = match within.iter().rposition(|&byte| byte == DELIMITER) {
             Some(last) => last + 1,
-            // Not a packet any more.
+            // Too long for a packet.
             None if bytes.len() >= MAX_MESSAGE_BYTES => within.len(),
             None => 0,
         };
@@ -44,15 +44,15 @@ impl Packets {
         true
     }
 
-    /// Moves all that is held back to `message`; `false` if that is nothing.
+    /// Moves all bytes held back to `message`; `false` if there are none.
     pub(super) fn take_rest(&mut self, message: &mut Segment) -> bool {
         let is_something = !self.pending.is_empty();
         self.split(self.pending.bytes.len(), message);
         is_something
     }
 
-    /// Moves the first `length` bytes, and all that has no bytes. A read that is cut has its time in
-    /// both parts.
+    /// Moves the first `length` bytes, and everything without bytes. Both parts of a split read have its
+    /// time.
     fn split(&mut self, length: usize, message: &mut Segment) {
         message.clear();
         let Segment { opened, bytes, reads, asked } = &mut self.pending;

@@ -1,5 +1,5 @@
-//! The place of a file while it is recorded: locked against other programs; a file to be replaced stays until the new
-//! one has content; the loss of the file is noticed.
+//! The place of a file during recording. It is locked against other programs, a file to be replaced is kept until the
+//! new one has content, and a loss of the file is detected.
 
 use std::fs::{self, File};
 use std::io;
@@ -17,17 +17,17 @@ use slitpose_head::replacement::part_of;
 #[derive(Debug)]
 pub(super) struct Place {
     path: PathBuf,
-    /// The file under this name takes the place once it [holds something](Self::settle); dropped, it is removed.
+    /// Temporary name of the file until it has content and is [moved](Self::settle) to its place; removed when dropped.
     pending: Option<TempPath>,
-    /// Keeps other programs from recording there; `None` if it is no regular file, or cannot be locked.
+    /// Prevents other programs from recording there; `None` if the file is not regular, or cannot be locked.
     lock: Option<Flock<File>>,
 }
 
 impl Place {
-    /// Makes a file for `path`.
+    /// Creates a file for `path`.
     ///
     /// # Errors
-    /// Those of the system; [`io::ErrorKind::WouldBlock`] if another program records there.
+    /// Errors of the system; [`io::ErrorKind::WouldBlock`] if another program records there.
     pub(super) fn create(path: &Path, existing: Existing) -> io::Result<(File, Self)> {
         let replaces = existing == Existing::Replaced && fs::metadata(path).is_ok_and(|found| found.is_file());
         let (file, path, pending) = if replaces {
@@ -43,7 +43,7 @@ impl Place {
         Ok((file, Self { path, pending, lock }))
     }
 
-    /// Puts the file into its place, in that of the one it replaces. To be called when it holds something.
+    /// Moves the file to its place, over the one it replaces. To be called once it has content.
     ///
     /// # Errors
     /// As for [`create`](Self::create).
@@ -68,7 +68,7 @@ impl Place {
     }
 }
 
-/// Locks a file for this program alone, until that is dropped; `None` where files cannot be locked.
+/// Locks a file exclusively until the lock is dropped; `None` where files cannot be locked.
 fn lock(file: File) -> io::Result<Option<Flock<File>>> {
     match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
         Ok(lock) => Ok(Some(lock)),
@@ -89,7 +89,7 @@ mod tests {
         let path = folder.path().join("d.mcap");
         let names = || fs::read_dir(folder.path()).unwrap().count();
         fs::write(&path, "precious").unwrap();
-        // Nothing comes: the old file is as it was, and nothing else is left.
+        // Without content the old file stays as it was, and no other file is left.
         let (file, place) = Place::create(&path, Existing::Replaced).unwrap();
         assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names()), ("precious", 2));
         drop((file, place));
@@ -114,7 +114,7 @@ mod tests {
         let elsewhere = folder.path().join("elsewhere");
         fs::rename(&path, &elsewhere).unwrap();
         assert!(!place.is_lost());
-        // Two that have begun to replace one: the second finds the first in the place.
+        // Two programs that replace one file: the second finds the first in its place.
         fs::write(&path, "older").unwrap();
         let [(_, mut one), (_, mut other)] = [0, 1].map(|_| Place::create(&path, Existing::Replaced).unwrap());
         other.settle().unwrap();

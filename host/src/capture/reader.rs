@@ -17,7 +17,7 @@ use crate::link::{self, DeviceId, Segment};
 /// Bytes of a plain byte stream in a segment: some 20 ms of a board at 4 kHz.
 const RAW_BYTES: usize = 4096;
 
-/// Bytes among which a capture whose beginning is damaged shows itself: a scene and the metadata behind it.
+/// Bytes in which a capture with a damaged beginning is recognised: a scene and the metadata after it.
 const BEGIN_BYTES: u64 = 1 << 16;
 
 /// How a capture ended.
@@ -28,21 +28,20 @@ pub(crate) struct End {
     pub finished: bool,
     /// Bytes of the file up to the end of its last whole record.
     pub whole_bytes: u64,
-    /// Bytes of the file that could not be read: damaged records, and all behind the last whole one.
+    /// Bytes of the file that could not be read: damaged records, and all bytes after the last whole one.
     pub lost_bytes: u64,
-    /// Places that are damaged: chunks, other records, and bytes that are no record any more; each chunk
-    /// held up to a second.
+    /// Number of damaged places: chunks of up to a second, other records, and bytes that are not a record.
     pub damaged_records: u64,
-    /// The checksum over all records does not agree.
+    /// Whether the checksum over all records is wrong.
     pub checksum_failed: bool,
-    /// The index behind the records is damaged.
+    /// Whether the index after the records is damaged.
     pub index_damaged: bool,
-    /// The first settings of a board that cannot be used, though they are what was written.
+    /// The first settings of a board that are undamaged but cannot be used.
     pub refused: Option<SetupError>,
 }
 
 impl End {
-    /// Whether something is or may be missing.
+    /// Whether data are or may be missing.
     pub(crate) fn has_loss(&self) -> bool {
         !self.finished || self.is_damaged() || self.refused.is_some()
     }
@@ -58,9 +57,9 @@ pub(crate) struct CaptureReader<R = File> {
     path: PathBuf,
     input: Input<R>,
     from_ns: u64,
-    /// Hellos of the time that is skipped.
+    /// Last hellos from the skipped time, to be returned before each board's data.
     owed: BTreeMap<DeviceId, Vec<u8>>,
-    /// What comes behind a hello that was owed.
+    /// The entry to return after such a hello.
     held: Option<(Entry, Segment)>,
     end: End,
 }
@@ -77,7 +76,7 @@ struct McapInput<R> {
     index: Index,
     /// Settings from further on.
     ahead: VecDeque<Entry>,
-    /// Nothing of that kind stands further on.
+    /// Whether no settings follow.
     is_last: bool,
     is_over: bool,
 }
@@ -117,22 +116,21 @@ impl<R: Read + Seek> CaptureReader<R> {
         Ok(Self { path: path.to_owned(), input, from_ns: 0, owed: BTreeMap::new(), held: None, end: End::default() })
     }
 
-    /// Passes over what links delivered before `log_ns`; setups come all the same, and where a board
-    /// goes on, its last hello from before comes first. A plain byte stream has no times and comes
-    /// as a whole.
+    /// Skips the data of links before `log_ns`. Setups are still returned, and the data of each board begin
+    /// with its last hello from before. A plain byte stream has no times and is read as a whole.
     #[must_use]
     pub(crate) fn starting_at(mut self, log_ns: u64) -> Self {
         self.from_ns = log_ns;
         self
     }
 
-    /// The next entry, its bytes in `segment`, whose memory is used again. `None` at
-    /// the [end](Self::end).
+    /// The next entry, with its bytes in `segment`, whose memory is reused. `None` at the
+    /// [end](Self::end).
     ///
-    /// Damage is no error: it is passed over and counted.
+    /// Damage is no error: it is skipped and counted.
     ///
     /// # Errors
-    /// Those of the disk.
+    /// Errors of the disk.
     pub(crate) fn next(&mut self, segment: &mut Segment) -> Result<Option<Entry>, CaptureError> {
         if let Some((entry, mut held)) = self.held.take() {
             std::mem::swap(segment, &mut held);
@@ -156,12 +154,12 @@ impl<R: Read + Seek> CaptureReader<R> {
         }
     }
 
-    /// How the capture ended; so far, if it has not.
+    /// How the capture ended, or its state so far.
     pub(crate) fn end(&self) -> End {
         self.end.clone()
     }
 
-    /// The entry that is to come now, if `entry` is not passed over.
+    /// The entry to return now, if `entry` is not skipped.
     fn admit(&mut self, entry: Entry, segment: &mut Segment) -> Option<Entry> {
         match entry {
             Entry::Hello { device, log_ns } if log_ns < self.from_ns => {
@@ -175,7 +173,7 @@ impl<R: Read + Seek> CaptureReader<R> {
                 None
             }
             Entry::Link { device: Some(device), log_ns } => {
-                // UTC may be put back later: what has begun goes on.
+                // UTC may be set back later: nothing after the start is skipped.
                 self.from_ns = 0;
                 let Some(hello) = self.owed.remove(&device) else {
                     return Some(entry);
@@ -251,8 +249,8 @@ impl<R: Read + Seek> McapInput<R> {
         Ok(None)
     }
 
-    /// Behind damage that may have hit settings, and ahead of a chunk: looks for their next copy, which
-    /// stands behind that chunk or further on.
+    /// After damage that may have hit settings, and before a chunk: searches for their next copy, which is
+    /// after that chunk or further on.
     fn look_ahead(&mut self) -> io::Result<()> {
         if !std::mem::take(&mut self.index.misses_settings) || self.is_last {
             return Ok(());

@@ -1,7 +1,7 @@
-//! The records of an MCAP file, from its beginning to its end, also where it is damaged.
+//! The records of an MCAP file, from its beginning to its end, even if it is damaged.
 //!
-//! A record begins with its length, and the next follows. Where the length is impossible, the next record is searched
-//! byte by byte: one that is proven by a checksum, or by lengths that agree.
+//! A record begins with its length, after which the next one begins. Where the length is impossible, the reader
+//! searches byte by byte for the next record that is proven by a checksum, or by consistent lengths.
 
 use std::io::{self, Read, Seek};
 use std::ops::Range;
@@ -12,23 +12,23 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::window::Window;
 
-/// No record of a capture is longer, so that a damaged length cannot ask for more memory than this:
-/// a chunk has some 128 KiB, and other programs that write MCAP stay far below.
+/// Longest record accepted, which limits the memory for a damaged length: a chunk has some 128 KiB, and
+/// other MCAP writers stay far below.
 const MAX_RECORD_BYTES: usize = 64 << 20;
 
 /// Opcode and length ahead of each record.
 const FRAME_BYTES: usize = 1 + 8;
 
-/// Two instants, the length and the checksum of the records stand ahead of a chunk's compression.
+/// Offset of a chunk's compression: two instants, the length and the checksum of the records precede it.
 const COMPRESSION_AT: usize = FRAME_BYTES + 8 + 8 + 8 + 4;
 
-/// The compressions that MCAP knows, with the length ahead of each.
+/// The compressions of MCAP, each with its length before it.
 const COMPRESSIONS: [&[u8]; 3] = [b"\x04\0\0\0zstd", b"\x03\0\0\0lz4", b"\0\0\0\0"];
 
 /// The frame of a chunk with its lengths.
 const CHUNK_BEGIN_BYTES: usize = COMPRESSION_AT + 8 + 8;
 
-/// How far a search goes before what was searched is forgotten.
+/// Bytes searched before they are dropped from memory.
 const SEARCHED_BYTES: usize = 1 << 20;
 
 /// Checksum and magic at the end of a file.
@@ -37,10 +37,10 @@ const END_BYTES: usize = 4 + mcap::MAGIC.len();
 /// Reads records from `input`; chunks are not unpacked.
 pub(super) struct Records<R> {
     window: Window<R>,
-    /// Length of the record that was given last.
+    /// Length of the record returned last.
     given: usize,
     whole_bytes: u64,
-    /// Whether bytes were passed over, so that the checksum over all records says nothing.
+    /// Whether bytes were skipped, so that the checksum over all records is meaningless.
     has_gap: bool,
     is_begun: bool,
 }
@@ -50,16 +50,16 @@ pub(super) struct Records<R> {
 pub(super) enum Next<'a> {
     /// A record, without its frame.
     Record(u8, &'a [u8]),
-    /// So many bytes are no record; one follows.
+    /// This many bytes are not a record; a record follows.
     Damaged(u64),
-    /// The last record of the data; what follows only repeats and indexes.
+    /// The last record of the data; copies and an index follow.
     Finished {
-        /// The records are not those that were written.
+        /// Whether the checksum of the records is wrong.
         checksum_failed: bool,
-        /// The index is not the one that was written.
+        /// Whether the index is damaged.
         index_damaged: bool,
     },
-    /// The file ends without its last record, and so many bytes behind the last whole one.
+    /// The file ends without its last record, this many bytes after the last whole one.
     Cut(u64),
 }
 
@@ -70,9 +70,9 @@ enum Found {
         body: Range<usize>,
         end: usize,
     },
-    /// Nothing here is a record.
+    /// There is no record here.
     None,
-    /// The file ends before it could be one.
+    /// The file ends before a record could end.
     End,
 }
 
@@ -138,7 +138,7 @@ impl<R: Read> Records<R> {
         Ok(Some(Next::Damaged(length as u64)))
     }
 
-    /// Looks for the next record that proves itself.
+    /// Searches for the next proven record.
     fn search(&mut self) -> io::Result<Next<'static>> {
         let (mut passed, mut at) = (0, 1);
         loop {
@@ -162,7 +162,7 @@ impl<R: Read> Records<R> {
         }
     }
 
-    /// The record that stands at `at` behind another one.
+    /// The record at `at`, directly after another one.
     fn record_at(&mut self, at: usize) -> io::Result<Found> {
         let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
         let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
@@ -186,7 +186,7 @@ impl<R: Read> Records<R> {
         }
     }
 
-    /// The record at `at`, if it proves that it is one.
+    /// The record at `at`, if it is proven.
     fn proven_at(&mut self, at: usize) -> io::Result<Found> {
         let bytes = &self.window.fill(at + CHUNK_BEGIN_BYTES)?[at..];
         let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
@@ -194,7 +194,7 @@ impl<R: Read> Records<R> {
         // Compressed data are a chunk, even if the frame is damaged.
         if chunk.is_some() && (!is_uncompressed(bytes) || (opcode == op::CHUNK && chunk == length)) {
             let found = self.checked(at, op::CHUNK, chunk, |_, body| ChunkRecords::is_whole(body))?;
-            // Bytes behind what was compressed would not be noticed.
+            // Bytes after the compressed data would not be detected.
             let is_followed = match &found {
                 Found::Record { end, .. } => self.is_record_or_end(*end)?,
                 Found::None | Found::End => true,
@@ -225,7 +225,7 @@ impl<R: Read> Records<R> {
         Ok(if is_there { Found::Record { opcode, body: begin..end, end } } else { Found::End })
     }
 
-    /// As [`Self::found`], if it is `sound`, too.
+    /// As [`Self::found`], if the record is also `sound`.
     fn checked(
         &mut self,
         at: usize,
@@ -240,7 +240,7 @@ impl<R: Read> Records<R> {
         }
     }
 
-    /// Reads to the end of the file; whether its index is the one that was written.
+    /// Reads to the end of the file; returns whether its index is damaged.
     fn is_index_damaged(&mut self) -> io::Result<bool> {
         self.window.take_checksum();
         loop {
@@ -258,8 +258,8 @@ impl<R: Read> Records<R> {
 }
 
 impl<R: Read + Seek> Records<R> {
-    /// Hands the records behind the one that was given last to `look`, and goes on as if nothing had
-    /// been; `None` if the input cannot go back, as a pipe.
+    /// Passes the records after the one returned last to `look`, then restores the position; `None` if
+    /// the input, such as a pipe, cannot seek.
     pub(super) fn look_ahead<T>(
         &mut self,
         look: impl FnOnce(&mut Records<&mut R>) -> io::Result<T>,
@@ -298,14 +298,14 @@ fn frame(bytes: &[u8]) -> Option<(u8, Option<usize>)> {
     Some((opcode, length))
 }
 
-/// Whether a record that can prove itself may begin with these bytes.
+/// Whether a record that can be proven may begin with these bytes.
 fn may_begin(bytes: &[u8]) -> bool {
     let is_short = bytes.get(5..FRAME_BYTES) == Some(&[0; 4]);
     let opcodes = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END, op::FOOTER];
     (is_short && opcodes.contains(&bytes[0])) || chunk_bytes(bytes).is_some_and(|_| !is_uncompressed(bytes))
 }
 
-/// Length of a chunk by what stands behind its frame.
+/// Length of a chunk, from the fields after its frame.
 fn chunk_bytes(bytes: &[u8]) -> Option<usize> {
     let compression = bytes.get(COMPRESSION_AT..)?;
     let name = COMPRESSIONS.iter().find(|name| compression.starts_with(name))?;
@@ -322,7 +322,7 @@ fn parses(opcode: u8, body: &[u8]) -> bool {
     mcap::parse_record(opcode, body).is_ok()
 }
 
-/// Whether it is a row of pairs of texts behind a name, and nothing else.
+/// Whether `body` is exactly a name and a sequence of pairs of texts.
 fn is_metadata(body: &[u8]) -> bool {
     let pairs = || {
         let (_, rest) = text(body)?;
@@ -346,12 +346,12 @@ pub(super) struct ChunkRecords {
 }
 
 impl ChunkRecords {
-    /// Takes a chunk as it stands behind its frame; `None` if it is damaged.
+    /// The records of `chunk`, which is without its frame; `None` if it is damaged.
     pub(super) fn new(chunk: &[u8]) -> Option<Self> {
         let Ok(Record::Chunk { header, data }) = mcap::parse_record(op::CHUNK, chunk) else {
             return None;
         };
-        // The reader trusts lengths within a chunk that is not compressed.
+        // The reader does not check lengths within an uncompressed chunk.
         if header.compression.is_empty() && !is_framed(&data) {
             return None;
         }
@@ -387,10 +387,10 @@ impl ChunkRecords {
         self.bytes
     }
 
-    /// Hands the next record to `take`, if there is one.
+    /// Passes the next record to `take`, if there is one.
     ///
     /// # Errors
-    /// If the chunk is damaged; unless it has no checksum, that is told ahead of all records.
+    /// If the chunk is damaged: before its first record, unless it has no checksum.
     pub(super) fn next<T>(&mut self, take: impl FnOnce(u8, &[u8]) -> T) -> Result<Option<T>, McapError> {
         loop {
             match self.reader.next_event() {
@@ -404,7 +404,7 @@ impl ChunkRecords {
     }
 }
 
-/// Whether `records` is a row of whole records.
+/// Whether `records` is a sequence of whole records.
 fn is_framed(mut records: &[u8]) -> bool {
     while let Some((frame, rest)) = records.split_first_chunk::<FRAME_BYTES>() {
         let [_, length @ ..] = *frame;

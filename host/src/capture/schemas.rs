@@ -7,7 +7,7 @@ pub(super) struct RosType {
     pub(super) definition: &'static str,
 }
 
-/// What a link delivered: ours, since nobody else has one that keeps the time of each read.
+/// The bytes of a link: a type of this project, as no standard type keeps the time of each read.
 pub(super) const LINK_BYTES: RosType = RosType {
     name: "slitpose_msgs/msg/LinkBytes",
     definition: "\
@@ -101,7 +101,7 @@ uint32 nanosec
 ",
 };
 
-/// The same pose for programs that want no covariance.
+/// The same pose without covariance.
 pub(super) const POSE_STAMPED: RosType = RosType {
     name: "geometry_msgs/msg/PoseStamped",
     definition: "\
@@ -169,7 +169,7 @@ uint32 nanosec
 ",
 };
 
-/// A report: its text is JSON. ROS tools refuse a file in which anything is not in CDR.
+/// A report, as JSON text in CDR: ROS tools refuse files with messages in other encodings.
 pub(super) const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };
 
 /// Name of the attachment with the JSON schema of reports.

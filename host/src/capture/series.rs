@@ -1,4 +1,4 @@
-//! A capture as its recorder sees it: one file, or one after the other.
+//! A capture as one file, or as a series of files.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,15 +17,15 @@ use super::{About, CaptureError, Setup};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 
-/// A flush is promised each second; this leaves time for the next message to come and for the disk.
+/// Interval of flushes. CAPTURES.md promises one per second; the rest is for the next message and the disk.
 const FLUSH_EVERY: Duration = Duration::from_millis(900);
 
 /// When a file ends and the next begins. Without limits there is one file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Limits {
-    /// Before it is longer than this, summary at its end aside.
+    /// Greatest length of a file, without the summary at its end.
     pub max_bytes: Option<u64>,
-    /// When it has been written for so long.
+    /// Greatest duration of a file.
     pub max_age: Option<Duration>,
 }
 
@@ -34,16 +34,16 @@ pub(crate) struct Limits {
 pub(crate) struct Recorded {
     /// Files begun.
     pub files: u64,
-    /// Bytes of links that were to be recorded and were not, because writing failed.
+    /// Bytes of links that were not recorded because writing failed.
     pub dropped_bytes: u64,
 }
 
 /// A capture that is being recorded.
 ///
-/// When writing fails, the call that meets the failure tells it, the file is cut back to its last
-/// flush, and recording [is over](Self::is_recording): all later calls do nothing but count.
+/// If writing fails, that call returns the error, the file is cut back to its last flush, and the
+/// recording [is over](Self::is_recording): all later calls only count.
 ///
-/// In memory it keeps less than 1 kB for each second of the current file, for the index at its end.
+/// It keeps less than 1 kB of memory per second of the current file, for the index at its end.
 pub(crate) struct CaptureSeries {
     about: About,
     limits: Limits,
@@ -64,10 +64,10 @@ struct DeviceStream {
 /// The current file.
 struct Output {
     file: Option<CaptureFile<File>>,
-    /// Where it stands; `None` of one that others have opened.
+    /// Its place; `None` for a file opened by the caller.
     place: Option<Place>,
     path: PathBuf,
-    /// The series goes on with this number; `None`: there is one file.
+    /// Path and number of the next file; `None` for a single file.
     next: Option<(PathBuf, u64)>,
     opened: Instant,
     flushed: Instant,
@@ -77,12 +77,12 @@ struct Output {
 }
 
 impl CaptureSeries {
-    /// Begins a capture. Without limits it is the file `path`. With limits it is a series, with
-    /// numbers from 1 behind the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; it goes on
-    /// behind the numbers that are there already, so that none is ever replaced.
+    /// Begins a capture. Without limits it is the file `path`. With limits it is a series of files
+    /// numbered from 1 after the stem of `path`: `name-0001.mcap`, `name-0002.mcap`, …; the numbers
+    /// continue after existing ones, so that no file is replaced.
     ///
     /// # Errors
-    /// If there is such a file, or it cannot be written.
+    /// If the file exists and must be kept, or cannot be written.
     pub(crate) fn create(path: &Path, limits: Limits, existing: Existing, about: About) -> Result<Self, CaptureError> {
         let next = if limits == Limits::default() {
             None
@@ -109,11 +109,11 @@ impl CaptureSeries {
         Self { about, limits, output, devices: BTreeMap::new(), message: Segment::default() }
     }
 
-    /// Adds a board, ahead of its data. A board added again goes on with the new setup.
-    /// `hello` is its last hello as it came, delimiter included, if that will not come again.
+    /// Adds a board, before its data. A board added again continues with the new setup. `hello`: its
+    /// last hello packet, delimiter included, if that will not come again.
     ///
-    /// `log_ns` is when: UTC, or the time of a stream that does not go at the pace of time, in
-    /// nanoseconds; here as everywhere.
+    /// `log_ns`, in all methods: UTC, or the device time of a stream that does not run in real time,
+    /// nanoseconds.
     ///
     /// # Errors
     /// Those of the disk.
@@ -131,7 +131,7 @@ impl CaptureSeries {
         Ok(())
     }
 
-    /// Records a segment of the link of `device`. Reads without a time of their own get `log_ns`.
+    /// Records a segment of the link of `device`. Reads without a time get `log_ns`.
     ///
     /// # Errors
     /// Those of the disk; if the board was not [added](Self::add_device).
@@ -203,7 +203,7 @@ impl CaptureSeries {
         Ok(Some(stream.channels))
     }
 
-    /// Flushes if it is time to; to be called several times a second while nothing comes.
+    /// Flushes if a flush is due; to be called several times per second while no data come.
     ///
     /// # Errors
     /// Those of the disk.
@@ -215,7 +215,7 @@ impl CaptureSeries {
         self.flush()
     }
 
-    /// Ends the chunk, and waits until all of it would survive a power cut.
+    /// Ends the chunk, and waits until it would survive a power cut.
     ///
     /// # Errors
     /// Those of the disk.
@@ -227,7 +227,7 @@ impl CaptureSeries {
         Ok(())
     }
 
-    /// Times that all recorded until then was made to survive a power cut.
+    /// Number of flushes so far, in all files.
     pub(crate) fn flushes(&self) -> u64 {
         self.output.flushes
     }
@@ -247,7 +247,7 @@ impl CaptureSeries {
         Ok(self.output.recorded)
     }
 
-    /// Whether data are still written: until writing fails.
+    /// Whether data are still written: `false` once writing has failed.
     pub(crate) fn is_recording(&self) -> bool {
         self.output.file.is_some()
     }
@@ -257,7 +257,7 @@ impl CaptureSeries {
         &self.output.path
     }
 
-    /// Length of that file, at most.
+    /// Upper bound of the length of that file.
     pub(crate) fn bytes(&self) -> u64 {
         self.output.file.as_ref().map_or(0, CaptureFile::bytes)
     }
@@ -364,7 +364,7 @@ impl Output {
         Err(CaptureError::Write { path: self.path.clone(), kept_bytes, source: io_error(error) })
     }
 
-    /// Puts the file that holds something now into its place.
+    /// Moves the file, which now has content, to its place.
     fn settle(&mut self) -> Result<(), CaptureError> {
         let path = &self.path;
         match self.place.as_mut().map_or(Ok(()), Place::settle) {

@@ -14,12 +14,12 @@ use slitpose_head::scene_file::{SceneFile, SceneFileError, fnv1a_64};
 /// Name of the metadata records that hold a [`Setup`].
 pub(super) const METADATA: &str = "slitpose.device";
 
-/// How scans were solved while they were recorded: a replay without options does the same.
+/// How scans were solved during the recording, and are solved by a replay without options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Settings {
-    /// Equations.
+    /// The tier of the optics.
     pub tier: Tier,
-    /// How scans are followed.
+    /// Options of the tracker.
     pub following: Following,
 }
 
@@ -28,7 +28,7 @@ pub(crate) struct Settings {
 pub(crate) struct CapturedScene {
     /// The scene's name.
     pub name: String,
-    /// The path or the shipped scene's name it came from.
+    /// Its origin: a path, or the name of a shipped scene.
     pub origin: String,
     /// [`SceneFile::hash`].
     pub hash: u64,
@@ -37,10 +37,10 @@ pub(crate) struct CapturedScene {
 }
 
 impl CapturedScene {
-    /// Reads the text again.
+    /// Parses the text.
     ///
     /// # Errors
-    /// If this version of the program does not know everything in it.
+    /// If this version of the program does not support it.
     pub(crate) fn parse(&self) -> Result<SceneFile, SceneFileError> {
         SceneFile::parse(&self.origin, &self.source)
     }
@@ -49,17 +49,17 @@ impl CapturedScene {
 /// A board in a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Setup {
-    /// Which one.
+    /// The board.
     pub device: DeviceId,
-    /// Its head.
+    /// The board's head.
     pub scene: CapturedScene,
-    /// How it was solved.
+    /// How its scans were solved.
     pub settings: Settings,
     /// Version of the program that recorded.
     pub program: String,
 }
 
-/// Channels that can be told without their records, should those be lost.
+/// Numbers of a board's channels, by which data are found if the records of the channels are lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct LinkChannels {
     pub(super) link: u16,
@@ -78,8 +78,8 @@ impl Setup {
         Self { device, scene, settings, program: env!("CARGO_PKG_VERSION").to_owned() }
     }
 
-    /// Name of the attachment with the scene: that of its file. Two scenes of one name differ in
-    /// their hash; tools make files of it, and not every system takes every name.
+    /// Name of the attachment with the scene: that of its file, with its hash if the name is taken. It is
+    /// valid as a file name on every system.
     pub(super) fn attachment(&self, is_taken: impl Fn(&str) -> bool) -> String {
         let is_plain = |char: char| char.is_alphanumeric() || "-_.".contains(char);
         let origin = Path::new(&self.scene.origin).file_stem().unwrap_or_default().to_string_lossy();
@@ -221,7 +221,7 @@ pub(crate) enum SetupError {
         /// The permitted values.
         expected: &'static str,
     },
-    /// Their scene is not there.
+    /// The scene of the settings is missing.
     #[error("the scene of hash {hash:016x} is missing or damaged")]
     Scene {
         /// [`SceneFile::hash`].
@@ -230,7 +230,7 @@ pub(crate) enum SetupError {
     /// More boards than one host can follow.
     #[error("the capture holds more than {limit} boards; the others are passed over")]
     TooMany {
-        /// How many are read.
+        /// Most boards that are read.
         limit: usize,
     },
 }

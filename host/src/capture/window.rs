@@ -1,4 +1,4 @@
-//! A file as a stretch of bytes that moves from its beginning to its end.
+//! A window of bytes that moves through a file.
 
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -8,13 +8,13 @@ use crc32fast::Hasher;
 /// Bytes read at once.
 const READ_BYTES: usize = 1 << 18;
 
-/// The bytes from some place of a file on, as many as are asked for.
+/// The bytes of a file from an offset on, as many as requested.
 pub(super) struct Window<R> {
     input: R,
     buffer: Vec<u8>,
-    /// Where in `buffer` the window begins.
+    /// Offset of the window in `buffer`.
     start: usize,
-    /// Where in the file that is.
+    /// Offset of the window in the file.
     offset: u64,
     is_at_end: bool,
     hasher: Hasher,
@@ -69,22 +69,22 @@ impl<R: Read> Window<R> {
         self.offset
     }
 
-    /// CRC-32 of all bytes moved over since the window was made, or since this was asked for.
+    /// CRC-32 of all bytes passed since the window was made, or since the last call.
     pub(super) fn take_checksum(&mut self) -> u32 {
         std::mem::take(&mut self.hasher).finalize()
     }
 }
 
 impl<R: Read + Seek> Window<R> {
-    /// Another window from `offset` bytes behind this one on. `None` if the input cannot go back, as a
-    /// pipe. [`Self::come_back`] must be called before this one is used again.
+    /// Another window, `offset` bytes after this one. `None` if the input, such as a pipe, cannot seek.
+    /// [`Self::come_back`] must be called before this window is used again.
     pub(super) fn look_ahead(&mut self, offset: usize) -> Option<Window<&mut R>> {
         let offset = self.offset + offset as u64;
         self.input.seek(SeekFrom::Start(offset)).ok()?;
         Some(Window::new(Vec::new(), &mut self.input, offset))
     }
 
-    /// Goes on where it was before [`Self::look_ahead`].
+    /// Restores the position before [`Self::look_ahead`].
     pub(super) fn come_back(&mut self) -> io::Result<()> {
         let read = self.offset + self.bytes().len() as u64;
         self.input.seek(SeekFrom::Start(read)).map(drop)

@@ -1,52 +1,51 @@
 //! Straight lines between points that bound a clock from above and below.
 //!
-//! Let x be device time, y host time minus device time, both in nanoseconds. An arrival is a point
-//! that the clock's curve y(x) runs below, a question that was answered is one it runs above. Around
-//! x₀, the newest instant, the curve is y₀ + s (x − x₀) but for ½ρ(x − x₀)², where ρ is the most the
-//! rate changes in a second. So each point, moved away by that much, bounds the straight line
-//! (y₀, s), and all of them together leave a convex set of lines: [`Band`]. Bounds that follow from
-//! its corners hold for any delays; the line chosen in it is the one that leaves the least
-//! sum of delays on both sides, which is the likeliest if delays are exponential: Moon, Skelly and
-//! Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999,
-//! with its linear programme solved on both sides at once.
+//! Let x be device time, y host time minus device time, both in nanoseconds. The clock's curve y(x)
+//! runs below each arrival and above each answered ping. Around x₀, the newest instant, the curve
+//! deviates from y₀ + s (x − x₀) by at most ½ρ(x − x₀)², where ρ is the greatest change of the rate per
+//! second. So each point, moved away by that much, bounds the straight line (y₀, s), and all points
+//! together leave a convex set of lines: [`Band`]. Bounds from its corners hold for any delays. The
+//! line chosen in it has the least sum of delays on both sides and is the likeliest for exponential
+//! delays: Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay
+//! measurements", INFOCOM 1999, with its linear programme solved for both sides at once.
 
 use std::collections::VecDeque;
 
-/// Rates that a board may have against the host, either way. Boards may run from their MCU's
-/// own oscillator: HSI16 of the STM32G474 is good to 1 % at 30 °C and to another 1 % from 0 to 85 °C
-/// (DS12288, table of HSI16 characteristics). A crystal uses a hundredth of it.
+/// Greatest rate error of a board relative to the host, either way. Boards may run from their MCU's
+/// internal oscillator: HSI16 of the STM32G474 has 1 % at 30 °C and another 1 % from 0 to 85 °C
+/// (DS12288, table of HSI16 characteristics). A crystal's error is a hundred times smaller.
 pub(super) const MOST_RATE: f64 = 0.025;
 
-/// How fast the rate may change, per second: that oscillator, 2 % in 85 K, while the board warms by
-/// 0.1 K in a second. A crystal wanders a hundred times more slowly.
+/// Greatest change of the rate per second: that of the same oscillator, 2 % in 85 K, on a board that warms
+/// by 0.1 K per second. A crystal drifts a hundred times more slowly.
 const MOST_WANDER_PER_S: f64 = 25e-6;
 
-/// Host time of which one point is kept.
+/// Host time per point kept.
 const BUCKET_NS: u64 = 50_000_000;
 
-/// Points kept. ½ρx² of the oldest is 0.5 ms: older ones say nothing about the delays of USB.
+/// Points kept. ½ρx² of the oldest is 0.5 ms, as large as delays of USB: older ones add nothing.
 const BUCKETS: usize = 128;
 
 /// Device time that the points span.
 pub(super) const WINDOW_NS: i64 = BUCKETS as i64 * BUCKET_NS as i64;
 
-/// Nanoseconds come in whole ones: lines that cross by less do not contradict each other.
+/// Times are whole nanoseconds: lines that cross by less do not contradict each other.
 const ROUNDING_NS: f64 = 1.0;
 
 /// Lines are found to a rate of 5e-2/2²⁴ = 3e-9: 0.02 µs over the window.
 const BISECTIONS: usize = 24;
 
-/// How far the curve may be from a straight line at `dx_ns` from where they touch.
+/// Greatest distance of the curve from a straight line at `dx_ns` from the point where they touch.
 fn bend_ns(dx_ns: f64) -> f64 {
     0.5e-9 * MOST_WANDER_PER_S * dx_ns * dx_ns
 }
 
-/// Which side of the curve points lie on.
+/// The side of the curve on which points lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     /// Above: arrivals.
     Above,
-    /// Below: questions.
+    /// Below: pings.
     Below,
 }
 
@@ -59,7 +58,7 @@ struct Point {
 /// The tightest points of the last seconds on one side of the curve.
 #[derive(Clone, Debug)]
 pub(super) struct Envelope {
-    /// 1 above, −1 below: turns what is below round, so that the least is the tightest.
+    /// 1 above, −1 below: the factor with which the least y is the tightest.
     sign: f64,
     points: VecDeque<Point>,
     bucket: u64,
@@ -75,7 +74,8 @@ impl Envelope {
         self.points.clear();
     }
 
-    /// Adds a point from host time `host_ns`; `rate` is about that of the curve. Gives whether it begins a new bucket.
+    /// Adds a point from host time `host_ns`; `rate` is about that of the curve. Returns whether it begins a new
+    /// bucket.
     pub(super) fn add(&mut self, (x_ns, y_ns): (i64, i64), host_ns: u64, rate: f64) -> bool {
         let point = Point { x_ns, y_ns };
         let bucket = host_ns / BUCKET_NS;
@@ -97,14 +97,14 @@ impl Envelope {
         true
     }
 
-    /// Forgets what lies before `x_ns`.
+    /// Drops all points before `x_ns`.
     pub(super) fn forget_before(&mut self, x_ns: i64) {
         while self.points.front().is_some_and(|point| point.x_ns < x_ns) {
             self.points.pop_front();
         }
     }
 
-    /// Forgets what lies before `x_ns` except the newest point: an old bound is better than none.
+    /// Drops all points before `x_ns` except the newest point: an old bound is better than none.
     pub(super) fn age(&mut self, x_ns: i64) {
         while self.points.len() > 1 && self.points[0].x_ns < x_ns {
             self.points.pop_front();
@@ -124,8 +124,8 @@ impl Envelope {
         Some((point.x_ns, point.y_ns))
     }
 
-    /// Where the lines of a rate end: y at `x0_ns` of the outermost, and how far before `x0_ns` the
-    /// point lies that it touches.
+    /// The outermost line of a rate: its y at `x0_ns`, and the distance from `x0_ns` back to the point that
+    /// it touches.
     fn outermost(&self, rate: f64, x0_ns: i64) -> (f64, f64) {
         let mut tightest = (f64::INFINITY, 0.0);
         for point in &self.points {
@@ -163,14 +163,14 @@ impl Band {
     /// The lines between `above` and `below`, neither of which is empty, seen from `x0_ns`, before
     /// which all points lie. `None` if there are none.
     pub(super) fn between(above: &Envelope, below: &Envelope, x0_ns: i64) -> Option<Self> {
-        // Room between the envelopes for a line of this rate, concave in it, and its derivative.
+        // Gap between the envelopes for lines of this rate, a concave function of the rate, and its derivative.
         let room = |rate| {
             let ((high_ns, high_dx_ns), (low_ns, low_dx_ns)) =
                 (above.outermost(rate, x0_ns), below.outermost(rate, x0_ns));
             (high_ns - low_ns + ROUNDING_NS, high_dx_ns - low_dx_ns)
         };
-        // Newton's method ends in finitely many steps, as the function is made of straight pieces,
-        // and never oversteps the root, as it is concave: stopped early it is on the safe side.
+        // Newton's method ends in finitely many steps because the function is piecewise linear, and never
+        // oversteps the root because the function is concave: an early stop is on the safe side.
         let edge = |outermost: f64| {
             let mut rate = outermost;
             for _ in 0..BUCKETS {
@@ -193,7 +193,7 @@ impl Band {
         for _ in 0..BISECTIONS {
             let middle = 0.5 * (left + right);
             let rise_ns = room(middle).1 - mean_ns;
-            // Few points leave a choice of rates: the least is taken.
+            // With few points several rates are equally likely: the least is taken.
             let is_level = rise_ns.abs() < ROUNDING_NS;
             let lies_right = if is_level { middle < 0.0 } else { rise_ns > 0.0 };
             if lies_right {
@@ -203,14 +203,14 @@ impl Band {
             }
         }
         let rate = 0.5 * (left + right);
-        // Points lie before x₀: seen from there a greater rate reaches higher.
+        // All points lie before x₀, so a greater rate gives a higher y there.
         let (highest_ns, _) = above.outermost(most_rate, x0_ns);
         let (lowest_ns, _) = below.outermost(least_rate, x0_ns);
         let y0_ns = 0.5 * (above.outermost(rate, x0_ns).0 + below.outermost(rate, x0_ns).0);
         Some(Self { x0_ns, lowest_ns, highest_ns, least_rate, most_rate, rate, y0_ns })
     }
 
-    /// Between which y the curve is at `x_ns`.
+    /// Lower and upper bound of the curve's y at `x_ns`.
     pub(super) fn at(&self, x_ns: i64) -> (f64, f64) {
         let dx_ns = (x_ns - self.x0_ns) as f64;
         let (falling, rising) =

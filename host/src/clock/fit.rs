@@ -1,45 +1,45 @@
 //! A board's ticks by the host's clocks.
 //!
-//! Bytes sent at a tick arrive later than that tick, by an unknown delay; and the tick of a pong is later than the
-//! instant at which its ping was about to be sent. So every arrival
-//! says "not after" and every answered ping "not before", and in the band between them some straight
-//! lines fit: their extremes bound the error, and the likeliest is followed (`band.rs` has the
-//! derivation). The least delays decide; all others do not disturb.
+//! Bytes sent at a tick arrive after that tick, by an unknown delay; and the tick of a pong is later than
+//! the instant at which its ping was about to be sent. So every arrival is an upper bound of the host's
+//! time of a tick, and every answered ping a lower one. Straight lines fit in the band between them: their
+//! extremes bound the error, and the likeliest is used (`band.rs` has the derivation). Only the least
+//! delays matter.
 //!
 //! # What is promised
-//! * The true time of a tick lies within ±[`HostTime::uncertainty_ns`] whatever the delays, as long
-//!   as the board's rate is within 2.5 % of the host's and changes by no more than 25 ppm a second.
-//!   How the least delay is shared out between there and back cannot be known: the uncertainty goes
-//!   down to about half the least round trip, no further.
-//! * A time is never after the arrival of anything taken before it, and none is before the
-//!   one given last: not when the fit is renewed, nor when the board restarts or the host is suspended.
-//! * A new fit is steered to within a second or so; only a time outside its bounds is put right at
+//! * The true time of a tick lies within ±[`HostTime::uncertainty_ns`] for any delays, as long as the
+//!   board's rate is within 2.5 % of the host's and changes by at most 25 ppm per second. The division of
+//!   the least round trip between its two directions is unknown, so the uncertainty is never less than
+//!   about half the least round trip.
+//! * A time is never after the arrival of its scan, and never before the previous time: not when the
+//!   fit is renewed, nor when the board restarts or the host is suspended.
+//! * Times approach a new fit within about a second; only a time outside the bounds is corrected at
 //!   once.
 //! * UTC is the monotonic time plus the difference of the clocks when the last bytes arrived. If the
-//!   host's UTC is put forward, times follow within 0.2 s. If it is put back, times go on at half the
+//!   host's UTC is set forward, times follow within 0.2 s. If it is set back, times advance at half the
 //!   pace until it has caught up; meanwhile the uncertainty is that of the monotonic time alone.
 //! * The same calls give the same bits. Nothing is allocated after the start; a call costs some
-//!   nanoseconds, and twenty times in a second some microseconds.
+//!   nanoseconds, and twenty times per second some microseconds.
 //!
 //! # When there is no time
 //! * Before the first pong: nothing bounds the constant part of the delay.
-//! * After a contradiction, that is when no line passes between the points of the last seconds. A
-//!   clock has jumped (the monotonic clock stands while the host is suspended, the ticks go on), or
-//!   the board is no clock at all: an emulated one at a third of real time. The older half of the
-//!   points is forgotten until the rest agrees; if that leaves no two pongs 0.4 s apart, times come
-//!   again when there are. If that soon ends in the next contradiction, twice as long, up to 3.2 s.
+//! * After a contradiction, when no line fits between the points of the last seconds: either a clock has
+//!   jumped (the monotonic clock stops while the host is suspended, the ticks continue), or the board
+//!   does not keep time, such as an emulated one at a third of real time. The older half of the points is
+//!   dropped until the rest agrees. If no two pongs 0.4 s apart remain, times resume once there are. If
+//!   the next contradiction follows soon, the required time doubles, up to 3.2 s.
 //!
-//! From the first pong to the second, the rate is only assumed. The uncertainty then relies on no
-//! rate: it reaches from the last ping to the last arrival.
+//! From the first pong to the second the rate is unknown. The uncertainty then spans from the last ping
+//! to the last arrival.
 
 use super::band::{Band, Envelope, Side, WINDOW_NS};
 use super::utc::UtcOffset;
 use super::{HostInstant, HostTime};
 
-/// Pongs over less do not show that a board keeps time. Pings come twice a second.
+/// Least time between pongs that shows that a board keeps time. Pings come twice per second.
 const PROOF_NS: i64 = 400_000_000;
 
-/// Time within which most of a step is steered out.
+/// Time constant of the approach to a new fit.
 const STEERING_NS: f64 = 1e9;
 
 /// Finds the host's time of a board's ticks.
@@ -62,7 +62,7 @@ pub(crate) struct ClockFit {
     given: Option<HostTime>,
 }
 
-/// Where device time and host time are counted from.
+/// Origin of device time and host time.
 #[derive(Clone, Copy, Debug)]
 struct Origin {
     tick: u64,
@@ -85,27 +85,27 @@ impl Steered {
 /// Whether the board keeps time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trust {
-    /// Not known yet.
+    /// Unknown yet.
     New,
     /// Pongs over [`PROOF_NS`] agree.
     Proven {
-        /// When that was lost and how much was wanted, if ever.
+        /// The previous contradiction, if any.
         doubted: Option<Doubt>,
     },
-    /// They do not.
+    /// Pongs contradict each other.
     Lost(Doubt),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Doubt {
-    /// Device time at which they contradicted each other.
+    /// Device time of the contradiction.
     since_ns: i64,
-    /// Over how much device time pongs must agree.
+    /// Device time over which pongs must agree again.
     proof_ns: i64,
 }
 
 impl ClockFit {
-    /// For a board that counts `tick_hz` ticks a second.
+    /// A fit for a board that counts `tick_hz` ticks per second.
     pub(crate) fn new(tick_hz: u32) -> Self {
         Self {
             tick_hz: tick_hz.max(1),
@@ -123,8 +123,8 @@ impl ClockFit {
         }
     }
 
-    /// Begins anew: the link was opened again, or the ticks count anew, `tick_hz` of them a second.
-    /// Times go on behind those already given.
+    /// Restarts the fit: the link was reopened, or the ticks restarted, with `tick_hz` of them per second.
+    /// New times follow those already given.
     pub(crate) fn restart(&mut self, tick_hz: u32) {
         self.tick_hz = tick_hz.max(1);
         self.origin = None;
@@ -137,9 +137,8 @@ impl ClockFit {
         self.last_answered = None;
     }
 
-    /// Adds an arrival: an event on the board at `tick` was known to the host at `at`, such as the last sample of a
-    /// batch. Ticks come in order; one that lies behind the last shows that
-    /// the board has restarted.
+    /// Adds an arrival: the host knew at `at` of an event on the board at `tick`, such as the last sample of a batch.
+    /// Ticks come in order; a tick before the last one shows that the board has restarted.
     pub(crate) fn arrived(&mut self, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_arrived) {
             self.restart(self.tick_hz);
@@ -148,7 +147,8 @@ impl ClockFit {
         self.observe(tick, at);
     }
 
-    /// Adds an answered ping: about to be sent at `asked`, read by the board at its `tick`, answered at `at`. As for [`arrived`](Self::arrived), ticks come in order.
+    /// Adds an answered ping: about to be sent at `asked`, read by the board at its `tick`, its answer read at `at`.
+    /// As for [`arrived`](Self::arrived), ticks come in order.
     pub(crate) fn answered(&mut self, asked: HostInstant, tick: u64, at: HostInstant) {
         if is_behind(tick, self.last_answered) {
             self.restart(self.tick_hz);
@@ -161,8 +161,8 @@ impl ClockFit {
         self.refit(x_ns);
     }
 
-    /// The host's time `fraction_ticks` after `tick`, if it is known; see the head of the module. To
-    /// be asked in the order of the scans, and after [`arrived`](Self::arrived) for theirs.
+    /// The host's time at `fraction_ticks` after `tick`, if known; see the head of the module. To be called
+    /// in the order of the scans, for each after its [`arrived`](Self::arrived).
     pub(crate) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
         let origin = self.origin?;
         let (band, steered) = (self.band?, self.steered?);
@@ -194,7 +194,7 @@ impl ClockFit {
         let (x_ns, origin) = self.device_ns(tick, at);
         let y_ns = since_ns(at.monotonic_ns, origin) - x_ns;
         let is_full = self.arrivals.add((x_ns, y_ns), at.monotonic_ns, self.rate());
-        // It came before it should have been sent.
+        // It arrived before the fit says that it was sent.
         let is_too_early = self.steered.is_some_and(|steered| (y_ns as f64) < steered.at(x_ns));
         if is_full || is_too_early {
             self.refit(x_ns);
@@ -207,7 +207,7 @@ impl ClockFit {
         (nominal_ns(tick, origin, self.tick_hz), origin)
     }
 
-    /// By how many millionths the board's clock is fast; `None` while that is not known.
+    /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub(crate) fn drift_ppm(&self) -> Option<f64> {
         let is_proven = matches!(self.trust, Trust::Proven { .. });
         self.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
@@ -250,7 +250,7 @@ impl ClockFit {
         self.steered = Some(Steered { x0_ns, y0_ns, rate });
     }
 
-    /// Considers whether the board keeps time, after the points did or did not agree.
+    /// Updates whether the board keeps time; `agreed`: the points allow a line.
     fn judge(&mut self, agreed: bool, x0_ns: i64) {
         let pongs_ns = self.questions.span_ns().map_or(0, |(first_ns, last_ns)| last_ns - first_ns);
         if !agreed && pongs_ns < PROOF_NS {
@@ -274,7 +274,7 @@ impl ClockFit {
     }
 }
 
-/// Whether `tick` comes before `last`, of a counter that may wrap.
+/// Whether `tick` is before `last` on a counter that may wrap.
 fn is_behind(tick: u64, last: Option<u64>) -> bool {
     last.is_some_and(|last| tick.wrapping_sub(last).cast_signed() < 0)
 }

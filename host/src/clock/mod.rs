@@ -1,7 +1,7 @@
-//! The host's clocks, and a board's clock among them.
+//! The host's clocks, and a board's clock relative to them.
 //!
-//! Intervals are measured by the monotonic clock (CLOCK_MONOTONIC: it does not count while the host
-//! is suspended and is never set), dates by UTC (CLOCK_REALTIME).
+//! Intervals are measured by the monotonic clock (CLOCK_MONOTONIC, which stops while the host is
+//! suspended and is never set), dates by UTC (CLOCK_REALTIME).
 
 mod band;
 mod fit;
@@ -22,14 +22,14 @@ pub struct HostInstant {
     pub utc_ns: u64,
 }
 
-/// When something happened on a board, by the host's clocks, in nanoseconds.
+/// Time of an event on a board by the host's clocks, nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HostTime {
     /// CLOCK_MONOTONIC.
     pub monotonic_ns: u64,
     /// CLOCK_REALTIME.
     pub utc_ns: u64,
-    /// Both are right to this, either way; UTC, if it was put back, as soon as it has caught up.
+    /// Greatest error of both times, either way; for UTC that was set back, from when it has caught up.
     pub uncertainty_ns: u64,
 }
 
@@ -40,7 +40,7 @@ impl HostInstant {
     }
 }
 
-/// A clock that cannot be read, or stands before 1970, stands at 0.
+/// Reads a clock, ns; 0 for a clock that cannot be read or is before 1970.
 fn read(clock: ClockId) -> u64 {
     clock_gettime(clock).map_or(0, |time| {
         let seconds = u64::try_from(time.tv_sec()).unwrap_or(0);

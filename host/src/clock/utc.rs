@@ -1,13 +1,12 @@
-//! UTC beside the monotonic clock.
+//! UTC from the monotonic clock.
 
 use super::HostInstant;
 
-/// Host time within which the least difference counts.
+/// Host time over which the least difference is taken.
 const BUCKET_NS: u64 = 100_000_000;
 
-/// UTC minus monotonic, of the last readings. Between the two readings of an instant the host may
-/// have been busy otherwise, which only makes the difference greater: the least of the last tenths
-/// of a second is taken.
+/// UTC minus monotonic time: the least difference of the last tenths of a second, because a delay
+/// between the two readings of an instant only makes the difference greater.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UtcOffset {
     bucket: u64,

@@ -1,39 +1,39 @@
 //! Chooses the scan that is solved next.
 //!
 //! Scans are solved in the order of their arrival, each once for all outputs, as long as the solver keeps up with the
-//! board. When it does not, control loops are given the newest scan ahead of its turn. Older scans wait and are solved
-//! in between where each pose is promised (standard output, or a run of a given duration); else they are skipped, and
-//! counted. A capture has their bytes in either case.
+//! board. When it does not, the newest scan is solved ahead of its turn, for control loops. Where an output promises
+//! every pose (standard output, or a run of a given duration), older scans wait and are solved in between; else they
+//! are skipped and counted. A capture contains their bytes in either case.
 //!
-//! So no control loop gets a pose later than [`LATE_NS`] + [`GRACE_NS`] and three solutions after its scan had
-//! arrived, however long a solution takes.
+//! Thus a control loop gets each pose at most [`LATE_NS`] + [`GRACE_NS`] and the duration of three solutions after its
+//! scan arrived, however long a solution takes.
 
 use crate::pipeline::Queue;
 
-/// A scan is late once it has waited for longer: 20 scans at 4 kHz.
+/// A scan that has waited longer is late: 20 scans at 4 kHz.
 const LATE_NS: u64 = 5_000_000;
 
-/// A solver that does not catch up within this time is behind. It catches up within it even if the system has stopped
-/// it for longer.
+/// A solver that does not catch up within this time is behind. A healthy solver catches up within it even if the
+/// system has suspended it for longer.
 const GRACE_NS: u64 = 5_000_000;
 
-/// Where older scans are skipped nothing shows that the solver could keep up again: that is tried after this time.
+/// Time after which a solver that skips scans tries to solve each again: skipping hides whether it could keep up.
 const TRIAL_AFTER_NS: u64 = 1_000_000_000;
 
 /// The next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
-    /// Nothing can be done before more bytes come, or poses are printed.
+    /// Wait for more bytes, or until poses are printed.
     Wait,
-    /// Solve the oldest scan, for all outputs that have no newer one.
+    /// Solve the oldest scan, for all outputs that have not had a newer one.
     Oldest,
     /// Solve the newest scan ahead of its turn, for control loops.
     Newest,
-    /// Skip this many of the oldest.
+    /// Skip this many of the oldest scans.
     Skip(usize),
 }
 
-/// Follows how far the solver is behind.
+/// Tracks how far the solver is behind.
 #[derive(Debug)]
 pub(super) struct Backlog {
     keeps_all: bool,
@@ -73,7 +73,7 @@ impl Backlog {
         if self.is_behind() && !self.keeps_all {
             return if queue.waiting > 1 { Next::Skip(queue.waiting - 1) } else { Next::Oldest };
         }
-        // Turn by turn: neither is kept waiting by the other.
+        // Oldest and newest alternate, so that neither waits for the other.
         let is_urgent = has_newer && (!can_print || (self.is_behind() && !self.was_newest));
         self.was_newest = is_urgent;
         match (is_urgent, can_print) {
@@ -110,20 +110,20 @@ mod tests {
 
     use super::*;
 
-    /// From a scan to the next, and how many come in one read.
+    /// Period of the scans, and their number per read.
     const FRAME_NS: u64 = 250_000;
     const AT_ONCE: u64 = 4;
 
-    /// A solver that takes as long as it is told, by a clock of its own.
+    /// A solver with a given cost per scan, on a simulated clock.
     struct Trial {
         backlog: Backlog,
-        /// Number and arrival of those that wait, and how many of them were passed.
+        /// Number and arrival of the waiting scans, and how many of them were passed.
         waiting: VecDeque<(u64, u64)>,
         passed: usize,
         now_ns: u64,
         arrived: u64,
         printed: Vec<u64>,
-        /// Number and age of each that a control loop was given.
+        /// Number and age of each scan given to a control loop.
         given: Vec<(u64, u64)>,
         skipped: u64,
         was_behind: bool,
@@ -144,7 +144,7 @@ mod tests {
             }
         }
 
-        /// Takes in all scans that came until now, as long as it is before `end_ns`.
+        /// Queues all scans that arrived until now and before `end_ns`.
         fn arrive(&mut self, end_ns: u64) {
             let read_ns = AT_ONCE * FRAME_NS;
             while (self.arrived / AT_ONCE + 1) * read_ns <= self.now_ns.min(end_ns) {
@@ -158,7 +158,7 @@ mod tests {
             self.given.push((number, self.now_ns - at_ns));
         }
 
-        /// Goes on until `end_ns`, and then without further scans until nothing waits, if `drain` says so.
+        /// Runs until `end_ns` and then, if `drain`, without further scans until nothing waits.
         fn run(&mut self, end_ns: u64, can_print: bool, drain: bool, cost_ns: impl Fn(u64) -> u64) {
             while self.now_ns < end_ns || (drain && !self.waiting.is_empty()) {
                 self.arrive(end_ns);
@@ -218,7 +218,7 @@ mod tests {
             assert!(trial.arrived >= 7_990 && trial.skipped == 0 && !trial.was_behind);
             assert!(trial.is_in_order() && trial.given.len() == trial.printed.len());
             assert!(trial.is_printed());
-            // The last of four waits for the three ahead of it; nobody looks while it waits for them.
+            // The last of four waits for the three ahead of it.
             assert!(trial.oldest_given_ns() <= 4 * 240_000 + FRAME_NS, "{} ns", trial.oldest_given_ns());
         }
     }
@@ -227,7 +227,7 @@ mod tests {
     fn a_pause_of_the_solver_loses_no_scan() {
         for keeps_all in [true, false] {
             let mut trial = Trial::new(keeps_all);
-            // The system runs something else for 60 ms, once a half second.
+            // The system suspends the solver for 60 ms every half second.
             trial.run(3 * SECOND_NS, true, true, |number| if number % 2000 == 500 { 60_000_000 } else { 10_000 });
             assert_eq!((trial.skipped, trial.was_behind, trial.given.len()), (0, false, trial.arrived as usize));
         }
@@ -241,10 +241,10 @@ mod tests {
                 trial.run(5 * SECOND_NS, true, true, |_| cost_ns);
                 let name = format!("keeps all {keeps_all}, {cost_ns} ns");
                 assert!(trial.was_behind && trial.is_in_order(), "{name}");
-                // The one that is under way when it falls behind, and then its own and one in turn.
+                // The scan under way when the solver falls behind, one in turn, and the newest itself.
                 let most_ns = LATE_NS + GRACE_NS + 3 * cost_ns;
                 assert!(trial.oldest_given_ns() <= most_ns, "{name}: {} ns", trial.oldest_given_ns());
-                // Behind, it does not wait for others: half its time, or all, goes to the newest.
+                // When behind, the solver spends at least half its time on the newest scans.
                 let given = 5 * SECOND_NS / cost_ns / 2;
                 assert!(trial.given.len() as u64 >= given.min(4_500), "{name}: {} given", trial.given.len());
                 if keeps_all {
@@ -265,7 +265,7 @@ mod tests {
             let cost_ns = |number| if (4_000..8_000).contains(&number) { 500_000 } else { 10_000 };
             trial.run(3 * SECOND_NS, true, false, cost_ns);
             assert!(trial.was_behind);
-            // They keep it busy for two more, and those solved ahead of them for another.
+            // They keep the solver busy for two more seconds, and those solved ahead of them for another.
             trial.run(5 * SECOND_NS, true, false, cost_ns);
             (trial.was_behind, trial.given) = (false, Vec::new());
             let skipped = trial.skipped;

@@ -32,34 +32,34 @@ use crate::telemetry::BoardStatistics;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::join;
 
-/// Reads on their way to the solver: at a read a millisecond a quarter of a second.
+/// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
 const SEGMENTS: usize = 256;
 
-/// As much as one read of a port gives.
+/// Most bytes of one read of a port.
 const SEGMENT_BYTES: usize = 4096;
 
 /// Events that the reader has not handled yet.
 const EVENTS: usize = 4;
 
-/// A board and what to do with it.
+/// A board to follow, and how to follow it.
 pub(crate) struct BoardPlan {
-    /// How to open it.
+    /// Opens the board.
     pub opener: Box<dyn Opener>,
-    /// Its head.
+    /// The board's head.
     pub file: SceneFile,
-    /// Its configuration.
+    /// The board's configuration.
     pub configuration: Configuration,
     /// Decides whether a board may be followed.
     pub admit: Admit,
-    /// The equations.
+    /// The tier of the optics.
     pub tier: Tier,
-    /// How scans are followed.
+    /// Options of the tracker.
     pub following: Following,
-    /// Device seconds after which it is done.
+    /// Duration of the run in device time, seconds; `None`: unlimited.
     pub until_s: Option<f64>,
-    /// How long to look for it when it is not there; `None`: for ever.
+    /// How long to look for a missing board; `None`: for ever.
     pub patience: Option<Duration>,
-    /// Whether device time passes by itself. If not, it waits for the slowest thread.
+    /// Whether device time runs in real time. If not, it waits for the slowest thread.
     pub keeps_time: bool,
     /// Prints a message for the user.
     pub talk: Arc<Talk>,
@@ -71,7 +71,7 @@ impl BoardPlan {
     }
 }
 
-/// What the threads of all boards share.
+/// State shared by the threads of all boards.
 pub(super) struct Shared {
     pub(super) outboxes: Option<Producer<Outbox>>,
     /// Whether each pose has to be printed.
@@ -124,7 +124,7 @@ impl BoardThreads {
             stop: Arc::clone(stop),
             state: State::default(),
         };
-        // A simulated board is quicker if two threads share it.
+        // A simulated board runs faster if two threads share the work.
         let segments = buffer_pool(SEGMENTS, || Segment::with_capacity(SEGMENT_BYTES));
         let (handoff, solver_end) = handoff(solver, segments, plan.keeps_time);
         let reader = Reader {
@@ -136,7 +136,7 @@ impl BoardThreads {
             events,
             connection: 0,
             has_scans: false,
-            // The name of a port may be given twice, that of a thread not.
+            // A port's name may be given twice; a thread's name is unique.
             claims: shared.claims,
             claimant: format!("{name} (board {number})"),
             slot: Arc::clone(slot),
@@ -163,7 +163,7 @@ impl BoardThreads {
         self.reader.is_finished() && self.solver.is_finished()
     }
 
-    /// Whether the reader has ended with an error.
+    /// Whether the board was given up: the reader has ended with an error.
     pub(super) fn is_given_up(&self) -> bool {
         self.reader.is_finished() && self.slot.link.is_given_up()
     }

@@ -1,8 +1,8 @@
-//! A pool of buffers between producers and one consumer, which allocates nothing: a fixed number of buffers
-//! circulates, full one way and empty the other.
+//! A buffer pool between producers and one consumer: a fixed number of buffers circulates, full one way and empty the
+//! other. Nothing is allocated after the start.
 //!
-//! The consumer sleeps until it is woken. The channels' own waiting spins for some microseconds and yields the
-//! processor four times before it sleeps: at a thousand buffers a second that costs more than the work on them.
+//! The consumer sleeps until it is woken. A channel's blocking receive would spin for some microseconds and yield the
+//! processor four times before it sleeps: at a thousand buffers per second that costs more than the work on them.
 
 use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::sync::{Arc, OnceLock};
@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
 
-/// A pool of `count` buffers, each made by `make`. They are used in turn, so that all of them soon have their
-/// greatest capacity.
+/// A pool of `count` buffers, each made by `make`. They are used in turn, so that all of them soon reach their
+/// final capacity.
 pub(super) fn buffer_pool<T>(count: usize, make: impl Fn() -> T) -> (Producer<T>, Consumer<T>) {
     let (full_out, full_in) = bounded(count);
     let (empty_out, empty_in) = bounded(count);
     for _ in 0..count {
-        // There is room for all of them.
+        // The channel has room for all of them.
         let _ = empty_out.try_send(make());
     }
     let sleeper = Arc::<Sleeper>::default();
@@ -30,14 +30,14 @@ pub(super) fn buffer_pool<T>(count: usize, make: impl Fn() -> T) -> (Producer<T>
 struct Sleeper {
     thread: OnceLock<Thread>,
     is_asleep: AtomicBool,
-    /// Set when the consumer shall wake although no buffer was handed over.
+    /// Set to wake the consumer although no buffer was handed over.
     is_called: AtomicBool,
 }
 
 impl Sleeper {
-    /// Wakes the consumer. The buffer it is woken for has been handed over before.
+    /// Wakes the consumer, after a buffer was handed over.
     fn wake(&self) {
-        // Either the consumer sees the buffer, or it is seen to sleep: the counterpart is in `sleep`.
+        // With the fence in `sleep`: either the consumer sees the buffer, or this thread sees that it sleeps.
         fence(Ordering::SeqCst);
         if self.is_asleep.load(Ordering::Relaxed)
             && let Some(thread) = self.thread.get()
@@ -46,14 +46,14 @@ impl Sleeper {
         }
     }
 
-    /// Wakes the consumer, or keeps it from falling asleep once.
+    /// Wakes the consumer, or prevents its next sleep.
     fn call(&self) {
         self.is_called.store(true, Ordering::Relaxed);
         self.wake();
     }
 
-    /// Sleeps until woken, until `timeout` has passed, or for a spurious wake-up; not at all if `has_come`. To be
-    /// called on one thread only.
+    /// Sleeps until woken or until `timeout` has passed, possibly shorter; not at all if `has_come`. To be called on
+    /// one thread only.
     fn sleep(&self, timeout: Duration, has_come: impl FnOnce() -> bool) {
         self.thread.get_or_init(thread::current);
         self.is_asleep.store(true, Ordering::Relaxed);
@@ -80,7 +80,7 @@ impl Drop for Alarm {
 pub(super) struct Producer<T> {
     full: Sender<T>,
     empty: Receiver<T>,
-    /// Declared behind `full`, and so dropped after it.
+    /// Declared after `full`, and therefore dropped after it.
     alarm: Alarm,
 }
 
@@ -95,9 +95,9 @@ pub(super) struct Consumer<T> {
 /// Why there is no full buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Empty {
-    /// None has been handed over yet.
+    /// No buffer has been handed over yet.
     ForNow,
-    /// There will be none: all producers are dropped.
+    /// All producers are dropped.
     Closed,
 }
 
@@ -133,7 +133,7 @@ impl<T> Producer<T> {
         self.alarm.0.call();
     }
 
-    /// Hands a full buffer over. It is dropped if the consumer is.
+    /// Hands a full buffer over, or drops it if the consumer is dropped.
     pub(super) fn hand_over(&self, buffer: T) {
         match self.full.try_send(buffer) {
             Ok(()) => self.alarm.0.wake(),
@@ -177,7 +177,7 @@ impl<T> Consumer<T> {
         self.full.is_empty()
     }
 
-    /// Gives an emptied buffer back.
+    /// Returns an emptied buffer.
     pub(super) fn give_back(&self, buffer: T) {
         // Without a producer the buffer is not needed.
         let _ = self.empty.try_send(buffer);

@@ -1,4 +1,4 @@
-//! The queue of one board to the recorder, in chunks of some hundredths of a second.
+//! The queue of one board to the recorder, in chunks of 20 ms.
 
 use std::time::{Duration, Instant};
 
@@ -8,13 +8,13 @@ use super::buffer_pool::Producer;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 
-/// A chunk holds what is read within this time, …
+/// A chunk holds the bytes read within this time, …
 const CHUNK: Duration = Duration::from_millis(20);
 
-/// … or so many bytes, if they come sooner.
+/// … or this many bytes, if they come sooner.
 const CHUNK_BYTES: usize = 1 << 15;
 
-/// Ordinary length of a chunk of a board at 4 kHz, the truths of a simulated one included.
+/// Ordinary length of a chunk of a board at 4 kHz, including true poses of a simulated board.
 const ORDINARY_BYTES: usize = 12 << 10;
 
 /// A part of the stream of one board, for the capture.
@@ -24,18 +24,18 @@ pub(super) struct CaptureChunk {
     pub(super) board: usize,
     /// The board, once it has introduced itself.
     pub(super) device: Option<DeviceId>,
-    /// The board's hello packet, if the capture has missed it.
+    /// The board's hello packet, if the capture does not have it yet.
     pub(super) hello: Vec<u8>,
-    /// Time of the first scan in it by the board's clock.
+    /// Time of the chunk's first scan by the board's clock, nanoseconds.
     pub(super) device_ns: u64,
     /// The bytes of the link.
     pub(super) segment: Segment,
-    /// Some of the poses in it.
+    /// Poses of the chunk, at the rate to be recorded.
     pub(super) poses: Vec<Record>,
 }
 
 impl CaptureChunk {
-    /// An empty one with room for an ordinary chunk.
+    /// An empty chunk with room for ordinary contents.
     pub(super) fn with_capacity() -> Self {
         Self { segment: Segment::with_capacity(ORDINARY_BYTES), poses: Vec::with_capacity(2), ..Self::default() }
     }
@@ -47,12 +47,12 @@ impl CaptureChunk {
     }
 }
 
-/// What happens to a chunk while the recorder is behind.
+/// What to do with a chunk while the recorder is behind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Overflow {
-    /// The board's threads wait: so does device time.
+    /// The board's threads wait, and device time with them.
     Wait,
-    /// The chunk is dropped, and the capture says so: poses must not be late because a disk is slow.
+    /// The chunk is dropped and the capture notes it: a slow disk must not delay poses.
     Drop,
 }
 
@@ -65,7 +65,7 @@ pub(super) struct CaptureQueue {
     pose_every_s: f64,
     next_pose_s: f64,
     under_way: Option<CaptureChunk>,
-    /// The chunk under way is long enough; the poses of its last scans may still come.
+    /// The current chunk is long enough; poses of its last scans may still come.
     is_full: bool,
     begun: Instant,
     device: Option<DeviceId>,
@@ -78,7 +78,7 @@ pub(super) struct CaptureQueue {
 }
 
 impl CaptureQueue {
-    /// For the board of this number; a pose is kept every `pose_every_s` of device time.
+    /// The queue of the board of this number; a pose is kept every `pose_every_s` of device time.
     pub(super) fn new(board: usize, chunks: Producer<CaptureChunk>, overflow: Overflow, pose_every_s: f64) -> Self {
         Self {
             board,
@@ -97,7 +97,7 @@ impl CaptureQueue {
         }
     }
 
-    /// Prepares for the next segment, which opens the link anew or not.
+    /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
         if opened || self.is_full {
             self.hand_over();
@@ -124,7 +124,7 @@ impl CaptureQueue {
         self.begun = Instant::now();
     }
 
-    /// Bytes dropped for want of a free chunk.
+    /// Bytes dropped because no chunk was free.
     pub(super) fn bytes_dropped(&self) -> u64 {
         self.bytes_dropped
     }
@@ -133,7 +133,7 @@ impl CaptureQueue {
     pub(super) fn hello(&mut self, hello: &Hello<'_>) {
         self.device = Some(DeviceId(hello.device_id));
         let mut buffer = [0; MAX_MESSAGE_BYTES];
-        // It has come as a packet, so it fits one.
+        // It arrived in a packet, so it fits a packet.
         if let Ok(packet) = encode(&Message::Hello(hello.clone()), &mut buffer) {
             self.hello.clear();
             self.hello.extend_from_slice(packet);
@@ -143,15 +143,15 @@ impl CaptureQueue {
         }
     }
 
-    /// Keeps a pose if it is time for one.
+    /// Keeps a pose if one is due.
     pub(super) fn pose(&mut self, record: &Record) {
         let time_s = record.device_time_s;
         // Saturates.
         self.device_ns = (time_s * 1e9) as u64;
-        // Device time may begin anew.
+        // Device time may restart.
         let is_due = time_s >= self.next_pose_s || time_s < self.next_pose_s - 2.0 * self.pose_every_s;
         if let (true, Some(chunk)) = (is_due, &mut self.under_way) {
-            // At this distance from the last one, without drifting away from it.
+            // One period after the last one was due, so that the rate does not drift.
             let next_s = self.next_pose_s + self.pose_every_s;
             self.next_pose_s = if next_s > time_s && next_s.is_finite() { next_s } else { time_s + self.pose_every_s };
             chunk.poses.push(*record);
@@ -171,14 +171,14 @@ impl CaptureQueue {
         }
     }
 
-    /// Hands over the chunk under way, if its time is over.
+    /// Hands over the current chunk if its time is over.
     pub(super) fn hand_over_old(&mut self) {
         if self.begun.elapsed() >= CHUNK {
             self.hand_over();
         }
     }
 
-    /// Hands over the chunk under way.
+    /// Hands over the current chunk.
     pub(super) fn hand_over(&mut self) {
         self.is_full = false;
         if let Some(chunk) = self.under_way.take() {

@@ -1,4 +1,4 @@
-//! Which reader follows which board: two streams under one number could not be told apart.
+//! Which reader follows which board. Two streams of boards with one number could not be told apart.
 
 use std::sync::{Arc, Mutex};
 
@@ -6,7 +6,7 @@ use super::error::BoardError;
 use crate::link::DeviceId;
 use slitpose_head::threads::lock;
 
-/// The boards that are followed at the moment.
+/// The boards followed now.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims(Arc<Mutex<Vec<(DeviceId, String)>>>);
 

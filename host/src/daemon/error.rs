@@ -13,13 +13,13 @@ pub(crate) enum BoardError {
     /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// It does not suit the scene.
+    /// The board does not suit the scene.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// The board refused a command.
     #[error("the board refused a command")]
     Refused(#[source] Rejection),
-    /// Another thread follows it already.
+    /// Another thread follows the board already.
     #[error(
         "{name} and {other} have one number, {device}: give only one of them if they are two ports of one board; two \
          boards whose poses shall be told apart need different numbers"
@@ -27,18 +27,18 @@ pub(crate) enum BoardError {
     Twice {
         /// The board.
         device: DeviceId,
-        /// The second reader's name for it.
+        /// The second reader's name for the board.
         name: String,
-        /// The first reader's name for it.
+        /// The first reader's name for the board.
         other: String,
     },
-    /// The system gives no more threads.
+    /// The system does not start another thread.
     #[error("cannot start a thread; close other programs, or raise the limit of threads")]
     Thread(#[source] std::io::Error),
 }
 
 impl BoardError {
-    /// Whether waiting may help, if the user only plugs in and switches on.
+    /// Whether the error may pass once the user plugs the board in and switches it on.
     pub(super) fn is_passing(&self) -> bool {
         match self {
             Self::Device(error) => error.is_passing(),
@@ -54,7 +54,7 @@ impl BoardError {
         }
     }
 
-    /// Whether the user most likely has to act, so that there is no hurry to try again.
+    /// Whether the user most likely has to act, so that trying again is not urgent.
     pub(super) fn needs_user(&self) -> bool {
         !self.is_passing() || matches!(self, Self::Device(DeviceError::NoScans { .. }))
     }
@@ -71,7 +71,7 @@ pub(super) fn with_causes(error: &dyn std::error::Error) -> String {
     let mut cause = error.source();
     while let Some(source) = cause {
         let source_text = source.to_string();
-        // Transparent errors tell their cause already.
+        // Transparent errors already contain the text of their cause.
         if !text.ends_with(&source_text) {
             text = format!("{text}: {source_text}");
         }

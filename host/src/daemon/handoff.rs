@@ -1,9 +1,9 @@
 //! The handoff from the reading thread of a board to its solving thread.
 //!
-//! The reading thread processes what it has read itself, as long as the queue is empty and processing is quick:
+//! The reading thread itself processes the chunks it has read, as long as the queue is empty and processing is quick:
 //! waking the solving thread would cost more than the work. Slow work, and all chunks that arrive during it, are left
-//! to the solving thread, so that reading continues. A mutex around the worker lets one thread work at a time, and
-//! the reading thread works only while the queue is empty: chunks are processed in the order of their arrival.
+//! to the solving thread, so that reading continues. Chunks are processed in the order of their arrival: a mutex
+//! around the worker lets one thread work at a time, and the reading thread works only while the queue is empty.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
@@ -12,10 +12,10 @@ use slitpose_head::threads::lock;
 
 /// Processes chunks, one after another.
 pub(super) trait Worker {
-    /// What is processed.
+    /// The unit of work.
     type Chunk;
 
-    /// Processes `chunk`; `false` if some of the work is left to the solving thread, as it takes long.
+    /// Processes `chunk`; `false` if long work is left to the solving thread.
     fn process(&mut self, chunk: &mut Self::Chunk) -> bool;
 }
 
@@ -23,7 +23,7 @@ pub(super) trait Worker {
 pub(super) struct ReaderEnd<W: Worker> {
     worker: Arc<Mutex<W>>,
     chunks: Producer<W::Chunk>,
-    /// The chunk that is filled next.
+    /// The chunk to fill next.
     own: Option<W::Chunk>,
     /// Whether the reading thread processes chunks, too.
     processes: bool,
@@ -47,7 +47,7 @@ pub(super) fn handoff<W: Worker>(
 }
 
 impl<W: Worker> ReaderEnd<W> {
-    /// Waits for the chunk to be filled next; `None` if the solving end is dropped.
+    /// Waits for an empty chunk to fill; `None` if the solving end is dropped.
     pub(super) fn chunk(&mut self) -> Option<&mut W::Chunk> {
         if self.own.is_none() {
             self.own = self.chunks.spare();
@@ -77,7 +77,7 @@ impl<W: Worker> ReaderEnd<W> {
 }
 
 impl<W: Worker> SolverEnd<W> {
-    /// Waits for the worker. Chunks must be taken only while it is held, or their order is lost.
+    /// Waits for the worker. To keep their order, take chunks only while holding it.
     pub(super) fn worker(&self) -> MutexGuard<'_, W> {
         lock(&self.worker)
     }
@@ -91,7 +91,7 @@ mod tests {
     use super::super::buffer_pool::{Empty, buffer_pool};
     use super::*;
 
-    /// Takes long for one chunk of eight, and leaves that one.
+    /// A worker that leaves one chunk in eight to the solving thread.
     #[derive(Default)]
     struct Clerk {
         done: Vec<u64>,
@@ -150,7 +150,7 @@ mod tests {
                     thread::sleep(Duration::from_micros(50));
                 }
             }
-            // What was left is done without another chunk.
+            // The work that was left is done without another chunk.
             while handoff.worker.lock().unwrap().done.len() < chunks as usize {
                 thread::sleep(Duration::from_micros(50));
             }
@@ -182,7 +182,7 @@ mod tests {
         let busy = solver_end.worker();
         pass_on(2);
         drop(busy);
-        // The worker is free, and the second has still to be worked off.
+        // The worker is free, and the second chunk is still waiting.
         pass_on(3);
         assert_eq!((solver_end.chunks.next_now(), solver_end.chunks.next_now()), (Ok(2), Ok(3)));
         pass_on(4);

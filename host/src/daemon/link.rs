@@ -11,10 +11,11 @@ use crate::link::DeviceId;
 use crate::telemetry::{LinkReport, LinkState};
 use slitpose_head::threads::lock;
 
-/// A repeated reason is reported again after this time, then after twice that, and so on: some twenty times a week.
+/// A repeated reason is reported again after this time, then after twice this time, and so on: some twenty times a
+/// week.
 const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
-/// Reasons that are remembered.
+/// Most reasons remembered.
 const REASONS: usize = 8;
 
 /// Prints a message for the user.
@@ -40,14 +41,14 @@ struct State {
 
 /// A reason that was reported.
 struct Told {
-    /// Without its numbers, which differ each time.
+    /// The reason without its numbers, which differ each time.
     reason: String,
     at: Instant,
-    /// When it came last.
+    /// Its latest occurrence.
     last: Instant,
-    /// For how long it is not reported again.
+    /// Time during which it is not reported again.
     pause: Duration,
-    /// Repetitions since it was reported.
+    /// Repetitions since the last report.
     untold: u64,
 }
 
@@ -75,7 +76,7 @@ impl State {
             told.untold += 1;
             return None;
         }
-        // After as long a time without it, it is news.
+        // After an equally long time without this reason, it counts as new.
         told.pause = if now - before >= told.pause { TOLD_AGAIN } else { told.pause.saturating_mul(2) };
         told.at = now;
         Some(std::mem::take(&mut told.untold))
@@ -89,7 +90,7 @@ impl Link {
         Self { state: Mutex::new(state), talk }
     }
 
-    /// The link at present.
+    /// The present state of the link.
     pub(super) fn report(&self) -> LinkReport {
         self.lock().report.clone()
     }
@@ -102,7 +103,7 @@ impl Link {
         (self.talk)(text);
     }
 
-    /// A port is open, and a board is asked to start.
+    /// A port is open, and the board is asked to start.
     pub(super) fn connecting(&self) {
         let mut state = self.lock();
         // The reason of the loss is kept until the board runs.
@@ -136,7 +137,7 @@ impl Link {
         }
     }
 
-    /// The board is not there, or cannot be used: reported once for each reason, and ever more rarely while it lasts.
+    /// The board is missing or cannot be used. Each reason is reported once, then less and less often while it lasts.
     pub(super) fn lost(&self, error: &BoardError) {
         let reason = with_causes(error);
         let mut state = self.lock();
@@ -218,7 +219,7 @@ mod tests {
         // Ten times a second for a minute.
         let told: Vec<_> = (0..600).filter_map(|tenths| Some((tenths, tell(tenths)?))).collect();
         assert_eq!(told, [(0, 0), (20, 19), (60, 39), (140, 79), (300, 159)]);
-        // An hour later it is news, and once more soon after.
+        // An hour later it counts as new, and is repeated soon after.
         assert_eq!([36_000, 36_010, 36_020].map(&mut tell), [Some(299), None, Some(1)]);
         // Another reason does not wait.
         assert_eq!(state.is_told("another", began), Some(0));

@@ -1,4 +1,4 @@
-//! Boards followed live: what `slitpose run` does.
+//! Boards followed live, by `slitpose run`.
 //!
 //! ```text
 //!            ┌────────┐ segments ┌────────┐──▶ datagrams        at once; a slow reader misses some
@@ -10,11 +10,11 @@
 //!
 //! Each board has two threads; all boards share one recorder and one printer, with one thread each. Threads pass
 //! buffers of fixed pools to each other (see `buffer_pool`), so that nothing is allocated per scan and no queue
-//! grows. Segments are decoded at once: on the thread that has read them while that is quick, else on the solving
-//! thread (see `handoff`). If the solver is too slow, or the printer does not accept poses, scans wait, or are skipped
-//! where no output needs each of them; control loops get the newest in any case (see `backlog`). If a minute of scans
-//! waits, reading waits too: bytes then wait in the operating system, and at last on the board, which drops its
-//! oldest scans; gaps in their numbers show it.
+//! grows. Segments are decoded at once: on the reading thread while that is quick, else on the solving thread (see
+//! `handoff`). If the solver is too slow, or the printer does not accept poses, scans wait, or are skipped where no
+//! output needs each of them; control loops get the newest in any case (see `backlog`). If a minute of scans waits,
+//! reading waits too: bytes then wait in the operating system and finally on the board, which drops its oldest scans
+//! and so leaves gaps in their numbers.
 
 mod backlog;
 mod board;
@@ -60,21 +60,21 @@ use recorder::RecorderThread;
 use slitpose_head::threads::lock;
 use slot::BoardSlot;
 
-/// Outboxes on their way to the printer: half a second of one board at 4 kHz.
+/// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
 
-/// A solver that has given no account for this long hangs: it gives five a second.
+/// A solver without a report for this long hangs: it makes five per second.
 const HANGS_AFTER_S: f64 = 5.0;
 
-/// What a daemon does.
+/// The tasks of a daemon.
 pub(crate) struct Plan {
-    /// The boards it follows.
+    /// The boards to follow.
     pub boards: Vec<BoardPlan>,
-    /// Where poses are printed.
+    /// The output that prints poses.
     pub sink: Option<Box<dyn Sink + Send>>,
-    /// The capture to be recorded.
+    /// The capture to record.
     pub capture: Option<CapturePlan>,
-    /// Sends poses to control loops.
+    /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
     /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
@@ -94,11 +94,11 @@ pub(crate) struct Daemon {
 /// The result of a daemon.
 #[derive(Debug)]
 pub(crate) struct Ended {
-    /// For each board: what the user calls it, what came, and what went wrong.
+    /// For each board: the user's name for it, the counts of its data, and its error.
     pub boards: Vec<(String, Counts, Result<(), BoardError>)>,
-    /// Whether all could be printed.
+    /// The result of printing.
     pub printed: io::Result<()>,
-    /// What was recorded.
+    /// The state of the recording.
     pub capture: RecorderReport,
 }
 
@@ -106,7 +106,7 @@ impl Daemon {
     /// Starts all threads. They end when their boards do, when `stop` is set, or when the sink fails.
     ///
     /// # Errors
-    /// If the system gives no more threads.
+    /// If the system does not start a thread.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
         let Plan { boards, sink, capture, datagrams, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
@@ -179,7 +179,7 @@ impl Daemon {
         }
     }
 
-    /// Whether no thread hangs: each solver has given a recent account, also when no bytes came.
+    /// Whether no thread hangs: each solver has made a recent report, even if no bytes came.
     pub(crate) fn is_alive(&self) -> bool {
         let now = HostInstant::now();
         let reports = self.boards_report().into_iter();
@@ -213,7 +213,7 @@ fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> Recorder
     RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
 }
 
-/// That of the main thread: a solver is 100 KB, and moved about while it is made.
+/// The stack size of the main thread: a solver takes 100 KB, and is moved during construction.
 const STACK_BYTES: usize = 8 << 20;
 
 /// A thread with a name.

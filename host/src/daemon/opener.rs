@@ -1,4 +1,4 @@
-//! Opens the board of a reader, the first time and again.
+//! Opens the board of a reader, at the start and after each loss.
 
 use std::sync::{Mutex, MutexGuard};
 
@@ -9,19 +9,19 @@ use crate::link::DeviceId;
 use crate::pipeline::PipelineError;
 use slitpose_head::threads::lock;
 
-/// Decides by its hello whether a board can be followed.
+/// Decides from a board's hello whether it can be followed.
 pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
 
-/// Held while ports are asked for boards, and until the one that was found has answered: two that look
-/// at the same time would find each other's ports in use.
+/// Held while ports are searched for boards, until the board found has answered: two simultaneous searches would find
+/// each other's ports in use.
 static LOOKING: Mutex<()> = Mutex::new(());
 
 /// Opens the board of a reader.
 pub(crate) trait Opener: Send {
-    /// What the user calls the board.
+    /// The user's name for the board.
     fn name(&self) -> String;
 
-    /// Waits until no other reader looks for boards, where that would disturb.
+    /// Waits until no other reader searches for boards, if that would disturb the search.
     fn turn(&self) -> Option<MutexGuard<'static, ()>> {
         None
     }
@@ -29,14 +29,14 @@ pub(crate) trait Opener: Send {
     /// Opens the board.
     ///
     /// # Errors
-    /// If it is not there, or cannot be opened.
+    /// If the board is missing or cannot be opened.
     fn open(&mut self) -> Result<Box<dyn Device>, DeviceError>;
 
     /// The board that was opened last has introduced itself.
     fn greeted(&mut self, _: DeviceId) {}
 }
 
-/// Opens the port of a board, wherever it is by then.
+/// Opens the port of a board, even if its name has changed.
 #[derive(Debug)]
 pub(crate) struct PortOpener {
     selector: Selector,
@@ -45,7 +45,7 @@ pub(crate) struct PortOpener {
 }
 
 impl PortOpener {
-    /// For the board that `selector` names, sought in the places of `search`, too.
+    /// For the board that `selector` names, with `search` as additional places.
     pub(crate) fn new(selector: Selector, search: Vec<Search>) -> Self {
         Self { selector, search, known: None }
     }
@@ -63,7 +63,7 @@ impl Opener for PortOpener {
 
     fn open(&mut self) -> Result<Box<dyn Device>, DeviceError> {
         let found = match locate(&self.selector, self.known.as_ref()) {
-            // Keeps its USB identity, so that the board is found again under another name.
+            // Keeps the USB identity, by which the board is found again under another name.
             Some(found) => {
                 let known = self.known.take().and_then(|known| known.device);
                 Found { device: found.device.or(known), ..found }

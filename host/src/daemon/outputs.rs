@@ -23,8 +23,8 @@ pub(super) enum Outgoing {
     Note(Note),
 }
 
-/// Most poses that are sent together, and how long the first may wait for the others: to wake a client for each pose
-/// costs more than to solve it.
+/// Most poses sent together, and how long the first may wait for the others: waking a client for each pose costs more
+/// than solving it.
 const TOGETHER: usize = 8;
 const TOGETHER_NS: u64 = 50_000;
 
@@ -44,10 +44,10 @@ pub(super) struct Outputs {
     pub(super) prints_all: bool,
     pub(super) capture: Option<CaptureQueue>,
     outbox: Option<Outbox>,
-    /// Poses about to be published, and when the first was solved.
+    /// Poses about to be published, and the time when the first was solved.
     fresh: Vec<Record>,
     fresh_since_ns: u64,
-    /// Notes to be printed behind the scans that came before them, each with the number of these scans.
+    /// Notes to be printed after the scans that came before them, each with the number of these scans.
     notes: VecDeque<(u64, Note)>,
     arrived: u64,
     taken: u64,
@@ -85,7 +85,7 @@ impl Outputs {
         }
     }
 
-    /// Prepares for the next segment, which opens the link anew or not.
+    /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
         if let Some(capture) = &mut self.capture {
             capture.begin(opened);
@@ -122,7 +122,7 @@ impl Outputs {
                 let (device, device_time_s, severity) = (self.device, *device_time_s, Severity::Warning);
                 self.note(|| Note::Event { device, severity, device_time_s, text: oddity.to_string() });
             }
-            // Reported once the whole segment is processed: its scans are not to be lost.
+            // Reported after the whole segment is processed, so that its scans are not lost.
             Item::Reply(Reply { outcome: Err(rejection), .. }) => self.refused = Some(*rejection),
             Item::Reply(_) | Item::Status(_) | Item::Pose(_) => {}
         }
@@ -136,7 +136,7 @@ impl Outputs {
         }
     }
 
-    /// Publishes a pose newer than all before, at once or with the next few.
+    /// Publishes a pose that is newer than all before, at once or together with the next few.
     pub(super) fn publish(&mut self, record: &Record, now: HostInstant, is_behind: bool) {
         if self.fresh.is_empty() {
             self.fresh_since_ns = now.monotonic_ns;
@@ -186,7 +186,7 @@ impl Outputs {
         }
     }
 
-    /// Prints the next pose in turn, behind the notes that came before it.
+    /// Prints the next pose in turn, after the notes that came before it.
     pub(super) fn print(&mut self, record: &Record) {
         self.print_notes();
         self.taken += 1;
@@ -228,14 +228,14 @@ impl Outputs {
         }
     }
 
-    /// Hands the chunk under way to the recorder.
+    /// Hands the current chunk to the recorder.
     pub(super) fn hand_over_capture(&mut self) {
         if let Some(capture) = &mut self.capture {
             capture.hand_over();
         }
     }
 
-    /// The same, if its time is over.
+    /// Hands the current chunk to the recorder if its time is over.
     pub(super) fn hand_over_old_capture(&mut self) {
         if let Some(capture) = &mut self.capture {
             capture.hand_over_old();

@@ -1,4 +1,4 @@
-//! The thread that prints poses. Standard output never drops: if its reader is slow, the solvers wait.
+//! The thread that prints poses. Standard output never drops poses: if its reader is slow, the solvers wait.
 
 use std::io;
 use std::sync::Arc;
@@ -16,13 +16,13 @@ use slitpose_head::threads::join;
 /// Longest wait without a pose to print.
 const IDLE: Duration = Duration::from_millis(50);
 
-/// A stream that is always behind is flushed and shown at least after this time.
+/// Longest time without a flush or redraw for a stream that is always behind.
 const TICK_AFTER: Duration = Duration::from_millis(200);
 
-/// Gives the account of boards and recorder.
+/// Returns the state of boards and recorder.
 pub(super) type Accounts = dyn Fn() -> Account + Send;
 
-/// After an interrupt the program waits no longer for a reader that has read nothing for this time.
+/// After an interrupt, the longest wait for a reader that reads nothing.
 const PATIENCE: Duration = Duration::from_millis(500);
 
 /// Pause between checks whether the thread has ended.
@@ -36,7 +36,7 @@ pub(super) struct PrinterThread {
 }
 
 impl PrinterThread {
-    /// Starts it. When the sink fails it sets `stop`.
+    /// Starts the thread. If the sink fails, it sets `stop`.
     pub(super) fn start(
         outboxes: Consumer<Outbox>,
         sink: Box<dyn Sink + Send>,
@@ -50,7 +50,7 @@ impl PrinterThread {
     }
 
     /// Waits until all is printed; all solvers must have ended. If `stop` is set and the output is not read, the rest
-    /// is given up.
+    /// is dropped.
     pub(super) fn end(self, stop: &AtomicBool) -> io::Result<()> {
         let (mut before, mut since) = (0, Instant::now());
         while !self.thread.is_finished() {
@@ -66,7 +66,7 @@ impl PrinterThread {
     }
 }
 
-/// Prints the solvers' outboxes until they have ended. When the sink fails it sets `stop`, and drops later outboxes.
+/// Prints the solvers' outboxes until the solvers have ended. If the sink fails, sets `stop` and drops later outboxes.
 fn print(
     outboxes: &Consumer<Outbox>,
     mut sink: Box<dyn Sink + Send>,
@@ -81,7 +81,7 @@ fn print(
             Ok(mut outbox) => {
                 let written = if failed.is_none() { write_outbox(&mut *sink, &outbox) } else { Ok(()) };
                 outbox.clear();
-                // A stall may have made it longer, and there are many.
+                // A stall may have enlarged it, and there are many outboxes.
                 outbox.shrink_to(OUTBOX_POSES);
                 outboxes.give_back(outbox);
                 printed.fetch_add(1, Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! The thread that reads a board: it finds the board, starts it, and hands on the bytes. When the board is gone, it
-//! looks for the board again.
+//! The thread that reads a board: it finds the board, starts it, and passes on the bytes. After a loss it searches for
+//! the board again.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,16 +18,16 @@ use super::stream_event::StreamEvent;
 use crate::device::{Conversation, DeviceError, Keep};
 use crate::link::DeviceId;
 
-/// Pause between searches for a board that was there a moment ago: a re-plugged one is back at once.
+/// Pause between searches for a board lost recently: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);
 
-/// For how long after its loss a board counts as there a moment ago. A search for ports costs 0.1 ms and more.
+/// Time after its loss during which a board counts as lost recently. A search for ports costs 0.1 ms and more.
 const RECENTLY: Duration = Duration::from_secs(10);
 
-/// Pause between searches for a board that stays away, and between the first two attempts at one that cannot be used.
+/// Pause between searches for a board lost earlier, and between the first two attempts at one that cannot be used.
 const LATER: Duration = Duration::from_millis(500);
 
-/// The pause between attempts at a board that cannot be used doubles this many times, to half a minute.
+/// Number of times that the pause between attempts at an unusable board doubles, to half a minute.
 const DOUBLINGS: u32 = 6;
 
 /// Interrupts are noticed within this time.
@@ -42,10 +42,10 @@ pub(super) struct Reader {
     pub(super) patience: Option<Duration>,
     pub(super) handoff: ReaderEnd<Solver>,
     pub(super) events: Receiver<(u64, StreamEvent)>,
-    /// Number of the connection, from 1; an event carries that of its own.
+    /// Number of the connection, from 1; each event carries the number of its connection.
     pub(super) connection: u64,
     pub(super) claims: Claims,
-    /// The name under which it claims its board.
+    /// The name under which the reader claims its board.
     pub(super) claimant: String,
     /// Whether scans have come over this connection.
     pub(super) has_scans: bool,
@@ -53,9 +53,9 @@ pub(super) struct Reader {
     pub(super) stop: Arc<AtomicBool>,
 }
 
-/// How listening ended.
+/// How reading ended.
 enum Ending {
-    /// As asked for, or because nothing will ever come again.
+    /// As requested, or because the stream is complete.
     Wanted(Keep),
     Lost(BoardError),
 }
@@ -69,7 +69,7 @@ impl Reader {
     }
 
     fn follow(&mut self) -> Result<(), BoardError> {
-        // Since the last usable scan: a board that answers and sends none is no nearer.
+        // Since the last usable scan: a board that answers but sends no scan counts as missing.
         let mut missing_since = Instant::now();
         let mut is_first = true;
         let mut attempts = 0;
@@ -81,7 +81,7 @@ impl Reader {
                     let ending = self.listen(&mut board);
                     match ending {
                         Ending::Wanted(keep) => return self.end(board, keep),
-                        // Dropped, the conversation tells the board to stop, if that can still be told.
+                        // Dropping the conversation stops the board, if it can still be reached.
                         Ending::Lost(error) => error,
                     }
                 }
@@ -92,16 +92,16 @@ impl Reader {
                 missing_since = Instant::now().checked_sub(missed).unwrap_or_else(Instant::now);
                 (is_first, attempts) = (false, 0);
             }
-            // At first somebody is there to mend what waiting does not. Later a port may still be closed to
-            // us just after it has appeared.
+            // At the start a user is there to correct errors that do not pass. Later, access to a port may be denied
+            // only because it has just appeared.
             let is_hopeless = is_first && !error.is_passing();
             is_first = false;
             if is_hopeless || self.patience.is_some_and(|patience| missing_since.elapsed() >= patience) {
                 return Err(error);
             }
             self.slot.link.lost(&error);
-            // A board that has just run is most likely about to run again; one that stays away costs less, and one
-            // that somebody has to look after gives them time.
+            // A board that has just run will most likely run again at once. A board that stays away, or needs the
+            // user, is tried less often.
             let is_soon = self.has_scans || (error.is_absence() && missing_since.elapsed() < RECENTLY);
             self.rest(if is_soon { SOON } else { pause_behind(&error, attempts) });
             attempts = attempts.saturating_add(1);
@@ -122,7 +122,7 @@ impl Reader {
         }
     }
 
-    /// Opens, greets, configures and starts the board, which runs once scans come.
+    /// Opens, greets, configures and starts the board. It counts as running once scans come.
     fn connect(&mut self) -> Result<Conversation, BoardError> {
         let _turn = self.opener.turn();
         let device = self.opener.open()?;
@@ -177,14 +177,14 @@ impl Reader {
         }
     }
 
-    /// The next event. Of those of earlier connections only the end of the stream counts.
+    /// The next event. Events of earlier connections are ignored, except the end of the stream.
     fn next_event(&self) -> Option<StreamEvent> {
         self.events.try_iter().find_map(|(connection, event)| {
             (connection == self.connection || matches!(event, StreamEvent::Complete)).then_some(event)
         })
     }
 
-    /// Darkens the board and hands on what was still under way.
+    /// Stops the board and passes on the bytes that were still under way.
     fn end(&mut self, mut board: Conversation, keep: Keep) -> Result<(), BoardError> {
         let stopped = board.stop(keep);
         self.pass_on(&mut board, false);
@@ -196,8 +196,8 @@ impl Reader {
         Ok(stopped?)
     }
 
-    /// Solves what was received last, or hands it on. Waits if the solver is far behind: bytes then wait in the
-    /// operating system and on the board. `false` if the solver has ended, and takes no more.
+    /// Solves the bytes received last, or passes them on. Waits if the solver is far behind: bytes then wait in the
+    /// operating system and on the board. `false` if the solver has ended.
     fn pass_on(&mut self, board: &mut Conversation, opened: bool) -> bool {
         let Some(segment) = self.handoff.chunk() else {
             return false;

@@ -18,10 +18,10 @@ use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::{join, lock};
 
-/// Chunks on their way to the disk: 5 s of one board.
+/// Most chunks on their way to the disk: 5 s of one board.
 const CHUNKS_A_BOARD: usize = 256;
 
-/// Accounts on their way to the disk.
+/// Most reports on their way to the disk.
 const ACCOUNTS: usize = 4;
 
 /// Longest wait without anything to record.
@@ -31,9 +31,9 @@ const IDLE: Duration = Duration::from_millis(100);
 pub(crate) struct CapturePlan {
     /// The files.
     pub series: CaptureSeries,
-    /// Poses recorded a device second, besides the bytes from which all poses can be solved again.
+    /// Poses recorded per device second, in addition to the bytes from which all poses can be solved again.
     pub poses_hz: f64,
-    /// Says something to the user.
+    /// Prints a message for the user.
     pub talk: Arc<Talk>,
 }
 
@@ -44,7 +44,7 @@ pub(super) struct RecorderThread {
     report: Arc<Mutex<RecorderReport>>,
 }
 
-/// The board behind a number.
+/// The board of a number.
 struct Source {
     file: SceneFile,
     settings: Settings,
@@ -64,7 +64,7 @@ struct Recorder {
 }
 
 impl RecorderThread {
-    /// Starts it; gives the boards' end of the queue, and the device time between recorded poses, seconds.
+    /// Starts the thread; returns the boards' end of the queue and the device time between recorded poses, seconds.
     pub(super) fn start(
         plan: CapturePlan,
         boards: &[BoardPlan],
@@ -100,13 +100,13 @@ impl RecorderThread {
         lock(&self.report).clone()
     }
 
-    /// A function that gives the state of the recording.
+    /// A function that returns the state of the recording.
     pub(super) fn reports(&self) -> impl Fn() -> RecorderReport + Send + use<> {
         let report = Arc::clone(&self.report);
         move || lock(&report).clone()
     }
 
-    /// Puts an account into the capture, if the recorder is not far behind.
+    /// Records the daemon's report in the capture, unless the recorder is far behind.
     pub(super) fn account(&self, report: DaemonReport) {
         if let Some(accounts) = &*lock(&self.accounts) {
             let _ = accounts.try_send(report);
@@ -142,7 +142,7 @@ impl Recorder {
             }
             self.publish();
         }
-        // The last account comes when all boards have ended.
+        // The last report comes when all boards have ended.
         for report in accounts {
             let done = self.record_account(&report);
             self.report_failure(done);
@@ -187,7 +187,7 @@ impl Recorder {
             }
         }
         let Some(device) = source.device else {
-            // Without a hello nothing of a board can be decoded.
+            // Without a hello a board's bytes cannot be decoded.
             self.bytes_missing += chunk.segment.bytes.len() as u64;
             return Ok(());
         };

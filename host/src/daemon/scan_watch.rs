@@ -1,4 +1,4 @@
-//! Notices when a link delivers no scans, although other messages may come.
+//! Detects a link that delivers no scans, even if other messages come.
 
 use std::time::Duration;
 
@@ -6,26 +6,26 @@ use crate::clock::HostInstant;
 use crate::device::Scanless;
 use crate::pipeline::Counts;
 
-/// A board that runs and sends no scan for this long is of no use, even if it sends other messages …
+/// Longest time without a scan from a board that runs, even if it sends other messages …
 const NO_SCANS: Duration = Duration::from_secs(3);
 
-/// … unless its frames are longer: then this many are missing.
+/// … or this many frames, if that is longer.
 const FRAMES: u32 = 3;
 
-/// News of the scans of a link.
+/// A change in the scans of a link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum News {
-    /// The first has come.
+    /// The first scan has come.
     Begun,
-    /// None has come for so many seconds, with the most likely cause.
+    /// No scan has come for this many seconds; with the most likely cause.
     Missing(f64, Scanless),
 }
 
-/// Follows the scans of a link by when their bytes were read: a host that is behind makes no scan late.
+/// Follows the scans of a link by the time at which their bytes were read, so that a slow host makes no scan late.
 #[derive(Debug)]
 pub(super) struct ScanWatch {
     limit_ns: u64,
-    /// When the link was opened or the last scan had come; `None` while no read has told its time.
+    /// When the link was opened or the last scan came; `None` until a read with a time.
     since: Option<HostInstant>,
     scans: u64,
     begun: bool,
@@ -34,7 +34,7 @@ pub(super) struct ScanWatch {
 }
 
 impl ScanWatch {
-    /// For a board that takes a frame each `frame`.
+    /// For a board with frames of duration `frame`.
     pub(super) fn new(frame: Duration) -> Self {
         let limit = NO_SCANS.max(frame.saturating_mul(FRAMES));
         Self {
@@ -46,7 +46,7 @@ impl ScanWatch {
         }
     }
 
-    /// Compares the counters after bytes that were read at `at`; `opened` if they are the first of a link.
+    /// Compares the counters after bytes that were read at `at`; `opened`: these bytes are the first of a link.
     pub(super) fn update(&mut self, opened: bool, counts: &Counts, at: Option<HostInstant>) -> Option<News> {
         let come = counts.scans > self.scans;
         if opened {
@@ -128,7 +128,7 @@ mod tests {
         assert!(matches!(slow.update(false, &counts, at(6.0)), Some(News::Missing(..))));
         let mut timeless = ScanWatch::new(Duration::from_micros(250));
         assert!((0..10).all(|number| timeless.update(number == 0, &counts, None).is_none()));
-        // The first read that tells its time begins it.
+        // The first read with a time starts the watch.
         assert_eq!(timeless.update(false, &counts, at(100.0)), None);
         assert!(matches!(timeless.update(false, &counts, at(103.0)), Some(News::Missing(..))));
     }

@@ -1,4 +1,4 @@
-//! The account of a board, as its threads keep it and others read it.
+//! The state of a board, written by its threads and read by others.
 
 use std::sync::Mutex;
 
@@ -8,7 +8,7 @@ use crate::pipeline::Pipeline;
 use crate::telemetry::{BoardReport, BoardStatistics};
 use slitpose_head::threads::lock;
 
-/// The account of a board.
+/// The state of a board.
 pub(super) struct BoardSlot {
     pub(super) link: Link,
     report: Mutex<BoardReport>,
@@ -19,14 +19,14 @@ impl BoardSlot {
         Self { link, report: Mutex::new(BoardReport { name, ..BoardReport::default() }) }
     }
 
-    /// Renews the account; a few times a second.
+    /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.set_drift_ppm(pipeline.drift_ppm());
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
         *lock(&self.report) = report;
     }
 
-    /// The newest account.
+    /// The newest state.
     pub(super) fn report(&self) -> BoardReport {
         let report = lock(&self.report).clone();
         BoardReport { link: self.link.report(), ..report }

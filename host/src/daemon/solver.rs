@@ -1,8 +1,8 @@
 //! Turns a board's bytes into poses and hands them to its outputs.
 //!
 //! Segments are decoded, recorded and counted at once. [`Backlog`] chooses the scan that is solved next, so that
-//! control loops get new poses even if the solver is too slow or standard output is not read. The solver runs on a
-//! thread of its own and, while it is quick, on the thread that reads: see [`super::handoff`].
+//! control loops get new poses even if the solver is too slow or standard output is not read. The solver runs on its
+//! own thread and, while it is quick, on the reading thread: see [`super::handoff`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,23 +28,23 @@ use crate::telemetry::{HostLosses, LagReport};
 /// Longest wait without anything to solve.
 const IDLE: Duration = Duration::from_millis(100);
 
-/// Wait for room at the printer.
+/// Interval of checks for room at the printer.
 const ROOM_EVERY: Duration = Duration::from_millis(1);
 
-/// Period of the board's account.
+/// Period of the board's reports.
 const ACCOUNT_EVERY_NS: u64 = 200_000_000;
 
-/// A solver that was behind keeps up again after this many accounts without a scan out of turn: 3 s.
+/// A solver that was behind counts as keeping up again after this many reports without a scan out of turn: 3 s.
 const CALM: u32 = 15;
 
-/// Most scans that may wait: a minute of a board at 4 kHz, 80 MB. Beyond it the link waits, and then the board.
+/// Most scans that may wait: a minute of a board at 4 kHz, 80 MB. Then reading waits, and finally the board.
 const MOST_WAITING: usize = 1 << 18;
 
-/// After an interrupt, scans that wait are solved for no longer than this.
+/// After an interrupt, waiting scans are solved for at most this long.
 const GIVES_UP_AFTER_NS: u64 = 500_000_000;
 
-/// The thread that reads solves for no longer than this at a time: what a board at 4 kHz sends in half a
-/// millisecond waits in the operating system.
+/// Longest time that the reading thread solves at a stretch; the bytes of a board at 4 kHz meanwhile wait in the
+/// operating system.
 const PROCESSES_FOR_NS: u64 = 500_000;
 
 /// Solves one board.
@@ -78,7 +78,7 @@ pub(super) struct State {
     was_behind: bool,
     behind_since_ns: Option<u64>,
     was_blocked: bool,
-    /// Accounts since the solver was last behind; `None` if the user has not been told of it.
+    /// Reports since the solver was last behind; `None` if that was not reported to the user.
     told: Option<u32>,
 }
 
@@ -100,7 +100,7 @@ impl Worker for Solver {
 }
 
 impl Solver {
-    /// Solves the chunks left to this thread until the thread that reads has ended, and gives the last account.
+    /// Solves the chunks left to this thread until the reading thread has ended; returns the final counts.
     pub(super) fn run(handoff: &SolverEnd<Self>) -> Counts {
         loop {
             let mut solver = handoff.worker();
@@ -116,7 +116,7 @@ impl Solver {
                 return solver.end();
             }
             if queue.waiting > 0 && (solver.state.is_over || queue.oldest_ns.is_none()) {
-                // There is nothing to do before there is room.
+                // Nothing to do until the printer has room.
                 solver.outputs.await_room(IDLE);
             } else {
                 drop(solver);
@@ -131,11 +131,11 @@ impl Solver {
         self.pipeline.counts()
     }
 
-    /// Receives the chunks in the queue, as far as there is room.
+    /// Receives the chunks in the queue as long as scans have room to wait.
     fn receive_queued(&mut self, handoff: &SolverEnd<Self>) {
         loop {
             let queue = self.pipeline.queue();
-            // Without times no pose can be late, and one chunk after the other will do.
+            // Without read times no pose can be late, and chunks are received one at a time.
             let has_room = queue.waiting == 0 || (queue.oldest_ns.is_some() && queue.waiting < MOST_WAITING);
             if !has_room {
                 return;
@@ -154,7 +154,7 @@ impl Solver {
         }
     }
 
-    /// Solves or skips the next scans; `false` if nothing can be done before more bytes come, or poses are printed.
+    /// Solves or skips the next scans; `false` if it must wait for more bytes, or until poses are printed.
     fn step(&mut self) -> bool {
         let queue = self.pipeline.queue();
         let can_print = self.outputs.can_print();
@@ -172,7 +172,7 @@ impl Solver {
         true
     }
 
-    /// Sends poses that were kept to be sent together.
+    /// Sends the poses kept for sending together.
     fn pause(&mut self) {
         self.outputs.send();
         self.outputs.hand_over_outbox();
@@ -190,7 +190,7 @@ impl Solver {
         let opened = segment.opened;
         self.state.connection += u64::from(opened);
         self.state.is_unusable &= !opened;
-        // Segments behind the end are dropped; a stream that cannot be solved is recorded.
+        // Segments after the end are dropped; a stream that cannot be solved is still recorded.
         if self.state.is_unusable && !self.state.is_complete {
             self.outputs.begin(opened);
             self.outputs.keep(segment);
@@ -279,7 +279,7 @@ impl Solver {
     }
 
     fn tell(&self, connection: u64, event: StreamEvent) {
-        // A reader that has ended needs no event, and one whose queue is full acts on the first.
+        // Dropped if the reader has ended; a reader with a full queue acts on the first event.
         let _ = self.events.try_send((connection, event));
     }
 

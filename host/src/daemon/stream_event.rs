@@ -8,9 +8,9 @@ use crate::device::Scanless;
 pub(super) enum StreamEvent {
     /// The first scan of the connection has come.
     Scans,
-    /// No scan has come for so many seconds; the second field says what came instead.
+    /// No scan has come for this many seconds; the second field says what came instead.
     Scanless(f64, Scanless),
-    /// All scans asked for have come.
+    /// All requested scans have come.
     Complete,
     /// The board has stopped by itself, with its last warning or error.
     Stopped(Option<String>),

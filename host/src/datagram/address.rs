@@ -1,4 +1,4 @@
-//! Where the daemon listens: `unix:/run/slitpose/pose` or `udp:127.0.0.1:7440`.
+//! Addresses of the datagram server: `unix:/run/slitpose/pose` or `udp:127.0.0.1:7440`.
 
 use std::fmt;
 use std::net::{AddrParseError, SocketAddr};
@@ -7,33 +7,33 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-/// Where datagrams are asked for.
+/// An address at which clients request datagrams.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
-    /// A Unix socket at a path. Who may write to it may ask.
+    /// A Unix socket at a path, for users with write permission on it.
     Unix(PathBuf),
-    /// A UDP port of this host: every user of it may ask.
+    /// A UDP port of this host, for all users of the host.
     Udp(SocketAddr),
 }
 
-/// A text that is no [`Address`].
+/// A text that is not a permitted [`Address`].
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AddressError {
-    /// Neither kind.
+    /// Neither kind of address.
     #[error("`{text}` is no address for poses; give unix:PATH or udp:127.0.0.1:PORT")]
     Kind {
         /// The text.
         text: String,
     },
-    /// A socket without a name.
+    /// A Unix socket without a path.
     #[error("`unix:` lacks the path of the socket; give unix:PATH")]
     NoPath,
-    /// Neither address nor port.
+    /// A UDP address that cannot be parsed.
     #[error("`{text}` is no address and port; give udp:127.0.0.1:PORT")]
     Udp {
         /// What follows `udp:`.
         text: String,
-        /// What is wrong with it.
+        /// The parser's error.
         source: AddrParseError,
     },
     /// Poses are not sent to other hosts.

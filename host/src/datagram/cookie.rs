@@ -1,17 +1,17 @@
 //! Proof that a client on UDP receives at its sender address.
 //!
-//! Anybody on the host may write to a UDP port under another's address. Without proof 24 bytes would send
-//! thousands of datagrams to a host that never asked. So a client is first sent a cookie, no longer than its
-//! request, and served once it has echoed that. The server keeps nothing for it: a cookie is a keyed hash of
-//! address and time, as in TCP (Bernstein's SYN cookies, RFC 4987, section 3.6).
+//! A UDP sender can forge its address. Without proof, a request of 24 bytes would direct thousands of datagrams
+//! to a host that never asked. So a client is first sent a cookie, no longer than its request, and is served
+//! once it has echoed the cookie. The server keeps no state for it: a cookie is a keyed hash of address and time,
+//! as in TCP (Bernstein's SYN cookies, RFC 4987, section 3.6).
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::SocketAddr;
 
-/// A cookie is good in the epoch it is from and in the next one. Clients that follow ask each second.
+/// A cookie is valid in its own epoch and in the next one. Clients that follow send a request each second.
 const EPOCH_NS: u64 = 10_000_000_000;
 
-/// Makes cookies and knows them again. Its key, SipHash's, is random and new with each server.
+/// Makes and verifies cookies by SipHash, with a random key for each server.
 #[derive(Debug, Default)]
 pub(super) struct Cookies(RandomState);
 
@@ -20,9 +20,9 @@ pub(super) struct Cookies(RandomState);
 pub(super) enum Worth {
     /// It proves the address.
     Good,
-    /// It still does; here is the next.
+    /// It proves the address, but expires soon; with the next cookie.
     Old(u64),
-    /// It proves nothing; this one will.
+    /// It is invalid; with a valid cookie.
     Nothing(u64),
 }
 

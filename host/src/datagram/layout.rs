@@ -1,29 +1,29 @@
-//! The layout of datagrams, in both directions. `include/slitpose_pose.h` says the same in C.
+//! The layout of datagrams, in both directions. `include/slitpose_pose.h` defines it in C.
 //!
-//! All numbers are little endian, nothing is between them, each is aligned to its size.
+//! All numbers are little endian, without padding, each aligned to its size.
 //!
 //! A pose, 544 bytes:
 //!
 //! | at | type | what |
 //! |---|---|---|
 //! | 0 | u32 | magic, "SLPP" |
-//! | 4 | u16 | version, 1: with another one everything behind may be different |
-//! | 6 | u16 | bytes in all; fields may be added at the end without a new version |
-//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated, 32 behind: scans before this one were passed over, as the daemon could not solve or print each in time |
+//! | 4 | u16 | version, 1: another version may change all later fields |
+//! | 6 | u16 | total bytes; fields may be added at the end without a new version |
+//! | 8 | u32 | flags: 1 pose, 2 twist, 4 host time, 8 arrival, 16 simulated, 32 behind: scans before this one were skipped because the daemon could not solve or print each in time |
 //! | 12 | u16 | status: 0 converged, 1 degraded, 2 ambiguous, 3 unobservable, 4 too dark, 5 diverged |
 //! | 14 | u16 | cells that were used |
 //! | 16 | [u8; 12] | id of the board |
 //! | 28 | u16 | cells that contradict all others and were left out, one bit each |
 //! | 30 | u16 | redundancy: data minus unknowns |
 //! | 32 | u64 | number of the datagram, from 1, of this board since the daemon started it |
-//! | 40 | u64 | how many of them the receiver's full queue has refused since it follows; 0 in an answer |
+//! | 40 | u64 | number of datagrams that the follower's full queue has refused; 0 in an answer |
 //! | 48 | u64 | number of the scan, by the board |
 //! | 56 | u64 | the pose's instant by the board's clock, ns |
 //! | 64 | u64 | the same by CLOCK_MONOTONIC, ns; 0 without flag 4 |
 //! | 72 | u64 | the same by UTC, ns since 1970; 0 without flag 4 |
-//! | 80 | u64 | both are right to this, ns; 0 without flag 4 |
-//! | 88 | u64 | when the scan's bytes had been read, CLOCK_MONOTONIC, ns; 0 without flag 8 |
-//! | 96 | u64 | when the datagram was made, CLOCK_MONOTONIC, ns |
+//! | 80 | u64 | greatest error of both, ns; 0 without flag 4 |
+//! | 88 | u64 | time at which the scan's bytes had been read, CLOCK_MONOTONIC, ns; 0 without flag 8 |
+//! | 96 | u64 | time at which the datagram was made, CLOCK_MONOTONIC, ns |
 //! | 104 | [f64; 3] | translation of `base_from_tool`, m |
 //! | 128 | [f64; 4] | its rotation, quaternion x, y, z, w |
 //! | 160 | [f64; 36] | covariance of (t, θ), row-major: m², m·rad, rad² |
@@ -31,21 +31,20 @@
 //! | 472 | [f64; 3] | angular velocity in the base frame, rad/s |
 //! | 496 | [f64; 6] | standard deviations of those six |
 //!
-//! Absent values are NaN, and their flag is clear. On UDP a full queue is not reported: there only gaps in the number
-//! of the datagram show what was missed.
+//! Absent values are NaN, and their flag is clear. On UDP a full queue is not reported: there only gaps in the numbers
+//! of the datagrams show losses.
 //!
-//! A request, 32 bytes: u32 magic "SLPQ" · u16 version, 1 · u16 bytes in all · u16 mode (1 newest,
+//! A request, 32 bytes: u32 magic "SLPQ" · u16 version, 1 · u16 total bytes · u16 mode (1 newest,
 //! 2 follow) · u16 zero · \[u8; 12\] id of a board, all zero for every board · u64 cookie, zero without one.
-//! One of 24 bytes, without the last field, is understood as one with the cookie zero.
+//! A request of 24 bytes, without the last field, has the cookie zero.
 //!
-//! An answer that is no pose, 24 bytes and so never more than was asked with: u32 magic "SLPA" · u16 version, 1 ·
-//! u16 bytes in all · u16 kind · u16 zero · u32 zero · u64 cookie, or zero. By kind:
+//! An answer that is not a pose, 24 bytes and so never longer than its request: u32 magic "SLPA" · u16 version, 1 ·
+//! u16 total bytes · u16 kind · u16 zero · u32 zero · u64 cookie, or zero. By kind:
 //!
-//! 1. The request was not served: send it again with this cookie. UDP only, where a sender's address proves
-//!    nothing: who echoes the cookie has shown that it receives there.
-//! 2. The request was not served, or a client that followed is followed no longer: all places are taken. Ask again
-//!    each second.
-//! 3. The request was served; use this cookie from now on, as the last one will soon be too old.
+//! 1. The request was not served: send it again with this cookie. UDP only, where a sender's address can be forged:
+//!    echoing the cookie proves that the client receives there.
+//! 2. The request was not served, or the client has lost its place: all places are taken. Ask again each second.
+//! 3. The request was served; use this cookie from now on, as the last one expires soon.
 
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
@@ -66,7 +65,7 @@ const IS_BEHIND: u32 = 32;
 const AT_FLAGS: usize = 8;
 const AT_MISSED: usize = 40;
 
-/// A pose as it is sent.
+/// The bytes of a pose datagram.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PoseDatagram([u8; Self::BYTES]);
 
@@ -74,7 +73,7 @@ impl PoseDatagram {
     /// Its length.
     pub const BYTES: usize = 544;
 
-    /// The datagram number `number` of a board, made `now`.
+    /// The datagram of `record` with the number `number`, made at `now`.
     pub fn new(record: &Record, number: u64, now: HostInstant) -> Self {
         let solution = &record.solution;
         let flags = [
@@ -131,7 +130,7 @@ impl PoseDatagram {
         self.0[AT_FLAGS] |= IS_BEHIND as u8;
     }
 
-    /// Sets how many the receiver has missed.
+    /// Sets the number of datagrams that the receiver has missed.
     pub(super) fn set_missed(&mut self, missed: u64) {
         self.0[AT_MISSED..AT_MISSED + 8].copy_from_slice(&missed.to_le_bytes());
     }
@@ -168,20 +167,20 @@ impl Writer {
 /// A request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
-    /// How many datagrams.
+    /// The number of datagrams.
     pub mode: Mode,
-    /// Of which board; `None`: of every board.
+    /// The board; `None`: every board.
     pub device: Option<DeviceId>,
     /// The cookie last received, 0 before that. Unix sockets need none.
     pub cookie: u64,
 }
 
-/// How many datagrams a client asks for.
+/// The number of datagrams that a client requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// The newest of each board.
+    /// The newest datagram of each board.
     Newest,
-    /// All that come within the next seconds.
+    /// All datagrams of the next seconds.
     Follow,
 }
 
@@ -192,7 +191,7 @@ impl Request {
     /// Its length without a cookie.
     const SHORT_BYTES: usize = 24;
 
-    /// Without a cookie.
+    /// A request without a cookie.
     pub fn new(mode: Mode, device: Option<DeviceId>) -> Self {
         Self { mode, device, cookie: 0 }
     }
@@ -210,7 +209,7 @@ impl Request {
         bytes
     }
 
-    /// The request in `bytes`; `None` if they are no request of this version.
+    /// The request in `bytes`; `None` if they are not a request of this version.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut whole = [0; Self::BYTES];
         whole.get_mut(..bytes.len())?.copy_from_slice(bytes);
@@ -230,7 +229,7 @@ impl Request {
     }
 }
 
-/// An answer to a client that is no pose.
+/// An answer to a client other than a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
     /// Ask again with this cookie.
@@ -258,7 +257,7 @@ impl Answer {
         bytes
     }
 
-    /// The answer in `bytes`; `None` if they are no answer of this version.
+    /// The answer in `bytes`; `None` if they are not an answer of this version.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let cookie = u64::from_le_bytes(*bytes.last_chunk()?);
         [Self::Prove(cookie), Self::Refused, Self::Renew(cookie)].into_iter().find(|answer| answer.to_bytes() == bytes)

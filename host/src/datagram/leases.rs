@@ -1,17 +1,17 @@
-//! Who follows which board: places are few, and shared evenly between users.
+//! The clients that follow boards: places are few, and shared evenly between users.
 
 use super::socket::Party;
 use super::subscription::{MAX_FOLLOWERS, Subscription};
 use crate::link::DeviceId;
 
-/// As many for each of four boards.
+/// Most leases: all places of four boards.
 const MAX_LEASES: usize = 4 * MAX_FOLLOWERS;
 
-/// Which client follows which board, and until when; also boards that are not there yet.
+/// Which client follows which board, and until when; the boards may be missing yet.
 #[derive(Debug, Default)]
 pub(super) struct Leases(Vec<Lease>);
 
-/// A place.
+/// A place of a client.
 #[derive(Clone, Debug)]
 pub(super) struct Lease {
     /// `None`: every board.
@@ -22,11 +22,11 @@ pub(super) struct Lease {
 /// The answer to a request for a place.
 #[derive(Debug)]
 pub(super) enum Admission {
-    /// It has one, as this subscription.
+    /// The client has a place, as this subscription.
     Kept(Subscription),
     /// Granted as this subscription; other clients have lost their places for it.
     Instead(Subscription, Vec<Lease>),
-    /// It has none.
+    /// The client gets no place.
     Refused,
 }
 
@@ -41,10 +41,10 @@ impl Lease {
 }
 
 impl Leases {
-    /// Keeps a new one, or renews one that is known.
+    /// Adds a new lease, or renews a known one.
     ///
-    /// Where all places are taken, the party with most of them gives its latest away, as long as it has two more
-    /// than the one that asks: no user keeps another out, however many clients it starts.
+    /// If all places are taken, the party with most of them loses its latest, as long as it has two more than the
+    /// party that asks: so no user can exclude another, however many clients it starts.
     pub(super) fn renew(&mut self, device: Option<DeviceId>, new: &Subscription, now_ns: u64) -> Admission {
         self.0.retain(|lease| lease.subscription.until_ns >= now_ns);
         let known = self.0.iter_mut().find(|lease| lease.device == device && lease.subscription.is_of(new));
@@ -55,7 +55,7 @@ impl Leases {
         let mut lost = Vec::new();
         while let Some(contested) = self.contested(device) {
             let Some(loser) = self.loser(&contested, new.peer.party()) else {
-                // Who has lost a place for nothing has it back.
+                // The places lost in vain are restored.
                 self.0.append(&mut lost);
                 return Admission::Refused;
             };
@@ -65,7 +65,7 @@ impl Leases {
         if lost.is_empty() { Admission::Kept(new.clone()) } else { Admission::Instead(new.clone(), lost) }
     }
 
-    /// The leases of which one has to end before there is a place for `device`, by their places in the list.
+    /// Indices of the leases of which one must end before there is a place for `device`.
     fn contested(&self, device: Option<DeviceId>) -> Option<Vec<usize>> {
         let of = |device: Option<DeviceId>| -> Vec<usize> {
             let is_meant = |lease: &Lease| lease.device.is_none() || lease.device == device;
@@ -78,14 +78,14 @@ impl Leases {
         fullest.filter(is_full).or(all)
     }
 
-    /// Who of `contested` has to go for one more of `party`.
+    /// Index of the lease in `contested` that must end for one more of `party`.
     fn loser(&self, contested: &[usize], party: Party) -> Option<usize> {
         let count = |party: Party| contested.iter().filter(|&&number| self.0[number].party() == party).count();
         let most = contested.iter().copied().max_by_key(|&number| (count(self.0[number].party()), number))?;
         (count(self.0[most].party()) >= count(party) + 2).then_some(most)
     }
 
-    /// Those of a board.
+    /// The subscriptions of a board.
     pub(super) fn of(&self, device: DeviceId, now_ns: u64) -> impl Iterator<Item = &Subscription> {
         let is_meant = move |lease: &&Lease| lease.device.is_none_or(|wanted| wanted == device);
         let wanted = self.0.iter().filter(is_meant).map(|lease| &lease.subscription);

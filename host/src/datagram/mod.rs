@@ -1,18 +1,18 @@
 //! The newest pose, as a datagram, for control loops.
 //!
-//! A client sends a [`Request`] to one of the daemon's sockets, on a Unix socket or on UDP. It asks
-//! for the newest datagram of each board once, or for all of them for some seconds. All datagrams are
-//! of one size: [`PoseDatagram`] has their layout, and `include/slitpose_pose.h` says it in C, with
-//! functions to receive them.
+//! A client sends a [`Request`] to one of the daemon's sockets, on a Unix socket or on UDP, for the newest
+//! datagram of each board once, or for all datagrams of some seconds. All datagrams have one size:
+//! [`PoseDatagram`] has their layout, and `include/slitpose_pose.h` defines it in C, with functions to
+//! receive them.
 //!
-//! A datagram goes out from the thread that solved it, with nothing between solver and socket.
-//! Who may write to a Unix socket its permissions say. On UDP everybody on the host may, and under any address:
-//! there a client is served once it has echoed a cookie that was sent to it. Places of followers are few; users
-//! share them evenly, and a client without a place is told so.
+//! A datagram is sent by the thread that solved it, with no queue between solver and socket. The permissions
+//! of a Unix socket decide which users may connect. On UDP every user of the host may, and can forge its
+//! address: there a client is served once it has echoed a cookie. Places of followers are few; users share
+//! them evenly, and a client without a place is notified.
 //!
-//! Nothing there waits: sockets do not block, requests come through a bounded queue, and the newest
-//! datagram is left for answers in a slot whose writer waits for no reader. A client that does not
-//! read fills its own queue and no other; what it misses is counted, and it is told how many.
+//! The sending thread never waits: sockets do not block, requests come through a bounded queue, and the
+//! newest datagram is stored for answers in a slot whose writer waits for no reader. A client that does not
+//! read fills only its own queue; the datagrams it misses are counted and reported to it.
 
 mod address;
 mod cookie;

@@ -18,7 +18,7 @@ struct Follower {
     missed: u64,
 }
 
-/// Sends the poses of one board. It never waits, takes no lock, and allocates nothing.
+/// Sends the poses of one board. Never waits, takes no lock, allocates nothing.
 #[derive(Debug)]
 pub struct Publisher {
     shared: Arc<Shared>,
@@ -43,7 +43,7 @@ impl Publisher {
         }
     }
 
-    /// Datagrams that followers have missed because they did not take them in time.
+    /// Number of datagrams that followers have missed because they did not read in time.
     pub fn missed(&self) -> u64 {
         self.missed
     }
@@ -53,7 +53,7 @@ impl Publisher {
         self.is_behind = is_behind;
     }
 
-    /// Sends a pose to all who follow, and leaves it for those who ask.
+    /// Sends a pose to all followers, and stores it for clients that request the newest.
     pub fn publish(&mut self, record: &Record, now: HostInstant) {
         self.number += 1;
         let mut datagram = PoseDatagram::new(record, self.number, now);

@@ -1,4 +1,4 @@
-//! The asking side: requests in, answers out, clients that follow handed on to the publishers.
+//! The server: it receives requests, sends answers, and passes followers to the publishers.
 
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
@@ -25,33 +25,31 @@ use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use slitpose_head::threads::lock;
 
-/// How long a client is followed after it asked. Clients ask each second.
+/// Duration of a lease after each request. Clients send one each second.
 pub(super) const LEASE: Duration = Duration::from_secs(3);
 
 /// Counts of datagrams sent and refused since the server started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct DatagramCounts {
-    /// Places that clients have taken, now.
+    /// Places taken by clients now.
     pub places_taken: u64,
     /// Places of each board; users share them evenly, and all clients on UDP count as one user.
     pub places: u64,
-    /// Clients that were told that they get no place, or lose theirs to another user's.
+    /// Clients that got no place, or lost theirs to another user's client.
     pub places_refused: u64,
-    /// Requests understood, and answered as far as there was an answer.
+    /// Valid requests.
     pub requests: u64,
-    /// Requests that were not: of unreadable bytes, from clients without a name that is theirs, or too many at a
-    /// time.
+    /// Requests refused: unreadable, from clients without a valid name of their own, or too many at a time.
     pub refused: u64,
-    /// Requests on UDP that were answered with a cookie, as they came without one that proves their address.
+    /// Requests on UDP without a valid cookie, answered with a cookie.
     pub unproven: u64,
     /// Datagrams sent.
     pub sent: u64,
-    /// Datagrams for which a client's queue had no room, as far as the system tells: of UDP it does
-    /// not.
+    /// Datagrams for which a client's queue had no room. Not known for UDP.
     pub missed: u64,
 }
 
-/// A board, as the server knows it; its publisher holds the other ends.
+/// The server's side of a board; its publisher holds the other ends.
 #[derive(Debug)]
 struct Board {
     device: DeviceId,
@@ -59,7 +57,7 @@ struct Board {
     subscriptions: Sender<Subscription>,
 }
 
-/// Who sends, and who wants to be sent to.
+/// Boards and their followers.
 #[derive(Debug, Default)]
 struct Directory {
     boards: Vec<Board>,
@@ -67,13 +65,13 @@ struct Directory {
     cookies: Cookies,
 }
 
-/// Answers requests, from a thread of its own, until dropped.
+/// Answers requests on its own thread until dropped.
 #[derive(Debug)]
 pub struct DatagramServer {
     shared: Arc<Shared>,
     directory: Arc<Mutex<Directory>>,
     addresses: Vec<Address>,
-    /// Closed, it ends the thread.
+    /// Closing it ends the thread.
     end: Option<UnixStream>,
     thread: Option<JoinHandle<()>>,
     _files: Vec<SocketFile>,
@@ -83,7 +81,7 @@ impl DatagramServer {
     /// Listens on all of `addresses`.
     ///
     /// # Errors
-    /// If one of them cannot be had.
+    /// If one of them cannot be bound, or the thread cannot be started.
     pub fn bind(addresses: &[Address]) -> Result<Self, DatagramError> {
         let (mut sockets, mut bound, mut files) = (Vec::new(), Vec::new(), Vec::new());
         for address in addresses {
@@ -105,13 +103,13 @@ impl DatagramServer {
         Ok(Self { shared, directory, addresses: bound, end: Some(end), thread: Some(thread), _files: files })
     }
 
-    /// Where it listens; a port of 0 has become one that was free.
+    /// The addresses it listens on, with the ports that the system chose for port 0.
     pub fn addresses(&self) -> &[Address] {
         &self.addresses
     }
 
-    /// What sends the poses of a board, until it is dropped, also to clients that asked before it was
-    /// there. Those of one made earlier are no longer given to new clients.
+    /// A publisher that sends the poses of a board until dropped, also to clients that asked before. It replaces an
+    /// earlier publisher of the board for new clients.
     pub fn publisher(&self, device: DeviceId) -> Publisher {
         let (sender, receiver) = crossbeam_channel::bounded(MAX_NEWS);
         let slot = Arc::new(Slot::new());
@@ -148,7 +146,7 @@ impl Drop for DatagramServer {
 }
 
 fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {
-    // One byte more than a request has shows what is too long.
+    // One byte more than a request, to detect longer datagrams.
     let mut buffer = [0; Request::BYTES + 1];
     loop {
         let mut watched: Vec<PollFd<'_>> = shared
@@ -158,7 +156,7 @@ fn serve(shared: &Shared, directory: &Mutex<Directory>, ended: &UnixStream) {
             .chain([ended.as_fd()])
             .map(|descriptor| PollFd::new(descriptor, PollFlags::POLLIN))
             .collect();
-        // An error of `recv`, interrupted or not, ends this round.
+        // Errors, such as an interrupt, are ignored: `recv` then finds nothing.
         let _ = poll(&mut watched, PollTimeout::NONE);
         if watched.last().is_none_or(|end| end.any() != Some(false)) {
             return;
@@ -212,7 +210,7 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
                     return tell(shared, Answer::Refused, socket, peer);
                 }
             };
-            // First out, then in: a board has no place more.
+            // Removed before the new one is added: a board never has more followers than places.
             for Lease { device, subscription } in lost {
                 Counters::count(&shared.counters.places_refused);
                 tell(shared, Answer::Refused, subscription.socket, &subscription.peer);
@@ -223,7 +221,7 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
     }
 }
 
-/// Sends an answer that is no pose. It is lost if the client's queue is full: clients ask again.
+/// Sends an answer other than a pose. It is lost if the client's queue is full: clients ask again.
 fn tell(shared: &Shared, answer: Answer, socket: usize, peer: &Peer) {
     let _ = shared.sockets[socket].send(&answer.to_bytes(), peer);
 }
@@ -233,10 +231,10 @@ impl Directory {
         self.boards.iter().filter(move |board| device.is_none_or(|device| device == board.device))
     }
 
-    /// Hands news of a follower to the boards it concerns.
+    /// Passes the change of a follower to the boards it concerns.
     fn hand_on(&self, shared: &Shared, device: Option<DeviceId>, news: &Subscription) {
         for board in self.wanted(device) {
-            // Full until the next scan: clients ask again.
+            // The queue is full until the next scan: clients ask again.
             if board.subscriptions.try_send(news.clone()).is_err() {
                 Counters::count(&shared.counters.refused);
             }

@@ -8,10 +8,10 @@ const WORDS: usize = PoseDatagram::BYTES / size_of::<u64>();
 
 const _: () = assert!(WORDS * size_of::<u64>() == PoseDatagram::BYTES);
 
-/// A datagram that one thread renews and others copy. The writer never waits: a reader that it
-/// disturbed sees that the version has changed, and copies again. This is a sequence lock whose
-/// words are atomics, as Boehm, "Can seqlocks get along with programming language memory models?"
-/// (MSPC 2012), figure 6, needs no more than that.
+/// A datagram that one thread writes and others copy. The writer never waits: a reader that was
+/// disturbed sees that the version has changed, and copies again. This is a sequence lock of atomic
+/// words: Boehm, "Can seqlocks get along with programming language memory models?" (MSPC 2012),
+/// figure 6.
 #[derive(Debug)]
 pub(super) struct Slot {
     /// Twice the number of datagrams stored, and one more while the next is being stored.
@@ -24,11 +24,11 @@ impl Slot {
         Self { version: AtomicU64::new(0), words: [const { AtomicU64::new(0) }; WORDS] }
     }
 
-    /// Renews it. To be called from one thread only: two would mix their words.
+    /// Stores a datagram. To be called from one thread only: two would mix their words.
     pub(super) fn store(&self, datagram: &PoseDatagram) {
         let version = self.version.load(Ordering::Relaxed);
         self.version.store(version + 1, Ordering::Relaxed);
-        // No word is seen before the odd version.
+        // No word becomes visible before the odd version.
         fence(Ordering::Release);
         for (word, bytes) in self.words.iter().zip(datagram.as_bytes().chunks_exact(size_of::<u64>())) {
             let mut value = [0; size_of::<u64>()];
@@ -38,8 +38,7 @@ impl Slot {
         self.version.store(version + 2, Ordering::Release);
     }
 
-    /// The last datagram stored; `None` before the first, or if the writer disturbed each of many
-    /// attempts.
+    /// The last datagram stored; `None` before the first, or if the writer disturbed all attempts.
     pub(super) fn load(&self) -> Option<PoseDatagram> {
         // A copy takes a ten-thousandth of the time between two scans.
         const ATTEMPTS: usize = 100;

@@ -1,4 +1,4 @@
-//! Sockets of both kinds, none of which ever blocks.
+//! Non-blocking sockets of both kinds.
 
 use std::fs::{self, File, Permissions};
 #[cfg(target_os = "linux")]
@@ -29,7 +29,7 @@ pub(super) enum Socket {
     Udp(UdpSocket),
 }
 
-/// Who sent a datagram to a [`Socket`], and can be answered by it.
+/// The sender of a datagram to a [`Socket`], to which the socket can answer.
 #[derive(Clone, Debug)]
 pub(super) enum Peer {
     Unix(Arc<UnixPeer>),
@@ -39,19 +39,19 @@ pub(super) enum Peer {
 /// A client on a Unix socket.
 #[derive(Debug)]
 pub(super) struct UnixPeer {
-    /// Its name, as it has chosen it.
+    /// The name chosen by the client.
     name: net::SocketAddr,
-    /// Where to send to.
+    /// The address to send to.
     address: net::SocketAddr,
     /// The file of its socket, if its name is one.
     file: Option<PinnedSocket>,
     user: Option<u32>,
 }
 
-/// Those between whom places are shared.
+/// A party in the sharing of places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Party {
-    /// A user of this host; `None` where the system does not say which.
+    /// A user of this host; `None` if the system does not name the user.
     User(Option<u32>),
     /// Any client by UDP, where users are unknown.
     Udp,
@@ -81,8 +81,8 @@ impl PartialEq for Peer {
 }
 
 impl UnixPeer {
-    /// The client called `name` of `user`; `None` if it cannot be answered: it has no name, or one that leads to
-    /// what is not its socket.
+    /// The client called `name` of `user`; `None` if it cannot be answered: it has no name, or the name does not lead
+    /// to its own socket.
     fn new(name: net::SocketAddr, user: Option<u32>) -> Option<Self> {
         let (address, file) = match name.as_pathname() {
             Some(path) => pinned(path, user).ok()?,
@@ -92,16 +92,16 @@ impl UnixPeer {
     }
 }
 
-/// The file of a client's socket, held open: what is sent goes to this one, also after its owner has put a link to
-/// another user's socket in its place.
+/// The file of a client's socket, held open: datagrams go to this file even if its owner replaces it by a link to
+/// another user's socket.
 #[derive(Debug)]
 struct PinnedSocket {
     _file: File,
     identity: (u64, u64),
 }
 
-/// The socket at `path`, if it is one, and of that user (root's may be anybody's), and the name that leads to it and
-/// to nothing else.
+/// The socket at `path`, if it is one and belongs to `user` (root may use any socket), and a name that leads to this
+/// socket only.
 #[cfg(target_os = "linux")]
 fn pinned(path: &Path, user: Option<u32>) -> io::Result<(net::SocketAddr, Option<PinnedSocket>)> {
     let flags = OFlag::O_PATH | OFlag::O_NOFOLLOW;
@@ -115,7 +115,7 @@ fn pinned(path: &Path, user: Option<u32>) -> io::Result<(net::SocketAddr, Option
     Ok((address, Some(PinnedSocket { _file: file, identity: (found.dev(), found.ino()) })))
 }
 
-/// Elsewhere a socket cannot be held open: its name is trusted.
+/// On other systems a socket cannot be held open: its name is trusted.
 #[cfg(not(target_os = "linux"))]
 fn pinned(path: &Path, _: Option<u32>) -> io::Result<(net::SocketAddr, Option<PinnedSocket>)> {
     Ok((net::SocketAddr::from_pathname(path)?, None))
@@ -136,7 +136,7 @@ fn abstract_name(_: &net::SocketAddr) -> Option<&[u8]> {
     None
 }
 
-/// The next datagram of a Unix socket: its length, the name of who sent it, and whose process that is.
+/// The next datagram of a Unix socket: its length, its sender's name, and the user of the sender's process.
 #[cfg(target_os = "linux")]
 fn receive_with_user(
     socket: &UnixDatagram,
@@ -153,7 +153,7 @@ fn receive_with_user(
         ControlMessageOwned::ScmCredentials(credentials) => Some(credentials.uid()),
         _ => None,
     });
-    // Of a sender without a name there is no address at all, not even an empty one.
+    // A sender without a name has no address at all, not even an empty one.
     let address = message.address.filter(|address| address.len() as usize > size_of::<nix::libc::sa_family_t>());
     let name = address.and_then(|address| match (address.path(), address.as_abstract()) {
         (Some(path), _) => net::SocketAddr::from_pathname(path).ok(),
@@ -173,7 +173,7 @@ fn receive_with_user(
 }
 
 impl Socket {
-    /// Binds `address`; with it comes what removes the socket's file, if it has one.
+    /// Binds `address`; also returns the guard that removes the socket's file, if it has one.
     pub(super) fn bind(address: &Address) -> Result<(Self, Option<SocketFile>), DatagramError> {
         let error = |source| DatagramError::Bind { address: address.clone(), source };
         match address {
@@ -194,7 +194,7 @@ impl Socket {
         }
     }
 
-    /// Where it is bound: a port of 0 has become one that was free.
+    /// The bound address, with the port that the system chose for port 0.
     pub(super) fn address(&self, asked: &Address) -> Address {
         match self {
             Self::Udp(socket) => socket.local_addr().map_or_else(|_| asked.clone(), Address::Udp),
@@ -202,7 +202,7 @@ impl Socket {
         }
     }
 
-    /// The next datagram, if one is there, and who can be answered, if anybody.
+    /// The next datagram, if there is one, and its sender, if it can be answered.
     pub(super) fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
         match self {
             Self::Unix(socket) => {
@@ -222,7 +222,7 @@ impl Socket {
         match sent {
             Ok(_) => Delivery::Sent,
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Delivery::Full,
-            // As some systems call a full queue.
+            // The error of some systems for a full queue.
             Err(error) if error.raw_os_error() == Some(nix::errno::Errno::ENOBUFS as i32) => Delivery::Full,
             Err(_) => Delivery::Gone,
         }
@@ -232,11 +232,11 @@ impl Socket {
 /// The result of sending a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Delivery {
-    /// It lies in the receiver's queue.
+    /// It is in the receiver's queue.
     Sent,
     /// The queue is full.
     Full,
-    /// There is no receiver any more.
+    /// The receiver is gone.
     Gone,
 }
 
@@ -249,7 +249,7 @@ impl AsFd for Socket {
     }
 }
 
-/// Users of the daemon's group may ask; for that they need the right to write.
+/// Users of the daemon's group may connect, which requires write permission.
 const SOCKET_MODE: u32 = 0o660;
 
 /// Binds a path, for the daemon's user and group.
@@ -260,7 +260,7 @@ fn bind_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
     Ok(socket)
 }
 
-/// Binds a path, in place of a socket that a daemon has left behind when it was killed.
+/// Binds a path, replacing a socket left behind by a killed daemon.
 fn claim_path(path: &Path) -> Result<UnixDatagram, DatagramError> {
     let error = |source| DatagramError::Bind { address: Address::Unix(path.to_owned()), source };
     match UnixDatagram::bind(path) {
@@ -291,7 +291,7 @@ impl SocketFile {
     }
 }
 
-/// Which file lies at a path.
+/// Identity of the file at a path.
 fn identity(path: &Path) -> io::Result<(u64, u64)> {
     fs::symlink_metadata(path).map(|metadata| (metadata.dev(), metadata.ino()))
 }
@@ -299,7 +299,7 @@ fn identity(path: &Path) -> io::Result<(u64, u64)> {
 impl Drop for SocketFile {
     fn drop(&mut self) {
         if identity(&self.path).is_ok_and(|found| found == self.identity) {
-            // The next daemon finds a file that cannot be removed stale.
+            // If the file cannot be removed, the next daemon finds it stale.
             let _ = fs::remove_file(&self.path);
         }
     }

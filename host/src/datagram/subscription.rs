@@ -1,25 +1,25 @@
-//! Who wants to be sent all datagrams.
+//! Clients that follow boards.
 
 use super::socket::Peer;
 
-/// Clients that may follow a board at once: each costs its solver some microseconds a scan.
+/// Most clients that follow a board at once: each costs the solver some microseconds per scan.
 pub(super) const MAX_FOLLOWERS: usize = 16;
 
-/// News of followers that may wait for their publisher.
+/// Most changes of followers that wait for their publisher.
 pub(super) const MAX_NEWS: usize = 4 * MAX_FOLLOWERS;
 
-/// A client that wants all datagrams.
+/// A client that follows.
 #[derive(Clone, Debug)]
 pub(super) struct Subscription {
-    /// Which of the daemon's sockets it wrote to.
+    /// Index of the daemon's socket that it wrote to.
     pub(super) socket: usize,
     pub(super) peer: Peer,
-    /// CLOCK_MONOTONIC; 0 for one that has lost its place.
+    /// End of the lease, CLOCK_MONOTONIC; 0 for a client that has lost its place.
     pub(super) until_ns: u64,
 }
 
 impl Subscription {
-    /// Whether both are of the same client.
+    /// Whether both belong to the same client.
     pub(super) fn is_of(&self, other: &Self) -> bool {
         self.socket == other.socket && self.peer == other.peer
     }

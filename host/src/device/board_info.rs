@@ -9,7 +9,7 @@ use crate::link::DeviceId;
 /// A hello that owns its texts.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct BoardInfo {
-    /// Which board.
+    /// The board.
     pub device: DeviceId,
     /// Whether its photocurrents are measured.
     pub kind: BoardKind,
@@ -21,7 +21,7 @@ pub(crate) struct BoardInfo {
     pub protocol: ProtocolVersion,
     /// The first kind of message with another layout than in this program, if any.
     pub mismatch: Option<SchemaMismatch>,
-    /// Why it last started.
+    /// Cause of its last reset.
     pub reset_cause: ResetCause,
     /// Hashes stored on it.
     pub hashes: Hashes,
@@ -60,7 +60,7 @@ impl BoardInfo {
         }
     }
 
-    /// Why it last started, in one word.
+    /// Cause of its last reset, in one word.
     pub(crate) fn reset_cause_name(&self) -> &'static str {
         match self.reset_cause {
             ResetCause::Unknown => "unknown",
@@ -83,7 +83,7 @@ struct Fields<'a> {
     firmware: &'a str,
     protocol: String,
     program_protocol: String,
-    /// The kind of message that both lay out differently.
+    /// The kind of message with another layout than in this program.
     mismatch: Option<&'a str>,
     reset_cause: &'a str,
     /// 16 hexadecimal digits, as in messages: JSON numbers do not hold 64 bits everywhere.

@@ -12,28 +12,29 @@ use super::{Device, DeviceError};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment, Versions};
 
-/// A board that has been asked by its other port is free again 2 s later; one that has just been plugged
-/// in needs less.
+/// Timeout of a hello: a board that was asked by its other port is free again 2 s later; one that has
+/// just been plugged in needs less.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
-/// A board that was not listening yet is asked again.
+/// Interval of requests for a hello, as a board may not listen yet.
 const HELLO_EVERY: Duration = Duration::from_millis(250);
 
-/// A board answers within a millisecond; the scans ahead of its answer may take a tenth of a second.
+/// Timeout of a reply: a board answers within a millisecond; the scans before its answer may take a tenth of a
+/// second.
 pub(super) const REPLY_WITHIN: Duration = Duration::from_secs(2);
 
 /// As [`REPLY_WITHIN`], while the user waits for the program to end.
 const STOP_WITHIN: Duration = Duration::from_millis(500);
 
-/// A board that samples sends something at least this often, if only its status.
+/// Longest time without bytes from a board that samples: it sends at least its status.
 const QUIET: Duration = Duration::from_millis(450);
 
-/// Which bytes around a reply are kept.
+/// The bytes around a reply to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// All of them.
+    /// All bytes.
     All,
-    /// Those from the last hello on: earlier ones belong to an older configuration.
+    /// Bytes from the last hello on: earlier ones belong to an older configuration.
     FromHello,
     /// Replies only.
     Replies,
@@ -57,7 +58,7 @@ pub(crate) struct Conversation {
     /// Number of the last command.
     number: u16,
     keep_alive: Option<KeepAlive>,
-    /// The next ping and its token, where the device does not ping by itself.
+    /// Time and token of the next ping, if the device does not ping by itself.
     ping_at: Instant,
     token: u32,
     started: bool,
@@ -67,10 +68,10 @@ pub(crate) struct Conversation {
 }
 
 impl Conversation {
-    /// Opens the conversation; ends any half command that an earlier host has left on the link.
+    /// Opens the conversation; ends any incomplete command that an earlier host has left on the link.
     ///
     /// # Errors
-    /// If the device has gone.
+    /// If the device is gone.
     pub(crate) fn open(device: Box<dyn Device>) -> Result<Self, DeviceError> {
         let mut conversation = Self {
             device,
@@ -92,8 +93,8 @@ impl Conversation {
         }
     }
 
-    /// Asks the board for its hello, which `admit` accepts or refuses. Waits for the reply, too: a hello alone may be
-    /// left over from before. Bytes received until then are dropped.
+    /// Requests the board's hello, which `admit` accepts or refuses. Also waits for the reply, because a hello alone
+    /// may be an earlier one. Bytes received until then are dropped.
     ///
     /// # Errors
     /// If no board answers, or `admit` refuses it.
@@ -104,7 +105,7 @@ impl Conversation {
         self.greet_within(HELLO_WITHIN, admit)
     }
 
-    /// The same as [`greet`](Self::greet), with another time limit.
+    /// As [`greet`](Self::greet), with another timeout.
     pub(super) fn greet_within<E: From<DeviceError>>(
         &mut self,
         within: Duration,
@@ -147,7 +148,7 @@ impl Conversation {
         Ok(())
     }
 
-    /// Replaces the configuration of the board. The inbox then starts with the hello that says so.
+    /// Replaces the configuration of the board. The inbox then starts with the hello of that configuration.
     ///
     /// # Errors
     /// If the board refuses it, or does not reply.
@@ -157,13 +158,13 @@ impl Conversation {
         self.quiet_limit = QUIET.max(3 * frame);
         let introduced = self.ask(Command::Configure(configuration), Keep::FromHello, REPLY_WITHIN)?;
         if !introduced {
-            // Damaged on its way. Without it no scan can be read.
+            // The hello was damaged. Without it no scan can be read.
             self.ask(Command::Hello, Keep::FromHello, REPLY_WITHIN)?;
         }
         Ok(())
     }
 
-    /// Lights the emitters. The inbox grows by what was received.
+    /// Starts acquisition. Received bytes are appended to the inbox.
     ///
     /// # Errors
     /// If the board refuses, or does not reply.
@@ -178,12 +179,12 @@ impl Conversation {
     /// the stream has ended.
     ///
     /// # Errors
-    /// If the device has gone, or nothing has come for half a second.
+    /// If the device is gone, or no byte has come for half a second.
     pub(crate) fn listen(&mut self) -> Result<bool, DeviceError> {
         self.forget();
         let since = Instant::now();
         let more = self.hear()?;
-        // Only waiting counts: while the poses are written bytes may lie here unread.
+        // Only waiting counts: while poses are written, bytes may be waiting unread.
         self.quiet = if self.inbox.is_empty() { self.quiet + since.elapsed() } else { Duration::ZERO };
         if self.quiet >= self.quiet_limit {
             return Err(DeviceError::Quiet { name: self.name(), seconds: self.quiet_limit.as_secs_f64() });
@@ -191,7 +192,7 @@ impl Conversation {
         Ok(more)
     }
 
-    /// Darkens the emitters. The inbox then holds the kept bytes before the reply.
+    /// Stops acquisition. The inbox then holds the kept bytes before the reply.
     ///
     /// # Errors
     /// If the board refuses, or does not reply.
@@ -201,7 +202,7 @@ impl Conversation {
         self.forget();
         self.decoder.reset();
         match self.ask(Command::Stop, keep, STOP_WITHIN) {
-            // Once more: it may have been damaged on its way.
+            // Once more: the command may have been damaged on its way.
             Err(DeviceError::NoReply { .. }) => self.ask(Command::Stop, keep, STOP_WITHIN)?,
             outcome => outcome?,
         };
@@ -219,12 +220,12 @@ impl Conversation {
         }
     }
 
-    /// What the user calls the device.
+    /// The user's name for the device.
     pub(crate) fn name(&self) -> String {
         self.device.name().to_owned()
     }
 
-    /// Sends a command and waits for its reply; gives whether a hello came, too.
+    /// Sends a command and waits for its reply; returns whether a hello came, too.
     pub(super) fn ask(&mut self, command: Command, keep: Keep, within: Duration) -> Result<bool, DeviceError> {
         let name = name_of(&command);
         let number = self.command(command)?;
@@ -249,7 +250,7 @@ impl Conversation {
         Err(DeviceError::NoReply { name: self.name(), command: name, seconds: within.as_secs_f64() })
     }
 
-    /// Decodes the inbox from `at` on and keeps the packets that `keep` names; gives the reply to `number` if there.
+    /// Decodes the inbox from `at` on and keeps the packets selected by `keep`; returns the reply to `number`, if any.
     fn sort(&mut self, mut at: usize, number: u16, keep: Keep, introduced: &mut bool) -> Option<Result<(), Rejection>> {
         let mut answer = None;
         loop {
@@ -283,7 +284,7 @@ impl Conversation {
         }
     }
 
-    /// Sends a ping, if it is time for one and the device tells time.
+    /// Sends a ping, if one is due and the device runs in real time.
     fn ping(&mut self) -> Option<Asked> {
         let now = Instant::now();
         if !self.started || !self.device.keeps_time() || now < self.ping_at {
@@ -293,13 +294,13 @@ impl Conversation {
         self.token = self.token.wrapping_add(1);
         let mut buffer = [0; MAX_REQUEST_BYTES];
         let (packet, asked) = ping(self.token, &mut buffer)?;
-        // A device that has gone is noticed when it is listened to.
+        // The loss of a device is detected when listening.
         self.device.send(packet).is_ok().then_some(asked)
     }
 
     fn command(&mut self, command: Command) -> Result<u16, DeviceError> {
         self.number += 1;
-        // Behind a delimiter, which ends whatever half a packet went before.
+        // After a delimiter, which ends any incomplete packet before.
         let mut buffer = [DELIMITER; MAX_REQUEST_BYTES + 1];
         let request = Request { number: self.number, command };
         let packet = encode(&request, &mut buffer[1..]).expect("no request is longer than MAX_REQUEST_BYTES");
@@ -337,7 +338,7 @@ impl Drop for Conversation {
     fn drop(&mut self) {
         self.keep_alive = None;
         if self.started {
-            // What can be done when something else has gone wrong; without a host it goes dark by itself.
+            // An error is ignored: without a host the board goes dark by itself.
             let _ = self.command(Command::Stop);
         }
     }
@@ -380,8 +381,8 @@ mod tests {
     use slitpose_head::scene_file::WIDE;
     use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 
-    /// A simulated board over a line that hands over a few bytes at a time, in the midst of
-    /// acquisition when the host comes.
+    /// A simulated board over a line that delivers a few bytes at a time; it is acquiring when the host
+    /// connects.
     struct Slow {
         board: SimulatedBoard,
         line: Vec<u8>,
@@ -456,7 +457,7 @@ mod tests {
                     kept.extend(&board.inbox);
                 }
                 if keep == Keep::Replies {
-                    // What is not wanted ends with the last whole packet.
+                    // The dropped bytes end with the last whole packet.
                     kept.truncate(kept.iter().rposition(|byte| *byte == DELIMITER).map_or(0, |last| last + 1));
                 }
                 board.stop(keep).unwrap();
@@ -472,7 +473,7 @@ mod tests {
         }
     }
 
-    /// A device that says what was written for it, a piece each time it is listened to.
+    /// A device that delivers scripted bytes, one piece per receive.
     struct Scripted(std::collections::VecDeque<Vec<u8>>);
 
     impl Scripted {
@@ -513,7 +514,7 @@ mod tests {
             assert!(matches!(refused, Err(DeviceError::Refused { .. })), "{other}: {refused:?}");
             let mut board = Scripted::saying(&[&[reply(other, Err(Rejection::Storing))], &[reply(1, Ok(()))], &[]]);
             assert!(board.ask(Command::Stop, Keep::All, REPLY_WITHIN).is_ok(), "{other}");
-            // Nothing else will come: no answer.
+            // No other reply follows: no answer.
             let mut board = Scripted::saying(&[&[reply(other, Ok(()))], &[]]);
             let silent = board.ask(Command::Stop, Keep::All, REPLY_WITHIN);
             assert!(matches!(silent, Err(DeviceError::NoReply { .. })), "{other}: {silent:?}");

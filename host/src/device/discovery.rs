@@ -1,12 +1,11 @@
 //! Finds boards.
 //!
-//! A board with a USB port of its own is identified by its USB descriptors: it need not be asked, and is found again
-//! in any port. A board behind a debugger's serial port must be asked for its number; so must one in a place that the
-//! user names ([`Search`]). To be asked, a port is opened exclusively, and is sent one Hello; ports in use are left
-//! alone.
+//! A board with its own USB port is identified by its USB descriptors, without a request, and is found again at any
+//! port. A board behind a debugger's serial port, or at a place that the user names ([`Search`]), must be asked for its
+//! number: its port is opened exclusively, and one Hello is sent. Ports in use are left alone.
 //!
-//! Debuggers are asked only if no board has a USB port of its own: a board serves the port that asked last for two
-//! seconds, and both cables of a Nucleo may be plugged in.
+//! Debuggers are asked only if no board has its own USB port: a board serves the port that asked last for two seconds,
+//! and both cables of a Nucleo may be plugged in.
 
 use super::ports::{Port, Search, UsbId, ports};
 use super::probe::{Listed, PortState};
@@ -16,14 +15,14 @@ use crate::link::DeviceId;
 /// The port of a simulated board.
 const SIM: &str = "sim";
 
-/// Where a board is.
+/// The place of a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// Its port: `sim` for the simulated board, which is everywhere.
+    /// Its port; `sim` for the simulated board.
     pub port: String,
-    /// Its USB descriptors: by these it is found again under another name.
+    /// Its USB descriptors, by which it is found again under another name.
     pub(crate) usb: Option<UsbId>,
-    /// Which board, if known.
+    /// Its number, if known.
     pub device: Option<DeviceId>,
 }
 
@@ -33,16 +32,16 @@ impl From<Listed> for Found {
     }
 }
 
-/// Looks for the board that `selector` names, in the places of `search`, too.
+/// Searches for the board that `selector` names, also in the places of `search`.
 ///
 /// A path is accepted as it is: opening shows whether there is a board.
 ///
 /// # Errors
-/// If there is none, or more than one could be meant.
+/// If no board matches, or more than one.
 pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, DeviceError> {
     match selector {
         Selector::Sim => Ok(Found { port: SIM.to_owned(), usb: None, device: None }),
-        // A path does without the list of ports, if the system has none.
+        // A path works even without a list of ports.
         Selector::Path(path) => Ok(Listed::new(Port::at(path, &ports().unwrap_or_default())).into()),
         Selector::Serial(device) => {
             let ports = ports()?;
@@ -60,8 +59,8 @@ pub(crate) fn find(selector: &Selector, search: &[Search]) -> Result<Found, Devi
     }
 }
 
-/// All boards, and all ports that might have one. With `ask` they are asked; boards that are measuring are
-/// in use and left alone.
+/// All boards, and all ports that might have one. With `ask` these ports are asked; boards in use are left
+/// alone.
 ///
 /// # Errors
 /// If the system does not list its ports.
@@ -78,14 +77,14 @@ pub(crate) fn list(search: &[Search], ask: bool) -> Result<Vec<Listed>, DeviceEr
     Ok(listed)
 }
 
-/// Finds the board that `selector` names without asking any port: cheap enough for several times a second. `known` is
-/// its last place, with its number if known. `None` if it is not there; or, without `known`, if only [`find`] can
+/// Finds the board that `selector` names without asking any port: fast enough for several calls per second. `known`:
+/// its last place, with its number if known. `None` if it is missing, or, without `known`, if only [`find`] can
 /// identify it.
 pub(crate) fn locate(selector: &Selector, known: Option<&Found>) -> Option<Found> {
     if *selector == Selector::Sim {
         return Some(Found { port: SIM.to_owned(), usb: None, device: None });
     }
-    // The list is short: the system's own files, no device.
+    // Fast: the list comes from files of the system, not from devices.
     let ports = ports().unwrap_or_default();
     let port = Port::at(&located(selector, known, &ports)?, &ports);
     Some(Listed::new(port).into())
@@ -103,7 +102,7 @@ fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option
     }
     match (known, selector) {
         (Some(Found { usb: Some(usb), port, .. }), _) if !usb.is_board() || usb.device().is_none() => {
-            // The same debugger or adapter; without a number of its own, in the same place.
+            // The same debugger or adapter; without a serial number, at the same place.
             let same = |it: &&Port| it.usb.as_ref() == Some(usb) && (usb.serial.is_some() || it.name == *port);
             // A debugger may have several ports.
             let mut same: Vec<_> = ports.iter().filter(same).map(|it| it.name.clone()).collect();
@@ -121,7 +120,7 @@ fn located(selector: &Selector, known: Option<&Found>, ports: &[Port]) -> Option
     }
 }
 
-/// The ports that must be asked whether they have a board.
+/// The ports that must be asked for a board.
 fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
     let mut unsure: Vec<_> = ports.iter().filter(|port| debuggers && port.is_debugger()).cloned().collect();
     for name in search.iter().flat_map(Search::names) {
@@ -134,12 +133,12 @@ fn unsure(ports: &[Port], search: &[Search], debuggers: bool) -> Vec<Port> {
     unsure
 }
 
-/// The one of `listed` that `selector` means.
+/// The board of `listed` that `selector` names.
 fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError> {
     let is_board = |listed: &Listed| listed.port.is_board() || listed.board.is_some();
     let mut boards: Vec<Listed> = Vec::new();
     for it in listed.iter().filter(|it| is_board(it)) {
-        // A board with two cables counts once, by the port that is its own.
+        // A board with two cables counts once, by its own USB port.
         let twice = it.device().is_some() && boards.iter().any(|board| board.device() == it.device());
         if !twice {
             boards.push(it.clone());
@@ -151,7 +150,7 @@ fn choose(selector: &Selector, listed: Vec<Listed>) -> Result<Found, DeviceError
     }
     match boards.len() {
         0 => match <[Listed; 1]>::try_from(listed) {
-            // Nothing else it could be: opening tells what is the matter.
+            // The only candidate: opening it reports the reason.
             Ok([only]) if matches!(only.state, PortState::InUse | PortState::NoPermission) => Ok(only.into()),
             Ok([only]) => Err(DeviceError::NoBoard { asked: vec![only] }),
             Err(asked) => Err(DeviceError::NoBoard { asked }),
@@ -247,7 +246,7 @@ mod tests {
         for selector in [Selector::Auto, serial(FIRST)] {
             assert_eq!(located(&selector, Some(&found), &after).as_deref(), Some("/dev/ttyACM1"));
             assert_eq!(located(&selector, Some(&found), &after[..1]), None);
-            // Asking is not for `locate`.
+            // `locate` asks no port.
             assert_eq!(located(&selector, None, &after), None);
         }
     }

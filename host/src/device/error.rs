@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::probe::Listed;
 use crate::link::{DeviceId, Versions};
 
-/// What went wrong between host and board.
+/// Why a board cannot be used, or no longer.
 #[derive(Debug, Error)]
 pub enum DeviceError {
     /// The system does not list its ports.
@@ -17,77 +17,77 @@ pub enum DeviceError {
         /// The system's error.
         source: serialport::Error,
     },
-    /// Not a pattern of paths.
+    /// An invalid pattern of paths.
     #[error("`{pattern}` is no pattern of paths; give one such as '/dev/ttyUSB*'")]
     Pattern {
         /// What was given.
         pattern: String,
-        /// What is wrong with it.
+        /// The error in the pattern.
         source: glob::PatternError,
     },
-    /// Nothing there is a board.
+    /// There is no board.
     #[error(
         "no board found: nothing on USB is a `slitpose board` (1209:0001){}; plug one in, give its port with \
          --device PATH or where to look with --search, or --device sim for a simulated one",
         others(asked)
     )]
     NoBoard {
-        /// What might have been one.
+        /// The ports that were asked.
         asked: Vec<Listed>,
     },
-    /// Which one is meant?
+    /// Several boards match.
     #[error("there are {} boards: {}; say which with --device SERIAL", boards.len(), in_words(boards))]
     SeveralBoards {
-        /// All of them.
+        /// The boards.
         boards: Vec<Listed>,
     },
-    /// Nothing there is the board asked for.
+    /// The requested board is missing.
     #[error(
         "the board {device} is not there{}; plug it in, or look with `slitpose device list` what is there",
         others(there)
     )]
     NoSuchBoard {
-        /// The one asked for.
+        /// The requested board.
         device: DeviceId,
-        /// What is there instead.
+        /// The boards and ports found instead.
         there: Vec<Listed>,
     },
-    /// Neither a path nor a number.
+    /// A name that is neither a path nor a number.
     #[error(
         "`{name}` is neither the path of a serial port nor the serial number of a board (24 hexadecimal digits), as \
          `slitpose device list` shows them; give the path, such as /dev/ttyACM0, or --device sim for a simulated board"
     )]
     NotAPath {
-        /// What was given.
+        /// The name.
         name: String,
     },
-    /// Nothing has this path.
+    /// The path does not exist.
     #[error("there is no {name}; plug the board in and look for its port, or give --device sim for a simulated board")]
     Missing {
         /// The path.
         name: String,
     },
-    /// Something else has this path.
+    /// The path is not a serial port.
     #[error("{name} is a {what}, not a serial port; give the port of the board, such as /dev/ttyACM0")]
     NotAPort {
         /// The path.
         name: String,
-        /// What is there.
+        /// The kind of file.
         what: &'static str,
     },
-    /// The user may not open it.
+    /// The user may not open the port.
     #[error("{name} may not be opened by this user; on most systems the group dialout may: join it and log in again")]
     Forbidden {
         /// The path.
         name: String,
     },
-    /// Another program has it open.
+    /// Another program has the port open.
     #[error("{name} is in use by another program, such as a running `slitpose run`; end that first")]
     Busy {
         /// The path.
         name: String,
     },
-    /// The system refuses it as a serial port.
+    /// The system does not open it as a serial port.
     #[error("{name} cannot be opened as a serial port; give the port of the board, such as /dev/ttyACM0")]
     Open {
         /// The path.
@@ -95,7 +95,7 @@ pub enum DeviceError {
         /// The system's error.
         source: serialport::Error,
     },
-    /// Not a byte.
+    /// No byte came.
     #[error(
         "nothing answers on {name}: not a byte came within {seconds} s; \
          check that this is the port of the board, and that the board has its firmware and power"
@@ -106,7 +106,7 @@ pub enum DeviceError {
         /// How long was waited.
         seconds: f64,
     },
-    /// Bytes, but no hello among them.
+    /// Bytes came, but no hello.
     #[error(
         "no board answers on {name}: {bytes} bytes came within {seconds} s, {packets} readable packets and no hello \
          among them; check that this is the port of the board, and reset the board"
@@ -126,10 +126,10 @@ pub enum DeviceError {
     Version {
         /// The device.
         name: String,
-        /// Which one.
+        /// Both versions.
         versions: Versions,
     },
-    /// A board that sends no hello or status.
+    /// The board sends no hello or status.
     #[error("the board on {name} sent no status within {seconds} s; reset the board")]
     NoStatus {
         /// The device.
@@ -137,7 +137,7 @@ pub enum DeviceError {
         /// How long was waited.
         seconds: f64,
     },
-    /// A board that did not come back.
+    /// The board did not come back after a reboot.
     #[error("the board on {name} has not come back within {seconds} s; reset it, or unplug it and plug it in again")]
     NotBack {
         /// The device.
@@ -145,7 +145,7 @@ pub enum DeviceError {
         /// How long was waited.
         seconds: f64,
     },
-    /// What was stored is not what was to be stored.
+    /// The stored data differ from those sent.
     #[error("the board on {name} says that another scene or schedule is stored than was sent; try again")]
     NotStored {
         /// The device.
@@ -168,12 +168,12 @@ pub enum DeviceError {
         name: String,
         /// The command.
         command: &'static str,
-        /// What to do about it.
+        /// The next step for the user.
         next_step: &'static str,
-        /// Why.
+        /// The board's reason.
         source: Rejection,
     },
-    /// The port is no longer there.
+    /// The port has disappeared.
     #[error("the board on {name} has gone; if it was unplugged, plug it in again")]
     Gone {
         /// The device.
@@ -186,20 +186,20 @@ pub enum DeviceError {
     Quiet {
         /// The device.
         name: String,
-        /// How long nothing came.
+        /// Time without bytes.
         seconds: f64,
     },
-    /// Bytes come, but no scan among them.
+    /// Bytes come, but no scans.
     #[error("no usable scan for {seconds:.0} s from the board on {name}: {cause}")]
     NoScans {
         /// The device.
         name: String,
-        /// How long none came.
+        /// Time without scans.
         seconds: f64,
         /// What came instead.
         cause: Scanless,
     },
-    /// The board stopped of its own accord.
+    /// The board stopped by itself.
     #[error("the board on {name} has stopped sampling: {reason}")]
     Stopped {
         /// The device.
@@ -209,19 +209,19 @@ pub enum DeviceError {
     },
 }
 
-/// What comes instead of scans.
+/// The data that come instead of scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Scanless {
     /// At most status messages.
     #[error("the board says that it is there, and nothing else; reset the board")]
     Nothing,
-    /// Batches by another configuration than the one it was given.
+    /// Batches of another configuration than the one sent to the board.
     #[error(
         "{batches} batches came by a configuration that this program has not given; end any other program that speaks to the \
          board, then reset the board"
     )]
     Unexplained {
-        /// How many.
+        /// Their number.
         batches: u64,
     },
     /// Whole packets that this program cannot read.
@@ -252,7 +252,7 @@ fn others(listed: &[Listed]) -> String {
 }
 
 impl DeviceError {
-    /// Whether waiting may help, if the user only plugs in and switches on.
+    /// Whether the error may pass once the user plugs the board in and switches it on.
     pub(crate) fn is_passing(&self) -> bool {
         match self {
             Self::NoBoard { .. }

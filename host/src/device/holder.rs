@@ -20,8 +20,8 @@ impl std::fmt::Display for Holder {
     }
 }
 
-/// The programs that have the port `name` open, as far as this user may see:
-/// open files of other users are hidden, and only Linux lists them. Reads every open file of the system.
+/// The programs that have the port `name` open, on Linux only, and without those of other users, whose open files
+/// are hidden. Reads every open file of the system.
 pub(crate) fn holders(name: &str) -> Vec<Holder> {
     let port = real_path(name);
     let Ok(processes) = fs::read_dir("/proc") else {

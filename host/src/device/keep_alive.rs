@@ -1,4 +1,4 @@
-//! Pings: they show a board that its host is alive, and measure its clock.
+//! Pings, which show a board that its host is alive, and measure its clock.
 
 use std::io::Write;
 use std::thread::JoinHandle;
@@ -10,17 +10,17 @@ use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
 use crate::clock::HostInstant;
 use crate::link::Asked;
 
-/// A board on a link without modem lines goes dark after 2 s without a command: four of these.
+/// Interval of pings: a board on a link without modem lines goes dark after 2 s without a command, four intervals.
 pub(super) const INTERVAL: Duration = Duration::from_millis(500);
 
-/// Most sent pings that are kept until they are fetched; the clock needs no more.
+/// Most sent pings kept until they are fetched.
 const MAX_UNTOLD: usize = 16;
 
 /// Number of the pings; a [`Conversation`](super::Conversation) counts its commands from 1.
 pub(super) const PING: u16 = 0;
 
-/// Sends pings, from a thread of its own so that a slow reader of the poses does not darken the
-/// board, until dropped. No other thread may write to the port meanwhile.
+/// Sends pings until dropped, on its own thread so that a slow reader of the poses does not darken the
+/// board. No other thread may write to the port meanwhile.
 #[derive(Debug)]
 pub struct KeepAlive {
     end: Option<Sender<()>>,
@@ -29,7 +29,7 @@ pub struct KeepAlive {
 }
 
 impl KeepAlive {
-    /// Pings through `port` at once and every half second.
+    /// Starts pings through `port`, at once and every half second.
     pub fn new(mut port: impl Write + Send + 'static) -> Self {
         let (end, ended) = bounded(0);
         let (tell, asked) = bounded(MAX_UNTOLD);
@@ -37,9 +37,9 @@ impl KeepAlive {
             for token in 0.. {
                 let mut buffer = [0; MAX_REQUEST_BYTES];
                 if let Some((ping, told)) = ping(token, &mut buffer) {
-                    // Told before it is sent, so that its answer cannot come first.
+                    // Queued before it is sent, so that its answer cannot come first.
                     let _ = tell.try_send(told);
-                    // A port that has gone is noticed by its reader.
+                    // The loss of the port is detected by its reader.
                     let _ = port.write_all(ping);
                 }
                 if ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout) {

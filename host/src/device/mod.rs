@@ -2,12 +2,13 @@
 //!
 //! [`Device`] carries bytes without decoding them: [`SerialDevice`] is a serial port, `SimulatedDevice` a simulated
 //! board. `Conversation` speaks the protocol over one of them: it greets, configures, starts and stops the board,
-//! checks every reply, and hands on all other bytes.
+//! checks every reply, and passes on all other bytes.
 //!
-//! `find` looks for the board a `Selector` names, `list` for all of them, `locate` for one that was there before.
+//! `find` searches for the board that a `Selector` names, `list` for all boards, `locate` for one that was connected
+//! before.
 //!
-//! The host drops nothing: bytes that are not fetched wait in the operating system, then in the board's queue, which
-//! drops its oldest scans when it is full; gaps in their numbers show it.
+//! The host drops no bytes: those not fetched wait in the operating system, then in the board's queue, which drops its
+//! oldest scans when full and so leaves gaps in their numbers.
 
 mod board_info;
 mod conversation;
@@ -37,33 +38,33 @@ pub(crate) use selector::Selector;
 pub use serial::SerialDevice;
 pub(crate) use simulated::SimulatedDevice;
 
-/// A byte stream to a board and back.
+/// A byte stream to and from a board.
 pub trait Device: Send {
-    /// What the user calls it.
+    /// The user's name for it.
     fn name(&self) -> &str;
 
-    /// Hands bytes to the board.
+    /// Sends bytes to the board.
     ///
     /// # Errors
-    /// If they cannot be handed over: the board has gone.
+    /// If the board is gone.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
 
     /// Waits for bytes from the board, a few hundredths of a second at most, and appends them to
     /// `bytes`. `false` if the stream has ended.
     ///
     /// # Errors
-    /// If the board has gone.
+    /// If the board is gone.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool>;
 
-    /// Whether it runs in real time.
+    /// Whether the board runs in real time.
     fn keeps_time(&self) -> bool {
         true
     }
 
-    /// Shows the board from now on that its host is alive, if it needs that: `None` if not.
+    /// Starts pings that show the board that its host is alive; `None` if the board does not need them.
     ///
     /// # Errors
-    /// Those of the operating system.
+    /// Errors of the operating system.
     fn keep_alive(&self) -> io::Result<Option<KeepAlive>> {
         Ok(None)
     }

@@ -1,4 +1,4 @@
-//! Commands beside measuring: introduce, store, identify, reboot.
+//! Commands other than measurement: introduce, store, identify, reboot.
 
 use std::time::{Duration, Instant};
 
@@ -7,11 +7,11 @@ use slitpose_protocol::{BootTarget, Command, Hashes, Message, Status};
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
 
-/// A board sends a status every 0.5 s; the first after it was opened may be damaged.
+/// Timeout of a status: a board sends one every 0.5 s, and the first after opening may be damaged.
 const STATUS_WITHIN: Duration = Duration::from_millis(1500);
 
 impl Conversation {
-    /// [`greet`](Self::greet)s the board and gives its hello. The caller judges whether the board can be used.
+    /// [`greet`](Self::greet)s the board and returns its hello. The caller decides whether the board can be used.
     ///
     /// # Errors
     /// If no board answers within `within`, or one of another version.
@@ -52,7 +52,7 @@ impl Conversation {
     /// Stores configuration and `hashes` in the board's flash memory.
     ///
     /// # Errors
-    /// If its memory does not take them, or it does not reply.
+    /// If the flash memory fails, or the board does not reply.
     pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
         self.order(Command::Store(hashes))
     }
@@ -60,7 +60,7 @@ impl Conversation {
     /// Erases the board's stored configuration and hashes.
     ///
     /// # Errors
-    /// If its memory does not forget, or it does not reply.
+    /// If the flash memory fails, or the board does not reply.
     pub(crate) fn forget_stored(&mut self) -> Result<(), DeviceError> {
         self.order(Command::Forget)
     }
@@ -73,7 +73,7 @@ impl Conversation {
         self.order(Command::Identify { seconds })
     }
 
-    /// Reboots the board. It replies first, and is gone 0.2 s later at the latest.
+    /// Reboots the board. It replies first, and disconnects within 0.2 s.
     ///
     /// # Errors
     /// If it does not reply.

@@ -10,7 +10,8 @@ use serialport::{SerialPortInfo, SerialPortType};
 use super::DeviceError;
 use crate::link::DeviceId;
 
-/// USB descriptors of a board. The number is one for tests, shared with other devices: the texts must match, too.
+/// USB vendor and product number of a board: a pair for tests, shared with other devices, so that the texts must match,
+/// too.
 pub(super) const BOARD: (u16, u16) = (0x1209, 0x0001);
 const MANUFACTURER: &str = "slitpose";
 const PRODUCT: &str = "slitpose board";
@@ -32,20 +33,20 @@ const DEBUGGERS: [(u16, u16); 9] = [
 /// USB descriptors.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct UsbId {
-    /// Number of the vendor.
+    /// Vendor number.
     pub vid: u16,
-    /// Number of the product.
+    /// Product number.
     pub pid: u16,
-    /// Its serial number, if it has one: that of a debugger is not that of the board behind it.
+    /// Serial number, if any; that of a debugger is not that of the board behind it.
     pub serial: Option<String>,
-    /// Who made it.
+    /// Name of the manufacturer.
     pub manufacturer: Option<String>,
-    /// What it is.
+    /// Name of the product.
     pub product: Option<String>,
 }
 
 impl UsbId {
-    /// Whether this is a board with a USB port of its own.
+    /// Whether this is a board with its own USB port.
     pub(crate) fn is_board(&self) -> bool {
         (self.vid, self.pid) == BOARD
             && self.manufacturer.as_deref() == Some(MANUFACTURER)
@@ -68,7 +69,7 @@ impl UsbId {
 pub struct Port {
     /// Its path.
     pub name: String,
-    /// What is on it, if it is on USB.
+    /// Descriptors of the USB device, if it is one.
     pub(crate) usb: Option<UsbId>,
 }
 
@@ -85,7 +86,7 @@ impl Port {
         self.usb.as_ref().is_some_and(UsbId::is_board)
     }
 
-    /// Whether it must be asked whether it has a board.
+    /// Whether it is a debugger, which must be asked for a board.
     pub(crate) fn is_debugger(&self) -> bool {
         self.usb.as_ref().is_some_and(UsbId::is_debugger)
     }
@@ -101,7 +102,7 @@ impl Port {
 /// # Errors
 /// If the system does not list them.
 pub fn ports() -> Result<Vec<Port>, DeviceError> {
-    // Without it the library panics; a system that has no folder has no ports.
+    // The library panics without this folder; a system without it has no ports.
     if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
         return Ok(Vec::new());
     }
@@ -135,8 +136,8 @@ pub(super) fn from_system(listed: Vec<SerialPortInfo>) -> Vec<Port> {
     ports
 }
 
-/// More ports to look at: a path in which `*`, `?` and `[…]` stand
-/// for any characters, any one, and one of those.
+/// Additional ports to search: a path in which `*` matches any characters, `?` any one, and `[…]` one of
+/// those listed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Search(String);
 
@@ -152,7 +153,7 @@ impl FromStr for Search {
 }
 
 impl Search {
-    /// The character devices that match, sorted by name. What cannot be read does not match.
+    /// The character devices that match, sorted by name. Unreadable paths do not match.
     pub(super) fn names(&self) -> Vec<String> {
         let is_port = |path: &PathBuf| std::fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
         let matches = glob::glob(&self.0).into_iter().flatten().flatten();
@@ -160,7 +161,7 @@ impl Search {
     }
 }
 
-/// What a path leads to; itself if there is nothing.
+/// The target of a path, or the path itself if it does not exist.
 pub(super) fn real_path(name: &str) -> PathBuf {
     std::fs::canonicalize(name).unwrap_or_else(|_| name.into())
 }

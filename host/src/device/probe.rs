@@ -1,4 +1,4 @@
-//! Asks a port whether it has a board. Only one Hello is sent, so that other devices are not disturbed.
+//! Asks a port for a board. Only one Hello is sent, so that other devices are not disturbed.
 
 use std::time::Duration;
 
@@ -8,10 +8,10 @@ use super::ports::Port;
 use super::{BoardInfo, Conversation, DeviceError, SerialDevice};
 use crate::link::DeviceId;
 
-/// A board that is up answers within milliseconds; the rest is for a busy host.
+/// Timeout: a running board answers within milliseconds; the rest is for a busy host.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
-/// What a port is like.
+/// The state of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortState {
     /// It was not asked.
@@ -42,14 +42,14 @@ impl PortState {
     }
 }
 
-/// A port, and what is known of it.
+/// A port, its state and its board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Listed {
     /// The port.
     pub port: Port,
     /// Its state.
     pub(crate) state: PortState,
-    /// What the board said.
+    /// The board's hello.
     pub(crate) board: Option<BoardInfo>,
 }
 
@@ -59,7 +59,7 @@ impl Listed {
         Self { port, state: PortState::NotAsked, board: None }
     }
 
-    /// Asks it.
+    /// Asks a port.
     pub fn ask(port: Port) -> Self {
         match greet(&port.name) {
             Ok(board) => {
@@ -95,7 +95,7 @@ impl Listed {
         })
     }
 
-    /// Which board, if it or USB says.
+    /// Number of the board, from its hello or from USB, if known.
     pub fn device(&self) -> Option<DeviceId> {
         self.board.as_ref().map(|board| board.device).or(self.port.device())
     }

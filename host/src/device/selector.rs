@@ -7,14 +7,14 @@ use std::str::FromStr;
 use super::error::DeviceError;
 use crate::link::DeviceId;
 
-/// Which board is meant.
+/// The user's choice of a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Selector {
-    /// The only board there is.
+    /// The only board connected.
     Auto,
     /// The simulated board.
     Sim,
-    /// The board with this number, in any port.
+    /// The board with this number, at any port.
     Serial(DeviceId),
     /// The board at this port.
     Path(String),

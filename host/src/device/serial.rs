@@ -8,13 +8,13 @@ use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 use super::selector::is_path;
 use super::{Device, DeviceError, KeepAlive};
 
-/// Enough for a board at 7 kHz behind a UART; USB and pseudo-terminals ignore it.
+/// Baud rate, enough for a board at 7 kHz behind a UART; USB and pseudo-terminals ignore it.
 const BAUD: u32 = 3_000_000;
 
 /// One wait for bytes: short enough that an interrupt is answered at once.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// A port that accepts no bytes for this long leads nowhere; the longest command takes 1 ms.
+/// Timeout of writing: the longest command takes 1 ms.
 const SEND_WITHIN: Duration = Duration::from_secs(1);
 
 /// Bytes fetched at once: 17 ms of a board at 4 kHz, as many as a pseudo-terminal holds.
@@ -29,17 +29,17 @@ pub struct SerialDevice {
 }
 
 impl SerialDevice {
-    /// Opens the port at `path`: raw, 8N1, DTR set as far as there is one.
+    /// Opens the port at `path`: raw, 8N1, DTR set if there is one.
     ///
     /// # Errors
-    /// If it is no port, or cannot be opened.
+    /// If `path` is not a port, or cannot be opened.
     pub fn open(path: &str) -> Result<Self, DeviceError> {
         let name = path.to_owned();
         match std::fs::metadata(path) {
             Ok(found) if found.is_dir() => return Err(DeviceError::NotAPort { name, what: "folder" }),
             Ok(found) if found.is_file() => return Err(DeviceError::NotAPort { name, what: "file" }),
             Err(_) if !is_path(path) => return Err(DeviceError::NotAPath { name }),
-            // Ports of some systems are not in the file system: opening tells.
+            // Ports of some systems are not in the file system: try to open.
             _ => {}
         }
         let open = |baud| {
@@ -89,7 +89,7 @@ impl Device for SerialDevice {
 
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         match self.port.read(&mut self.chunk) {
-            // Something to read, and nothing there: the other end has hung up.
+            // Readable but without bytes: the other end has hung up.
             Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
             Ok(count) => bytes.extend_from_slice(&self.chunk[..count]),
             Err(error) if is_passing(&error) => {}
@@ -103,7 +103,7 @@ impl Device for SerialDevice {
     }
 }
 
-/// Whether it may go better the next time.
+/// Whether another attempt may succeed.
 fn is_passing(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock)
 }

@@ -13,10 +13,10 @@ use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, Traje
 /// Device time that passes between two waits.
 const WAIT_EVERY_S: f64 = 2e-3;
 
-/// Most device time that is caught up at once. On a host that is too slow the device lags for good, and is no clock.
+/// Most device time caught up at once. On a host that is too slow the device lags permanently, and does not keep time.
 const CATCH_UP_S: f64 = 20e-3;
 
-/// The tool in front of a board that is only tried moves for this long, seconds.
+/// Duration of the tool's motion in front of a board for trials, seconds.
 const MOTION_S: f64 = 60.0;
 
 /// A simulated board for a number of frames.
@@ -36,7 +36,7 @@ impl SimulatedDevice {
     /// A board for trials, without end and in real time: the head of `file`, a smoothly moved tool.
     ///
     /// # Errors
-    /// If no board could run the scene.
+    /// If a board cannot run the scene.
     pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S);
@@ -44,9 +44,9 @@ impl SimulatedDevice {
         Ok(Self::new(board, frame_s, f64::INFINITY, Speed::Times(1.0)))
     }
 
-    /// `board` for as many frames of `frame_s` as begin within `duration_s`, which may be infinite.
+    /// `board` for all frames of `frame_s` that begin within `duration_s`, which may be infinite.
     pub(crate) fn new(board: SimulatedBoard, frame_s: f64, duration_s: f64, speed: Speed) -> Self {
-        // The last frame of 0.3 s at 4 kHz must not depend on the last bit of either. Saturates.
+        // The number of frames must not depend on rounding of either argument. Saturates.
         let frames = (duration_s / frame_s - 1e-6).ceil() as u64;
         let frames_at_once = (WAIT_EVERY_S / frame_s).ceil() as u64;
         Self { board, frame_s, pace: Pace::new(speed), frames_at_once, frames_passed: 0, frames, said: Vec::new() }
@@ -83,7 +83,7 @@ impl Device for SimulatedDevice {
         self.pace.is_real_time()
     }
 
-    /// Replies come before time passes: commands are answered at once.
+    /// Commands are answered at once: replies come before time passes.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
         let before = bytes.len();
         bytes.append(&mut self.said);

@@ -12,7 +12,7 @@ use super::Examination;
 use crate::clock::HostInstant;
 use slitpose_head::finding::Finding;
 
-/// The findings, as files. Neither the environment nor names of users or hosts are in them.
+/// The findings, as files, without environment variables or names of users or hosts.
 #[derive(Debug)]
 pub(crate) struct Bundle {
     files: Vec<(&'static str, &'static str, Vec<u8>)>,
@@ -30,7 +30,7 @@ impl Bundle {
     /// The files of `examination`; those without content are left out.
     ///
     /// # Errors
-    /// Never in practice: all of it can be written as JSON.
+    /// If the findings cannot be written as JSON, which does not happen.
     pub(crate) fn of(examination: &Examination) -> io::Result<Self> {
         let utc_ns = HostInstant::now().utc_ns;
         let report = Report { slitpose: env!("CARGO_PKG_VERSION"), utc_ns, checks: &examination.checks };
@@ -52,7 +52,7 @@ impl Bundle {
         Ok(Self { files, utc_ns })
     }
 
-    /// Name and meaning of each file, for its sender to know.
+    /// Name and meaning of each file, for the user who sends the bundle.
     pub(crate) fn contents(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
         self.files.iter().map(|(name, meaning, _)| (*name, *meaning))
     }
@@ -60,7 +60,7 @@ impl Bundle {
     /// Writes all to `output`: a tar archive, compressed by gzip.
     ///
     /// # Errors
-    /// Those of `output`.
+    /// Errors of `output`.
     pub(crate) fn write<W: Write>(&self, output: W) -> io::Result<W> {
         let mut archive = tar::Builder::new(GzEncoder::new(output, Compression::default()));
         for (name, _, bytes) in &self.files {
@@ -77,7 +77,7 @@ impl Bundle {
 /// Operating system and kernel.
 fn system() -> String {
     let release = fs::read_to_string("/etc/os-release").unwrap_or_else(|_| "no /etc/os-release\n".to_owned());
-    // Without -n: the name of the host is nobody's business.
+    // Without -n: the name of the host is private.
     let kernel = Command::new("uname").args(["-s", "-r", "-v", "-m"]).stdin(Stdio::null()).output();
     let kernel = kernel.map_or_else(
         |error| format!("no uname: {error}\n"),

@@ -11,7 +11,7 @@ use slitpose_head::finding::Finding;
 /// Boards that one host records at once.
 const BOARDS: f64 = 4.0;
 
-/// Less than an hour of them is little, less than a minute nothing.
+/// Room for less than an hour is little; for less than a minute, none.
 const LITTLE_S: f64 = 3600.0;
 const NOTHING_S: f64 = 60.0;
 
@@ -22,8 +22,8 @@ const MARGIN: f64 = 5.0;
 const TRIAL_BYTES: usize = 4 << 20;
 const CHUNK_BYTES: usize = 64 << 10;
 
-/// The folder for recordings, where boards of `bytes_per_s` each are recorded. Its name stays out of what is said:
-/// reports are shown to others.
+/// Checks the folder for recordings of boards with `bytes_per_s` each. The findings do not name it because reports are
+/// shown to others.
 pub(super) fn checks(folder: &Path, bytes_per_s: f64) -> [Finding; 2] {
     let needed = BOARDS * bytes_per_s;
     let room = match statvfs(folder) {
@@ -63,7 +63,7 @@ fn of_rate(rate: f64, needed: f64) -> Finding {
     }
 }
 
-/// Bytes a second that reach the disk.
+/// Write rate of the disk, bytes per second.
 fn write_rate(folder: &Path) -> io::Result<f64> {
     let mut file = tempfile::tempfile_in(folder)?;
     // Zeros could be written as a hole.

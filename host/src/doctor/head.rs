@@ -6,8 +6,8 @@ use slitpose_head::finding::Finding;
 use slitpose_head::front_end::is_full_scale_of;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 
-/// The scene to measure by: the one given, the shipped one that the board belongs to, or the default one.
-/// `None` if that contradicts what is stored on the board.
+/// The scene for the measurement: the given one, the shipped one that the board belongs to, or the default one.
+/// `None` if that contradicts the hash stored on the board.
 pub(super) fn scene(given: Option<&SceneFile>, info: &BoardInfo, checks: &mut Vec<Finding>) -> Option<SceneFile> {
     let stored = info.hashes.scene;
     let scene = given.cloned().or_else(|| stored.and_then(Shipped::with_hash)).or_else(default_scene)?;
@@ -37,7 +37,7 @@ pub(super) fn scene(given: Option<&SceneFile>, info: &BoardInfo, checks: &mut Ve
     fits.then_some(scene)
 }
 
-/// Whether front end and scene agree on what can be measured.
+/// Whether front end and scene agree on the full scale.
 pub(super) fn full_scale(scene: &SceneFile, info: &BoardInfo) -> Finding {
     let board_a = info.scaling.full_scale_a();
     let Some(front_end) = scene.front_end else {

@@ -9,7 +9,7 @@ use nix::unistd::geteuid;
 use crate::clock::HostInstant;
 use slitpose_head::finding::Finding;
 
-/// Start of 2026: no build is older.
+/// Start of 2026, before the first build: an earlier time is wrong.
 const EARLIEST_UTC_NS: u64 = 1_767_225_600_000_000_000;
 
 /// The priority that the shipped service may use.
@@ -30,7 +30,7 @@ fn of_date(utc_ns: u64) -> Finding {
     }
 }
 
-/// The answer of systemd, if it is there.
+/// The answer of systemd, if it runs.
 fn synchronised() -> Option<String> {
     let asked = Command::new("timedatectl")
         .args(["show", "--property=NTPSynchronized", "--value"])
@@ -71,7 +71,7 @@ fn of_priority(limits: Option<&str>) -> Finding {
     }
 }
 
-/// The soft limit in `/proc/self/limits`; without limit the most there is.
+/// The soft limit in `/proc/self/limits`; the maximum if unlimited.
 fn real_time_limit(limits: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix("Max realtime priority"))?;
     match line.split_whitespace().next()? {

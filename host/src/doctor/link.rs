@@ -14,7 +14,7 @@ use crate::device::{
 use crate::link::Versions;
 use slitpose_head::finding::Finding;
 
-/// Time that a board needs if its other port was asked just before.
+/// Time that a board needs to answer if its other port was asked just before.
 const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// Opens the board and reads its hello; `None` if that fails or cannot be understood.
@@ -92,7 +92,7 @@ fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
     }
 }
 
-/// Whether this user may open the port, and which group may.
+/// Whether this user may open the port, and the group that may.
 fn of_permission(found: &Found) -> Finding {
     let name = found.port.as_str();
     let group = std::fs::metadata(name).ok().and_then(|port| Group::from_gid(Gid::from_raw(port.gid())).ok().flatten());

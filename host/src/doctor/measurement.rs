@@ -13,17 +13,17 @@ use slitpose_head::finding::Finding;
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
 
-/// As streams are solved.
+/// The tier for streams.
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
-/// Slowest board or emulator that is waited for, relative to real time; and the time to begin.
+/// Duration limit relative to real time, for slow emulators; and the time to begin.
 const SLOWEST: f64 = 10.0;
 const BEGIN: Duration = Duration::from_secs(5);
 
-/// Largest relative difference of rates that crystals and packets cut at both ends of a second explain.
+/// Largest relative difference of rates explained by crystals, and by packets cut at both ends of a second.
 const RATE_SLACK: f64 = 0.05;
 
-/// The least share of scans with a pose that a tool in its workspace gives.
+/// Least share of scans with a pose for a tool in its workspace.
 const POSES: f64 = 0.99;
 
 /// Supply of the MCU: 3.3 V ± 5 %, as the regulator of its board gives it.
@@ -32,13 +32,13 @@ const SUPPLY_V: std::ops::RangeInclusive<f32> = 3.135..=3.465;
 /// Ambient limits of the MCU (STM32G474xE data sheet, suffix 6), which its own heat may reach.
 const TEMPERATURE_K: std::ops::RangeInclusive<f32> = 273.15 - 40.0..=273.15 + 85.0;
 
-/// A busier MCU has no time in reserve.
+/// Greatest CPU load of the MCU that leaves a reserve.
 const BUSIEST_PERMILLE: u16 = 900;
 
 /// Most warnings and errors of the board that are kept.
 const EVENTS: usize = 5;
 
-/// Why nothing was measured.
+/// Why the measurement failed.
 #[derive(Debug, Error)]
 pub(super) enum MeasurementError {
     /// The scene's schedule.
@@ -59,15 +59,15 @@ pub(super) struct Measurement {
     before: Status,
     after: Status,
     frame_rate_hz: f64,
-    /// Scans received, and in how many seconds by the host's clock.
+    /// Number of scans received, and the duration by the host's clock, seconds.
     received: (u64, f64),
     bytes: usize,
-    /// By how many millionths its clock is fast, and how well its instants are known at the end, ns.
+    /// Rate error of the board's clock, ppm, and uncertainty of its times at the end, ns.
     clock: Option<(f64, u64)>,
     events: Vec<String>,
 }
 
-/// Lets `board` measure for `duration_s` of its time; what it sends goes to `bytes`.
+/// Lets `board` measure for `duration_s` of its time; its bytes are appended to `bytes`.
 pub(super) fn measure(
     board: &mut Conversation,
     scene: &SceneFile,
@@ -122,7 +122,7 @@ pub(super) fn measure(
 }
 
 impl Measurement {
-    /// What the board sends in a second of its time; `None` if it has sent no scan.
+    /// Bytes that the board sends per second of its time; `None` if it has sent no scan.
     pub(super) fn bytes_per_s(&self) -> Option<f64> {
         let seconds = self.counts.scans as f64 / self.frame_rate_hz;
         (seconds > 0.0).then(|| self.bytes as f64 / seconds)
@@ -172,7 +172,7 @@ impl Measurement {
         }
     }
 
-    /// Scans the board took and did not send.
+    /// Scans that the board took and did not send.
     fn lost_on_board(&self) -> (u64, u64) {
         let (before, after) = (&self.before, &self.after);
         let dropped = after.scans_dropped.saturating_sub(before.scans_dropped);
@@ -223,7 +223,7 @@ impl Measurement {
     }
 
     fn health(&self) -> Finding {
-        // At rest the load says nothing.
+        // The load is measured during acquisition: at rest it is meaningless.
         let status = self.counts.board_status.as_ref().unwrap_or(&self.after);
         let Status { supply_v, temperature_k, cpu_load_permille, .. } = *status;
         let finding = format!(
@@ -231,7 +231,7 @@ impl Measurement {
             temperature_k - 273.15,
             f64::from(cpu_load_permille) / 10.0
         );
-        // What is no number is in no range.
+        // NaN is in no range.
         if !SUPPLY_V.contains(&supply_v) {
             Finding::warning("health", finding, "check cable and supply: 3.3 V are wanted, within 5 %")
         } else if !TEMPERATURE_K.contains(&temperature_k) {
@@ -276,7 +276,7 @@ mod tests {
             [("board".into(), Ok), ("link".into(), Ok), ("poses".into(), Ok), ("health".into(), Ok)]
         );
         assert_eq!((good.counts.scans, bytes.len()), (400, good.bytes));
-        // 60 bytes a scan, and as many for the truth of a simulated one.
+        // 60 bytes per scan, and as many for the true pose of a simulated one.
         assert!((200e3..800e3).contains(&good.bytes_per_s().unwrap()), "{:?}", good.bytes_per_s());
 
         let with = |change: fn(&mut Measurement)| {
@@ -288,7 +288,7 @@ mod tests {
         assert_eq!(with(|it| it.counts.scans_lost += 3), [("link".into(), Failed)]);
         assert_eq!(with(|it| it.counts.decoder.misframed += 1), [("link".into(), Failed)]);
         assert_eq!(with(|it| it.counts.batches_unreadable += 1), [("link".into(), Failed)]);
-        // Dropped on the board, so missing in the numbers: not the link's fault.
+        // Dropped on the board and so missing in the numbering: not the link's fault.
         let dropped = with(|it| {
             it.after.scans_dropped += 3;
             it.counts.scans_lost += 3;

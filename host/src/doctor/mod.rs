@@ -19,44 +19,44 @@ use crate::device::{BoardInfo, Search, Selector};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 
-/// What a board sends a second until it has been measured: 4 000 scans of 60 bytes.
+/// Bytes per second assumed for a board that was not measured: 4 000 scans of 60 bytes.
 const USUAL_BYTES_PER_S: f64 = 240e3;
 
-/// What is to be checked.
+/// The subject of an examination.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Subject<'a> {
-    /// Which board.
+    /// The board.
     pub device: &'a Selector,
-    /// Where to look for it, too.
+    /// Additional places to search for it.
     pub search: &'a [Search],
-    /// The scene of its head, if the user says so.
+    /// The scene of its head, if given by the user.
     pub scene: Option<&'a SceneFile>,
-    /// Where recordings go.
+    /// The folder for recordings.
     pub folder: &'a Path,
-    /// How long it measures, device seconds.
+    /// Duration of the measurement, device seconds.
     pub duration_s: f64,
 }
 
 /// The findings.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Examination {
-    /// In the order they were made.
+    /// The findings in the order of the checks.
     pub checks: Vec<Finding>,
     /// The board's hello.
     pub board: Option<BoardInfo>,
-    /// The scene it was measured by.
+    /// The scene of the measurement.
     pub scene: Option<SceneFile>,
-    /// The bytes it sent while it measured.
+    /// The bytes that the board sent during the measurement.
     pub bytes: Vec<u8>,
 }
 
 impl Examination {
-    /// How many findings are of `grade`.
+    /// The number of findings of `grade`.
     pub(crate) fn count(&self, grade: Grade) -> usize {
         self.checks.iter().filter(|check| check.grade == grade).count()
     }
 
-    /// For people: a line a check, and a line for the next step where there is one.
+    /// The findings for people: one line per check, and one for the next step if there is one.
     pub(crate) fn text(&self) -> String {
         self.checks.iter().map(|check| format!("{check:#}\n")).collect()
     }
@@ -71,7 +71,7 @@ pub(crate) fn examine(subject: &Subject<'_>) -> Examination {
     examination
 }
 
-/// Checks the board as far as possible; gives the bytes that it sends in a second.
+/// Checks the board as far as possible; returns the bytes that it sends per second.
 fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
     let checks = &mut examination.checks;
     let reached = link::reach(subject, checks);
@@ -101,7 +101,7 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
     }
 }
 
-/// The default scene, for a board made of it.
+/// The default scene, for a simulated board without a given scene.
 fn default_scene() -> Option<SceneFile> {
     WIDE.read().ok()
 }

@@ -6,31 +6,31 @@ use serde::{Serialize, Serializer};
 use super::Exchange;
 use slitpose_head::finding::Finding;
 
-/// The state of a cell, gravest cause first.
+/// The state of a cell, gravest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Less than a second of scans: nothing can be said yet.
+    /// Less than a second of scans: not judged yet.
     Unknown,
     /// Not measured: its emitter is off.
     Off,
-    /// Its electrodes, or it and another cell, are in each other's place.
+    /// Its electrodes are swapped, or it is swapped with another cell.
     Swapped,
-    /// Its words do not change any more.
+    /// Its words have stopped changing.
     Stuck,
     /// A converter or the detector is at its limit.
     Saturated,
-    /// No light where the pose says that there should be some.
+    /// No light although the pose predicts some.
     Dark,
     /// It contradicts the other cells.
     Excluded,
-    /// Too little light, and no pose that says otherwise.
+    /// Too little light, and no pose that predicts more.
     Faint,
     /// More light in the dark slot than at the start.
     StrayRising,
-    /// More noise than the front end promises.
+    /// More noise than the scene's front end specifies.
     Noisy,
-    /// None of these.
+    /// No fault.
     Ok,
 }
 
@@ -58,28 +58,28 @@ impl Verdict {
 pub struct Shares {
     /// A converter or the detector was at its limit.
     pub saturated: f64,
-    /// I_O − I_D was under `faint_a` of the scene.
+    /// I_O − I_D was below `faint_a` of the scene.
     pub faint: f64,
-    /// Under `faint_a`, though the pose gives at least twice that; of the scans with a pose.
+    /// I_O − I_D was below `faint_a`, though the pose predicts at least twice that; share of the scans with a pose.
     pub dark: f64,
-    /// An end of the detector cuts the spot, by the pose; of the scans with a pose.
+    /// An end of the detector cuts the spot according to the pose; share of the scans with a pose.
     pub clipped: f64,
     /// The solver left the cell out because it contradicts the others.
     pub excluded: f64,
-    /// Not measured, as the emitter was off.
+    /// Not measured because the emitter was off.
     pub off: f64,
 }
 
 /// Scans since the session began.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct CellTotals {
-    /// All.
+    /// All scans.
     pub scans: u64,
     /// As in [`Shares`].
     pub saturated: u64,
     /// As in [`Shares`].
     pub faint: u64,
-    /// As in [`Shares`]; only some scans, 128 a second, are looked at.
+    /// As in [`Shares`]; only some scans, 128 per second, are checked.
     pub dark: u64,
     /// As in [`Shares`].
     pub excluded: u64,
@@ -87,59 +87,59 @@ pub struct CellTotals {
     pub off: u64,
 }
 
-/// One cell: the last second, and what there was since the session began.
+/// The health of one cell over the last second and since the session began.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct CellHealth {
     /// Its number.
     pub cell: usize,
-    /// The gravest of what is wrong with it.
+    /// Its gravest fault.
     pub verdict: Verdict,
-    /// Of the last second.
+    /// Shares of the scans of the last second.
     pub shares: Shares,
     /// Mean photocurrent I_O − I_D at nominal drive, amperes.
     pub light_a: Option<f64>,
-    /// Measured photocurrent over what the pose says, where it says at least twice `faint_a`.
+    /// Measured photocurrent over that predicted by the pose, where that is at least twice `faint_a`.
     pub brightness: Option<f64>,
-    /// Current in the dark slot above the dark current of the scene, both electrodes, amperes. The
-    /// offset of the front end is in it.
+    /// Current in the dark slot above the dark current of the scene, both electrodes, amperes. It includes
+    /// the offset of the front end.
     pub stray_a: Option<f64>,
-    /// By how much that has risen since the first second of the session, amperes.
+    /// Rise of `stray_a` since the first second of the session, amperes.
     pub stray_rise_a: Option<f64>,
-    /// Standard deviation of a dark word by what it differs from the one before, amperes.
+    /// Standard deviation of a dark word, from differences of successive words, amperes.
     pub noise_a: Option<f64>,
     /// The same in steps of one conversion.
     pub noise_lsb: Option<f64>,
-    /// What it is by the scene's front end, amperes.
+    /// The same by the scene's front end, amperes.
     pub promised_noise_a: Option<f64>,
-    /// Since the session began.
+    /// Scans since the session began.
     pub totals: CellTotals,
 }
 
-/// What is wrong.
+/// A fault of a head.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
-    /// A cell, as its verdict says.
+    /// The fault of one cell.
     Cell {
-        /// Which cell.
+        /// The cell.
         cell: usize,
-        /// What.
+        /// Its state.
         verdict: Verdict,
     },
     /// Most cells see too little light for a pose.
     TooDark,
-    /// Something is in the place of something else.
+    /// Two electrodes or two cells are swapped.
     Exchange(Exchange),
     /// Most scans contradict the scene, and no single cell and no exchange explains them.
     Unexplained,
 }
 
-/// A fault, for programs, and the finding on it, for people.
+/// A fault, for programs, and its finding, for people.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Diagnosis {
-    /// What.
+    /// The fault.
     pub fault: Fault,
-    /// In a sentence, with what to do next.
+    /// The fault in a sentence, with the next step.
     #[serde(rename = "text", serialize_with = "serialize_line")]
     #[schemars(with = "String")]
     pub finding: Finding,
@@ -149,13 +149,13 @@ fn serialize_line<S: Serializer>(finding: &Finding, serializer: S) -> Result<S::
     serializer.collect_str(finding)
 }
 
-/// A head over the last second.
+/// The health of a head over the last second.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct HeadHealth {
     /// Share of scans that the scene does not explain: a misfit, no pose, or a cell left out as an outlier.
     pub unexplained: f64,
-    /// In the order of the scene.
+    /// The cells in the order of the scene.
     pub cells: Vec<CellHealth>,
-    /// Empty if all is well.
+    /// The faults found; empty if there are none.
     pub findings: Vec<Diagnosis>,
 }

@@ -1,4 +1,4 @@
-//! Electrodes or plugs in each other's place: tried on a few scans that the scene does not explain.
+//! Detection of swapped electrodes or plugs: each swap is tried on a few scans that the scene does not explain.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -7,35 +7,34 @@ use slitpose_model::{
 };
 use slitpose_protocol::Schedule;
 
-/// Scans kept to try on.
+/// Scans kept for the trials.
 const SAMPLES: usize = 8;
 
-/// Least number of scans that tell an exchange from chance.
+/// Least number of scans that distinguish an exchange from chance.
 const LEAST_SAMPLES: usize = 4;
 
-/// Scans that the right exchange may leave unexplained: another fault may come by.
+/// Scans that the right exchange may leave unexplained: another fault may occur in them.
 const MISSES: usize = 1;
 
-/// Data beyond the unknowns without which too much fits: those of five cells.
+/// Least number of data beyond the unknowns, that of five cells: with fewer, wrong exchanges fit, too.
 const LEAST_REDUNDANCY: usize = 4;
 
-/// Steps of a first try, and the χ² beyond which it is no use to try harder. What fits has a χ² of some
-/// tens; the search for a pose that does not exist would take as long as a hundred frames.
+/// Steps of a first attempt, and the χ² above which a longer one is useless. The right exchange has a χ²
+/// of some tens; the search for a pose that does not exist would take as long as a hundred frames.
 const STEPS: usize = 40;
 const HOPELESS: f64 = 200.0;
 
-/// Tries to find the light of other emitters along with the pose. Each leaves a tenth of what the one
-/// before has left.
+/// Iterations to find the light of other emitters along with the pose. Each reduces the error to a tenth.
 const ROUNDS: usize = 6;
 
-/// The tool of a scan on its own may move as a fast hand does.
+/// Motion prior for a single scan: the tool may move as fast as a hand.
 const ANY_MOTION: MotionPrior = MotionPrior {
     twist: Twist { linear_m_per_s: glam::DVec3::ZERO, angular_rad_per_s: glam::DVec3::ZERO },
     linear_sigma_m_per_s: 0.5,
     angular_sigma_rad_per_s: 5.0,
 };
 
-/// Two electrodes or cells in each other's place.
+/// Two electrodes or two cells swapped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Exchange {
@@ -74,7 +73,7 @@ impl Exchange {
         }
     }
 
-    /// The plug that `cell` is on, and the cell that is on plug `cell`.
+    /// The plug of `cell`, which is also the cell on plug `cell`.
     fn other(&self, cell: usize) -> usize {
         match *self {
             Self::Cells { cells: [first, second] } if cell == first => second,
@@ -98,7 +97,8 @@ impl Exchange {
     }
 }
 
-/// Searches the exchange that explains scans that the scene does not; one trial a scan, so that none waits.
+/// Search for the exchange that explains scans that the scene does not. It makes one trial per scan, so that no scan
+/// waits.
 #[derive(Debug)]
 pub(super) struct Search {
     hasty: Box<Solver<f64>>,
@@ -114,18 +114,18 @@ pub(super) struct Search {
     found: Option<Exchange>,
 }
 
-/// How far a search has come.
+/// The progress of a search.
 #[derive(Clone, Copy, Debug)]
 struct Trial {
     exchange: Exchange,
     sample: usize,
     misses: usize,
-    /// The exchanges that have explained the scans: the first one, and whether it is the only one.
+    /// The first exchange found that explains the scans, and whether it is the only one.
     explains: Option<(Exchange, bool)>,
 }
 
 impl Search {
-    /// Every `keep_every`th troubled scan is kept to try on.
+    /// A search that keeps every `keep_every`th unexplained scan for its trials.
     pub(super) fn new(solver: &Solver<f64>, schedule: &Schedule, exposures_s: Vec<f64>, keep_every: u32) -> Self {
         let lit_with = |cell: usize| {
             let slot = schedule.lit_slot(cell).map(|slot| schedule.slots[slot].emitters());
@@ -145,12 +145,12 @@ impl Search {
         }
     }
 
-    /// The exchange that alone explains the scans of late, if there is one.
+    /// The only exchange that explains the latest scans, if there is one.
     pub(super) fn found(&self) -> Option<Exchange> {
         self.found
     }
 
-    /// Adds the next scan, and goes one step on in the search.
+    /// Adds the next scan and makes one trial.
     pub(super) fn update(&mut self, photocurrents: &Photocurrents, troubled: bool) {
         if let Some(trial) = self.trial {
             return self.go_on(trial);
@@ -167,8 +167,8 @@ impl Search {
         self.kept += 1;
     }
 
-    /// Called several times a second: with most scans unexplained a search begins, unless one is under
-    /// way or there is too little to try on; with most explained nothing is claimed any more.
+    /// To be called several times per second. If most scans are unexplained, begins a search, unless one is
+    /// running or too few scans are kept; if most are explained, withdraws the exchange found.
     pub(super) fn turned(&mut self, mostly_troubled: bool) {
         if !mostly_troubled {
             (self.kept, self.until_next, self.trial, self.found) = (0, 0, None, None);
@@ -193,7 +193,7 @@ impl Search {
             Some(exchange) => self.trial = Some(Trial { exchange, sample: 0, misses: 0, ..trial }),
             None => {
                 self.found = trial.explains.filter(|(_, alone)| *alone).map(|(exchange, _)| exchange);
-                // The next search has scans of its own.
+                // The next search uses new scans.
                 (self.kept, self.until_next, self.trial) = (0, 0, None);
             }
         }
@@ -219,8 +219,8 @@ impl Search {
         false
     }
 
-    /// Subtracts the light that cells get at `pose` from emitters which `exchange` lights together with
-    /// theirs; `false` if there is none.
+    /// Subtracts the light that cells receive at `pose` from emitters that `exchange` lights together with
+    /// their own; `false` if there is none.
     fn remove_cross_light(&self, exchange: Exchange, pose: &Pose, photocurrents: &mut Photocurrents) -> bool {
         let mut found = false;
         for cell in 0..self.together.len() {
@@ -241,7 +241,7 @@ impl Search {
     fn solve(&self, solver: &Solver<f64>, exchange: Exchange, undone: &Photocurrents) -> Solution {
         match exchange {
             Exchange::Cells { cells: [first, second] } if self.exposures_s[first] != self.exposures_s[second] => {
-                // A cell at another's plug is exposed in the other's slot.
+                // A cell on another cell's plug is exposed in that cell's slot.
                 let mut exposures_s = [0.0; MAX_CELLS];
                 exposures_s[..self.exposures_s.len()].copy_from_slice(&self.exposures_s);
                 exposures_s.swap(first, second);

@@ -1,36 +1,36 @@
-//! From sums to verdicts.
+//! Verdicts from the sums of a window.
 
 use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Shares, Verdict};
 use super::window::{Bucket, CellSums};
 use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;
 
-/// Least number of scans to be judged.
+/// Least number of scans for a verdict.
 const LEAST_SCANS: u32 = 32;
 
 /// Cells that a pose needs.
 const NEEDED: usize = 3;
 
-/// A condition in fewer scans passes: a tool that flies by the edge of its workspace.
+/// Share of scans above which a condition is a fault. It may occur in fewer, at the edge of the workspace.
 const OFTEN: f64 = 0.1;
 
-/// Stray light has risen if its mean has by more σ than chance gives in years of seconds …
+/// Stray light has risen if its mean has by this many σ, more than chance gives in years of seconds …
 const RISE_SIGMAS: f64 = 5.0;
-/// … and by a share of an electrode's full scale that costs range: offsets drift by less.
+/// … and by this share of an electrode's full scale, which costs range: offsets drift by less.
 const RISE_OF_FULL_SCALE: f64 = 0.01;
 
-/// Measured over promised noise from which on something disturbs. A second at 1 kHz tells noise to a few
-/// per cent; front ends differ by their parts' tolerances.
+/// Ratio of measured to specified noise from which on a cell is noisy. A second at 1 kHz measures noise to
+/// a few per cent; front ends differ by their parts' tolerances.
 const NOISY_FROM: f64 = 2.0;
 
-/// Noise of a word, in its steps, from which on it cannot repeat for a second.
+/// Noise of a word, in its steps, from which on the word cannot stay constant for a second.
 const LIVELY_STEPS: f64 = 0.5;
 
-/// All of the scans, but for the first one after a gap.
+/// Share that stands for all scans, as the first one after a gap does not count.
 const ALWAYS: f64 = 0.99;
 
 impl Health {
-    /// The health over the last second. It allocates: to be called now and then.
+    /// The health over the last second. Allocates; to be called a few times per second.
     pub fn report(&self) -> HeadHealth {
         let sum = self.window.sum();
         let judged = self.window.is_full() && sum.scans >= LEAST_SCANS;
@@ -64,7 +64,7 @@ impl Health {
         HeadHealth { unexplained, cells, findings }
     }
 
-    /// The numbers of a cell.
+    /// The measurements of a cell.
     fn measure(&self, cell: usize, sum: &Bucket) -> CellHealth {
         let (known, sums) = (&self.cells[cell], &sum.cells[cell]);
         let step_a = self.step_a();
@@ -94,7 +94,7 @@ impl Health {
     fn judge(&self, cell: usize, health: &CellHealth, sum: &Bucket, exchange: Option<Exchange>) -> Verdict {
         let (known, sums, shares) = (&self.cells[cell], &sum.cells[cell], &health.shares);
         let lively = known.promised_noise_a.is_some_and(|noise_a| noise_a >= LIVELY_STEPS * self.step_a());
-        // Words at the end of their range have no reason to change.
+        // Words at the end of their range do not change.
         let stuck = lively && sums.saturated == 0 && share(sums.still, sum.scans) > ALWAYS;
         let has_risen = self.rise(cell, sums).is_some_and(|(rise_a, sigma_a)| {
             let afterglow_a = known.afterglow * self.scaling.full_scale_a();
@@ -118,14 +118,14 @@ impl Health {
         conditions.into_iter().find(|(_, holds)| *holds).map_or(Verdict::Ok, |(verdict, _)| verdict)
     }
 
-    /// The diagnosis of a cell; `None` if all is well or the exchange has its own.
+    /// The diagnosis of a cell; `None` without a fault, or if the exchange has its own diagnosis.
     fn of_cell(&self, health: &CellHealth, has_pose: bool) -> Option<Diagnosis> {
         let CellHealth { cell, verdict, shares, .. } = *health;
         let percent = |share: f64| 100.0 * share;
         let nanoamperes = |current_a: Option<f64>| current_a.unwrap_or(f64::NAN) * 1e9;
         let (text, next_step) = match verdict {
             Verdict::Unknown | Verdict::Swapped | Verdict::Ok => return None,
-            // The pose has no light for it: the tool is where the cell cannot see it.
+            // The pose predicts no light: the cell cannot see its emitter there.
             Verdict::Faint if has_pose => return None,
             Verdict::Off => ("its emitter is off".to_owned(), "give it a level above zero"),
             Verdict::Stuck => {
@@ -191,11 +191,11 @@ impl Health {
         Some(codes * self.scaling.amperes_per_code - known.dark_current_a)
     }
 
-    /// By how much light in the dark has risen since the start, and σ of that, amperes.
+    /// Rise of the current in the dark slot since the start, and its σ, amperes.
     pub(super) fn rise(&self, cell: usize, sums: &CellSums) -> Option<(f64, f64)> {
         let known = &self.cells[cell];
         let start = &self.start.as_ref()?.cells[cell];
-        // Of the sum of two electrodes.
+        // Variance of the sum of both electrodes.
         let variance = |sums: &CellSums| Some(2.0 * sums.dark.variance()? / sums.dark.count());
         let sigma = (variance(start)? + variance(sums)?).sqrt();
         Some((self.stray_a(known, sums)? - self.stray_a(known, start)?, sigma * self.step_a()))

@@ -1,12 +1,12 @@
-//! The health of a head, cell by cell, judged from its scans while the tool is followed.
+//! The health of a head, cell by cell, judged from its scans during tracking.
 //!
 //! [`Health`] adds every scan of one board session, with its photocurrents and solution, to sums over a second of
 //! device time; it allocates nothing. [`HeadHealth`] is judged from these sums: shares, levels, noise, a [`Verdict`]
 //! for each cell and, for people, a [`Diagnosis`] of each fault.
 //!
-//! A cell without light is no fault if the pose explains it: the model says whether the cell should see light. Poses
-//! cannot reveal cells whose plugs or electrodes are exchanged; when most scans contradict the scene, such exchanges
-//! are tried one after another on a few scans.
+//! A cell without light is no fault if the model predicts no light for it at the pose. Poses cannot reveal cells whose
+//! plugs or electrodes are exchanged; if most scans contradict the scene, such exchanges are tried one after another on
+//! a few scans.
 
 mod diagnosis;
 mod exchange;
@@ -26,22 +26,21 @@ use slitpose_head::front_end::{self, Settling, Stage};
 use slitpose_head::scene_file::SceneFile;
 use window::{Bucket, Turn, Window};
 
-/// Most scans a second whose cells are compared with the model: the optics of a cell cost more than everything else
-/// here.
+/// Most scans per second whose cells are compared with the model: a cell's optics cost more than all other steps.
 const LOOKS_PER_S: f64 = 128.0;
 
-/// A cell counts as dark only where the model gives this many times the faint limit, as in the solver: near the limit
-/// noise decides.
+/// A cell counts as dark only where the model predicts this many times the faint limit, as in the solver: near the
+/// limit noise decides.
 const MISSED_FROM: f64 = 2.0;
 
 /// Least duration and least number of frames of a bucket of the window.
 const BUCKET_S: f64 = 0.25;
 const BUCKET_FRAMES: u64 = 8;
 
-/// Time between scans kept for the search for exchanges: the tool has moved in between.
+/// Time between scans kept for the search for exchanges, in which the tool moves.
 const SAMPLE_S: f64 = 0.125;
 
-/// Watches the cells of one head over one board session.
+/// Monitors the cells of one head over one board session.
 #[derive(Debug)]
 pub struct Health {
     solver: Box<Solver<f64>>,
@@ -63,20 +62,20 @@ pub struct Health {
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     faint_a: f64,
-    /// Of the photocurrent, above dark current.
+    /// Saturation limit of the photocurrent, without dark current.
     saturation_a: f64,
     dark_current_a: f64,
     /// Standard deviation of one dark word by the scene's front end, amperes.
     promised_noise_a: Option<f64>,
-    /// Most of the cell's own light that the front end can have left in the dark slot, relative.
+    /// Greatest share of the cell's own light that the front end can leave in the dark slot.
     afterglow: f64,
 }
 
 impl Health {
-    /// For a board that runs `schedule` with `scaling` in front of the head of `file`, its poses
+    /// A monitor for a board that runs `schedule` with `scaling` on the head of `file`, with poses
     /// solved in `tier`.
     ///
-    /// The schedule and the scaling must be valid, and have a slot for each of the scene's cells.
+    /// The schedule and the scaling must be valid and have a slot for each of the scene's cells.
     ///
     /// # Errors
     /// If the scene cannot be compiled.
@@ -201,7 +200,7 @@ impl Health {
     }
 }
 
-/// Whether the scene does not explain the scan: one cell or several are outliers, or none can be named.
+/// Whether the scene does not explain the scan: it has outliers, identified or not.
 fn is_troubled(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Diverged | Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded))
 }

@@ -1,4 +1,4 @@
-//! Numbers of a head against what its electronics and its light must give.
+//! Measurements of a head against the values expected from its electronics and its light.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,7 +16,7 @@ use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 /// Frames a second: a quarter of the shipped rate, and so a quarter of the work.
 const FRAME_RATE: usize = 1000;
 
-/// Scans of a second and a half: what is said covers the last second.
+/// Scans of a second and a half: the health covers the last second.
 const SCANS: usize = 3 * FRAME_RATE / 2;
 
 fn wide() -> SceneFile {
@@ -52,7 +52,7 @@ fn scans(file: &SceneFile, kind: TrajectoryKind, count: usize) -> (Vec<RawScan>,
     (scans, schedule, scaling)
 }
 
-/// What is said in the end of the head of `board`, taken for that of `file`; `edit` befalls each scan.
+/// The final health of the head of `board`, with the scene of `file`; `edit` changes each scan.
 fn watched(
     board: &SceneFile,
     file: &SceneFile,
@@ -78,7 +78,7 @@ fn watched(
 #[test]
 fn dark_current_is_no_light() {
     let mut file = wide();
-    // A warm detector: some 4 % of the light at home, twenty times what the mean of a second is known to.
+    // A warm detector: some 4 % of the light at home, twenty times the error of the mean over a second.
     for cell in &mut file.scene.cells {
         cell.detector.dark_current_a = 300e-9;
     }
@@ -87,7 +87,7 @@ fn dark_current_is_no_light() {
     for cell in &health.cells {
         let brightness = cell.brightness.unwrap();
         assert!((brightness - 1.0).abs() < 2e-3, "cell {}: {brightness}", cell.cell);
-        // The board's offset is in it, a step of a word, and the scene's dark current is not.
+        // It includes the board's offset, a step of a word, but not the scene's dark current.
         let stray_a = cell.stray_a.unwrap();
         assert!(stray_a.abs() < 3e-9, "cell {}: {stray_a}", cell.cell);
     }
@@ -126,7 +126,7 @@ fn scans_without_one_cell_are_scans_that_the_scene_does_not_explain() {
 
 #[test]
 fn exchanged_cells_are_exposed_in_each_others_slots() {
-    // Slots that are so long that the tool moves tens of σ within one.
+    // Slots so long that the tool moves tens of σ within one.
     let mut file = wide();
     file.front_end.as_mut().unwrap().settling_s = 180e-6;
     let mut board = file.clone();

@@ -18,7 +18,7 @@ pub(super) struct CellSums {
     /// Scans with a photocurrent, and the sum of these, I_O above dark.
     pub(super) measured: u32,
     pub(super) light_a: f64,
-    /// Looks at what the pose says of the cell; of these: spot clipped, light expected, light missed.
+    /// Comparisons of the cell with the model; of these: spot clipped, light expected, light missed.
     pub(super) looks: u32,
     pub(super) clipped: u32,
     pub(super) expected: u32,
@@ -31,12 +31,12 @@ pub(super) struct CellSums {
 
 /// Sums of the dark words of a cell.
 ///
-/// Their noise is estimated from the differences of successive scans (von Neumann 1941): slow changes are subtracted
-/// with the dark words, and do no harm.
+/// Their noise is estimated from the differences of successive scans (von Neumann 1941): slow changes cancel, as they
+/// do when dark words are subtracted.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct DarkSums {
     count: u64,
-    /// Of both electrodes.
+    /// Sum of the words of both electrodes.
     words: u64,
     differences: u64,
     squares: u64,
@@ -111,11 +111,11 @@ impl Bucket {
 /// The effect of a new scan on the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
-    /// It belongs to the bucket under way.
+    /// It belongs to the current bucket.
     Same,
-    /// The bucket under way is full.
+    /// The current bucket is full.
     Next,
-    /// The buckets are too old, or of a clock that has restarted.
+    /// The buckets are too old, or the clock has restarted.
     Anew,
 }
 
@@ -123,13 +123,13 @@ pub(super) enum Turn {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
     buckets: [Bucket; FULL + 1],
-    /// Number of the bucket under way, counted by the board's clock; `None` before the first scan.
+    /// Number of the current bucket, counted by the board's clock; `None` before the first scan.
     number: Option<u64>,
     full: usize,
 }
 
 impl Window {
-    /// Goes on to bucket `number`.
+    /// Advances to bucket `number`.
     pub(super) fn turn(&mut self, number: u64) -> Turn {
         let ahead = self.number.and_then(|before| number.checked_sub(before));
         self.number = Some(number);
@@ -137,7 +137,7 @@ impl Window {
             Some(0) => Turn::Same,
             Some(ahead) if ahead <= FULL as u64 => {
                 self.full = FULL.min(self.full + ahead as usize);
-                // Those in between stay empty: nothing came.
+                // Buckets in between stay empty.
                 for skipped in 0..ahead {
                     self.buckets[index_of(number - skipped)] = Bucket::default();
                 }
@@ -151,17 +151,17 @@ impl Window {
         }
     }
 
-    /// The bucket under way.
+    /// The current bucket.
     pub(super) fn current(&mut self) -> &mut Bucket {
         &mut self.buckets[index_of(self.number.unwrap_or(0))]
     }
 
-    /// Whether the window reaches back a whole second.
+    /// Whether the window covers a whole second.
     pub(super) fn is_full(&self) -> bool {
         self.full == FULL
     }
 
-    /// All buckets together.
+    /// The sum of all buckets.
     pub(super) fn sum(&self) -> Bucket {
         let mut sum = Bucket::default();
         self.buckets.iter().for_each(|bucket| sum.add(bucket));

@@ -1,4 +1,4 @@
-//! Which board: a number that no two share.
+//! The unique number of a board.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -8,7 +8,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Serialize, Serializer};
 use thiserror::Error;
 
-/// The unique number of a board, as its hello and its USB serial number tell it: 24 hexadecimal digits.
+/// The unique number of a board, 24 hexadecimal digits: in its hello, and its USB serial number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DeviceId(pub [u8; 12]);
 
@@ -34,7 +34,7 @@ impl JsonSchema for DeviceId {
     }
 }
 
-/// A text that is no [`DeviceId`].
+/// A text that is not a [`DeviceId`].
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{text}` is no serial number of a board; give 24 hexadecimal digits, as `slitpose device list` shows them")]
 pub struct DeviceIdError {
@@ -45,7 +45,7 @@ pub struct DeviceIdError {
 impl FromStr for DeviceId {
     type Err = DeviceIdError;
 
-    /// Digits above 9 may be large or small.
+    /// Digits above 9 may be upper or lower case.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let error = || DeviceIdError { text: text.to_owned() };
         if text.len() != 24 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {

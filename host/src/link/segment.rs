@@ -2,16 +2,16 @@
 
 use crate::clock::HostInstant;
 
-/// Consecutive reads of a link, for pipeline and capture: the bytes, when each read returned, and the pings sent
+/// Consecutive reads of a link, for pipeline and capture: the bytes, the time of each read, and the pings sent
 /// meanwhile. Its memory is reused.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Segment {
-    /// The link was opened anew ahead of these bytes, or some are missing in a capture: half a packet
-    /// before is lost.
+    /// The link was opened anew before these bytes, or bytes before them are missing in a capture: an incomplete
+    /// packet before them is lost.
     pub opened: bool,
     /// All bytes.
     pub bytes: Vec<u8>,
-    /// How `bytes` came; the lengths add up to its length.
+    /// The reads that gave `bytes`; their lengths add up to its length.
     pub reads: Vec<Read>,
     /// Pings sent since the segment before. Their answers, if they came, are in later reads.
     pub asked: Vec<Asked>,
@@ -20,10 +20,10 @@ pub struct Segment {
 /// One read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Read {
-    /// How many bytes it gave.
+    /// Number of bytes read.
     pub bytes: usize,
-    /// When it returned; `None` if the stream does not run in real time, as that of a
-    /// simulated board may.
+    /// Time at which the read returned; `None` if the stream, of a simulated board, does not run in real
+    /// time.
     pub at: Option<HostInstant>,
 }
 
@@ -32,7 +32,7 @@ pub struct Read {
 pub struct Asked {
     /// Its token.
     pub token: u32,
-    /// When it was about to be sent.
+    /// Time at which it was about to be sent.
     pub at: HostInstant,
 }
 
@@ -41,12 +41,12 @@ pub struct Asked {
 const KEPT_BYTES: usize = 1 << 14;
 
 impl Segment {
-    /// An empty one with room for this many bytes.
+    /// An empty segment with room for this many bytes.
     pub fn with_capacity(bytes: usize) -> Self {
         Self { bytes: Vec::with_capacity(bytes), ..Self::default() }
     }
 
-    /// Empties it and keeps its memory, unless it has grown too large.
+    /// Empties the segment and keeps its memory, unless it has grown too large.
     pub fn clear(&mut self) {
         self.opened = false;
         self.bytes.clear();
@@ -55,7 +55,7 @@ impl Segment {
         self.asked.clear();
     }
 
-    /// Whether it has neither bytes nor pings.
+    /// Whether the segment has neither bytes nor pings.
     pub fn is_empty(&self) -> bool {
         !self.opened && self.bytes.is_empty() && self.asked.is_empty()
     }
@@ -78,7 +78,7 @@ impl Segment {
         self.asked.extend_from_slice(&other.asked);
     }
 
-    /// Forgets all bytes behind the first `length`.
+    /// Drops all bytes after the first `length`.
     pub fn truncate(&mut self, length: usize) {
         self.bytes.truncate(length);
         let mut left = self.bytes.len();

@@ -1,18 +1,18 @@
-//! Which side of a link is older, and what to do about it.
+//! Versions of the protocol on both sides of a link.
 
 use std::fmt;
 
 use slitpose_protocol::{PROTOCOL, ProtocolVersion};
 
-/// A board's version of the protocol, against that of this program.
+/// A board's version of the protocol, compared with that of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Versions {
-    /// What the board speaks.
+    /// The board's version.
     pub board: ProtocolVersion,
 }
 
 impl fmt::Display for Versions {
-    /// Both versions, which is the older one, and the next step.
+    /// Both versions, the older side, and the next step.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (board, ours) = (self.board, PROTOCOL);
         write!(f, "the board speaks protocol {board}, this program {ours}: ")?;

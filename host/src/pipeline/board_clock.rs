@@ -1,4 +1,4 @@
-//! The clock of the connected board against the host's, from reads and pings.
+//! The clock of the connected board relative to the host's, from reads and pings.
 
 use slitpose_protocol::Pong;
 
@@ -6,13 +6,13 @@ use crate::clock::{ClockFit, HostInstant, HostTime};
 use crate::link::Asked;
 use crate::link::DeviceId;
 
-/// Most pings that wait for their answers: four seconds of them.
+/// Most pings that wait for their answers: those of four seconds.
 const PINGS: usize = 8;
 
-/// Reads, pings and the fit they make.
+/// Reads, pings and the fit to them.
 #[derive(Debug, Default)]
 pub(super) struct BoardClock {
-    /// When the bytes being decoded were read.
+    /// Time of the read of the bytes being decoded.
     at: Option<HostInstant>,
     /// The last pings without an answer, the oldest at `next`.
     asked: [Option<Asked>; PINGS],
@@ -22,7 +22,7 @@ pub(super) struct BoardClock {
 }
 
 impl BoardClock {
-    /// The link was reopened: pings under way are lost, and the board may be another.
+    /// The link was reopened: pending pings are lost, and the board may be another one.
     pub(super) fn reopen(&mut self) {
         self.asked = [None; PINGS];
         if let (Some(fit), Some((_, tick_hz))) = (&mut self.fit, self.board) {
@@ -41,12 +41,12 @@ impl BoardClock {
         self.at = at;
     }
 
-    /// When the bytes being decoded were read.
+    /// Time of the read of the bytes being decoded.
     pub(super) fn at(&self) -> Option<HostInstant> {
         self.at
     }
 
-    /// A board has introduced itself; times go on if it is the same board.
+    /// A board has introduced itself; the fit is kept if it is the same board.
     pub(super) fn meet(&mut self, device: DeviceId, tick_hz: u32) {
         match (&mut self.fit, self.board) {
             (Some(_), Some(known)) if known == (device, tick_hz) => return,
@@ -74,12 +74,12 @@ impl BoardClock {
         }
     }
 
-    /// By how many millionths the board's clock is fast.
+    /// Rate error of the board's clock, ppm; positive if fast.
     pub(super) fn drift_ppm(&self) -> Option<f64> {
         self.fit.as_ref()?.drift_ppm()
     }
 
-    /// The host's time `fraction_ticks` after `tick`.
+    /// The host's time at `fraction_ticks` after `tick`.
     pub(super) fn time_of(&mut self, tick: u64, fraction_ticks: f64) -> Option<HostTime> {
         self.at?;
         self.fit.as_mut()?.time_of(tick, fraction_ticks)

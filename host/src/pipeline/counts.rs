@@ -11,13 +11,13 @@ pub struct Counts {
     pub scans: u64,
     /// Scans missing in the board's numbering, wherever they were lost.
     pub scans_lost: u64,
-    /// Scans that arrived and were not solved: the solver was behind, or was interrupted.
+    /// Scans that arrived but were not solved, because the solver was behind or interrupted.
     pub scans_skipped: u64,
-    /// Times the numbering began anew: the board restarted.
+    /// Restarts of the board, detected by restarts of its numbering.
     pub restarts: u64,
-    /// Scans that were solved, by outcome.
+    /// Solved scans by outcome.
     pub outcomes: Outcomes,
-    /// Batches that no hello explains.
+    /// Batches without a hello, which cannot be decoded.
     pub batches_without_hello: u64,
     /// Batches that do not fit their schedule.
     pub batches_unreadable: u64,
@@ -25,7 +25,7 @@ pub struct Counts {
     pub decoder: DecoderCounters,
     /// Bytes of a packet that has not ended.
     pub pending_bytes: u64,
-    /// The board's latest own account.
+    /// The board's latest status.
     pub board_status: Option<Status>,
     next_sequence: Option<u64>,
 }
@@ -41,7 +41,7 @@ impl Counts {
         self.next_sequence = Some(sequence.wrapping_add(1));
     }
 
-    /// Begins a new numbering: another board, or another session of the same one.
+    /// Begins a new numbering: another board, or another session of the same board.
     pub(super) fn begin_numbering(&mut self) {
         self.next_sequence = None;
     }
@@ -94,10 +94,10 @@ mod tests {
             lose(&mut counts);
             assert!(counts.has_loss() && counts.has_loss_before_end(), "{kind}");
         }
-        // A packet under way at the end is one only for those who wanted it.
+        // An incomplete packet at the end is a loss only for `has_loss`.
         let pending = Counts { pending_bytes: 1, ..Counts::default() };
         assert!(pending.has_loss() && !pending.has_loss_before_end());
-        // Scans that arrived and were not solved were not lost on the way, and a gap lies between boards.
+        // Skipped scans were not lost on the way, and a gap between boards is no loss.
         assert!(!Counts { scans_skipped: 1, ..Counts::default() }.has_loss());
         let mut counts = Counts::default();
         counts.count_scan(1000);

@@ -18,7 +18,7 @@ pub enum PipelineError {
         board: String,
         /// Both versions.
         versions: Versions,
-        /// Which message.
+        /// The message that differs.
         source: SchemaMismatch,
     },
     /// The schedule in the hello contradicts itself.
@@ -26,7 +26,7 @@ pub enum PipelineError {
     Schedule {
         /// The board.
         board: String,
-        /// What disagrees.
+        /// The contradiction.
         source: ScheduleError,
     },
     /// The scaling in the hello cannot be used.
@@ -34,10 +34,10 @@ pub enum PipelineError {
     Scaling {
         /// The board.
         board: String,
-        /// What is wrong.
+        /// The fault of the scaling.
         source: ScalingError,
     },
-    /// Another number of cells.
+    /// The board has another number of cells than the scene.
     #[error(
         "board `{}` samples {board_cells} cells, scene `{scene}` has {scene_cells}; give the scene of this head",
         printable(board)
@@ -45,11 +45,11 @@ pub enum PipelineError {
     Cells {
         /// The board.
         board: String,
-        /// Its cells.
+        /// The board's number of cells.
         board_cells: usize,
         /// The scene.
         scene: String,
-        /// Its cells.
+        /// The scene's number of cells.
         scene_cells: usize,
     },
     /// The board belongs to another scene.
@@ -61,11 +61,11 @@ pub enum PipelineError {
     SceneHash {
         /// The board.
         board: String,
-        /// Hash of the scene stored on it.
+        /// Hash of the scene stored on the board.
         board_hash: u64,
         /// The scene in use.
         scene: String,
-        /// Its hash.
+        /// Hash of the scene in use.
         scene_hash: u64,
     },
     /// The scene cannot be compiled.

@@ -1,10 +1,10 @@
 //! From bytes to poses: bytes → packets → scans → photocurrents → poses.
 //!
-//! One pipeline serves boards, simulated boards and captures. It does no input and no output: bytes are pushed in,
-//! [`Item`]s come out in order. After the first hello nothing is allocated per scan.
+//! One pipeline serves boards, simulated boards and captures. It does no I/O: bytes are pushed in, [`Item`]s come out
+//! in order. After the first hello nothing is allocated per scan.
 //!
 //! [`push`](Pipeline::push) and [`feed`](Pipeline::feed) solve every scan. A caller that must keep up with a board uses
-//! [`receive`](Pipeline::receive), which is quick, and chooses which waiting scan is solved next.
+//! [`receive`](Pipeline::receive), which only decodes, and chooses the scan that is solved next.
 
 mod board_clock;
 mod counts;
@@ -48,53 +48,53 @@ const MAX_TRUTHS: usize = 1024;
 /// The pose of one scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Record {
-    /// Which board.
+    /// The board.
     pub device: DeviceId,
     /// Number of the scan, counted by the board.
     pub sequence: u64,
-    /// The instant the pose refers to, by the board's clock, seconds.
+    /// The instant of the pose by the board's clock, seconds.
     pub device_time_s: f64,
-    /// The same instant by the host's clocks; `None` while it is not known.
+    /// The same instant by the host's clocks; `None` while unknown.
     pub host_time: Option<HostTime>,
-    /// When the last byte of its batch had been read.
+    /// The time at which the last byte of the scan's batch had been read.
     pub arrival: Option<HostInstant>,
     /// The solution from this scan alone.
     pub solution: Solution,
     /// Velocity at that instant, from this scan and a few before.
     pub twist: Option<TwistEstimate>,
-    /// Pose and velocity filtered over many scans, if asked for.
+    /// Pose and velocity filtered over many scans, if requested.
     pub filtered: Option<Filtered>,
     /// Whether the photocurrents were computed, not measured.
     pub simulated: bool,
-    /// Where the tool was at that instant; only simulators know.
+    /// The true pose at that instant, from simulated boards only.
     pub truth: Option<Pose>,
 }
 
-/// What comes out of the pipeline.
+/// An output of the pipeline.
 #[derive(Debug)]
 pub enum Item<'a> {
     /// A board introduced itself.
     Hello(&'a Hello<'a>),
     /// A scan arrived. It will be solved, or skipped.
     Scan(&'a Scan),
-    /// A pose, or why there is none.
+    /// A scan was solved: its pose, or the reason for none.
     Pose(&'a Record),
     /// The board's own counters.
     Status(&'a Status),
     /// Something happened on the board.
     Event {
-        /// How bad it is.
+        /// Its severity.
         severity: Severity,
-        /// By the board's clock, seconds.
+        /// Its time by the board's clock, seconds.
         device_time_s: f64,
-        /// What.
+        /// Its description.
         text: &'a str,
     },
-    /// Something in the stream that no sound board sends.
+    /// A fault in the stream that a sound board never shows.
     Oddity {
-        /// By the board's clock, seconds; NaN if that is not known.
+        /// Its time by the board's clock, seconds; NaN if unknown.
         device_time_s: f64,
-        /// What.
+        /// The fault.
         oddity: Oddity,
     },
     /// The board answered a command.
@@ -110,7 +110,7 @@ pub enum SceneMatch {
     Waived,
 }
 
-/// How scans are followed.
+/// Options of the tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Following {
     /// Memory of a filter over many scans, seconds; `None` for no filter.
@@ -126,7 +126,7 @@ pub struct Pipeline {
     flow: Flow,
 }
 
-/// Everything behind the decoder.
+/// All stages after the decoder.
 #[derive(Debug)]
 struct Flow {
     file: SceneFile,
@@ -135,7 +135,7 @@ struct Flow {
     following: Following,
     watched: bool,
     session: Option<Box<Session>>,
-    /// Sessions that have ended, and have scans that wait, the oldest first.
+    /// Ended sessions with waiting scans, the oldest first.
     earlier: VecDeque<Box<Session>>,
     sessions: u64,
     waiting: Waiting,
@@ -158,7 +158,7 @@ enum Solve {
 }
 
 impl Pipeline {
-    /// For boards with the head of `file`, solved in `tier`.
+    /// A pipeline for boards with the head of `file`, solved in `tier`.
     pub fn new(file: SceneFile, tier: Tier, scene_match: SceneMatch) -> Self {
         Self {
             decoder: Decoder::new(),
@@ -183,34 +183,34 @@ impl Pipeline {
         }
     }
 
-    /// Ends `until_s` of device time after the first scan, if that is given.
+    /// Ends the stream `until_s` seconds of device time after the first scan, if given.
     #[must_use]
     pub fn until(mut self, until_s: Option<f64>) -> Self {
         self.flow.span = Span::until(until_s);
         self
     }
 
-    /// Follows the tool otherwise than by default.
+    /// Sets the options of the tracker.
     #[must_use]
     pub fn following(mut self, following: Following) -> Self {
         self.flow.following = following;
         self
     }
 
-    /// Watches the cells of the head, too: see [`health`](Self::health).
+    /// Also monitors the cells of the head: see [`health`](Self::health).
     #[must_use]
     pub fn watched(mut self) -> Self {
         self.flow.watched = true;
         self
     }
 
-    /// Decodes and solves `bytes`, cut anywhere, and hands on the items that they complete. Gives how many bytes were
-    /// used: all, or those before the first scan behind the [end](Self::until). Their times are not known: see
-    /// [`feed`](Self::feed).
+    /// Decodes and solves `bytes`, cut anywhere, and passes the items that they complete to `sink`. Returns the number
+    /// of bytes used: all, or those before the first scan after the [end](Self::until). Poses get no host times; for
+    /// these see [`feed`](Self::feed).
     ///
     /// # Errors
     /// If the board cannot be used with this scene, or `sink` fails. Damaged bytes are no error:
-    /// they are counted and passed over.
+    /// they are counted and skipped.
     pub fn push<E: From<PipelineError>>(
         &mut self,
         bytes: &[u8],
@@ -220,8 +220,8 @@ impl Pipeline {
         self.decode(bytes, Solve::AtOnce, &mut sink)
     }
 
-    /// Decodes and solves a segment as [`push`](Self::push) does, and finds the host's time of each scan, once pings
-    /// have been answered and where reads have instants.
+    /// Decodes and solves a segment as [`push`](Self::push) does. Where reads have instants, and after the first
+    /// answered ping, it also finds the host's time of each scan.
     ///
     /// # Errors
     /// As for [`push`](Self::push).
@@ -246,23 +246,23 @@ impl Pipeline {
         self.process(segment, Solve::Later, &mut sink)
     }
 
-    /// The scans that wait, in numbers.
+    /// The state of the queue of waiting scans.
     pub fn queue(&self) -> Queue {
         self.flow.waiting.queue()
     }
 
-    /// Solves the oldest scan that waits. Poses in this order are the same however late they are.
+    /// Solves the oldest waiting scan. Poses solved in this order do not depend on the delay.
     pub(crate) fn solve_next(&mut self) -> Option<Record> {
         self.flow.solve_next()
     }
 
-    /// Solves the newest scan that waits, ahead of its turn; it keeps its place in the queue. `None` if it has been
-    /// solved ahead already.
+    /// Solves the newest waiting scan ahead of its turn; it keeps its place in the queue. `None` if it has already
+    /// been solved ahead.
     pub(crate) fn solve_newest(&mut self) -> Option<Record> {
         self.flow.solve_newest()
     }
 
-    /// Drops the `count` oldest scans that wait, unsolved, and counts them.
+    /// Drops the `count` oldest waiting scans unsolved, and counts them.
     pub fn skip(&mut self, count: usize) {
         let skipped = (0..count).map_while(|_| self.flow.waiting.pop()).count();
         self.flow.counts.scans_skipped += skipped as u64;
@@ -302,7 +302,7 @@ impl Pipeline {
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<usize, E> {
         let length = bytes.len();
-        // Behind the end only whole packets are taken: the rest of a cut one may not be wanted.
+        // After the end only whole packets are taken: the rest of a cut one may lie beyond the end.
         while !self.is_complete() || bytes.contains(&DELIMITER) {
             let ahead = bytes.len();
             let Some(result) = self.decoder.next::<Message<'_>>(&mut bytes) else {
@@ -325,12 +325,12 @@ impl Pipeline {
         Ok(length - bytes.len())
     }
 
-    /// The health of the head, if it is [watched](Self::watched).
+    /// The health of the head, if it is [monitored](Self::watched).
     pub fn health(&self) -> Option<HeadHealth> {
         self.flow.session.as_ref()?.health()
     }
 
-    /// By how many millionths the board's clock is fast, if known.
+    /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub fn drift_ppm(&self) -> Option<f64> {
         self.flow.clock.drift_ppm()
     }
@@ -340,7 +340,7 @@ impl Pipeline {
         self.flow.span.elapsed_s()
     }
 
-    /// Whether the [end](Self::until) has come.
+    /// Whether the [end](Self::until) is reached.
     pub(crate) fn is_complete(&self) -> bool {
         self.flow.span.is_complete()
     }
@@ -406,7 +406,7 @@ impl Flow {
         }
     }
 
-    /// Opens a session, unless the present one goes on; gives an oddity if the board has become another one.
+    /// Opens a session, unless the present one continues; returns an oddity if the board's number has changed.
     fn greet(&mut self, hello: &Hello<'_>) -> Result<Option<Oddity>, PipelineError> {
         let is_opened = std::mem::take(&mut self.is_opened);
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
@@ -475,7 +475,7 @@ impl Flow {
         while self.earlier.front().is_some_and(|session| session.number() < scan.session) {
             self.earlier.pop_front();
         }
-        // A newer one has told how the head is.
+        // A newer scan has already been counted for the health of the head.
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
         let tracked = session.solve(&scan.raw, !is_passed);
         self.counts.outcomes.count(&tracked.solution.outcome);

@@ -1,45 +1,45 @@
-//! Faults in a stream that no sound board shows, and their effect on the poses.
+//! Faults in a stream that a sound board never shows, and their effect on the poses.
 
 use thiserror::Error;
 
 use crate::link::DeviceId;
 
-/// A fault in a stream that no sound board shows. Poses go on.
+/// A fault in a stream that a sound board never shows. Poses continue.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Oddity {
-    /// Number and tick of a scan do not fit those of the scan before.
+    /// Number and tick of a scan do not fit those of the previous scan.
     #[error(
         "the board's clock jumped by {seconds:+.6} s between the scans {before} and {after}: device times before and \
          after it do not compare; if it comes again, reset the board"
     )]
     ClockJump {
-        /// By how much, ahead if positive.
+        /// Size of the jump, positive if forward.
         seconds: f64,
-        /// Number of the last scan by the old time.
+        /// Number of the last scan before the jump.
         before: u64,
-        /// Number of the first scan by the new time.
+        /// Number of the first scan after the jump.
         after: u64,
     },
-    /// Only simulated boards know where the tool is.
+    /// True poses from a board that says it measures; only simulated boards have them.
     #[error(
         "the board says that it measures, and sends true poses as simulated ones do: they are left out; flash its \
          firmware anew"
     )]
     Truth,
-    /// Another number without another link.
+    /// The board's number changed although the link was not reopened.
     #[error(
         "the board calls itself {now} in the midst of its stream, and was {before}: the poses that follow are told as \
          those of {now}; see that one board alone is on this port, then reset it"
     )]
     Renamed {
-        /// Its number before.
+        /// The board's number before.
         before: DeviceId,
-        /// Its number from now on.
+        /// The board's number now.
         now: DeviceId,
     },
 }
 
-/// Finds jumps of a board's clock: from one scan to the next the ticks of as many frames pass as numbers.
+/// Finds jumps of a board's clock: between two scans, the ticks must advance by one frame per number.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ClockWatch {
     /// Number and tick of the last scan of this link and this session.
@@ -48,16 +48,16 @@ pub(super) struct ClockWatch {
 }
 
 impl ClockWatch {
-    /// Begins anew: another link, configuration or board.
+    /// Restarts the check for another link, configuration or board.
     pub(super) fn begin_anew(&mut self) {
         self.last = None;
     }
 
-    /// Checks the next scan of a board whose frames last `frame_ticks`. Of many jumps the first, second, fourth, eighth
-    /// … are reported.
+    /// Checks the next scan of a board whose frames last `frame_ticks`. Of many jumps, the first, second, fourth,
+    /// eighth … are reported.
     pub(super) fn check(&mut self, sequence: u64, tick: u64, frame_ticks: u32, tick_hz: f64) -> Option<Oddity> {
         let (before, before_tick) = self.last.replace((sequence, tick))?;
-        // One that goes back is that of a board that has started anew.
+        // A number that goes back means that the board has restarted.
         let frames = sequence.checked_sub(before)?;
         let expected = i128::from(before_tick) + i128::from(frames) * i128::from(frame_ticks);
         let ahead = i128::from(tick) - expected;
@@ -84,7 +84,7 @@ mod tests {
         assert_eq!(check(4, 5100), Some(Oddity::ClockJump { seconds: 1e-3, before: 3, after: 4 }));
         assert_eq!(check(5, 100), Some(Oddity::ClockJump { seconds: -6e-3, before: 4, after: 5 }));
         assert_eq!(check(6, 1100), None);
-        // The third is not told, the fourth is.
+        // The third is not reported, the fourth is.
         assert_eq!(check(7, u64::MAX), None);
         assert!(matches!(check(8, 0), Some(Oddity::ClockJump { seconds, .. }) if seconds < -1e13));
         watch.begin_anew();

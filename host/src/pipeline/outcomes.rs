@@ -11,11 +11,11 @@ use slitpose_model::{DegradedReason, Directions, Outcome};
 pub struct Outcomes {
     /// A pose from all cells.
     pub converged: u64,
-    /// A pose that deserves less trust.
+    /// A less trustworthy pose.
     pub degraded: u64,
     /// Several poses fit.
     pub ambiguous: u64,
-    /// The data leave directions free.
+    /// The data leave directions undetermined.
     pub unobservable: u64,
     /// Too little light.
     pub too_dark: u64,
@@ -53,7 +53,7 @@ impl Outcomes {
         Self::kinds().into_iter().take_while(is_other).count() as u16
     }
 
-    /// Counts one.
+    /// Counts one solution.
     pub(crate) fn count(&mut self, outcome: &Outcome) {
         *self.of_kind(outcome) += 1;
     }

@@ -22,7 +22,7 @@ pub(super) struct Session {
     last_sample_ticks: u64,
     stage: Stage,
     tracker: Tracker<f64>,
-    /// Follows the newest scans while older ones wait.
+    /// Tracks the newest scans while older ones wait.
     ahead: Option<Box<Tracker<f64>>>,
     health: Option<Health>,
 }
@@ -47,7 +47,7 @@ pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Re
 }
 
 impl Session {
-    /// Checks `hello` against the scene and prepares everything that does not change per scan.
+    /// Checks `hello` against the scene and computes everything that is constant over the session.
     pub(super) fn open(
         file: &SceneFile,
         tier: Tier,
@@ -91,7 +91,7 @@ impl Session {
         })
     }
 
-    /// Whether `hello` equals the one that opened this session, which then goes on.
+    /// Whether `hello` equals the one that opened this session, which then continues.
     pub(super) fn is_of(&self, hello: &Hello<'_>) -> bool {
         self.device == DeviceId(hello.device_id)
             && self.configuration == hello.configuration
@@ -99,7 +99,7 @@ impl Session {
             && self.scaling == hello.scaling
     }
 
-    /// Which of the pipeline's sessions it is.
+    /// Number of the session in the pipeline.
     pub(super) fn number(&self) -> u64 {
         self.number
     }
@@ -124,17 +124,17 @@ impl Session {
         f64::from(self.schedule.tick_hz)
     }
 
-    /// From one frame to the next, seconds.
+    /// Period of the frames, seconds.
     pub(super) fn frame_s(&self) -> f64 {
         self.schedule.frame_rate_hz().recip()
     }
 
-    /// The instant that the pose of a scan refers to, device seconds.
+    /// The instant of a scan's pose, device seconds.
     pub(super) fn time_s(&self, scan: &RawScan) -> f64 {
         (scan.tick as f64 + self.reference_ticks) / self.tick_hz()
     }
 
-    /// Ticks from the start of a scan's frame to the instant that its pose refers to.
+    /// Ticks from the start of a scan's frame to the instant of its pose.
     pub(super) fn reference_ticks(&self) -> f64 {
         self.reference_ticks
     }
@@ -146,7 +146,7 @@ impl Session {
             .wrapping_add(self.last_sample_ticks)
     }
 
-    /// Solves the next scan in turn; `watched` if it counts for the health of the head.
+    /// Solves the next scan in turn; `watched`: it counts for the health of the head.
     pub(super) fn solve(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         let photocurrents = self.stage.photocurrents(scan);
         let tracked = self.tracker.track(scan.sequence, &photocurrents);
@@ -156,11 +156,11 @@ impl Session {
         tracked
     }
 
-    /// Solves a scan ahead of those that wait; `first`, if none that waits has been solved so.
+    /// Solves a scan ahead of the waiting ones; `first`: none of these has been solved ahead.
     pub(super) fn solve_ahead(&mut self, scan: &RawScan, first: bool) -> Tracked {
         let photocurrents = self.stage.photocurrents(scan);
         let ahead = match &mut self.ahead {
-            // The tool is about where it was last.
+            // Starts from the latest pose.
             Some(ahead) if first => {
                 (**ahead).clone_from(&self.tracker);
                 ahead
@@ -174,7 +174,7 @@ impl Session {
         tracked
     }
 
-    /// The health of the head, if it is watched.
+    /// The health of the head, if it is monitored.
     pub(super) fn health(&self) -> Option<HeadHealth> {
         self.health.as_ref().map(Health::report)
     }

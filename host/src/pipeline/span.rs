@@ -1,9 +1,9 @@
-//! The device time that a pipeline has covered, and where it ends.
+//! The device time that a pipeline has covered, and its end.
 
-/// Device times are exact to nanoseconds; frames are microseconds apart.
+/// Tolerance for device times, seconds: they are exact to nanoseconds, and frames are microseconds apart.
 const ROUNDING_S: f64 = 1e-9;
 
-/// From the first scan on.
+/// Device time since the first scan.
 #[derive(Debug, Default)]
 pub(super) struct Span {
     until_s: Option<f64>,
@@ -14,16 +14,16 @@ pub(super) struct Span {
 }
 
 impl Span {
-    /// One that ends `until_s` after its first scan, or never.
+    /// A span that ends `until_s` seconds after its first scan, or never.
     pub(super) fn until(until_s: Option<f64>) -> Self {
         Self { until_s, ..Self::default() }
     }
 
-    /// Whether a scan at `device_time_s` belongs to it; the next one comes `period_s` later.
+    /// Whether a scan at `device_time_s` belongs to the span; the next one comes `period_s` later.
     pub(super) fn admits(&mut self, device_time_s: f64, period_s: f64) -> bool {
         let first_s = self.first_s.get_or_insert(device_time_s);
         if device_time_s < self.last_s {
-            // The clock started anew: what follows comes behind what was.
+            // The clock restarted: the new times follow the old ones.
             *first_s = device_time_s - self.elapsed_s - period_s;
         }
         self.last_s = device_time_s;
@@ -42,7 +42,7 @@ impl Span {
         self.elapsed_s
     }
 
-    /// Whether its last scan has come, or one behind it.
+    /// Whether the last scan of the span, or a later one, has come.
     pub(super) fn is_complete(&self) -> bool {
         self.complete
     }

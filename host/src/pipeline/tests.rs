@@ -15,7 +15,7 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-4 };
 /// Host time at which the board began to count, nanoseconds.
 const START_NS: u64 = 90_000_000_000;
 
-/// What the bytes of a frame took to the host.
+/// Delay of the bytes of a frame on their way to the host.
 const DELAY_NS: u64 = 70_000;
 
 /// A simulated board, and a host whose clock is exact.
@@ -49,7 +49,7 @@ impl SimulatedLink {
         self.board.write(encode(&Request { number, command }, &mut buffer).unwrap());
     }
 
-    /// What the link delivers in some frames, with a ping in the middle of the first.
+    /// The data delivered by the link in some frames, with a ping in the middle of the first.
     pub(super) fn segment(&mut self, frames: u64, token: u32) -> Segment {
         let mut segment = Segment::default();
         let now_ns = |frames| START_NS + frames * self.frame_ns;
@@ -142,7 +142,7 @@ fn a_reopened_link_begins_with_a_whole_packet_and_a_new_clock() {
     segment.opened = true;
     segment.asked.clear();
     let (_, records) = feed(&mut pipeline, &segment);
-    // No ping, no time; and an answer to a ping from before says nothing.
+    // Without a ping no time is known; an answer to an earlier ping is ignored.
     assert!(!records.is_empty() && records.iter().all(|record| record.host_time.is_none()));
     assert_eq!(pipeline.counts().decoder.bytes_skipped, pending);
 }
@@ -153,8 +153,8 @@ fn a_batch_has_come_after_its_last_sample() {
     let mut pipeline = link.pipeline();
     feed(&mut pipeline, &link.segment(20, 0));
     let session = pipeline.flow.session.unwrap();
-    // Ticks of 170 MHz: frames of 42 500; a slot is 2210 of settling and 24 conversions of 148; the last
-    // conversion of the fourth slot, the dark one, is the 24th.
+    // Ticks at 170 MHz: 42 500 per frame; a slot has 2210 of settling and 24 conversions of 148. The last
+    // sample is the 24th conversion of the fourth slot, the dark one.
     let last_sample = 3 * (2_210 + 24 * 148) + 2_210 + 23 * 148;
     assert_eq!(session.last_tick(1_000, 1), 1_000 + last_sample);
     assert_eq!(session.last_tick(1_000, 4), 1_000 + 3 * 42_500 + last_sample);

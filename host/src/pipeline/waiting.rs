@@ -1,4 +1,4 @@
-//! Scans that have arrived and are not solved yet.
+//! Scans that have arrived but are not solved yet.
 
 use std::collections::VecDeque;
 
@@ -7,41 +7,41 @@ use slitpose_protocol::RawScan;
 
 use crate::clock::{HostInstant, HostTime};
 
-/// Scans that there is room for from the start: 30 ms of a board at 4 kHz.
+/// Initial capacity: 30 ms of a board at 4 kHz.
 const USUAL: usize = 128;
 
 /// A scan that is not solved yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
     pub(super) raw: RawScan,
-    /// The session that it belongs to.
+    /// Number of its session.
     pub(super) session: u64,
-    /// The instant its pose refers to, by the board's clock, seconds.
+    /// The instant of its pose by the board's clock, seconds.
     pub device_time_s: f64,
-    /// The same instant by the host's clocks; `None` while it is not known.
+    /// The same instant by the host's clocks; `None` while unknown.
     pub host_time: Option<HostTime>,
-    /// When the last byte of its batch had been read.
+    /// The time at which the last byte of its batch had been read.
     pub arrival: Option<HostInstant>,
-    /// Where the tool was at that instant; only simulators know.
+    /// The true pose at that instant, from simulated boards only.
     pub truth: Option<Pose>,
 }
 
 impl Scan {
-    /// Its number, counted by the board.
+    /// Number of the scan, counted by the board.
     pub fn sequence(&self) -> u64 {
         self.raw.sequence
     }
 }
 
-/// The scans that wait, in numbers.
+/// The state of the queue of waiting scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Queue {
-    /// Scans that wait.
+    /// Number of waiting scans.
     pub waiting: usize,
-    /// How many of them, from the oldest on, are older than one that was solved ahead of its turn.
+    /// Number of waiting scans older than one that was solved ahead of its turn.
     pub passed: usize,
-    /// When the oldest arrived, CLOCK_MONOTONIC, ns; `None` if nothing waits, or if the stream does not run
-    /// in real time.
+    /// Arrival of the oldest, CLOCK_MONOTONIC, ns; `None` if nothing waits, or if the stream does not run in real
+    /// time.
     pub oldest_ns: Option<u64>,
 }
 
@@ -63,7 +63,7 @@ impl Waiting {
         self.scans.push_back(scan);
     }
 
-    /// Removes the oldest; also gives whether a newer one was solved ahead of it.
+    /// Removes the oldest scan; also returns whether a newer one was solved ahead of it.
     pub(super) fn pop(&mut self) -> Option<(Scan, bool)> {
         let scan = self.scans.pop_front()?;
         let is_passed = self.passed > 0;
@@ -71,7 +71,7 @@ impl Waiting {
         Some((scan, is_passed))
     }
 
-    /// The newest, to be solved ahead of its turn; `None` if it has been already.
+    /// The newest scan, to be solved ahead of its turn; `None` if it already was.
     pub(super) fn pass(&mut self) -> Option<Scan> {
         if self.passed == self.scans.len() {
             return None;
@@ -118,7 +118,7 @@ mod tests {
         assert_eq!(late.solution.outcome, in_time.solution.outcome);
     }
 
-    /// On a stack as large as that of the daemon's threads.
+    /// Runs `test` on a stack as large as that of the daemon's threads.
     fn on_a_large_stack(test: fn()) {
         std::thread::Builder::new().stack_size(8 << 20).spawn(test).unwrap().join().unwrap();
     }
@@ -149,19 +149,19 @@ mod tests {
         printed.extend(std::iter::from_fn(|| pipeline.solve_next()));
         assert_eq!((printed.len(), ahead.len(), pipeline.queue().waiting), (200, 10, 0));
         printed.iter().zip(&expected).for_each(|(late, in_time)| assert_same(late, in_time));
-        // The newest of each segment, as honest a pose if by another prediction.
+        // The newest scan of each segment: another prediction, an equally accurate pose.
         for (ahead, expected) in ahead.iter().zip(expected.iter().skip(19).step_by(20)) {
             assert_eq!((ahead.sequence, ahead.arrival), (expected.sequence, expected.arrival));
             let found = ahead.solution.estimate.unwrap();
             let (dt, dr) = found.pose.displacement_from(&ahead.truth.unwrap());
             let off = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
-            // Of 60 normal numbers 3e-5 lie beyond 5 σ; its σ knows that nothing was known of the motion.
+            // Of 60 normal numbers 3e-5 lie beyond 5 σ; this σ includes that the motion was unknown.
             assert!(off.iter().zip(found.sigma()).all(|(off, sigma)| off.abs() < 5.0 * sigma), "{off:?}");
         }
         let counts = pipeline.counts();
         assert_eq!((counts.scans, counts.scans_skipped), (200, 0));
         assert_eq!(counts.outcomes, in_time.counts().outcomes, "each scan has one outcome");
-        // What is in turn after a newer one tells nothing new of the head: ten newest.
+        // Scans solved after a newer one do not count for the health of the head: only the ten newest do.
         assert_eq!(pipeline.health().unwrap().cells[0].totals.scans, 10);
     }
 

@@ -1,4 +1,4 @@
-//! One row a scan: the columns of `solve`, and what only a stream has.
+//! CSV, one row per scan: the columns of `solve`, and those of a stream.
 
 use std::io::{self, Write};
 
@@ -6,7 +6,7 @@ use super::{Accounts, Note, Sink};
 use crate::pipeline::Record;
 use slitpose_head::table::SOLUTION_COLUMNS;
 
-/// The host's time of the instant that the pose refers to is empty while not known.
+/// Columns of a stream. The host's time of the pose is empty while unknown.
 const STREAM_COLUMNS: [&str; 5] = ["simulated", "device", "host_monotonic_ns", "host_utc_ns", "host_uncertainty_ns"];
 
 /// Writes CSV.

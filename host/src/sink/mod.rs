@@ -38,7 +38,7 @@ pub(crate) struct Account {
     pub recorder: RecorderReport,
 }
 
-/// Gives the present account.
+/// Returns the present account.
 pub(crate) type Accounts<'a> = dyn Fn() -> Account + 'a;
 
 /// An output for poses.
@@ -46,7 +46,7 @@ pub(crate) trait Sink {
     /// Writes the solution of the next scan.
     ///
     /// # Errors
-    /// Those of the output.
+    /// Errors of the output.
     fn pose(&mut self, record: &Record) -> io::Result<()>;
 
     /// Whether each pose must be written, however late.
@@ -57,24 +57,23 @@ pub(crate) trait Sink {
     /// Writes a note.
     ///
     /// # Errors
-    /// Those of the output.
+    /// Errors of the output.
     fn note(&mut self, note: &Note) -> io::Result<()>;
 
-    /// Flushes or redraws; called now and then, also without poses.
+    /// Flushes or redraws; called regularly, even without poses.
     ///
     /// # Errors
-    /// Those of the output.
+    /// Errors of the output.
     fn tick(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 
     /// Ends the output.
     ///
     /// # Errors
-    /// Those of the output.
+    /// Errors of the output.
     fn finish(&mut self, accounts: &Accounts<'_>) -> io::Result<()>;
 }
 
-/// The sink of a format; `live` tells whether `output` is the terminal of standard output, which can be
-/// drawn on in place. `None` for nothing.
+/// The sink of a format, `None` for [`Format::None`]. `live`: `output` is a terminal that can be redrawn in place.
 pub(crate) fn open<'a>(
     format: Format,
     output: impl Write + Send + 'a,

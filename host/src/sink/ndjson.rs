@@ -1,4 +1,4 @@
-//! One JSON object a scan, one line an object.
+//! NDJSON: one JSON object per scan, one line per object.
 
 use std::io::{self, Write};
 
@@ -15,7 +15,7 @@ struct Line<'a> {
     seq: u64,
     device: DeviceId,
     device_time_s: f64,
-    /// The same instant by CLOCK_MONOTONIC and by UTC since 1970, absent while not known.
+    /// The same instant by CLOCK_MONOTONIC and by UTC since 1970, absent while unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     host_monotonic_ns: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -23,7 +23,7 @@ struct Line<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     host_uncertainty_ns: Option<u64>,
     status: &'a str,
-    /// Why a pose is degraded, or which coordinates an unobservable one leaves open.
+    /// Why a pose is degraded, or which coordinates are unobservable.
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
     translation_m: Option<[f64; 3]>,
@@ -36,7 +36,7 @@ struct Line<'a> {
     redundancy: usize,
     /// How well redundancy checked the pose.
     verified: &'static str,
-    /// How far, in σ of the pose, one outlier can have moved it unnoticed (external reliability); absent without bound.
+    /// External reliability: greatest shift of the pose by one undetected outlier, in its σ; absent if unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     unnoticed_sigmas: Option<f64>,
     /// Cells that contradict all others.
@@ -67,7 +67,7 @@ mod covariance {
 struct Motion {
     linear_m_per_s: [f64; 3],
     angular_rad_per_s: [f64; 3],
-    /// Standard deviations of the six.
+    /// Standard deviations of the six components.
     sigma: [f64; 6],
 }
 

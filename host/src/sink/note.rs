@@ -24,11 +24,11 @@ pub(crate) enum Note {
     Event {
         /// The board; `None` if it has not introduced itself.
         device: Option<DeviceId>,
-        /// How bad it is.
+        /// Its severity.
         severity: Severity,
-        /// By the board's clock, seconds.
+        /// Its time by the board's clock, seconds.
         device_time_s: f64,
-        /// What happened.
+        /// Its description.
         text: String,
     },
 }

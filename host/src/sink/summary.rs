@@ -16,13 +16,13 @@ use slitpose_head::foreign::printable;
 /// Period of redrawing: a person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
 
-/// The rate of a recording is measured over this time, up to twice as long.
+/// The rate of a recording is measured over this time, or up to twice this time.
 const RATE_OVER: Duration = Duration::from_secs(2);
 
 /// The lines of a pose, with their ranks in a low window.
 const POSE_LINES: [(&str, u8); 4] = [("position", 0), ("  sigma", 1), ("rotation", 0), ("  sigma", 1)];
 
-/// The last pose of a board, and the accuracy of all.
+/// The last pose of a board, and the accuracy of all its poses.
 struct Seen {
     device: DeviceId,
     last: Record,
@@ -90,7 +90,7 @@ impl<W: Write> Summary<W> {
         lines
     }
 
-    /// How fast the capture grows.
+    /// The rate of growth of the capture.
     fn bytes_per_s(&mut self, bytes: u64) -> Option<f64> {
         let now = Instant::now();
         let [before, newest] = &mut self.recorded;

@@ -1,4 +1,4 @@
-//! What stands in the output of each format.
+//! The output of each format.
 
 use slitpose_model::{MotionPrior, Photocurrents, Solver, Start};
 

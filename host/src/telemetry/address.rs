@@ -1,4 +1,4 @@
-//! Where a daemon's status is found.
+//! The address of a daemon's status.
 
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -10,10 +10,10 @@ use thiserror::Error;
 /// The default address of `slitpose status`.
 pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
 
-/// Prefix that tells a path from a host.
+/// Prefix that distinguishes a path from a host.
 const UNIX: &str = "unix:";
 
-/// An address to listen on, or to ask.
+/// An address to listen on, or to connect to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum StatusAddress {
     /// A TCP port.
@@ -22,7 +22,7 @@ pub(crate) enum StatusAddress {
     Unix(PathBuf),
 }
 
-/// A text that is no [`StatusAddress`].
+/// A text that is not a [`StatusAddress`].
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{text}` is no address; give one such as {DEFAULT_STATUS_ADDRESS}, [::1]:7450, or unix:/run/slitpose/status")]
 pub struct AddressError {
@@ -38,7 +38,7 @@ impl FromStr for StatusAddress {
         if let Some(path) = text.strip_prefix(UNIX) {
             return if path.is_empty() { Err(error()) } else { Ok(Self::Unix(path.into())) };
         }
-        // The one name that is the same everywhere.
+        // The only name that has the same meaning on every host.
         if let Some(port) = text.strip_prefix("localhost:") {
             return Ok(Self::Tcp((Ipv4Addr::LOCALHOST, port.parse().map_err(|_| error())?).into()));
         }

@@ -1,4 +1,4 @@
-//! Asks a daemon for its status.
+//! Requests the status of a daemon.
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
@@ -10,16 +10,16 @@ use thiserror::Error;
 use super::StatusAddress;
 use slitpose_head::foreign::printable;
 
-/// A daemon answers within milliseconds.
+/// Timeout of a request: a daemon answers within milliseconds.
 const WITHIN: Duration = Duration::from_secs(2);
 
-/// Reports take some kilobytes a board.
+/// Longest answer: reports take some kilobytes per board.
 const MOST_BYTES: usize = 1 << 24;
 
-/// Why there is no answer.
+/// Why the request failed.
 #[derive(Debug, Error)]
 pub(crate) enum FetchError {
-    /// Nobody listens there.
+    /// No program listens at the address.
     #[error("nothing answers at {address}; start a daemon with `slitpose run --status {address}`, or give its address")]
     Connect {
         /// The address.
@@ -27,7 +27,7 @@ pub(crate) enum FetchError {
         /// The system's error.
         source: io::Error,
     },
-    /// The answer broke off, or did not come.
+    /// The answer was incomplete, or did not come.
     #[error("the answer from {address} did not come within {} s; see whether the daemon still runs", WITHIN.as_secs())]
     Broken {
         /// The address.
@@ -35,22 +35,22 @@ pub(crate) enum FetchError {
         /// The system's error.
         source: io::Error,
     },
-    /// Something else listens there.
+    /// Another program listens at the address.
     #[error("what listens at {address} is no slitpose daemon; give the address of one")]
     NotHttp {
         /// The address.
         address: String,
     },
-    /// The daemon answers with a refusal, or with bad news.
+    /// The daemon answers with a status other than 200.
     #[error("{address} answers {status} to {path}: {}", printable(text))]
     Status {
         /// The address.
         address: String,
-        /// What was asked for.
+        /// The requested path.
         path: String,
-        /// The status by HTTP.
+        /// The HTTP status.
         status: u16,
-        /// What it says.
+        /// The body of the answer.
         text: String,
     },
 }
@@ -58,7 +58,7 @@ pub(crate) enum FetchError {
 /// The text at `path` of the daemon at `address`, such as `/status`.
 ///
 /// # Errors
-/// If there is no answer within two seconds, or none with the status 200.
+/// If there is no answer with the status 200 within two seconds.
 pub(crate) fn fetch(address: &StatusAddress, path: &str) -> Result<String, FetchError> {
     let connect = |source| FetchError::Connect { address: address.to_string(), source };
     let answer = match address {
@@ -80,7 +80,7 @@ pub(crate) fn fetch(address: &StatusAddress, path: &str) -> Result<String, Fetch
     }
 }
 
-/// Of HTTP/1.0 (RFC 1945): the answer ends with the connection.
+/// A request by HTTP/1.0 (RFC 1945), where the answer ends with the connection.
 fn ask<S: Read + Write>(
     mut stream: S,
     set_timeout: impl Fn(&S, Option<Duration>) -> io::Result<()>,
@@ -104,7 +104,7 @@ fn ask<S: Read + Write>(
     }
 }
 
-/// Status and body.
+/// Status and body of an answer.
 fn parse(answer: &[u8]) -> Option<(u16, &str)> {
     let answer = std::str::from_utf8(answer).ok()?;
     let (head, body) = answer.split_once("\r\n\r\n")?;

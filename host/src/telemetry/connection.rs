@@ -1,4 +1,4 @@
-//! Connections to the status server: few, and short.
+//! Connections to the status server, with limits on their number and duration.
 
 use std::io;
 use std::pin::Pin;
@@ -14,10 +14,10 @@ use tokio::time::{Sleep, sleep};
 /// Every connection is closed after this time: an answer takes milliseconds.
 pub(super) const LIFETIME: Duration = Duration::from_secs(3);
 
-/// Connections at a time; more are closed at once.
+/// Most simultaneous connections; more are closed at once.
 pub(super) const MOST: usize = 100;
 
-/// Before a failed accept is tried again: the files may have run out.
+/// Pause before a failed accept is tried again: file descriptors may have run out.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// A listening socket of either kind.
@@ -29,7 +29,7 @@ pub(super) enum Socket {
 /// Accepts no more than [`MOST`] connections at a time.
 pub(super) struct Door {
     socket: Socket,
-    /// One more reference than there are connections.
+    /// Has one more reference than there are connections.
     open: Arc<()>,
 }
 
@@ -78,7 +78,7 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// What `poll` gives, unless time is up.
+    /// The result of `poll`, or an error after the connection's lifetime.
     fn in_time<T>(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,

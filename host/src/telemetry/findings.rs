@@ -1,26 +1,26 @@
-//! What keeps good poses from coming.
+//! The findings that explain missing or bad poses.
 
 use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
 use crate::clock::HostInstant;
 use slitpose_head::finding::{Finding, Grade};
 
-/// A report this old comes from a daemon that is stuck: reports are made several times a second.
+/// A report this old shows that the daemon hangs: reports are made several times per second.
 const STALE_S: f64 = 3.0;
 
-/// A board that runs and sends no scan for this long is stuck, even if it sends other messages.
+/// A running board without a scan for this long is stuck, even if it sends other messages.
 const NO_SCAN_S: f64 = 3.0;
 
-/// A solver that is behind for this long does not keep up: pauses by the system are shorter.
+/// A solver that is behind for this long does not keep up: pauses caused by the system are shorter.
 const BEHIND_S: f64 = 1.0;
 
-/// Poses this old when they are sent are of no use to a control loop.
+/// Poses that are older than this when sent are useless to a control loop.
 const OLD_S: f64 = 0.25;
 
-/// This many damaged packets within a second are no chance: a good link damages none in a day.
+/// Damaged packets per second from which on the link is faulty: a good link damages none in a day.
 const DAMAGED_FROM: u64 = 3;
 
 impl LagReport {
-    /// Why poses are late or left out, if they are.
+    /// The reason why poses are late or left out, if any.
     pub(crate) fn finding(&self) -> Option<Finding> {
         let Self { behind_s, is_output_blocked, waiting_scans, waiting_s, skipped_scans, .. } = self;
         if *is_output_blocked && *waiting_s > BEHIND_S {
@@ -40,7 +40,7 @@ impl LagReport {
 }
 
 impl BoardEvent {
-    /// The event at its time.
+    /// The event with its time.
     pub(super) fn finding(&self) -> Finding {
         let grade = if self.is_error { Grade::Failed } else { Grade::Warning };
         let place = self.device_time_s.map_or("board".into(), |time_s| format!("board at {time_s:.3} s").into());
@@ -49,7 +49,7 @@ impl BoardEvent {
 }
 
 impl DaemonReport {
-    /// All that keeps good poses from coming; empty if all is well.
+    /// All reasons for missing or bad poses; empty if there are none.
     pub(crate) fn findings(&self, now: HostInstant) -> Vec<Finding> {
         self.gather(|board| {
             let (stream, is_running) = board.findings(now);
@@ -58,7 +58,7 @@ impl DaemonReport {
         })
     }
 
-    /// The same without the findings on heads.
+    /// As [`findings`](Self::findings), without the findings on heads.
     pub(super) fn findings_beside_heads(&self, now: HostInstant) -> Vec<Finding> {
         self.gather(|board| board.findings(now).0)
     }
@@ -80,7 +80,7 @@ impl DaemonReport {
 }
 
 impl BoardReport {
-    /// What is wrong with the stream of the board, and whether the board runs.
+    /// The faults of the board's stream, and whether the board runs.
     fn findings(&self, now: HostInstant) -> (Vec<Finding>, bool) {
         let age_s = self.age_s(now);
         if self.link.state == LinkState::Ended && self.link.reason.is_none() {
@@ -171,7 +171,7 @@ mod tests {
         told(BoardReport { made_monotonic_ns: NOW.monotonic_ns - 4_000_000_000, ..running() }, "stuck");
         told(BoardReport { last_scan_age_s: Some(2.9), ..running() }, "no scan");
         told(BoardReport { link: LinkReport::default(), ..running() }, "searching");
-        // The solver does not keep up, or nobody reads what is printed; scans come.
+        // Scans come, but the solver does not keep up, or the printed poses are not read.
         let lag = LagReport { is_behind: true, behind_s: 1.2, waiting_scans: 77, ..LagReport::default() };
         told(BoardReport { lag, ..running() }, "behind: scans come faster than they are solved");
         assert_eq!(findings(BoardReport { lag: LagReport { behind_s: 0.8, ..lag }, ..running() }).len(), 0);
@@ -180,10 +180,10 @@ mod tests {
         let mut late = running();
         late.latencies.total.recent.p50_s = 0.3;
         told(late, "poses: 0.3 s old");
-        // Scans, and no poses.
+        // Scans without poses.
         let recent_outcomes = Outcomes { converged: 1, too_dark: 2, ..Outcomes::default() };
         told(BoardReport { recent_outcomes, ..running() }, "only 1 of the last 3");
-        // Packets that mean nothing, and packets that arrive damaged; one of those may be chance.
+        // Unreadable packets, and damaged ones, of which one may be chance.
         let lossy = |recent_link_losses| BoardReport { recent_link_losses, ..running() };
         told(
             lossy(LinkLosses { unreadable: 1, ..LinkLosses::default() }),
@@ -194,7 +194,7 @@ mod tests {
             "3 packets of the last second came damaged",
         );
         assert_eq!(findings(lossy(LinkLosses { overlong: 2, ..LinkLosses::default() })), Vec::<String>::new());
-        // A board that answers and sends no scan, tried again and again.
+        // A board that answers but sends no scan, after several attempts.
         let link = LinkReport { state: LinkState::Connecting, attempts: 7, ..LinkReport::default() };
         told(BoardReport { link, ..running() }, "connecting: no scan has come yet (tried 7 times); wait some seconds");
     }

@@ -4,29 +4,29 @@ use hdrhistogram::Histogram;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// Range of the histogram: 1 µs to 100 s, to a per cent. Some 30 KiB.
+/// Range of the histogram: 1 µs to 100 s with 1 % resolution, in some 30 KiB.
 const LEAST_NS: u64 = 1_000;
 const MOST_NS: u64 = 100_000_000_000;
 const DIGITS: u8 = 2;
 
 const QUANTILES: [f64; 4] = [0.5, 0.9, 0.99, 0.999];
 
-/// Durations as percentiles, seconds; zeros of none at all.
+/// Percentiles of durations, seconds; zeros if there are no durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct Percentiles {
-    /// Half of all take no longer.
+    /// Median.
     pub p50_s: f64,
-    /// Nine of ten.
+    /// 90th percentile.
     pub p90_s: f64,
-    /// 99 of a hundred.
+    /// 99th percentile.
     pub p99_s: f64,
-    /// 999 of a thousand.
+    /// 99.9th percentile.
     pub p999_s: f64,
-    /// The longest.
+    /// Maximum.
     pub max_s: f64,
-    /// All added up.
+    /// Sum.
     pub sum_s: f64,
-    /// How many there are.
+    /// Number of durations.
     pub count: u64,
 }
 
@@ -38,16 +38,16 @@ impl Percentiles {
     }
 }
 
-/// Percentiles since the start, and of the last interval.
+/// Percentiles of durations since the start, and of the last interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Latency {
-    /// Since the start.
+    /// Durations since the start.
     pub(crate) total: Percentiles,
-    /// Of the last full interval: see [`Rates::interval_s`](super::Rates::interval_s).
+    /// Durations of the last full interval: see [`Rates::interval_s`](super::report::Rates::interval_s).
     pub(crate) recent: Percentiles,
 }
 
-/// Collects durations. Its memory is fixed.
+/// Collects durations in fixed memory.
 #[derive(Clone, Debug)]
 pub(crate) struct LatencyHistogram {
     total: Sums,
@@ -69,7 +69,7 @@ impl Sums {
     }
 
     fn record(&mut self, duration_ns: u64) {
-        // What lies within its bounds a histogram takes, and without more memory.
+        // Within its bounds a histogram accepts every value without more memory.
         let _ = self.histogram.record(duration_ns.min(MOST_NS));
         self.sum_ns = self.sum_ns.saturating_add(duration_ns);
         self.max_ns = self.max_ns.max(duration_ns);
@@ -77,7 +77,7 @@ impl Sums {
 
     fn percentiles(&self) -> Percentiles {
         let seconds = |duration_ns: u64| duration_ns as f64 * 1e-9;
-        // The upper end of a bin may lie beyond the longest.
+        // The upper end of a bin may exceed the maximum.
         let at = |quantile: f64| seconds(self.histogram.value_at_quantile(quantile).min(self.max_ns));
         let [p50_s, p90_s, p99_s, p999_s] = QUANTILES.map(at);
         let (max_s, sum_s) = (seconds(self.max_ns), seconds(self.sum_ns));
@@ -117,7 +117,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// The duration that so many of the sorted ones do not exceed.
+    /// The quantile of sorted durations.
     fn reference(sorted: &[u64], quantile: f64) -> f64 {
         let index = (quantile * sorted.len() as f64).ceil() as usize - 1;
         sorted[index] as f64 * 1e-9
@@ -127,7 +127,7 @@ mod tests {
     fn percentiles_are_those_of_the_sorted_durations() {
         for seed in 0..20 {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            // From microseconds to tens of seconds, evenly in the logarithm.
+            // From microseconds to tens of seconds, uniformly in the logarithm.
             let mut durations: Vec<u64> = (0..5000).map(|_| 10_f64.powf(rng.random_range(3.5..10.5)) as u64).collect();
             let mut histogram = LatencyHistogram::default();
             durations.iter().for_each(|&duration| histogram.record_ns(duration));
@@ -135,7 +135,7 @@ mod tests {
             let found = histogram.latency().total;
             for (quantile, value_s) in found.quantiles() {
                 let expected_s = reference(&durations, quantile);
-                // Two digits: a bin is at most a 128th wide.
+                // Two digits: the relative width of a bin is at most 1/128.
                 let off = value_s / expected_s - 1.0;
                 assert!((0.0..1.0 / 128.0).contains(&off), "seed {seed}, {quantile}: {value_s} for {expected_s}");
             }

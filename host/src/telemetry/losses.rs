@@ -1,6 +1,6 @@
-//! Where missing scans were lost.
+//! The places where missing scans were lost.
 //!
-//! Gaps in the numbering show missing scans; twice a second the board reports how many it has lost itself since its
+//! Gaps in the numbering show missing scans. Twice per second the board reports how many it has lost itself since its
 //! reset. The rest was lost on the link.
 
 use slitpose_protocol::Status;
@@ -10,19 +10,19 @@ use super::report::BoardLosses;
 /// Follows the board's counters across its resets.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LossBook {
-    /// Lost before the last reset, while followed.
+    /// Losses while followed, before the last reset.
     carried: BoardLosses,
     /// The counters when following began, or zero after a reset.
     base: BoardLosses,
     last: Option<(u64, BoardLosses)>,
     next_sequence: Option<u64>,
-    /// Scans that the numbering has missed so far.
+    /// Scans missing in the numbering so far.
     missed: u64,
     link_scans: u64,
 }
 
 impl LossBook {
-    /// Begins anew for another board, with its own numbering.
+    /// Restarts the numbering for another board.
     pub(super) fn begin_numbering(&mut self) {
         self.next_sequence = None;
     }
@@ -46,7 +46,7 @@ impl LossBook {
                 self.base = BoardLosses::default();
             }
             Some(_) => {}
-            // What was lost before the first scan is not ours; what the numbering has missed since is.
+            // Losses before the first scan do not count; scans missing in the numbering since then do.
             None => {
                 let dropped = now.scans_dropped.min(self.missed);
                 let lost = now.scans_lost.min(self.missed - dropped);
@@ -58,12 +58,12 @@ impl LossBook {
             }
         }
         self.last = Some((status.tick, now));
-        // The board knows of a loss before the numbering shows it: only the largest difference counts.
+        // The board reports a loss before the numbering shows it: only the largest difference counts.
         let board = self.board();
         self.link_scans = self.link_scans.max(self.missed.saturating_sub(board.scans_dropped + board.scans_lost));
     }
 
-    /// What the board has lost.
+    /// Losses on the board.
     pub(super) fn board(&self) -> BoardLosses {
         let last = self.last.map_or(self.base, |(_, last)| last);
         let since = |last: u64, base: u64, carried: u64| carried + last.saturating_sub(base);
@@ -74,7 +74,7 @@ impl LossBook {
         }
     }
 
-    /// Scans that were lost on the way.
+    /// Scans lost on the link.
     pub(super) fn link_scans(&self) -> u64 {
         self.link_scans
     }
@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn each_missing_scan_has_one_place() {
         let mut book = LossBook::default();
-        // 1000 scans dropped before anybody listened, 4 of ours lost in the first half second.
+        // 1000 scans dropped before the link was opened, 4 lost since then in the first half second.
         [0, 1, 6].iter().for_each(|&sequence| book.scan(sequence));
         book.status(&status(1, 1004, 7));
         assert_eq!(shares(&book), (4, 0, 0));
@@ -118,11 +118,11 @@ mod tests {
         book.scan(13);
         book.status(&status(2, 1014, 7));
         assert_eq!(shares(&book), (14, 0, 0));
-        // Those, and 3 that nobody accounts for.
+        // Those, and 3 that the board does not report.
         book.scan(21);
         book.status(&status(3, 1014, 7));
         assert_eq!(shares(&book), (14, 0, 3));
-        // Another drop that does not show yet takes nothing away.
+        // Another drop, not in the numbering yet, does not reduce the losses of the link.
         book.status(&status(4, 1016, 8));
         assert_eq!(shares(&book), (16, 1, 3));
     }

@@ -1,7 +1,7 @@
 //! The status in Prometheus's text format, version 0.0.4.
 //!
-//! Written without a client library: those keep live metrics of their own and have no summaries, while a finished
-//! report with percentiles is at hand.
+//! Written without a client library: these keep live metrics and lack summaries, while the report already has
+//! percentiles.
 
 use std::fmt::Write;
 
@@ -15,10 +15,10 @@ pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8"
 
 const KELVIN_AT_0_CELSIUS: f64 = 273.15;
 
-/// Names and values.
+/// Names and values of labels.
 type Labels<'a> = Vec<(&'static str, &'a str)>;
 
-/// Reads a number of a cell, if there is one.
+/// Reads a value of a cell, if there is one.
 type Number = fn(&CellHealth) -> Option<f64>;
 
 /// Families of samples, in the order they are written.
@@ -30,7 +30,7 @@ impl Exposition {
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
     }
 
-    /// Adds a sample, unless there is no number.
+    /// Adds a sample if there is a value.
     fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: Option<f64>) {
         let Some(value) = value.filter(|value| value.is_finite()) else {
             return;
@@ -87,7 +87,7 @@ impl Boards<'_> {
         }
     }
 
-    /// One sample for each cell, with labels of its own.
+    /// One sample for each cell, with its own labels.
     fn cells<'c>(
         &'c mut self,
         name: &str,

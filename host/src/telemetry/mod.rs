@@ -1,9 +1,8 @@
 //! The state of the daemon, its boards and their heads: counted, reported, and served.
 //!
 //! [`BoardStatistics`] counts the items of a board's pipeline, without allocating, and makes a `BoardReport` a few
-//! times a second. A `DaemonReport` holds those of all boards.
-//! `view` is for people, `metrics` for Prometheus, JSON for other programs; `StatusServer` offers
-//! all three, and `fetch` gets them.
+//! times per second. A `DaemonReport` holds those of all boards. `view` formats it for people, `metrics` for
+//! Prometheus, and JSON serves other programs; `StatusServer` offers all three, and `fetch` requests them.
 
 mod address;
 mod client;

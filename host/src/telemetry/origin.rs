@@ -1,8 +1,8 @@
-//! Whether a request comes from a program of this host, and not from a page in a browser.
+//! Whether a request comes from a program, and not from a page in a browser.
 //!
-//! Any page can make a browser send requests to a port of the browser's host. A page whose own name points here ("DNS
-//! rebinding") could even read the answers: its requests carry that name as `Host`. Requests of other pages carry the
-//! page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
+//! Any page can make a browser send requests to a port of the browser's host. A page whose domain resolves to this host
+//! (DNS rebinding) could even read the answers: its requests carry that domain as `Host`. Requests of other pages carry
+//! the page's origin as `Origin` (RFC 6454, section 7). Programs send neither.
 
 use std::net::IpAddr;
 
@@ -11,14 +11,14 @@ use axum::http::header::{HOST, ORIGIN};
 
 use super::server::Reach;
 
-/// Whether these are the headers of a request by a program, to a name of this host.
+/// Whether these are the headers of a program's request to a name of this host.
 pub(super) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
     let mut hosts = headers.get_all(HOST).iter();
     let host = hosts.next().map(|host| host.as_bytes());
     if hosts.next().is_some() {
         return false;
     }
-    // Who may be asked from anywhere may be called anything.
+    // A server that any host may reach may have any name.
     let is_ours = |host: &[u8]| reach == Reach::Anywhere || std::str::from_utf8(host).is_ok_and(is_loopback);
     host.is_none_or(is_ours)
         && headers.get_all(ORIGIN).iter().all(|origin| {
@@ -27,7 +27,7 @@ pub(super) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
         })
 }
 
-/// Whether `host`, with a port or not, is a name that is always this host's.
+/// Whether `host`, with or without a port, is a loopback name.
 fn is_loopback(host: &str) -> bool {
     let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((address, _)) => address,

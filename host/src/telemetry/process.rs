@@ -6,7 +6,7 @@ use super::report::{BoardReport, DaemonReport, ProcessReport, RecorderReport};
 use crate::clock::HostInstant;
 
 impl DaemonReport {
-    /// Of this program, which was `started` then, at this moment.
+    /// The report of this program now, `started` at that time.
     pub(crate) fn of_now(started: HostInstant, boards: Vec<BoardReport>, recorder: RecorderReport) -> Self {
         let running_ns = HostInstant::now().monotonic_ns.saturating_sub(started.monotonic_ns);
         Self {

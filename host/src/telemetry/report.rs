@@ -1,7 +1,7 @@
-//! The state of a daemon and its boards. The names of the fields are an interface: they stay.
+//! The state of a daemon and its boards. The names of the fields are a stable interface.
 //!
-//! Counters count since the start of the daemon, or of following that board, and only rise. All other values are
-//! current, or of the last interval where the field says so.
+//! Counters never decrease; they count since the start of the daemon, or since it follows the board. All other values
+//! are current, or of the last interval if the field says so.
 
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
@@ -14,24 +14,24 @@ use crate::health::HeadHealth;
 use crate::link::DeviceId;
 use crate::pipeline::Outcomes;
 
-/// Everything a daemon has to say.
+/// The state of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct DaemonReport {
     /// Name of the program.
     pub program: &'static str,
     /// Its version.
     pub version: &'static str,
-    /// When it was started, UTC, nanoseconds since 1970 began.
+    /// Time of its start, UTC, nanoseconds since 1970.
     pub started_utc_ns: u64,
-    /// For how long it has run, seconds.
+    /// Time since its start, seconds.
     pub uptime_s: f64,
-    /// Memory and threads, where the system tells.
+    /// Memory and threads, if the operating system reports them.
     pub process: Option<ProcessReport>,
     /// Its boards.
     pub boards: Vec<BoardReport>,
     /// The capture it writes.
     pub recorder: RecorderReport,
-    /// The datagrams it sends; `None` if nobody has asked for any.
+    /// The datagrams it sends; `None` without a datagram server.
     pub datagrams: Option<DatagramCounts>,
 }
 
@@ -41,85 +41,85 @@ pub(crate) fn report_schema() -> String {
     settings.into_generator().into_root_schema_for::<DaemonReport>().as_value().to_string()
 }
 
-/// What the system says of the daemon.
+/// Memory and threads of the daemon, from the operating system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct ProcessReport {
     /// Memory in RAM, bytes.
     pub resident_bytes: u64,
-    /// Threads.
+    /// Number of threads.
     pub threads: u64,
 }
 
-/// One board.
+/// The state of one board.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct BoardReport {
-    /// What the user calls it: a port, or `sim`.
+    /// The user's name for it: a port, or `sim`.
     pub name: String,
     /// Its unique number; `None` until it has introduced itself.
     pub device: Option<DeviceId>,
-    /// Name of the board, as its firmware has it.
+    /// Name of the board, from its firmware.
     pub board: String,
     /// Version of its firmware.
     pub firmware: String,
     /// Whether its photocurrents are computed, not measured.
     pub simulated: bool,
-    /// When this report was made, CLOCK_MONOTONIC. One that is old tells that the daemon is stuck.
+    /// Time of this report, CLOCK_MONOTONIC, nanoseconds. An old report shows that the daemon hangs.
     pub made_monotonic_ns: u64,
-    /// When this report was made, UTC, nanoseconds since 1970 began.
+    /// Time of this report, UTC, nanoseconds since 1970.
     pub made_utc_ns: u64,
-    /// The link to it.
+    /// The link to the board.
     pub link: LinkReport,
     /// Scans that arrived.
     pub scans: u64,
     /// Age of the last scan when the report was made, seconds; `None` before the first.
     pub last_scan_age_s: Option<f64>,
-    /// Scans a second.
+    /// Scans per second.
     pub rates: Rates,
-    /// What is missing, by the place it was lost at.
+    /// Losses by place.
     pub losses: Losses,
-    /// Solutions by what the solver says.
+    /// Solutions by outcome.
     pub outcomes: Outcomes,
-    /// The same of the last interval.
+    /// Solutions of the last interval by outcome.
     pub recent_outcomes: Outcomes,
-    /// What was lost on the way in the last interval.
+    /// Losses between board and host in the last interval.
     pub recent_link_losses: LinkLosses,
-    /// How old poses are.
+    /// Age of the poses.
     pub latencies: Latencies,
     /// Whether the solver keeps up.
     pub lag: LagReport,
-    /// The board's clock by the host's.
+    /// The board's clock relative to the host's.
     pub clock: ClockReport,
-    /// What the board says of itself; `None` before its first status.
+    /// The board's own status; `None` before the first.
     pub vitals: Option<Vitals>,
-    /// Its last warning or error.
+    /// The board's last warning or error.
     pub complaint: Option<BoardEvent>,
-    /// Its optics; `None` before the first scan.
+    /// Health of the board's head; `None` before the first scan.
     pub head: Option<HeadHealth>,
 }
 
-/// Whether there is a board, and what it does.
+/// State of the link to a board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum LinkState {
-    /// It is looked for.
+    /// The daemon searches for the board.
     #[default]
     Searching,
-    /// It is there, and spoken to; no scan has come yet.
+    /// The port is open; no scan has come yet.
     Connecting,
-    /// It sends scans.
+    /// The board sends scans.
     Running,
-    /// It is there and sends nothing, or no usable scan.
+    /// The board is connected but sends nothing, or no usable scan.
     Quiet,
-    /// It was there and is no more.
+    /// The board was connected and is missing now.
     Gone,
-    /// It cannot be used as it is.
+    /// The board cannot be used in its present state.
     Refused,
-    /// It is no longer followed: all that was asked for has come, or it was given up.
+    /// The board is no longer followed: all requested scans have come, or it was given up.
     Ended,
 }
 
 impl LinkState {
-    /// All of them.
+    /// All states.
     pub(crate) const ALL: [Self; 7] =
         [Self::Searching, Self::Connecting, Self::Running, Self::Quiet, Self::Gone, Self::Refused, Self::Ended];
 
@@ -142,68 +142,68 @@ impl LinkState {
 pub(crate) struct LinkReport {
     /// Its state.
     pub state: LinkState,
-    /// Why, in a sentence, if there is something to say.
+    /// Reason for the state in a sentence, if any.
     pub reason: Option<String>,
-    /// Since when, UTC, nanoseconds since 1970 began.
+    /// Time at which the state began, UTC, nanoseconds since 1970.
     pub since_utc_ns: u64,
-    /// Times it ran again after it had run before.
+    /// Number of times that the board ran again after a loss.
     pub reconnects: u64,
-    /// Times it was looked for in vain since it ran last.
+    /// Failed attempts since the board last ran.
     pub attempts: u64,
 }
 
-/// Scans a second, of the last interval.
+/// Scans per second in the last interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct Rates {
-    /// By the board's clock; `None` if no scan came.
+    /// Rate by the board's clock; `None` if no scan came.
     pub device_hz: Option<f64>,
-    /// By the host's clock: zero if none came.
+    /// Rate by the host's clock; zero if no scan came.
     pub host_hz: f64,
     /// Length of the interval by the host's clock, seconds; zero before the first has ended.
     pub interval_s: f64,
 }
 
-/// What is missing, by place.
+/// Losses by place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct Losses {
-    /// On the board.
+    /// Losses on the board.
     pub board: BoardLosses,
-    /// Between board and host.
+    /// Losses between board and host.
     pub link: LinkLosses,
-    /// On the host.
+    /// Losses on the host.
     pub host: HostLosses,
 }
 
-/// What the board says it has lost.
+/// Losses reported by the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct BoardLosses {
-    /// Scans it dropped, as the link did not take them in time.
+    /// Scans dropped because the link did not take them in time.
     pub scans_dropped: u64,
-    /// Scans that never left its converters.
+    /// Scans lost in acquisition.
     pub scans_lost: u64,
-    /// Overruns of its converters or their memory.
+    /// Overruns of the converters or of their DMA buffer.
     pub adc_overruns: u64,
 }
 
-/// What was lost on the way.
+/// Losses between board and host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct LinkLosses {
-    /// Scans missing in the numbering that the board does not account for. Known when its next status
-    /// has come.
+    /// Scans missing in the numbering that the board does not report as lost. Updated with each status of
+    /// the board.
     pub scans: u64,
     /// Packets with a wrong checksum.
     pub bad_checksum: u64,
     /// Packets with broken framing.
     pub misframed: u64,
-    /// Packets longer than any is.
+    /// Packets longer than the protocol allows.
     pub overlong: u64,
-    /// Undamaged packets that this program cannot read, and batches that no hello explains.
+    /// Undamaged packets that this program cannot read, and batches without a hello.
     pub unreadable: u64,
     /// Bytes of all of these.
     pub bytes_skipped: u64,
 }
 
-/// What the host had and did not keep.
+/// Losses on the host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct HostLosses {
     /// Bytes of the link that the recorder had no room for.
@@ -213,7 +213,7 @@ pub(crate) struct HostLosses {
 }
 
 impl LinkLosses {
-    /// Packets that were damaged on their way.
+    /// Packets damaged on the link.
     pub(crate) fn damaged(&self) -> u64 {
         self.bad_checksum + self.misframed + self.overlong
     }
@@ -238,75 +238,75 @@ impl Losses {
     }
 }
 
-/// How old poses are. The instant of the sample is known to the clock's uncertainty.
+/// Age of the poses. The instant of a pose is known within the clock's uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct Latencies {
-    /// From the instant that a pose refers to until the host had read it: board and link.
+    /// From the instant of a pose until the host had read its scan: board and link.
     pub link: Latency,
-    /// From there until the pose was published: the host.
+    /// From then until the pose was published: the host.
     pub host: Latency,
-    /// Both.
+    /// Sum of both.
     pub total: Latency,
 }
 
-/// How far solving is behind what comes, in the last moments.
+/// How far the solver is behind the scans that arrive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct LagReport {
-    /// Control loops get the newest scan only: the solver takes longer than the board.
+    /// Whether the solver is slower than the board, so that control loops get only the newest scans.
     #[serde(rename = "behind")]
     pub is_behind: bool,
-    /// For how long that has been so, seconds.
+    /// Time since the solver has been behind, seconds.
     pub behind_s: f64,
-    /// Standard output was not read as fast as poses came.
+    /// Whether standard output was read more slowly than poses came.
     #[serde(rename = "output_blocked")]
     pub is_output_blocked: bool,
     /// Scans that have arrived and are not solved yet.
     pub waiting_scans: u64,
-    /// For how long the oldest of them has waited, seconds.
+    /// Time that the oldest of them has waited, seconds.
     pub waiting_s: f64,
-    /// Scans that were given up unsolved, in all. A capture has them.
+    /// Total of scans skipped unsolved. A capture contains them.
     pub skipped_scans: u64,
 }
 
-/// The board's clock by the host's.
+/// The board's clock relative to the host's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct ClockReport {
-    /// The instants of scans are right to this by the host's clock, either way, seconds; `None` while
-    /// they are not known.
+    /// Greatest error of the instants of scans by the host's clock, either way, seconds; `None` while
+    /// unknown.
     pub uncertainty_s: Option<f64>,
-    /// By how many millionths the board's clock is fast; `None` if not known.
+    /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub drift_ppm: Option<f64>,
 }
 
-/// What a board says of itself.
+/// A board's own status.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct Vitals {
-    /// Why it last started.
+    /// Cause of the last reset.
     pub reset_cause: String,
-    /// Whether it acquires.
+    /// Whether it acquires scans.
     pub acquiring: bool,
     /// Supply voltage, volts.
     pub supply_v: f32,
-    /// Temperature of its controller, kelvin.
+    /// Temperature of its MCU, kelvin.
     pub temperature_k: f32,
-    /// Share of its processor's time in use, 0 to 1.
+    /// CPU load, 0 to 1.
     pub cpu_load: f64,
-    /// Replies it dropped, as the host did not read them; since its reset.
+    /// Replies dropped since its reset because the host did not read them.
     pub replies_dropped: u32,
-    /// Commands that reached it damaged; since its reset.
+    /// Commands received damaged since its reset.
     pub commands_damaged: u32,
-    /// Commands it refused; since its reset.
+    /// Commands refused since its reset.
     pub commands_rejected: u32,
 }
 
 /// A warning or error that a board reported.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub(crate) struct BoardEvent {
-    /// Whether it can still do its job.
+    /// Whether it is an error, not a warning.
     pub is_error: bool,
-    /// When, by its clock, seconds; `None` if its clock is not known yet.
+    /// Time by the board's clock, seconds; `None` if the clock's rate is unknown.
     pub device_time_s: Option<f64>,
-    /// What.
+    /// Description.
     pub text: String,
 }
 
@@ -314,17 +314,17 @@ pub(crate) struct BoardEvent {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum RecorderState {
-    /// Nobody asked for it.
+    /// No recording was requested.
     #[default]
     Off,
-    /// They are.
+    /// Scans are recorded.
     Recording,
-    /// They were to be, and are not.
+    /// The recording failed.
     Failed,
 }
 
 impl RecorderState {
-    /// All of them.
+    /// All states.
     pub(crate) const ALL: [Self; 3] = [Self::Off, Self::Recording, Self::Failed];
 
     /// The word used in tables and messages.
@@ -340,24 +340,24 @@ impl RecorderState {
 /// The capture that a daemon writes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub(crate) struct RecorderReport {
-    /// Whether it does.
+    /// State of the recording.
     pub state: RecorderState,
-    /// Why it failed.
+    /// Reason of a failure.
     pub reason: Option<String>,
     /// The file.
     pub file: Option<String>,
     /// Bytes written to it.
     pub bytes: u64,
-    /// Files begun.
+    /// Number of files begun.
     pub files: u64,
-    /// Times that all recorded until then was made to survive a power cut: about once a second.
+    /// Number of flushes to the disk, about one per second: recorded data then survive a power cut.
     pub flushes: u64,
     /// Bytes of links that were not recorded: the disk was too slow, or failed.
     pub bytes_dropped: u64,
 }
 
 impl BoardReport {
-    /// What to call the board where a name must not be shared: its number, or its port before that is known.
+    /// A unique name for the board: its number, or its port before the number is known.
     pub(crate) fn label(&self) -> String {
         self.device.map_or_else(|| self.name.clone(), |device| device.to_string())
     }

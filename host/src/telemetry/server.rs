@@ -1,7 +1,7 @@
 //! The status over HTTP: `/` for people, `/status` as JSON, `/metrics` for Prometheus, `/health` for probes.
 //!
-//! The server has a thread of its own, and asks for a report at each request. It has no
-//! authentication: by default it listens for programs of its own host only, and never answers pages in browsers.
+//! The server has its own thread and makes a report for each request. It has no authentication: by default it listens
+//! for programs on its own host only, and never answers pages in browsers.
 
 use std::fs::{self, Permissions};
 use std::io;
@@ -26,25 +26,25 @@ use super::connection::{Door, Socket};
 use super::{DaemonReport, StatusAddress, metrics, origin, view};
 use crate::clock::HostInstant;
 
-/// Owner and group may ask, other users may not.
+/// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
 
-/// Who may ask over TCP.
+/// The hosts that may connect over TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reach {
     /// Programs of this host.
     Loopback,
-    /// Every host that can reach the address: the user allows it.
+    /// Every host that can reach the address, as permitted by the user.
     Anywhere,
 }
 
 /// Why the status cannot be served.
 #[derive(Debug, Error)]
 pub(crate) enum StatusError {
-    /// Other hosts could ask, too.
+    /// Other hosts could connect, too.
     #[error(
         "{address} can be reached from other hosts, and the status server asks for no password; \
          give 127.0.0.1 or [::1], or a unix: path"
@@ -59,7 +59,7 @@ pub(crate) enum StatusError {
         /// The address.
         address: StatusAddress,
     },
-    /// The path is taken.
+    /// The path is that of another file.
     #[error("{} is no socket and is left alone; give another path", path.display())]
     NotASocket {
         /// The path.
@@ -81,14 +81,14 @@ pub(crate) struct StatusServer {
     address: StatusAddress,
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
-    /// Device and inode of our socket: it may have been replaced.
+    /// Path, device and inode of the server's socket, which may have been replaced.
     file: Option<(PathBuf, [u64; 2])>,
 }
 
 type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
 
 impl StatusServer {
-    /// Serves the reports of `source` at `address`. A socket that a daemon has left behind is replaced.
+    /// Serves the reports of `source` at `address`. A socket left behind by a killed daemon is replaced.
     ///
     /// # Errors
     /// If the address cannot be bound, or has a wider `reach`.
@@ -100,7 +100,7 @@ impl StatusServer {
         let listen = |source| StatusError::Listen { address: address.clone(), source };
         let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
         let (socket, address, file) = {
-            // Sockets belong to the runtime they are made in.
+            // Sockets belong to the runtime in which they are created.
             let _entered = runtime.enter();
             match address {
                 StatusAddress::Tcp(tcp) => {
@@ -127,7 +127,7 @@ impl StatusServer {
         };
         let (end, ended) = oneshot::channel();
         let source: Source = Arc::new(source);
-        // Browsers have no way to a Unix socket: there a host may be called anything.
+        // Browsers cannot reach a Unix socket: any host name is allowed there.
         let named = if matches!(address, StatusAddress::Unix(_)) { Reach::Anywhere } else { reach };
         let routes = routes(&source).layer(from_fn(move |request: Request, next: Next| async move {
             if origin::is_own(request.headers(), named) {
@@ -145,7 +145,7 @@ impl StatusServer {
         Ok(Self { address, end: Some(end), thread: Some(thread), file })
     }
 
-    /// Where it listens, with the port that the system chose for port 0.
+    /// The address it listens on, with the port that the system chose for port 0.
     pub(crate) fn address(&self) -> &StatusAddress {
         &self.address
     }
@@ -155,7 +155,7 @@ impl Drop for StatusServer {
     fn drop(&mut self) {
         drop(self.end.take());
         if let Some(thread) = self.thread.take() {
-            // Should it have panicked there is nobody to tell but standard error, which has been told.
+            // A panic of the thread has already been reported on standard error.
             let _ = thread.join();
         }
         if let Some((path, file)) = self.file.take()
@@ -186,7 +186,7 @@ fn identity(path: &Path) -> io::Result<[u64; 2]> {
 }
 
 fn serve(runtime: Runtime, socket: Socket, routes: Router, ended: oneshot::Receiver<()>) {
-    // Ends with the runtime: connections that hang would make a graceful end wait for them.
+    // Ends with the runtime: a graceful shutdown would wait for connections that hang.
     runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
     // Either way the server has been dropped.
     let _ = runtime.block_on(ended);
@@ -234,7 +234,7 @@ fn health(report: &DaemonReport) -> Response {
     }
 }
 
-/// One answer a connection.
+/// An answer, after which the connection is closed.
 fn reply(status: StatusCode, content_type: &'static str, text: String) -> Response {
     (status, [(CONTENT_TYPE, content_type), (CONNECTION, "close")], text).into_response()
 }

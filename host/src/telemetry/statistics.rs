@@ -1,4 +1,4 @@
-//! Counts what happens to a board's scans.
+//! Statistics of a board's scans.
 
 use slitpose_protocol::{BoardKind, Hello, Severity, Status};
 
@@ -13,10 +13,10 @@ use crate::health::HeadHealth;
 use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
 
-/// Recent values are of the last full second.
+/// Length of the interval of recent values.
 const INTERVAL_NS: u64 = 1_000_000_000;
 
-/// Accounts for one board, from one pipeline, across all its reconnections.
+/// Statistics of one board, from one pipeline, across all reconnections.
 #[derive(Clone, Debug)]
 pub struct BoardStatistics {
     name: String,
@@ -43,7 +43,7 @@ pub struct BoardStatistics {
     recent_link_losses: LinkLosses,
 }
 
-/// Where an interval begins.
+/// The beginning of an interval.
 #[derive(Clone, Copy, Debug)]
 struct Mark {
     at: HostInstant,
@@ -54,7 +54,7 @@ struct Mark {
 }
 
 impl BoardStatistics {
-    /// For the board that the user calls `name`, from `now` on.
+    /// Statistics from `now` on, for the board that the user calls `name`.
     pub fn new(name: impl Into<String>, now: HostInstant) -> Self {
         Self {
             name: name.into(),
@@ -87,7 +87,7 @@ impl BoardStatistics {
         }
     }
 
-    /// Sets by how many millionths the board's clock is fast, once known.
+    /// Sets the rate error of the board's clock, ppm, positive if fast.
     pub(crate) fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
         self.clock.drift_ppm = drift_ppm;
     }
@@ -97,13 +97,13 @@ impl BoardStatistics {
         self.host_losses = host_losses;
     }
 
-    /// Sets how far solving is behind.
+    /// Sets how far the solver is behind.
     pub(crate) fn set_lag(&mut self, lag: LagReport) {
         self.lag = lag;
     }
 
-    /// Counts an item of the pipeline: when the bytes that completed it were read and, of a pose, when it was
-    /// published; `None` where the stream does not run in real time.
+    /// Counts an item of the pipeline. `read_at`: time of the read that completed it; `published_at`: time at which a
+    /// pose was published; both `None` if the stream does not run in real time.
     pub fn update(&mut self, item: &Item<'_>, read_at: Option<HostInstant>, published_at: Option<HostInstant>) {
         match item {
             Item::Hello(hello) => self.take_hello(hello),
@@ -136,7 +136,7 @@ impl BoardStatistics {
     }
 
     /// The report at `now`, without the link's state; `counts` and `head` are those of the pipeline. To be called a
-    /// few times a second: once a second an interval ends.
+    /// few times per second: an interval ends once per second.
     pub(crate) fn report(&mut self, counts: &Counts, head: Option<HeadHealth>, now: HostInstant) -> BoardReport {
         if now.monotonic_ns.saturating_sub(self.begun.at.monotonic_ns) >= INTERVAL_NS {
             self.end_interval(counts, now);
@@ -202,7 +202,7 @@ impl BoardStatistics {
         let [read_ns, published_ns] = [read_at, published_at].map(|at| at.map(|at| at.monotonic_ns));
         let record_ns = |histogram: &mut LatencyHistogram, from_ns: Option<u64>, to_ns: Option<u64>| {
             if let (Some(from_ns), Some(to_ns)) = (from_ns, to_ns) {
-                // A sample that seems to come before its instant: the clock is not known better.
+                // A scan may seem to arrive before its instant, within the uncertainty of the clock.
                 histogram.record_ns(to_ns.saturating_sub(from_ns));
             }
         };
@@ -267,7 +267,7 @@ mod tests {
             statistics.last_device_s = Some(device_s);
             statistics.report(&counts, None, at(now_ns))
         };
-        // Device time begins anywhere: of the first interval there is no rate by it.
+        // Device time has any origin: the first interval has no rate by the board's clock.
         let first = report(1000, 7.0, 1_000_000_000);
         assert_eq!((first.rates.device_hz, first.rates.host_hz), (None, 1000.0));
         // Too early for another interval.

@@ -1,4 +1,4 @@
-//! The server from outside, and what it serves.
+//! The status server seen by clients, and the content of its answers.
 
 use std::collections::HashMap;
 use std::fs;
@@ -18,7 +18,7 @@ use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
 use slitpose_head::finding::Finding;
 
-/// A name that has everything a label must not show as it is.
+/// A name with all characters that a label must escape.
 const AWKWARD: &str = "a \"port\"\\with\nlines";
 
 fn cell(cell: usize, verdict: Verdict) -> CellHealth {
@@ -126,8 +126,8 @@ fn latencies_are_those_of_link_and_host() {
     }
 }
 
-/// Reads Prometheus's text as its description has it: gives each family's type and samples, and fails
-/// at whatever the description does not allow.
+/// Parses Prometheus's text format: returns each family's type and samples, and panics if the text violates
+/// the format.
 fn check(text: &str) -> HashMap<String, (String, Vec<(String, f64)>)> {
     let mut families: HashMap<String, (String, Vec<(String, f64)>)> = HashMap::new();
     let mut current = String::new();
@@ -152,7 +152,7 @@ fn check(text: &str) -> HashMap<String, (String, Vec<(String, f64)>)> {
         while let Some(pair) = rest.strip_prefix(['{', ',']) {
             let (label, value) = pair.split_once("=\"").unwrap();
             assert!(label.chars().all(|c| c.is_ascii_lowercase()), "{line}");
-            // Up to the first quote that is not escaped; of escapes there are three.
+            // Up to the first quote that is not escaped; there are three escapes.
             let mut characters = value.char_indices();
             let mut unescaped = String::new();
             let end = loop {
@@ -180,7 +180,7 @@ fn check(text: &str) -> HashMap<String, (String, Vec<(String, f64)>)> {
 
 #[test]
 fn metrics_are_what_prometheus_reads() {
-    // Before a board is known there is little to say, but nothing that cannot be read.
+    // Without boards the text is short but valid.
     check(&metrics::text(&daemon(Vec::new()), HostInstant::now()));
     let mut unknown = board(AWKWARD, None);
     unknown.device = None;
@@ -263,12 +263,12 @@ fn the_status_is_served_over_a_unix_socket() {
     drop(server);
     assert!(!path.exists(), "the socket is removed");
 
-    // What a daemon that was killed leaves behind.
+    // A socket left behind by a killed daemon.
     drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
     assert!(path.exists());
     let server = serve(&address).unwrap();
     is_served(&server);
-    // Somebody has put something else there: it is not ours to remove.
+    // Another file in its place must not be removed.
     fs::remove_file(&path).unwrap();
     fs::write(&path, "precious").unwrap();
     drop(server);
@@ -323,19 +323,19 @@ fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
     let server = serve("127.0.0.1:0").unwrap();
     let begun = Instant::now();
     let mut silent: Vec<TcpStream> = (0..50).map(|_| TcpStream::connect(tcp(&server)).unwrap()).collect();
-    // Some ask, and do not read; some ask half a question.
+    // Some clients send a request and do not read; some send half a request.
     for (i, stream) in silent.iter_mut().enumerate().skip(20) {
         stream
             .write_all(if i % 2 == 0 { b"GET /metrics HTTP/1.1\r\nHost: [::1]\r\n\r\n" } else { b"GET /st" })
             .unwrap();
     }
     assert!(fetch(server.address(), "/status").is_ok());
-    // The server closes what stays silent: reading ends, long before the time limit here.
+    // The server closes silent connections: reading ends long before the timeout here.
     silent[0].set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
     assert!(begun.elapsed() >= connection::LIFETIME - Duration::from_millis(100), "{:?}", begun.elapsed());
     assert!(begun.elapsed() < Duration::from_secs(55), "closed by the server, not by the time limit");
-    // Dropped with clients hanging it ends all the same.
+    // When dropped, the server ends in spite of hanging clients.
     let _hanging = TcpStream::connect(tcp(&server)).unwrap();
     drop(server);
 }
@@ -352,7 +352,7 @@ fn more_connections_than_there_is_room_for_are_closed_at_once() {
     beyond.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     assert!(matches!(beyond.read(&mut [0; 16]), Ok(0) | Err(_)));
     assert!(begun.elapsed() < Duration::from_secs(55));
-    // When the others have had their time there is room again.
+    // After the lifetime of the other connections there is room again.
     let until = Instant::now() + Duration::from_secs(60);
     while fetch(server.address(), "/status").is_err() {
         assert!(Instant::now() < until);

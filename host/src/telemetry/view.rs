@@ -42,7 +42,7 @@ fn daemon(report: &DaemonReport, now: HostInstant) -> Vec<Line> {
     lines
 }
 
-/// The capture that is written, and how fast it grows, if that is known; `None` if there is none.
+/// The capture being written, with its rate of growth if known; `None` without a capture.
 pub(crate) fn recorder(report: &RecorderReport, bytes_per_s: Option<f64>) -> Option<Line> {
     let file = report.file.as_deref().unwrap_or("a capture");
     let megabytes = report.bytes as f64 * 1e-6;
@@ -160,7 +160,7 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     lines
 }
 
-/// `PowerOn` as a person writes it.
+/// `PowerOn` as `power on`.
 fn in_words(name: &str) -> String {
     let letters = name.char_indices().flat_map(|(i, letter)| {
         let space = (i > 0 && letter.is_uppercase()).then_some(' ');
@@ -189,7 +189,7 @@ fn percentiles(latency: &Latency) -> String {
     format!("median {half:>8.3} ms, 99 % {most:>8.3} ms, longest ever {longest:>8.3} ms")
 }
 
-/// To a second, or to a tenth below ten.
+/// A duration to a second, or to a tenth of a second below ten.
 fn duration(seconds: f64) -> String {
     let whole =
         Duration::try_from_secs_f64(if seconds < 10.0 { (seconds * 10.0).round() / 10.0 } else { seconds.round() });

@@ -30,8 +30,8 @@ impl Block {
 
     /// The characters that replace the block by `rows`.
     ///
-    /// Terminals disagree on what becomes of a row that is wider than the window after its user has
-    /// changed it: some cut it, some fold it. Then the whole window is cleared, which is right for all.
+    /// If the user narrows the window below the width of a row, some terminals cut the row and some fold it.
+    /// In that case the whole window is cleared, which works for all.
     pub(super) fn replace(&mut self, rows: &[Row], size: Size, has_colours: bool) -> String {
         let mut text = match self.rows {
             0 => String::new(),
@@ -93,7 +93,7 @@ mod tests {
     fn drawn_again_nothing_is_left_over() {
         for (rows, columns) in [(24, 80), (10, 40), (50, 200), (5, 20)] {
             let mut drawn = Drawn::new(rows, columns);
-            // Longer, shorter, higher and lower than before, and than the window.
+            // Longer, shorter, higher and lower than before, and than the window has room for.
             for (count, words) in [(3, 5), (1, 1), (3, 40), (30, 30), (2, 2), (0, 0), (4, 100)] {
                 let rows = drawn.draw(&lines(count, words));
                 let begun = rows.iter().filter(|row| row.starts_with("line")).count();

@@ -1,33 +1,33 @@
-//! Lines for people, laid out for the width and height there is.
+//! Lines for people, laid out for a given width and height.
 
 use console::measure_text_width;
 
 use slitpose_head::finding::Grade;
 use slitpose_head::foreign::printable;
 
-/// Pages without a window of their own are laid out for this many columns; no line is longer.
+/// Columns of pages without a window; no line is longer.
 pub(crate) const WIDTH: usize = 100;
 
-/// The names at the beginnings of the lines stand in a column of their own.
+/// Width of the column with the names of the lines.
 const INDENT: usize = 12;
 
-/// A text that boards or files make longer is cut.
+/// Longer texts, from boards or files, are cut.
 const LONGEST_TEXT: usize = 800;
 
-/// How good or bad the news is.
+/// The importance of a line, shown by its colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Tone {
-    /// As it should be, or neither.
+    /// Normal.
     #[default]
     Plain,
-    /// Worth a look.
+    /// Worth attention.
     Careful,
-    /// Wrong.
+    /// A fault.
     Wrong,
 }
 
 impl Tone {
-    /// What begins and ends its colour (SGR of ECMA-48).
+    /// The control sequences that begin and end its colour (SGR of ECMA-48).
     fn codes(self) -> (&'static str, &'static str) {
         match self {
             Self::Plain => ("", ""),
@@ -64,7 +64,7 @@ pub(crate) struct Line {
     rank: u8,
 }
 
-/// The line that a low window leaves out last, and first.
+/// Ranks of lines, from the last to the first left out in a low window.
 const RANKS: std::ops::RangeInclusive<u8> = 0..=3;
 
 impl Line {
@@ -73,7 +73,7 @@ impl Line {
         Self { name, text: printable(text).at_most(LONGEST_TEXT).to_string(), ..Self::default() }
     }
 
-    /// Between boards.
+    /// A blank line, for use between boards.
     pub(crate) fn blank() -> Self {
         Self { rank: *RANKS.end(), ..Self::default() }
     }
@@ -84,7 +84,7 @@ impl Line {
         self
     }
 
-    /// A window that is too low leaves out lines of higher ranks first; 0 to 3, 0 unless said otherwise.
+    /// Sets the rank, 0 to 3, by default 0: a window that is too low leaves out lines of higher ranks first.
     pub(crate) fn rank(&mut self, rank: u8) -> &mut Self {
         self.rank = rank;
         self
@@ -114,7 +114,7 @@ impl Line {
                     break;
                 }
                 if is_empty && columns <= indent.max(1) {
-                    // No row holds the word: it goes on in the next.
+                    // The word is longer than a row: it continues in the next.
                     let (head, tail) = split_at_width(word, width - columns.min(width - 1));
                     row.push_str(head);
                     word = tail;
@@ -174,7 +174,7 @@ mod tests {
             for width in [1, 2, 5, 12, 13, 20, 40, 80, 100, 300] {
                 let rows = layout(&[Line::new(name, words)], width);
                 let longest = rows.iter().map(|row| measure_text_width(row)).max().unwrap();
-                // A wide character in a window of one column cannot be helped.
+                // A wide character does not fit a window of one column.
                 assert!(longest <= width.max(2) && longest <= WIDTH, "{width}: {rows:#?}");
                 let all = |text: &str| text.chars().filter(|c| *c != ' ').collect::<String>();
                 let shown = all(&rows.concat());

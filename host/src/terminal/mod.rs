@@ -1,11 +1,11 @@
-//! The user's terminal: the only place that draws there.
+//! The user's terminal: the only module that draws on it.
 //!
-//! A view (the state of boards) and a progress line are drawn anew in place, below everything that
-//! messages before; messages go above them. `line` lays lines out for a window, `block` keeps
-//! account of the rows on the screen, `progress` shows how far a long command has come.
+//! A view (the state of boards) and a progress line are redrawn in place; messages are printed above
+//! them. `line` lays lines out for a window, `block` tracks the rows on the screen, `progress` shows
+//! the progress of a long command.
 //!
 //! Nothing is drawn in place unless the stream is a terminal that can move its cursor (TERM is set
-//! and not `dumb`). Colours mark what is wrong; NO_COLOR, set to anything, turns them off.
+//! and not `dumb`). Colours mark faults; a non-empty NO_COLOR turns them off.
 
 mod block;
 mod line;
@@ -23,7 +23,7 @@ pub(crate) use progress::{Amount, Progress, hide as hide_progress};
 use block::{Block, Size};
 use slitpose_head::foreign::printable;
 
-/// Longer messages are cut: texts of boards or files may make them long.
+/// Longer messages, with texts from boards or files, are cut.
 const LONGEST_MESSAGE: usize = 4000;
 
 /// Everything that is drawn in place.
@@ -33,7 +33,7 @@ static SCREEN: Mutex<Screen> =
 struct Screen {
     view: Vec<Line>,
     progress: Option<Line>,
-    /// Where it is drawn; `None`: nowhere, so far.
+    /// The terminal it is drawn on; `None` before the first drawing.
     target: Option<Term>,
     block: Block,
 }
@@ -43,12 +43,12 @@ pub(crate) fn is_live() -> bool {
     io::stdout().is_terminal() && !is_dumb()
 }
 
-/// A terminal of no known kind is treated as one that only prints.
+/// Whether the terminal can only print; also if its kind is unknown.
 fn is_dumb() -> bool {
     console::is_dumb() || std::env::var_os("TERM").is_some_and(|name| name.is_empty())
 }
 
-/// Whether a stream that `is_terminal` gets colours.
+/// Whether a stream gets colours; `is_terminal`: it is a terminal.
 pub(crate) fn has_colours(is_terminal: bool) -> bool {
     // https://no-color.org: set, and not empty.
     is_terminal && !is_dumb() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
@@ -57,7 +57,7 @@ pub(crate) fn has_colours(is_terminal: bool) -> bool {
 /// Draws `lines` on standard output in place of the last ones.
 ///
 /// # Errors
-/// Those of standard output.
+/// Errors of standard output.
 pub(crate) fn show(lines: Vec<Line>) -> io::Result<()> {
     let mut screen = screen();
     screen.view = lines;
@@ -74,14 +74,14 @@ pub(crate) fn columns() -> usize {
 pub(crate) fn clear() {
     let mut screen = screen();
     (screen.view, screen.progress) = (Vec::new(), None);
-    // Nobody sees a terminal that cannot be written.
+    // An error does not matter: such a terminal shows nothing.
     let _ = screen.draw();
 }
 
 /// Writes one line to `output`, standard output, above what is drawn in place.
 ///
 /// # Errors
-/// Those of `output`.
+/// Errors of `output`.
 pub(crate) fn print(output: &mut impl Write, line: fmt::Arguments<'_>) -> io::Result<()> {
     screen().above(|| {
         writeln!(output, "{line}")?;
@@ -94,7 +94,7 @@ pub(crate) fn say(text: fmt::Arguments<'_>) {
     write_message(Tone::Plain, text);
 }
 
-/// Says why the command ends.
+/// Prints the reason why the command ends.
 pub(crate) fn complain(text: fmt::Arguments<'_>) {
     write_message(Tone::Wrong, text);
 }
@@ -104,8 +104,8 @@ fn write_message(tone: Tone, text: fmt::Arguments<'_>) {
     let text = printable(&text).at_most(LONGEST_MESSAGE);
     let name = tone.paint("slitpose:", has_colours(io::stderr().is_terminal()));
     let write = || writeln!(io::stderr(), "{name} {text}");
-    // Elsewhere it disturbs no view, and does not wait for a terminal that is held (Ctrl-S). Nobody is
-    // left to tell if even standard error is closed.
+    // Elsewhere it disturbs no view, and does not wait for a terminal that is held (Ctrl-S). An error
+    // of standard error cannot be reported.
     let _ = if io::stderr().is_terminal() { screen().above(write) } else { write() };
 }
 

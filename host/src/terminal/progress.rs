@@ -1,4 +1,4 @@
-//! How far a long command has come.
+//! The progress of a long command.
 
 use std::time::{Duration, Instant};
 
@@ -7,22 +7,22 @@ use super::{Line, screen};
 /// Period of redrawing: a person reads no faster.
 const RENEWAL: Duration = Duration::from_millis(200);
 
-/// No estimate of the rest is shown before this time.
+/// No estimate of the remaining time is shown before this time.
 const ESTIMATE_AFTER: Duration = Duration::from_secs(1);
 
 /// Characters of the bar.
 const BAR: u64 = 20;
 
-/// What is counted.
+/// The unit of the progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Amount {
     /// Bytes, shown in megabytes.
     Bytes,
-    /// Things that have no unit, such as poses or sections.
+    /// Countable things, such as poses or sections.
     Of(&'static str),
 }
 
-/// A progress line, drawn on a terminal only, and gone at its end.
+/// A progress line, drawn on a terminal only, erased at its end.
 #[derive(Debug)]
 pub(crate) struct Progress {
     name: &'static str,
@@ -33,19 +33,19 @@ pub(crate) struct Progress {
 }
 
 impl Progress {
-    /// Of `total`, under `name`.
+    /// A progress line of `total`, under `name`.
     pub(crate) fn new(name: &'static str, total: u64, amount: Amount) -> Self {
         Self { name, amount, total, began: Instant::now(), shown: None }
     }
 
-    /// So much is done; drawn now and then.
+    /// Sets the amount done; redrawn a few times per second.
     pub(crate) fn at(&mut self, done: u64) {
         if self.shown.is_none_or(|shown| shown.elapsed() >= RENEWAL) {
             self.show(done, "");
         }
     }
 
-    /// So much is done, and this is being done; drawn at once.
+    /// Sets the amount done and the present step; redrawn at once.
     pub(crate) fn step(&mut self, done: u64, what: &str) {
         self.show(done, what);
     }
@@ -98,7 +98,7 @@ mod tests {
         let text = bytes.text(1_000_000, "", Duration::from_secs(3));
         assert_eq!(text, "#####--------------- 25 %, 1.0 of 4.0 MB, 9s left");
         assert_eq!(bytes.text(0, "", Duration::ZERO), "-------------------- 0 %, 0.0 of 4.0 MB");
-        // A file that grows meanwhile is at its end.
+        // A file that grows meanwhile counts as at its end.
         assert!(bytes.text(9_000_000, "", Duration::ZERO).contains("100 %, 4.0 of 4.0 MB"));
         let sections = Progress::new("report", 4, Amount::Of("sections"));
         assert!(sections.text(1, "forward", Duration::ZERO).ends_with("1 of 4 sections: forward"));

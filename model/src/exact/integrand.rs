@@ -1,10 +1,9 @@
 //! The integrand over any convex spot, and the frame in which it is integrated.
 //!
-//! The spot is cut along the emitter's horizon and sliced into slabs at its corners' coordinates t,
-//! trapezoids. Where the horizon is near, t runs perpendicular to it: the integrand vanishes there
-//! like tⁿ, and panels shrink geometrically towards it. Derivatives are those of the integral
-//! (Leibniz): ∂g/∂e inside, and for each moving side the light that its motion sweeps over
-//! ([`super::sides`]).
+//! The spot is cut along the emitter's horizon and sliced, at its corners' coordinates t, into slabs
+//! with the shape of trapezoids. Near the horizon, t runs perpendicular to it: the integrand vanishes
+//! there like tⁿ, and panels shrink geometrically towards it. Derivatives follow Leibniz' rule: the
+//! integral of ∂g/∂e, and for each moving side the light that its motion sweeps over ([`super::sides`]).
 
 use heapless::Vec;
 
@@ -16,7 +15,7 @@ use super::lobe::Cone;
 use super::order::{MAX_NODES, Orders, Rules};
 use super::{Cosines, Integration, panels, sides};
 
-/// What a panel or a side of the spot contributes. Moments are about the spot's reference point.
+/// Contributions of panels and sides of the spot. Moments are about the spot's reference point.
 #[derive(Default)]
 pub(super) struct Sums<S: Scalar> {
     pub(super) power: EmitterGradient<S>,
@@ -45,9 +44,9 @@ pub(super) struct Integrand<'a, S: Scalar, E> {
     along_t: [S; 2],
     /// Whether t runs perpendicular to the horizon, so that u·d does not depend on s.
     pub(super) across_horizon: bool,
-    /// What cos γ is multiplied with before the profile is asked; see [`Emission::rescaling`].
+    /// Factor of cos γ in the argument of the profile; see [`Emission::rescaling`].
     pub(super) unit: S,
-    /// Beyond it a narrow lobe has faded; s and t are its directions in the plane.
+    /// The cone outside which a narrow lobe has faded, with s and t as its directions in the plane.
     pub(super) cone: Option<Cone<S>>,
     /// x of the reference point.
     pub(super) reference: S,
@@ -55,7 +54,7 @@ pub(super) struct Integrand<'a, S: Scalar, E> {
     pub(super) size: S,
 }
 
-/// A slab between two values of t, with its sides s = start + slope·(t − t₀).
+/// A slab between two values of t; its sides are s = start + slope·(t − t₀).
 #[derive(Clone, Copy)]
 pub(super) struct Slab<S> {
     pub(super) t: [S; 2],
@@ -64,7 +63,7 @@ pub(super) struct Slab<S> {
 }
 
 impl<S: Scalar> Slab<S> {
-    /// s of its left and of its right side.
+    /// s of the left and the right side at `t`.
     pub(super) fn sides(&self, t: S) -> [S; 2] {
         let dt = t - self.t[0];
         [self.left[0] + self.left[1] * dt, self.right[0] + self.right[1] * dt]
@@ -79,7 +78,8 @@ impl<S: Scalar> Slab<S> {
 /// Power and centroid (relative to the emitter's foot) of the light on a polygon.
 pub(crate) type PolygonLight<S> = (EmitterGradient<S>, EmitterGradient<S>);
 
-/// The light on `polygon`, with derivatives by the emitter, `None` if none is found; and what that took.
+/// The light on `polygon` with derivatives with respect to the emitter, `None` if none is found; and the
+/// cost and accuracy of the integrals.
 pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     mut polygon: Polygon<S>,
     axis: S::Vec3,
@@ -92,7 +92,7 @@ pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     }
     let (divisor, factor) = emission.rescaling(|| polygon.greatest_cosine(axis), corner_cosine(&polygon, axis));
     if factor == S::zero() {
-        // No number is as small.
+        // The light is below the smallest number.
         return (None, Integration { evaluations: 0, relative_error: orders.tolerance() });
     }
     let integrand = Integrand::new(&polygon, axis, emission, orders, rules, divisor.recip());
@@ -210,14 +210,14 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         slabs
     }
 
-    /// cos γ over a patch, as the profile is asked for it.
+    /// cos γ over a patch, as arguments of the profile.
     pub(super) fn cosines<const N: usize>(&self, corners: [S::Vec3; N]) -> Cosines<S> {
         let Cosines { lower, middle, upper } = Cosines::<S>::of(corners, self.axis);
         Cosines { lower: lower * self.unit, middle: middle * self.unit, upper: upper * self.unit }
     }
 
-    /// The nodes that suffice along lines with these reaches to emitter and horizon (see [`Orders`]) between the ends
-    /// of which cos γ differs by so much, and what stands for the profile; `None` if that cannot be told beforehand.
+    /// The numbers of nodes that suffice along lines, each given by its reaches to emitter and horizon (see [`Orders`])
+    /// and the difference of cos γ between its ends, and the profile's series; `None` if they cannot be foreseen.
     pub(super) fn foreseen<const N: usize>(
         &self,
         corners: [S::Vec3; N],
@@ -237,7 +237,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         }
         let series = if E::NEEDS_SERIES { Some(self.emission.near(cosines.middle, cosines.spread())?) } else { None };
         for (count, &[reach, difference]) in nodes.iter_mut().zip(&lines) {
-            // The line appears under 2/reach.
+            // The line subtends 2/reach radians.
             let slope = S::half() * difference * reach / cosines.middle;
             let lobe = self.orders.lobe_nodes(cosines.tangent2(), slope, reach)?;
             *count = (*count).max(lobe);
@@ -249,7 +249,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         Some((nodes, series))
     }
 
-    /// I_rel·h/r³ at a point of the detector, by the area; zero behind the horizon.
+    /// I_rel·h/r³ at a point of the detector, per area; zero behind the horizon.
     pub(super) fn density(&self, ray: S::Vec3) -> S {
         let inverse = ray.length().recip();
         let c = self.axis.dot(ray) * inverse * self.unit;
@@ -278,7 +278,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
             let (g, turn) = (density * relative, density * slope * self.unit);
             let kappa = turn * inverse;
             let lambda = (turn * c + S::of(3.0) * g) * inverse * inverse;
-            // At a fixed point of the detector, d falls as e moves; height also scales g.
+            // At a fixed point of the detector ∂d/∂e = −1, and g is also proportional to the height.
             let by_position = ray * lambda - self.axis * kappa + S::Vec3::new(S::zero(), S::zero(), g / self.height);
             sums.add(x, g, by_position, ray * kappa);
         } else {
@@ -289,7 +289,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
     }
 }
 
-/// Nodes along s and t: a slab's width is linear in t, which takes one degree more.
+/// Nodes along s and t: the slab's width, linear in t, adds one degree along t.
 pub(super) fn of_slab(nodes: &[usize]) -> (usize, usize) {
     (nodes[0], (nodes[1] + 1).min(MAX_NODES))
 }

@@ -1,8 +1,9 @@
-//! Which part of a spot a narrow lobe lights: the rays within a cone around the emitter's axis.
+//! The part of a spot that a narrow lobe lights: the rays within a cone around the emitter's axis.
 //!
-//! In the detector plane, z = −h from the emitter, the cone u·d = c·|d| cuts a conic. Along a line of constant y it
-//! lights x = (u_x·w ± c·√(w² − (y² + h²)·a))/a, w = u_y·y − u_z·h, a = c² − u_x². The planes through the emitter and
-//! parallel to y that touch it stand at x = h·(u_x·q ∓ u_z·s)/(−u_z·q ∓ u_x·s), s = sin γ, q² = u_x² + u_z² − s².
+//! The cone u·d = c·|d| meets the detector plane, at z = −h from the emitter, in a conic. A line of constant y is lit
+//! between x = (u_x·w ± c·√(w² − (y² + h²)·a))/a, w = u_y·y − u_z·h, a = c² − u_x². The planes through the emitter,
+//! parallel to y and tangent to the cone, are at x = h·(u_x·q ∓ u_z·s)/(−u_z·q ∓ u_x·s), s = sin γ,
+//! q² = u_x² + u_z² − s².
 
 use crate::scalar::Scalar;
 
@@ -15,7 +16,7 @@ pub(super) struct Cone<S> {
 }
 
 impl<S: Scalar> Cone<S> {
-    /// The part of the box `ranges` that holds all of the cone in it; the box itself where none is known.
+    /// The part of the box `ranges` that contains the cone within it; the box itself without a known bound.
     pub(super) fn within(&self, ranges: [[S; 2]; 2]) -> [[S; 2]; 2] {
         let [x, y] = ranges;
         let [ux, uy, uz] = self.axis;
@@ -25,7 +26,7 @@ impl<S: Scalar> Cone<S> {
         [x, across.narrowed(y, x)]
     }
 
-    /// The part of `range` along the first direction that holds the cone over `strip` along the second.
+    /// The part of `range` along the first direction that contains the cone over `strip` along the second.
     fn narrowed(&self, range: [S; 2], strip: [S; 2]) -> [S; 2] {
         let lit = [S::one(), -S::one()].map(|side| self.end(side, strip));
         let [Some(high), Some(low)] = lit else { return range };
@@ -33,7 +34,7 @@ impl<S: Scalar> Cone<S> {
         if narrowed[0] < narrowed[1] { narrowed } else { range }
     }
 
-    /// The farthest lit point over `strip`, towards +1 or −1; `None`: no bound is known.
+    /// The farthest lit point over `strip` in the direction `side`, +1 or −1; `None` without a known bound.
     fn end(&self, side: S, strip: [S; 2]) -> Option<S> {
         let ([ux, uy, uz], h, c) = (self.axis, self.height, self.cosine);
         let sine2 = (S::one() - c * c).max(S::zero());
@@ -58,7 +59,7 @@ impl<S: Scalar> Cone<S> {
             let root2 = w * w - (y * y + h * h) * a;
             (root2 >= S::zero()).then(|| (ux * w + side * c * root2.root()) / a)
         };
-        // Over lines beside the cone there is nothing.
+        // Lines that miss the cone are skipped.
         strip.into_iter().filter_map(at).reduce(|one, other| if (one - other) * side > S::zero() { one } else { other })
     }
 }

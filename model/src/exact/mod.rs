@@ -1,9 +1,9 @@
 //! The exact tier: I_rel integrated over the solid angle of the spot, and the power-weighted
 //! centroid of the light.
 //!
-//! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]); whatever else
-//! is divided ([`integrand`], [`panels`], [`sides`]), of a narrow lobe the part that it lights
-//! ([`lobe`]). The work is bounded: see [`MAX_EVALUATIONS`].
+//! A rectangle wholly in front of the emitter takes one tensor rule ([`rectangle`]); any other spot is
+//! divided ([`integrand`], [`panels`], [`sides`]). For a narrow lobe the division starts from the part
+//! of the spot that it lights ([`lobe`]). The work is bounded: see [`MAX_EVALUATIONS`].
 
 mod integrand;
 mod lobe;
@@ -31,8 +31,8 @@ pub(crate) fn faces_away<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool 
     axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height + slopes <= S::zero()
 }
 
-/// Power and centroid of a rectangular spot by one tensor rule, and its number of nodes; `None` if
-/// the spot needs dividing.
+/// Power and centroid of a rectangular spot by one tensor rule, and the rule's number of nodes; `None`
+/// if the spot must be divided.
 #[inline(always)]
 pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
@@ -54,7 +54,7 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         None if E::NEEDS_SERIES => return None,
         None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, rules, needs.nodes),
     };
-    // Where the number range ends, ratios have no digits left; NaN is no light either.
+    // Below this power, near the end of the number range, ratios lose all digits. NaN fails, too.
     let least = S::min_positive_value() / (S::epsilon() * S::epsilon());
     (light.power.value >= least).then_some((light, along_x * along_y))
 }
@@ -62,17 +62,17 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 /// cos γ over a convex patch of the spot.
 #[derive(Clone, Copy, Debug)]
 struct Cosines<S> {
-    /// Nowhere less.
+    /// Lower bound.
     lower: S,
     middle: S,
-    /// Nowhere more.
+    /// Upper bound.
     upper: S,
 }
 
 impl<S: Scalar> Cosines<S> {
-    /// From the rays to the patch's corners: those of the cone around the middle ray; and those of u·d, which is
-    /// linear over the patch, by the nearest and the farthest point. Next to the horizon the cone of a patch along it
-    /// reaches far behind.
+    /// From the rays to the patch's corners, the tighter of two pairs of bounds: those of the cone around the middle
+    /// ray; and those of u·d, which is linear over the patch, over the least and greatest distance. The cone around a
+    /// patch along the horizon reaches far behind the horizon.
     fn of<const N: usize>(corners: [S::Vec3; N], axis: S::Vec3) -> Self {
         let units = corners.map(|corner| corner * corner.length().recip());
         let sum = units.into_iter().fold(S::Vec3::default(), |sum, unit| sum + unit);
@@ -92,12 +92,12 @@ impl<S: Scalar> Cosines<S> {
         }
     }
 
-    /// Greatest relative difference from the middle, which must be positive.
+    /// Greatest relative difference from the value at the middle, which must be positive.
     fn spread(&self) -> S {
         (self.upper - self.middle).max(self.middle - self.lower) / self.middle
     }
 
-    /// tan²γ in the middle.
+    /// tan²γ at the middle.
     fn tangent2(&self) -> S {
         let square = self.middle * self.middle;
         (S::one() - square).max(S::zero()) / square

@@ -1,55 +1,55 @@
-//! How many Gauss–Legendre nodes a tolerance needs.
+//! The number of Gauss–Legendre nodes for a tolerance.
 //!
-//! The integrand of a spot, h·cosⁿγ/r³ = h·(u·d)ⁿ·r⁻⁽ⁿ⁺³⁾, is analytic but for the emitter itself
-//! (r = 0 at complex positions) and for the horizon (u·d = 0). On the interval −1…1 across the
+//! The integrand of a spot, h·cosⁿγ/r³ = h·(u·d)ⁿ·r⁻⁽ⁿ⁺³⁾, is analytic except at the emitter itself
+//! (r = 0 at complex positions) and at the horizon (u·d = 0). On the interval −1…1 across the
 //! spot, N nodes err by K_N·ρ⁻²ᴺ, where ρ = s + √(s²−1) belongs to the Bernstein ellipse through
 //! the nearest singularity and s is half the sum of that singularity's distances from the
-//! interval's ends. For the emitter these distances are just the lengths of the two rays to the
-//! ends of the spot.
+//! interval's ends. For the emitter these distances are the lengths of the two rays to the ends of
+//! the spot.
 //!
 //! K_N follows from the remainder of the rule (Abramowitz and Stegun 25.4.30) for a singularity
-//! (1 − ξ/s)⁻ᵖ, counting the emitter's two conjugate ones as one real one of twice the power:
-//! K_N = 4ᴺ·2²ᴺ(N!)⁴/((2N+1)((2N)!)²)·|binomial(−p, 2N)|. The first is pessimistic, the neglect of
-//! the first moment's extra degree is not; together they leave a factor of about three at 1e-3
+//! (1 − ξ/s)⁻ᵖ, with the emitter's two conjugate singularities taken as one real one of twice the power:
+//! K_N = 4ᴺ·2²ᴺ(N!)⁴/((2N+1)((2N)!)²)·|binomial(−p, 2N)|. That is pessimistic; neglecting the first
+//! moment's extra degree is optimistic. Together they leave a margin of a factor of about three at 1e-3
 //! and more at tighter tolerances.
 //!
-//! Above an exponent of [`NARROW_LOBE`] that is far too pessimistic: cosⁿγ is then like a Gaussian lobe,
-//! ln cosⁿγ ≈ λξ − κξ²/2 along the interval. On the ellipse ρ it grows by exp(λρ/2) and exp(κρ²/8); at
-//! the best ρ, 4N/λ or √(8N/κ), N nodes err by (eλ/4N)²ᴺ or (eκ/8N)ᴺ, together at most by
-//! ((λ² + 2Nκ/e)·(e/4N)²)ᴺ. Emitter and horizon must lie outside of that ellipse.
+//! Above an exponent of [`NARROW_LOBE`] this bound is far too pessimistic: cosⁿγ is then nearly a Gaussian
+//! lobe, ln cosⁿγ ≈ λξ − κξ²/2 along the interval. On the ellipse ρ it grows by exp(λρ/2) and exp(κρ²/8);
+//! at the best ρ, 4N/λ or √(8N/κ), N nodes err by (eλ/4N)²ᴺ or (eκ/8N)ᴺ, together at most by
+//! ((λ² + 2Nκ/e)·(e/4N)²)ᴺ. Emitter and horizon must lie outside that ellipse.
 
 use crate::scalar::Scalar;
 
 /// Most nodes of a rule; spots that need more are divided.
 pub(crate) const MAX_NODES: usize = 12;
 
-/// Above this exponent the lobe decides, not emitter and horizon.
+/// Above this exponent the lobe, not emitter and horizon, decides the number of nodes.
 const NARROW_LOBE: f64 = 4.0;
 
-/// Share of the tolerance that the estimate for a lobe must keep: it looks at the spot's middle only.
+/// Share of the tolerance for the estimate of a lobe, which is taken at the spot's middle only.
 const LOBE_SHARE: f64 = 0.1;
 
-/// Where a narrow lobe has fallen below this share of the tolerance, relative to its brightest ray in the spot, it is
-/// left out, if that is little enough in the end: see [`Orders::may_leave_out`].
+/// A narrow lobe is left out where it has fallen below this share of the tolerance, relative to its brightest ray in
+/// the spot, if the total left out is small enough: see [`Orders::may_leave_out`].
 const FADED_SHARE: f64 = 1e-4;
 
-/// Share of the tolerance for what is left out.
+/// Share of the tolerance for the light left out.
 const LEFT_OUT_SHARE: f64 = 0.1;
 
-/// What stands for the exponent of a profile that is a [`Series`](crate::profile::Series) within a
-/// spot: what it adds to the emitter's own singularity. Its own nodes it counts itself.
+/// Equivalent exponent of a profile that is a [`Series`](crate::profile::Series) within a spot: its
+/// addition to the emitter's own singularity. The series counts the nodes for itself.
 pub(crate) const SERIES_EXPONENT: f64 = 1.5;
 
-/// For one emission profile and tolerance: the least s for which N nodes suffice.
+/// The least s for which N nodes suffice, for one emission profile and tolerance.
 #[derive(Clone, Debug)]
 pub(crate) struct Orders<S> {
     emitter: [S; MAX_NODES],
     horizon: [S; MAX_NODES],
-    /// For the nearer of the two, when the factors of emitter and horizon vary together.
+    /// For the nearer of emitter and horizon, when both factors vary together.
     both: [S; MAX_NODES],
     /// The greatest λ² + 2Nκ/e, for narrow lobes.
     lobe: Option<[S; MAX_NODES]>,
-    /// By what cos γ falls where a narrow lobe has faded; one without.
+    /// Factor by which cos γ falls to where a narrow lobe has faded; one for other profiles.
     faded: S,
     exponent: S,
     tolerance: S,
@@ -86,12 +86,12 @@ impl<S: Scalar> Orders<S> {
         }
     }
 
-    /// Number of nodes for a narrow lobe along an interval that appears under 2/`reach` radians, at an
-    /// angle γ of tangent `tangent2`^½ to the axis, while ln cos γ changes by `slope` a radian; `None` if even the
-    /// longest rule errs too much.
+    /// Number of nodes for a narrow lobe along an interval that subtends 2/`reach` radians, at an angle γ to the axis
+    /// with tan²γ = `tangent2`, where ln cos γ changes by `slope` per radian; `None` if even the longest rule errs too
+    /// much.
     ///
-    /// Along the interval ln cosⁿγ has the derivatives n·`slope`, towards the axis n·tan γ, and −n/cos²γ; the
-    /// distance to the emitter adds three powers more.
+    /// Along the interval ln cosⁿγ has the first derivative n·`slope` (n·tan γ towards the axis) and the second
+    /// −n/cos²γ; the distance to the emitter adds three powers.
     #[inline(always)]
     pub(crate) fn lobe_nodes(&self, tangent2: S, slope: S, reach: S) -> Option<usize> {
         let Some(limits) = &self.lobe else {
@@ -121,13 +121,13 @@ impl<S: Scalar> Orders<S> {
         (0..MAX_NODES).find(enough).map(|i| i + 1)
     }
 
-    /// cos γ where a narrow lobe has faded that is brightest at `cosine`.
+    /// cos γ at which a narrow lobe has faded whose brightest ray is at `cosine`.
     pub(crate) fn faded(&self, cosine: S) -> S {
         self.faded * cosine
     }
 
-    /// Whether all light beyond cos γ = `cosine`, where I_rel is `relative`, is little beside `power`: of a lobe
-    /// cosⁿγ, 2π·∫cⁿ dc over 0…`cosine`.
+    /// Whether all light of the lobe beyond cos γ = `cosine`, where I_rel is `relative`, is negligible beside `power`:
+    /// that light is 2π·∫cⁿ dc over 0…`cosine`.
     pub(crate) fn may_leave_out(&self, cosine: S, relative: S, power: S) -> bool {
         let beyond = S::two() * S::PI() * relative * cosine / (self.exponent + S::one());
         beyond <= S::of(LEFT_OUT_SHARE) * self.tolerance * power
@@ -137,12 +137,12 @@ impl<S: Scalar> Orders<S> {
         self.tolerance
     }
 
-    /// Relative rounding of the integrand: that of cos γ, n times.
+    /// Relative rounding of the integrand: n times that of cos γ.
     pub(crate) fn rounding(&self) -> S {
         (S::of(16.0) + S::two() * self.exponent) * S::epsilon()
     }
 
-    /// Whether the lobe decides, so that the profile's own variation is to be looked at.
+    /// Whether the lobe decides the number of nodes.
     pub(crate) fn is_narrow(&self) -> bool {
         self.lobe.is_some()
     }
@@ -164,7 +164,7 @@ fn binomial(power: f64, k: usize) -> f64 {
     (0..k).fold(1.0, |product, j| product * ((power - j as f64) / (j as f64 + 1.0)).abs())
 }
 
-/// Nodes of the rule whose error is estimated from its values.
+/// Number of nodes of the rule whose error is estimated from its values.
 pub(crate) const ESTIMATED: usize = 10;
 
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
@@ -172,7 +172,7 @@ pub(crate) const ESTIMATED: usize = 10;
 pub(crate) struct Rules<S> {
     nodes: [[S; MAX_NODES]; MAX_NODES],
     weights: [[S; MAX_NODES]; MAX_NODES],
-    /// What makes the last four Legendre coefficients of values at [`ESTIMATED`] nodes.
+    /// Weights that give the last four Legendre coefficients of values at [`ESTIMATED`] nodes.
     tails: [[S; ESTIMATED]; 4],
 }
 
@@ -198,14 +198,14 @@ impl<S: Scalar> Rules<S> {
         rules
     }
 
-    /// What the rule of [`ESTIMATED`] nodes leaves out of the integral of `values` at its nodes, as a
-    /// share of which `noise` is rounding.
+    /// Estimated error of the rule of [`ESTIMATED`] nodes, for the integrand's `values` at its nodes with
+    /// relative rounding `noise`.
     ///
-    /// The coefficients a_k of Legendre's series fall geometrically for an analytic integrand
-    /// (`is_smooth`), and the rule's error is about a_2N, from the fall of the last four. They fall like
-    /// k^−4.5 where a third derivative jumps, and not evenly; the error is a sixth of a_N, a hundredth of
-    /// the last four together half of that, and its sign changes from panel to panel. More, where they do
-    /// not fall.
+    /// The coefficients a_k of the Legendre series fall geometrically for an analytic integrand
+    /// (`is_smooth`); the rule's error is then about a_2N, extrapolated from the fall of the last four.
+    /// Where a third derivative jumps, they fall unevenly, like k^−4.5; the error is about a sixth of a_N,
+    /// with a random sign in each panel. The estimate is a hundredth of the last four together, half that
+    /// error, and more if they do not fall.
     pub(crate) fn estimate(&self, values: &[S; ESTIMATED], noise: S, is_smooth: bool) -> S {
         let size = values.iter().fold(S::zero(), |size, value| size.max(value.abs()));
         let [a, b, c, d] = self.tails.map(|tail| {
@@ -239,7 +239,7 @@ impl<S: Scalar> Rules<S> {
 fn legendre_root(n: usize, i: usize) -> (f64, f64) {
     let mut x = -libm::cos(core::f64::consts::PI * (i as f64 + 0.75) / (n as f64 + 0.5));
     let mut derivative = 0.0;
-    // Newton doubles the digits each time: the estimate has four, five steps are ample.
+    // Each Newton step doubles the digits: the estimate has four, so five steps are ample.
     for _ in 0..5 {
         let [before, value] = legendre(n, x);
         derivative = n as f64 * (x * value - before) / (x * x - 1.0);

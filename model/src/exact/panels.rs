@@ -1,5 +1,5 @@
-//! Panels of a spot: divided where no rule can be chosen beforehand, the worst first, until the sum
-//! of their estimated errors is allowed or the limit of work is met.
+//! Panels of a spot. Where no rule can be chosen beforehand, the panel with the largest estimated error
+//! is halved until the sum of the errors is within the tolerance or the limit of work is reached.
 
 use heapless::Vec;
 
@@ -11,14 +11,14 @@ use super::Integration;
 use super::integrand::{Integrand, Slab, Sums, of_slab};
 use super::order::{ESTIMATED, MAX_NODES};
 
-/// Most panels of a spot. Ordinary spots have one a slab, a lobe much narrower than its spot takes some
-/// tens, a table of nine points over a spot of 150° at a tolerance of 1e-10 some hundred.
+/// Most panels of a spot. Ordinary spots have one per slab; a lobe much narrower than its spot takes
+/// tens; a table of nine points over a spot of 150° at a tolerance of 1e-10 takes about a hundred.
 const MAX_PANELS: usize = 256;
 
-/// Most values of the profile for the currents of one cell: every division measures two panels anew.
+/// Most evaluations of the profile for the currents of one cell: every division measures two new panels.
 pub(crate) const MAX_EVALUATIONS: usize = 2 * MAX_PANELS * ESTIMATED * ESTIMATED;
 
-/// Share of the tolerance for the estimated errors together.
+/// Share of the tolerance for the sum of the estimated errors.
 const SHARE: f64 = 0.5;
 
 /// Part of a slab: a range of shares from its left to its right side, and a range of t.
@@ -29,28 +29,28 @@ struct Panel<S> {
     t: [S; 2],
 }
 
-/// Parts along s and t into which all slabs are tried to be divided beforehand: a table often has a
-/// polynomial for half a spot or a quarter of one.
+/// Divisions of all slabs along s and t to try before adaptive division: a table often has a polynomial
+/// for half a spot or a quarter of one.
 const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
 
-/// Four of each slab of all but the oddest spots, whose panels are then divided as they need it.
+/// Enough for four parts of each slab of common spots; others are divided adaptively.
 const MAX_PARTS: usize = 2 * MAX_CORNERS;
 
-/// Numbers of nodes along s and t, and what stands for the profile.
+/// Numbers of nodes along s and t, and the profile's series.
 type Rule<S> = ((usize, usize), Option<Series<S>>);
 
-/// A panel with what is known of it.
+/// A panel and its integrals.
 struct Measured<S> {
     panel: Panel<S>,
-    /// Numbers of nodes along s and t; `None`: too wide for its profile to be sampled, or dark.
+    /// Numbers of nodes along s and t; `None` if the panel is dark or too wide to sample its profile.
     nodes: Option<(usize, usize)>,
     power: S,
     moment: S,
-    /// Estimated error of the power; of one that is not sampled, a bound on all its power.
+    /// Estimated error of the power; for a panel that is not sampled, a bound on its power.
     error: S,
-    /// Whether that error has the sign of chance.
+    /// Whether the sign of the error is random.
     is_rough: bool,
-    /// Whether to divide it along t.
+    /// Whether to halve the panel along t, not along s.
     across_t: bool,
     evaluations: usize,
 }
@@ -87,8 +87,8 @@ fn whole<S: Scalar>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
     Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t }
 }
 
-/// The same where no rule is known beforehand to suffice: the panel with the largest error is halved until
-/// all errors together are small. Its panels take kilobytes of stack, which the others do not pay.
+/// Sums over all slabs where no rule is known beforehand to suffice: the panel with the largest error is
+/// halved until the sum of the errors is small. Not inlined: its panels take kilobytes of stack.
 #[inline(never)]
 fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
@@ -98,7 +98,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let mut sums = Sums::default();
     let mut panels: Vec<Measured<S>, MAX_PANELS> = Vec::new();
     for (i, slab) in slabs.iter().enumerate() {
-        // A slab per corner at most.
+        // At most one slab per corner.
         let _ = panels.push(integrand.measure(slab, whole(slabs, i)));
     }
     let mut evaluations: usize = panels.iter().map(|panel| panel.evaluations).sum();
@@ -119,7 +119,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
                 (worst, largest) = (i, panel.error);
             }
         }
-        // Two standard deviations of what adds up by chance.
+        // Two standard deviations of the sum of errors with random signs.
         error += S::two() * rough.root();
         if error <= allowed * total || largest == S::zero() || panels.len() == MAX_PANELS {
             break;
@@ -130,7 +130,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             if half == 0 {
                 panels[worst] = measured;
             } else {
-                // Below its capacity, as just checked.
+                // Below the capacity, as just checked.
                 let _ = panels.push(measured);
             }
         }
@@ -144,7 +144,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             }
         }
     }
-    // The same with and without derivatives.
+    // The values are the same with and without derivatives.
     sums.power.value = total;
     sums.moment.value = panels.iter().fold(S::zero(), |sum, panel| sum + panel.moment);
     let relative_error = if error <= allowed * total {
@@ -158,7 +158,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 impl<S: Scalar> Panel<S> {
-    /// Equal parts, so many along s and along t.
+    /// Divides the panel into equal parts along s and along t.
     fn parts(self, [along_s, along_t]: [usize; 2]) -> impl Iterator<Item = Self> + use<S> {
         let part = |[a, b]: [S; 2], i: usize, of: usize| {
             let at = |i: usize| a + (b - a) * (S::of(i as f64) / S::of(of as f64));
@@ -205,14 +205,14 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         if share[0] < share[1] { Panel { share, t, ..panel } } else { panel }
     }
 
-    /// Whether the light that [`Self::lit`] leaves out is little beside `power`.
+    /// Whether the light that [`Self::lit`] leaves out is negligible beside `power`.
     fn may_leave_out(&self, power: S) -> bool {
         self.cone.as_ref().is_none_or(|cone| {
             self.orders.may_leave_out(cone.cosine, self.emission.relative(cone.cosine * self.unit), power)
         })
     }
 
-    /// The rule that suffices for a panel, if that can be told beforehand.
+    /// The rule that suffices for a panel, if it can be foreseen.
     fn rule(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<S>> {
         let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
         let corners = self.corners(slab, panel);
@@ -290,15 +290,15 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         measured
     }
 
-    /// By how much cos γ differs between the ends of the sides along s and along t.
+    /// Greatest difference of cos γ between the ends of the sides along s, and along t.
     fn differences(&self, corners: [S::Vec3; 4]) -> [S; 2] {
         let cosines = corners.map(|ray| self.axis.dot(ray) / ray.length());
         [[0, 1, 3, 2], [0, 3, 1, 2]]
             .map(|[a, b, c, d]: [usize; 4]| (cosines[a] - cosines[b]).abs().max((cosines[c] - cosines[d]).abs()))
     }
 
-    /// Whether a panel of these lengths that is too wide is to be divided along t: where it is longer; next to the
-    /// horizon where γ changes more. cos γ changes by tan γ·δ + δ²/2 where a side appears under δ.
+    /// Whether to divide a panel of these lengths along t: where it is longer along t, or, next to the horizon, where γ
+    /// changes more along t. cos γ changes by tan γ·δ + δ²/2 along a side that subtends δ.
     fn is_wider_along_t(&self, corners: [S::Vec3; 4], lengths: [S; 2]) -> bool {
         if !self.across_horizon {
             return lengths[1] > lengths[0];
@@ -308,7 +308,7 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         by_t + bend_t > by_s + bend_s
     }
 
-    /// Integrates by the rule whose error can be estimated: from the sums along either direction.
+    /// Integrates by the rule with [`ESTIMATED`] nodes, and estimates its error from the sums along each direction.
     fn sample(&self, slab: &Slab<S>, measured: &mut Measured<S>, is_smooth: bool) {
         let half = S::half();
         let Panel { share: [c0, c1], t: [t0, t1], .. } = measured.panel;

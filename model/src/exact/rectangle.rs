@@ -1,5 +1,5 @@
 //! The exact tier for a rectangular spot wholly in front of the emitter: a tensor Gauss–Legendre
-//! rule, differentiated as it stands.
+//! rule, and the derivatives of that rule.
 //!
 //! With d = (X, Y, −h) from the emitter to a point of the spot, r = |d| and c = u·d/r, the power
 //! is ∫ g dX dY, g = I_rel(c)·h/r³. Nodes X = X_m + H_x·ξ, Y = Y_m + H_y·η follow the spot's sides.
@@ -12,21 +12,21 @@ use crate::scalar::{Linear3, Scalar};
 
 use super::order::{Orders, Rules};
 
-/// What a spot needs of its rule.
+/// Requirements of a spot on its rule.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Needs<S> {
     /// Numbers of nodes along x and y.
     pub(super) nodes: (usize, usize),
-    /// cos γ of the ray to the spot's middle, and its greatest relative change over the spot.
+    /// cos γ of the ray to the spot's middle, and the greatest relative change of cos γ over the spot.
     pub(super) cosine: S,
     pub(super) spread: S,
 }
 
-/// What a spot needs, or `None` if the spot needs dividing (it touches the horizon or is very wide).
+/// Requirements of `spot`; `None` if it must be divided because it touches the horizon or is very wide.
 #[inline(always)]
 pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
     let (x, y, h) = (&spot.x, &spot.y, spot.height);
-    // u·d is linear over the spot: its least value decides how near the horizon is.
+    // u·d is linear over the spot; its least value measures the distance to the horizon.
     let (slope_x, slope_y) = ((axis.x() * x.half).abs(), (axis.y() * y.half).abs());
     let middle = axis.x() * x.middle + axis.y() * y.middle - axis.z() * h;
     let least = middle - slope_x - slope_y;
@@ -44,14 +44,14 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
     let (reach_x, reach_y) = (reach(x, y), reach(y, x));
     let horizon = |slope: S| S::one() + least / slope;
     let nodes = (orders.nodes(reach_x, horizon(slope_x))?, orders.nodes(reach_y, horizon(slope_y))?);
-    // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, δ
-    // the half angle under which its diagonal appears.
+    // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, with δ
+    // half the angle that its diagonal subtends.
     let distance = S::Vec3::new(x.middle, y.middle, -h).length();
     let cosine = (middle / distance).min(S::one());
     let angle2 = (reach_x * reach_x).recip() + (reach_y * reach_y).recip();
     let tangent2 = (S::one() - cosine * cosine) / (cosine * cosine);
     let spread = (tangent2 * angle2).root() + S::half() * angle2;
-    // ∂ln c = u/(u·d) − d/r², along either side, by the angle.
+    // ∂ln c = u/(u·d) − d/r², along either side, per angle.
     let slope = |along: S, at: S| along * distance / middle - at / distance;
     let lobe = |slope: S, reach: S| orders.lobe_nodes(tangent2, slope, reach);
     let along_x = lobe(slope(axis.x(), x.middle), reach_x)?;
@@ -73,7 +73,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     let (xm, hx, ym, hy, h) = (spot.x.middle, spot.x.half, spot.y.middle, spot.y.half, spot.height);
     let (ux, uy, uz) = (axis.x(), axis.y(), axis.z());
 
-    // Moments over the nodes: g by 1, ξ; k₁ by 1, ξ, ξ², η, ξη; k₂ by 1, ξ, ξ², ξ³, η, ξη, ξ²η, η², ξη².
+    // Moments over the nodes: g with 1, ξ; k₁ with 1, ξ, ξ², η, ξη; k₂ with 1, ξ, ξ², ξ³, η, ξη, ξ²η, η², ξη².
     let (mut g0, mut g1) = (zero, zero);
     let (mut k0, mut k1, mut k2, mut k01, mut k11) = (zero, zero, zero, zero, zero);
     let (mut l0, mut l1, mut l2, mut l3) = (zero, zero, zero, zero);
@@ -143,7 +143,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
         return RectangleLight { power: plain(power), centroid: plain(centroid) };
     }
 
-    // Moments of ∂g/∂X by 1, ξ, ξ² and of ∂g/∂Y by 1, η and, times ξ, by 1, η.
+    // Moments of ∂g/∂X with 1, ξ, ξ² and of ∂g/∂Y with 1, η, ξ, ξη.
     let gx0 = ux * k0 - (xm * l0 + hx * l1);
     let gx1 = ux * k1 - (xm * l1 + hx * l2);
     let gx2 = ux * k2 - (xm * l2 + hx * l3);
@@ -158,7 +158,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     let axis1 = S::Vec3::new(xm * k1 + hx * k2, ym * k1 + hy * k11, -h * k1);
 
     let per_g0 = g0.recip();
-    // The ratio of moments: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
+    // Derivative of the ratio of moments: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
     let of_ratio = |first: S, zeroth: S| (first - ratio * zeroth) * per_g0;
     RectangleLight {
         power: SideGradient {

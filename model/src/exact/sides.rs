@@ -1,4 +1,4 @@
-//! The light that the sides of a spot sweep over as the emitter moves: integrals along lines.
+//! The light that the sides of a spot sweep over when the emitter moves: line integrals.
 
 use heapless::Vec;
 
@@ -9,16 +9,16 @@ use crate::scalar::{Linear3, Scalar};
 use super::integrand::{Integrand, Sums};
 use super::order::{ESTIMATED, MAX_NODES};
 
-/// Pieces waiting: bisection keeps at most one per level.
+/// Most pieces waiting: bisection keeps at most one per level.
 const MAX_WAITING: usize = 64;
 
 /// Most pieces of a side.
 const MAX_PIECES: usize = 64;
 
-/// Share of what is allowed that a piece is left out for.
+/// Share of the allowed error below which a piece is left out.
 const NEGLIGIBLE: f64 = 0.01;
 
-/// Adds what the side from `a` to `b` sweeps over. `power`: that of the spot.
+/// Adds the light that the side from `a` to `b` sweeps over. `power`: power of the whole spot.
 pub(super) fn add<S: Scalar, E: Emission<S>>(
     integrand: &Integrand<'_, S, E>,
     line: &Line<S>,
@@ -46,7 +46,7 @@ pub(super) fn add<S: Scalar, E: Emission<S>>(
     }
 }
 
-/// I_rel at c, nothing behind the horizon.
+/// I_rel at c; zero behind the horizon.
 fn in_front<S: Scalar, F: Falloff<S>>(falloff: &F, c: S) -> S {
     if c > S::zero() { falloff.relative(c) } else { S::zero() }
 }
@@ -65,7 +65,7 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
         S::Vec3::new(ax + share * (bx - ax), ay + share * (by - ay), -self.integrand.height)
     }
 
-    /// Adds a range of shares of the side, unless it needs dividing and `must` is not set.
+    /// Adds a piece of the side, given as a range of shares; `false` if it must be divided and `must` is not set.
     fn add_piece(&self, [low, high]: [S; 2], allowed: S, must: bool, sums: &mut Sums<S>) -> bool {
         let integrand = self.integrand;
         let (p, q) = (self.at(low), self.at(high));
@@ -112,7 +112,7 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
         self.add_nodes([low, high], Some(ESTIMATED), sums, |c| in_front(integrand.emission, c))
     }
 
-    /// Adds a piece with so many nodes; nothing, and `false`, without a number.
+    /// Adds a piece by the rule with this number of nodes; with `None` adds nothing and returns `false`.
     fn add_nodes(
         &self,
         [low, high]: [S; 2],

@@ -13,20 +13,19 @@ use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Sc
 use super::optics::{Receiver, Source};
 use super::{CompiledCell, CompiledEmitter, Tier};
 
-/// How far from unit length or perpendicularity an axis may be and is still normalised.
+/// Greatest deviation of an axis from unit length or perpendicularity that normalisation corrects.
 const AXIS_TOLERANCE: f64 = 1e-6;
 
-/// Lengths and positions up to 1000 km, metres: beyond, squares and cubes of them leave the number
-/// range of the board.
+/// Greatest length or position, metres: squares and cubes of larger ones leave the range of `f32`.
 const LONGEST_M: f64 = 1e6;
 
-/// Intensities, responsivities, currents, relative intensities in their SI units.
+/// Greatest intensity, responsivity, current or relative intensity, SI units.
 const LARGEST: f64 = 1e9;
 
-/// An exponent of a profile: half angle 0.07°.
+/// Greatest exponent of a profile: a half angle of 0.07°.
 const LARGEST_EXPONENT: f64 = 1e6;
 
-/// Checks one value; knows where it stands.
+/// Checks of single values; holds their place in the scene for the error.
 struct Check {
     cell: Option<usize>,
     section: &'static str,
@@ -44,7 +43,7 @@ impl Check {
         }
     }
 
-    /// Finite, and not beyond `most`.
+    /// Requires finite `values` of at most `most`.
     fn within(&self, key: &'static str, values: &[f64], most: f64) -> Result<(), SceneError> {
         self.finite(key, values)?;
         match values.iter().find(|value| value.abs() > most) {
@@ -79,7 +78,7 @@ impl Check {
     }
 }
 
-/// Compiles the cells of `scene` to where `cells` is.
+/// Compiles the cells of `scene` into `cells`.
 #[inline(never)]
 pub(super) fn fill<S: Scalar>(
     cells: &mut Vec<CompiledCell<S>, MAX_CELLS>,
@@ -93,7 +92,7 @@ pub(super) fn fill<S: Scalar>(
     check_noise(scene)?;
     for (index, cell) in scene.cells.iter().enumerate() {
         let compiled = compile_cell(index, cell, tier)?;
-        // As many as the scene's own list holds.
+        // `cells` has the capacity of the scene's own list.
         let _ = cells.push(compiled);
     }
     Ok(())
@@ -222,7 +221,7 @@ fn check_emitter(section: &Check, cell: &Check, emitter: &Emitter) -> Result<DVe
                     return Err(section.fault("profile", Fault::FirstKnotNotZero(degrees(*first))));
                 }
                 knots => {
-                    // Rounding of the conversion from degrees is let pass.
+                    // Tolerates the rounding of the conversion from degrees.
                     let limit = core::f64::consts::FRAC_PI_2 * (1.0 + 4.0 * f64::EPSILON);
                     if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 <= pair[0].0 || pair[1].0 > limit) {
                         return Err(section.fault("profile", Fault::KnotOrder(degrees(pair[0].0), degrees(pair[1].0))));

@@ -41,7 +41,7 @@ enum Spot<S: Scalar> {
     Polygon(Polygon<S>),
 }
 
-/// The light of a spot, `None` if there is none, and what its integrals took, `None` without integrals.
+/// The light of a spot, if any, and the cost and accuracy of its integrals, if any.
 #[inline(always)]
 fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
@@ -90,7 +90,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     (Some(Light { power, x_a: Place::Weighted(x_a) }), integration)
 }
 
-/// The exact light of a rectangular spot that one tensor rule cannot do.
+/// The light of a rectangular spot that one tensor rule cannot integrate.
 #[cold]
 fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
@@ -121,7 +121,7 @@ impl<S: Scalar> CompiledEmitter<S> {
 }
 
 impl<S: Scalar> Plan<S> {
-    /// The photocurrents above dark of `photocurrent` at `x_a`.
+    /// `photocurrent` at `x_a` divided between the electrodes, without dark current.
     #[inline(always)]
     fn above_dark(&self, receiver: &Receiver<S>, photocurrent: S, x_a: S) -> Pair<S> {
         let [i_x1_a, i_x2_a] = receiver.divide(photocurrent, x_a, self.rules.is_none());

@@ -1,4 +1,4 @@
-//! A scene compiled for evaluation: what each cell answers to a pose, and how that changes with it.
+//! A scene compiled for evaluation: each cell's response to a pose, and its derivatives.
 
 mod compile;
 mod evaluate;
@@ -22,12 +22,12 @@ use pack::Pack;
 /// How the optics of a cell are evaluated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Tier {
-    /// Equations (3) to (5) of De La Cruz et al. 2018 as printed: the spot seen as one plate, its
-    /// geometric centre as X_A, one γ for the whole beam.
+    /// Equations (3) to (5) of De La Cruz et al. 2018 as printed: the spot as one plate, its geometric
+    /// centre as X_A, one γ for the whole beam.
     Paper,
-    /// Intensity integrated over the spot, X_A the power-weighted centroid.
+    /// Intensity integrated over the spot, the power-weighted centroid as X_A.
     Exact {
-        /// Relative error allowed to the integrals.
+        /// Relative error allowed in the integrals.
         tolerance: f64,
     },
 }
@@ -36,14 +36,14 @@ pub enum Tier {
 #[derive(Clone, Debug)]
 pub struct Plan<S: Scalar> {
     cells: Vec<CompiledCell<S>, MAX_CELLS>,
-    /// Absent in the paper tier.
+    /// `None` in the paper tier.
     rules: Option<Rules<S>>,
-    /// The same cells side by side, where they are alike enough; else none.
+    /// The same cells in SIMD lanes if all are of the kind in [`pack`]; else empty.
     packs: Vec<Pack<S::Lanes>, MAX_CELLS>,
 }
 
-/// The derivative of a cell's two currents by a perturbation of the pose in the base frame,
-/// in the order (δt in metres, δθ in radians): A/m and A/rad.
+/// The derivatives of a cell's two currents with respect to a perturbation of the pose in the base
+/// frame, in the order (δt, δθ): A/m and A/rad.
 pub type CurrentsJacobian<S> = [[S; 6]; 2];
 
 #[derive(Clone, Debug)]
@@ -55,24 +55,24 @@ struct CompiledCell<S: Scalar> {
     faint: S,
 }
 
-/// The part of a cell that rides on the tool.
+/// The part of a cell that is mounted on the tool.
 #[derive(Clone, Debug)]
 struct CompiledEmitter<S: Scalar> {
     source: Source<S>,
     profile: CompiledProfile<S>,
-    /// Absent in the paper tier.
+    /// `None` in the paper tier.
     orders: Option<Orders<S>>,
 }
 
-/// What a solver needs of a cell at a pose.
+/// A cell's currents and derivatives at a pose, for the solver.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CellTerms<S> {
     pub(crate) status: Status,
-    /// Photocurrents above dark.
+    /// Photocurrents without dark current, amperes.
     pub(crate) pair: [S; 2],
     pub(crate) jacobian: CurrentsJacobian<S>,
-    /// How far the spot may change, metres on the detector, before the derivatives jump; zero where
-    /// nobody knows.
+    /// How far the spot may change, metres on the detector, before the derivatives jump; zero if
+    /// unknown.
     pub(crate) slack_m: S,
 }
 
@@ -83,28 +83,28 @@ impl<S: Scalar> CellTerms<S> {
 }
 
 impl<S: Scalar> Plan<S> {
-    /// Most values of the profile that the currents of one cell take at one pose; their derivatives
-    /// take as many again, and at most as many for the sides of the spot.
+    /// Most evaluations of the profile for one cell's currents at one pose. Their derivatives take up to
+    /// the same number for the spot's area, and again for its sides.
     pub const MAX_EVALUATIONS: usize = MAX_EVALUATIONS;
 
-    /// Checks `scene` and prepares it for evaluation in `tier`.
+    /// Checks `scene` and compiles it for evaluation in `tier`.
     ///
     /// # Errors
     /// The first impossible value, with its place in the scene. Values that are possible but
-    /// useless (no slit width, an emitter behind the slit) compile; they answer with a status.
+    /// useless (a slit of zero width, an emitter behind the slit) compile; the status shows their effect.
     pub fn compile(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
         let mut plan = Self::empty();
         plan.set_scene(scene, tier)?;
         Ok(plan)
     }
 
-    /// A plan of no cells yet.
+    /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
         Self { cells: Vec::new(), rules: None, packs: Vec::new() }
     }
 
-    /// [`Self::compile`] where the plan is. After an error it has no cells.
+    /// [`Self::compile`] in place. After an error the plan has no cells.
     pub(crate) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.cells.clear();
         self.packs.clear();
@@ -124,7 +124,7 @@ impl<S: Scalar> Plan<S> {
         self.cells.len()
     }
 
-    /// Everything about cell `cell` with the tool at `pose`.
+    /// The full response of cell `cell` with the tool at `pose`.
     ///
     /// # Panics
     /// If there is no such cell.
@@ -132,11 +132,11 @@ impl<S: Scalar> Plan<S> {
         evaluate::respond(self, cell, &Transform::of(pose))
     }
 
-    /// The photocurrents of cell `cell` above its dark current, I_X − I_D/2 for each electrode:
-    /// what is left when a dark sample is subtracted. Zero without spot.
+    /// The photocurrents of cell `cell` without dark current, amperes: I_X − I_D/2 for each electrode,
+    /// as measured when a dark sample is subtracted. Zero without a spot.
     ///
-    /// They keep all their digits while current per responsivity and axial intensity (steradians) is a normal number,
-    /// 2·10⁻³⁰⁸ in `f64` and 1·10⁻³⁸ in `f32`; below that, those that a subnormal number holds.
+    /// Full precision as long as the current over responsivity and axial intensity (steradians) is a normal
+    /// number, above 2·10⁻³⁰⁸ in `f64` and 1·10⁻³⁸ in `f32`; below that, the precision of a subnormal number.
     ///
     /// # Panics
     /// If there is no such cell.
@@ -144,7 +144,7 @@ impl<S: Scalar> Plan<S> {
         evaluate::photocurrents(self, cell, &Transform::of(pose))
     }
 
-    /// As [`Self::photocurrents`], with the status and the analytic derivatives.
+    /// The status, the currents of [`Self::photocurrents`], and their analytic derivatives.
     ///
     /// # Panics
     /// If there is no such cell.
@@ -154,7 +154,8 @@ impl<S: Scalar> Plan<S> {
         (status, Pair { i_x1_a, i_x2_a }, jacobian)
     }
 
-    /// Hands on the terms of all `wanted` cells at their exposures, in order; others may come, too.
+    /// Passes the terms of all `wanted` cells, at their exposures and in order, to `sink`. It may
+    /// receive other cells, too.
     #[inline(always)]
     pub(crate) fn linearise_all(
         &self,
@@ -170,8 +171,8 @@ impl<S: Scalar> Plan<S> {
         }
     }
 
-    /// Hands on the photocurrents of all `wanted` cells at their exposures, in order; others may
-    /// come, too.
+    /// Passes the photocurrents of all `wanted` cells, at their exposures and in order, to `sink`. It
+    /// may receive other cells, too.
     #[inline(always)]
     pub(crate) fn currents_all(
         &self,
@@ -189,7 +190,7 @@ impl<S: Scalar> Plan<S> {
     }
 
     /// Corners of the spot of cell `cell`, in order around it, in the cell's x and y (metres).
-    /// Empty without spot.
+    /// Empty without a spot.
     ///
     /// # Panics
     /// If there is no such cell.
@@ -197,8 +198,8 @@ impl<S: Scalar> Plan<S> {
         evaluate::outline(self, cell, &Transform::of(pose))
     }
 
-    /// The photocurrents above dark that the light of emitter `emitter` gives on the detector of
-    /// cell `cell` through that cell's slit.
+    /// The photocurrents that the light of emitter `emitter` causes on the detector of cell `cell`
+    /// through that cell's slit, without dark current, amperes.
     ///
     /// # Panics
     /// If there is no such cell or emitter.

@@ -1,5 +1,5 @@
-//! The parts of a cell that every spot has, and how currents follow from light: for one cell, or
-//! for several at once.
+//! Detector and emitter of a cell, and the currents that follow from the light: for one cell, or for
+//! several in SIMD lanes.
 
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
@@ -27,9 +27,9 @@ pub(super) struct Source<R: Real> {
     pub(super) intensity: R,
 }
 
-/// An emitter as a cell sees it.
+/// An emitter relative to a cell.
 pub(super) struct Seen<R: Real> {
-    /// Cell frame.
+    /// Position and axis, cell frame.
     pub(super) position: R::Vec3,
     pub(super) axis: R::Vec3,
     /// From the tool's origin to the emitter, base frame.
@@ -37,14 +37,14 @@ pub(super) struct Seen<R: Real> {
     axis_base: R::Vec3,
 }
 
-/// Where the tool is when each cell is exposed.
+/// The tool's motion around a reference instant, and each cell's exposure.
 pub(crate) struct Instant<'a, S: Scalar> {
     /// Pose at the reference instant.
     pub(crate) pose: &'a Transform<S>,
     /// Twist, m/s and rad/s.
     pub(crate) linear: S::Vec3,
     pub(crate) angular: S::Vec3,
-    /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
+    /// Exposure of each cell relative to the reference instant, seconds; empty: all zero.
     pub(crate) offsets_s: &'a [S],
 }
 
@@ -58,8 +58,8 @@ impl<S: Scalar> Instant<'_, S> {
     }
 }
 
-/// Power per axial intensity (∫ I_rel dΩ, steradians) and X_A (metres, cell frame), with
-/// derivatives by the emitter in the cell frame.
+/// Power per axial intensity (∫ I_rel dΩ, steradians) and X_A (metres, cell frame), with derivatives
+/// with respect to the emitter's position and axis in the cell frame.
 pub(super) struct Light<R: Real> {
     pub(super) power: EmitterGradient<R>,
     pub(super) x_a: Place<R>,
@@ -67,9 +67,9 @@ pub(super) struct Light<R: Real> {
 
 /// X_A with its derivatives.
 pub(super) enum Place<R: Real> {
-    /// Weighted by power: it depends on all of the emitter.
+    /// The power-weighted centroid, which depends on the emitter's position and axis.
     Weighted(EmitterGradient<R>),
-    /// The middle of a rectangle: value, and derivatives by the emitter's x and z.
+    /// The middle of a rectangle: value, and derivatives with respect to the emitter's x and z.
     Middle(R, [R; 2]),
 }
 
@@ -120,8 +120,8 @@ impl<R: Real> Receiver<R> {
         Seen { position: self.to_cell(position - self.centre), axis: self.to_cell(axis), arm, axis_base: axis }
     }
 
-    /// The photocurrents above dark that `photocurrent` at `x_a` gives: equation (1) of De La Cruz
-    /// et al. 2018. `divides_dark`: as printed, I_D is divided, too.
+    /// `photocurrent` at `x_a` divided between the electrodes, without dark current: equation (1) of
+    /// De La Cruz et al. 2018. With `divides_dark`, I_D is divided by position, too, as printed there.
     #[inline(always)]
     pub(super) fn divide(&self, photocurrent: R, x_a: R, divides_dark: bool) -> [R; 2] {
         let half = R::constant(0.5) * photocurrent;
@@ -130,7 +130,7 @@ impl<R: Real> Receiver<R> {
         [half - imbalance, half + imbalance]
     }
 
-    /// [`Self::divide`] of `light`, with its derivatives by a perturbation of the pose.
+    /// [`Self::divide`] of `light`, with its derivatives with respect to a perturbation of the pose.
     #[inline(always)]
     pub(super) fn linearise(
         &self,
@@ -161,8 +161,8 @@ impl<R: Real> Receiver<R> {
         ([half - imbalance, half + imbalance], [first, second])
     }
 
-    /// From derivatives by the emitter to derivatives by the pose: a turn δθ about the tool's origin
-    /// moves the emitter by δθ × arm and its axis by δθ × axis.
+    /// Converts derivatives with respect to the emitter to those with respect to the pose: a rotation δθ
+    /// about the tool's origin moves the emitter by δθ × arm and its axis by δθ × axis.
     #[inline(always)]
     fn of_pose(&self, gradient: &EmitterGradient<R>, seen: &Seen<R>) -> [R; 6] {
         let by_position = self.to_base(gradient.by_position);
@@ -172,9 +172,9 @@ impl<R: Real> Receiver<R> {
     }
 }
 
-/// From derivatives by the sides of a rectangle to derivatives by the emitter: ∂X/∂e = −k,
-/// ∂X/∂e_z = −X·(k − 1)/e_z (see [`crate::rectangle::Edge`]). `weighted`: whether the centroid is
-/// more than the middle of the sides.
+/// Converts derivatives with respect to the sides of a rectangle to those with respect to the emitter:
+/// ∂X/∂e = −k, ∂X/∂e_z = −X·(k − 1)/e_z (see [`crate::rectangle::Edge`]). `weighted`: whether the
+/// centroid is power-weighted, not the middle of the sides.
 #[inline(always)]
 pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
     light: &RectangleLight<R>,

@@ -1,4 +1,4 @@
-//! Cells of one kind, as many at once as the processor has lanes: thin or thick masks parallel to
+//! Cells in SIMD lanes, for scenes whose cells are all of one kind: thin or thick masks parallel to
 //! their detectors, cosine-power profiles, paper tier.
 
 use heapless::Vec;
@@ -14,7 +14,7 @@ use crate::scene::MAX_CELLS;
 use super::optics::{Instant, Light, Receiver, Seen, Source, of_sides};
 use super::{CellTerms, CompiledCell};
 
-/// Cells side by side.
+/// One cell per lane.
 #[derive(Clone, Debug)]
 pub(super) struct Pack<R: Real> {
     receiver: Receiver<R>,
@@ -39,7 +39,7 @@ impl<R: Real> Span<R> {
     }
 }
 
-/// Lays the cells of a plan side by side to where `packs` is; none if any of them is of another kind.
+/// Packs the cells of a plan into `packs`, which stays empty if a cell is of another kind.
 #[inline(never)]
 pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
     for cells in cells.chunks(<S::Lanes as Real>::LANES) {
@@ -47,13 +47,13 @@ pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells:
             packs.clear();
             return;
         };
-        // No more than cells.
+        // There are no more packs than cells.
         let _ = packs.push(pack);
     }
 }
 
 impl<R: Real> Pack<R> {
-    /// From as many cells as there are lanes; a missing one is filled with its neighbour.
+    /// From up to as many cells as there are lanes; the last cell fills the remaining lanes.
     fn of(cells: &[CompiledCell<R::Element>]) -> Option<Self> {
         let last = cells.len() - 1;
         let cell = |i: usize| &cells[i.min(last)];
@@ -126,7 +126,7 @@ impl<R: Real> Pack<R> {
     }
 }
 
-/// Hands on the terms of all cells of `packs`, in their order.
+/// Passes the terms of all cells of `packs`, in order, to `sink`.
 #[inline(always)]
 pub(super) fn linearise<R: Real>(
     packs: &[Pack<R>],
@@ -157,7 +157,7 @@ pub(super) fn linearise<R: Real>(
     }
 }
 
-/// Hands on the photocurrents of all cells of `packs`, in their order.
+/// Passes the photocurrents of all cells of `packs`, in order, to `sink`.
 #[inline(always)]
 pub(super) fn currents<R: Real>(
     packs: &[Pack<R>],

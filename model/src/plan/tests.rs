@@ -1,4 +1,4 @@
-//! Cells side by side against cells one by one, and what a plan says beyond currents.
+//! Cells in SIMD lanes against single cells, and the outputs of a plan other than currents.
 
 use glam::{DVec2, DVec3};
 
@@ -8,8 +8,8 @@ use crate::scene::{Cell, DEFAULT_FAINT_A, Detector, Emitter, Fault, Profile, Sli
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-9 };
 
-/// A cell along the base frame's axes, a little out of symmetry everywhere, so that no exchange of
-/// sides, faces, electrodes or cells goes unseen.
+/// A cell along the base frame's axes, slightly asymmetric in every respect, so that a mix-up of
+/// sides, faces, electrodes or cells is detected.
 fn cell(index: usize) -> Cell {
     let shift = 0.1e-3 * (index as f64 + 1.0);
     Cell {
@@ -42,7 +42,7 @@ fn cell(index: usize) -> Cell {
     }
 }
 
-/// `count` cells, each changed by `change`.
+/// A scene of `count` cells, each modified by `change`.
 fn scene(count: usize, change: impl Fn(&mut Cell)) -> Scene {
     let cells = (0..count).map(|index| {
         let mut cell = cell(index);
@@ -52,7 +52,7 @@ fn scene(count: usize, change: impl Fn(&mut Cell)) -> Scene {
     Scene { cells: cells.collect(), ..Scene::default() }
 }
 
-/// Straight on, clipped, aside with one cell dark, and behind the mask.
+/// Fully lit, displaced, clipped, dark, and behind the mask.
 fn poses() -> [Pose; 5] {
     [
         ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
@@ -64,16 +64,16 @@ fn poses() -> [Pose; 5] {
     .map(|(t, r)| Pose::from_vectors(DVec3::from(t), DVec3::from(r)))
 }
 
-/// `a` equals `b` but for rounding, where numbers of size `scale` were added: some tens of operations.
+/// Asserts that `a` equals `b` within the rounding of some tens of operations on numbers of size `scale`.
 fn assert_equal<S: Scalar, const N: usize>(a: [S; N], b: [S; N], scale: S, cell: usize) {
     let allowed = S::of(200.0) * S::epsilon() * scale;
     assert!(a.iter().zip(b).all(|(&a, b)| (a - b).abs() <= allowed), "cell {cell}: {a:?} {b:?}");
 }
 
-/// What a solver gets of all cells at once is what each cell answers alone.
+/// Asserts that all cells at once give the same as each cell alone.
 fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
     let plan = Plan::<S>::compile(scene, tier).expect("scene");
-    // Every cell at an instant of its own, the tool in motion; or all at one.
+    // The tool in motion: every cell at its own instant, or all at one.
     let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();
     let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)].map(<S::Vec3 as crate::Vector3<S>>::of);
     for pose in poses() {
@@ -87,7 +87,7 @@ fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
                 |index, terms| {
                     let alone = evaluate::linearise(&plan, index, &instant.pose_of(index));
                     assert_eq!((index, terms.status), (seen, alone.status));
-                    // Of a sliver of light, differences of lengths decide: rounding of a full spot's.
+                    // A sliver of light is a difference of lengths, with the rounding of a full spot.
                     let total = S::of(1e-5);
                     assert_equal(terms.pair, alone.pair, total, index);
                     for (row, alone) in terms.jacobian.into_iter().zip(alone.jacobian) {
@@ -148,8 +148,8 @@ fn cells_of_different_kinds_answer_as_cells_alone() {
     }
 }
 
-/// PHYSICS: the paper tier divides I_D by equation (1) like the light, the exact tier in halves; a
-/// table of currents counts all of it.
+/// PHYSICS: the paper tier divides I_D by equation (1) like the light, the exact tier into halves; the
+/// sum of the currents contains all of I_D.
 #[test]
 fn dark_current_is_divided_as_each_tier_says() {
     for (tier, divided) in [(Tier::Paper, true), (EXACT, false)] {
@@ -181,10 +181,10 @@ fn flags_follow_the_whole_current_or_the_light_alone() {
         let dark_a = cell(0).detector.dark_current_a;
         let light_a = response.i_o_a - dark_a;
         assert_eq!(response.flags, Flags::default());
-        // A detector saturates by all its current.
+        // The saturation threshold applies to the total current.
         let saturated = |limit_a: f64| flags(&|cell| cell.detector.saturation_a = Some(limit_a)).saturated;
         assert!(saturated(light_a + 0.9 * dark_a) && !saturated(light_a + 1.1 * dark_a));
-        // What is faint is the light.
+        // The faint threshold applies to the photocurrent.
         let faint = |limit_a: f64| flags(&|cell| cell.detector.faint_a = limit_a).faint;
         assert!(faint(light_a + 0.1 * dark_a) && !faint(light_a - 0.1 * dark_a));
     }
@@ -197,7 +197,7 @@ fn an_emitter_turned_away_is_flagged_and_sends_nothing() {
         let response = Plan::<f64>::compile(&turned, tier).expect("scene").respond(0, &Pose::HOME);
         assert!(response.flags.facing_away && response.flags.faint && response.status == Status::Lit);
         assert_eq!(response.i_o_a, cell(0).detector.dark_current_a);
-        // 90.4°: behind the horizon as a beam, but part of the spot is before it.
+        // 90.4°: the beam's axis is behind the horizon, but part of the spot is in front of it.
         let grazing = scene(1, |cell| {
             cell.emitter.axis_tool = DVec3::X;
             cell.emitter.position_tool_m = DVec3::new(0.45e-3, 0.0, 15e-3);
@@ -222,7 +222,7 @@ fn half_the_mask_reaches_down_to_the_detector() {
     assert!(matches!(with(2.2e-3), Err(Fault::MaskInDetector(below)) if (below - 0.1e-3).abs() < 1e-15));
 }
 
-/// The upper face of a thick mask is the first an emitter falls behind.
+/// A lowered emitter falls behind the upper face of a thick mask first.
 #[test]
 fn an_emitter_inside_a_thick_mask_is_behind() {
     let inside = |distance_m: f64| {
@@ -235,7 +235,7 @@ fn an_emitter_inside_a_thick_mask_is_behind() {
     assert_eq!([6.8e-3, 7.2e-3, 7.5e-3, 7.6e-3].map(inside), [true, true, true, false]);
 }
 
-/// Light of one emitter through another cell's slit goes by that emitter's profile and intensity.
+/// Light of one emitter through another cell's slit follows that emitter's profile and intensity.
 #[test]
 fn crosstalk_is_the_other_emitter_on_this_detector() {
     for tier in [Tier::Paper, EXACT] {
@@ -250,8 +250,8 @@ fn crosstalk_is_the_other_emitter_on_this_detector() {
     }
 }
 
-/// A slit that is turned a little gives currents that differ a little: no steeper than a turn by itself
-/// changes them, at any turn, about any axis, from parallel sides either way.
+/// A small rotation of the slit changes the currents by a proportionally small amount, for any angle and
+/// axis, starting from either parallel orientation.
 #[test]
 fn currents_are_continuous_in_the_tilt_of_the_slit() {
     for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-12 }] {
@@ -271,8 +271,8 @@ fn currents_are_continuous_in_the_tilt_of_the_slit() {
                 for pair in tilts.windows(2) {
                     let (a, b) = (current(base_deg, axis, pair[0]), current(base_deg, axis, pair[1]));
                     let step_rad = (pair[1] - pair[0]).to_radians();
-                    // A slit of 10 mm turned by 1 rad moves its ends by 5 mm, ten widths: currents change by 20 times themselves
-                    // at most. Rounding of lengths of millimetres against a spot of one.
+                    // Rotating a slit of 10 mm by 1 rad moves its ends by 5 mm, ten widths: currents change at most by
+                    // 20 times their size. 1e-12: rounding of lengths of millimetres against a spot of 1 mm.
                     let allowed = (20.0 * step_rad + 1e-12) * a.total_a();
                     let change = (a.i_x1_a - b.i_x1_a).abs().max((a.i_x2_a - b.i_x2_a).abs());
                     assert!(change <= allowed, "{tier:?} {base_deg} {axis} {pair:?}: {change:e} > {allowed:e}");
@@ -300,8 +300,8 @@ fn what_no_head_can_have_is_refused_with_its_place() {
     }
 }
 
-/// The board has 96 KiB beside the memory its code runs from (STM32G474RE, RM0440), the scene it was
-/// given is 21 KiB of it, and the stack needs some.
+/// The board has 96 KiB beside the memory its code runs from (STM32G474RE, RM0440). The scene takes
+/// 21 KiB of them, and the stack needs some.
 #[test]
 fn a_plan_leaves_room_on_the_board() {
     let size = size_of::<Plan<f32>>();

@@ -5,11 +5,10 @@ use crate::scalar::{Real, Scalar};
 
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
-/// Ten nodes see a fall by this factor.
+/// Fall of the profile over a panel that ten nodes resolve.
 const RESOLVED_FALL: f64 = 1e-15;
 
-/// Steepest fall towards the horizon that is looked at in one piece, as a ratio of cosines: there cⁿ
-/// has no scale of its own.
+/// Least ratio of cosines that counts in that fall: towards the horizon cⁿ has no scale of its own.
 const LEAST_RATIO: f64 = 1e-3;
 
 /// I_rel = cⁿ.
@@ -18,12 +17,12 @@ pub(crate) struct Cosine<S> {
     power: Power<S>,
     /// Binomial coefficients of n.
     binomials: [S; MAX_TERMS + 1],
-    /// The greatest |δ| for which the series may end after so many terms.
+    /// `spreads[k]`: the greatest |δ| for which the series may end after k terms.
     spreads: [S; MAX_TERMS + 1],
 }
 
 impl<S: Scalar> Cosine<S> {
-    /// For the exponent n; `tolerance`: relative error allowed to [`Emission::near`].
+    /// Compiles the profile with exponent n. `tolerance`: relative error allowed to [`Emission::near`].
     pub(super) fn compile(exponent: f64, tolerance: f64) -> Self {
         let mut binomial = 1.0;
         let mut binomials = [S::one(); MAX_TERMS + 1];
@@ -31,7 +30,7 @@ impl<S: Scalar> Cosine<S> {
         for k in 0..=MAX_TERMS {
             binomials[k] = S::of(binomial);
             binomial *= (exponent - k as f64) / (k as f64 + 1.0);
-            // The first neglected term, an eighth of the tolerance; the rest of the tail is a
+            // The first neglected term takes an eighth of the tolerance; the rest of the tail is a
             // geometric series of ratio δ ≤ ½.
             let first_neglected = 0.125 * tolerance / binomial.abs().max(f64::MIN_POSITIVE);
             spreads[k] = S::of(libm::pow(first_neglected, 1.0 / (k as f64 + 1.0)).min(0.5));

@@ -1,6 +1,6 @@
 //! Relative radiant intensity of an emitter, compiled: I_rel as a function of c = cos γ.
 //!
-//! Callers ask only for c > 0; an emitter sends nothing to γ ≥ 90°.
+//! Defined for c > 0 only: an emitter emits nothing at γ ≥ 90°.
 
 mod cosine;
 mod table;
@@ -13,7 +13,7 @@ use crate::scene::Profile;
 pub(crate) use cosine::Cosine;
 pub(crate) use table::Table;
 
-/// I_rel and its derivative by cos γ, for one cell or several.
+/// I_rel and its derivative with respect to cos γ, for one cell or several.
 pub(crate) trait Falloff<R> {
     /// I_rel at cos γ = `c` > 0.
     fn relative(&self, c: R) -> R;
@@ -21,31 +21,31 @@ pub(crate) trait Falloff<R> {
     fn with_slope(&self, c: R) -> (R, R);
 }
 
-/// What integrals over a spot need to know of a profile besides.
+/// Further properties of a profile, for integrals over a spot.
 pub(crate) trait Emission<S>: Falloff<S> {
-    /// Whether a rule chosen beforehand must take the form that [`Self::near`] gives, because the profile
-    /// itself varies in ways that no rule foresees.
+    /// Whether a rule chosen beforehand must integrate the series of [`Self::near`], because no estimate
+    /// covers the variation of the profile itself.
     const NEEDS_SERIES: bool;
-    /// I_rel at γ = 90° from within: zero unless the profile jumps there.
+    /// Limit of I_rel for γ → 90° from below: zero unless the profile jumps there.
     fn at_horizon(&self) -> S;
-    /// What stands for this profile where c differs from `centre` by no more than `spread`·`centre`:
-    /// cheaper, and right to the tolerance the profile was compiled with. `None`: nothing is.
+    /// A cheaper series for this profile where |c − `centre`| ≤ `spread`·`centre`, within the tolerance
+    /// the profile was compiled with; `None` if there is none.
     fn near(&self, centre: S, spread: S) -> Option<Series<S>>;
     /// The greatest I_rel for cos γ in `lower..=upper`.
     fn greatest(&self, lower: S, upper: S) -> S;
-    /// Whether ten nodes spread over cos γ in `lower..=upper` cannot miss where the light is.
+    /// Whether ten nodes spread over cos γ in `lower..=upper` are enough to find the light there.
     fn is_resolved(&self, lower: S, upper: S) -> bool;
     /// Whether the profile is analytic for cos γ in `lower..=upper`.
     fn is_smooth(&self, lower: S, upper: S) -> bool;
-    /// For light so faint at `brightest` that the number range ends nearby: what to divide c by, and
-    /// what to multiply the light with afterwards. Else one and one.
+    /// For light so faint that it may underflow, a divisor for c and a factor for the resulting power;
+    /// else one and one. `brightest`: the greatest c of the spot; `corner`: the greatest c of a corner.
     fn rescaling(&self, brightest: impl FnOnce() -> S, corner: S) -> (S, S);
 }
 
 /// Most terms of a [`Series`] after its first.
 pub(crate) const MAX_TERMS: usize = 10;
 
-/// I_rel around a centre c₀, with c = c₀(1 + δ): a polynomial in δ. A spot is small, so a few terms
+/// I_rel around a centre c₀ as a polynomial in δ, c = c₀(1 + δ). A spot is small, so a few terms
 /// replace a power or a table at each of its nodes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Series<S> {
@@ -54,12 +54,12 @@ pub(crate) struct Series<S> {
     pub(crate) terms: usize,
     /// Gauss–Legendre nodes that integrate the polynomial along a line to the tolerance.
     pub(crate) nodes: usize,
-    /// Nodes more than those for the emitter's distance alone, which a steep profile brings out.
+    /// Nodes in addition to those for the emitter's distance alone, for a steep profile.
     pub(crate) more: usize,
 }
 
 impl<S> Series<S> {
-    /// The nodes for it, where `for_distance` suffice for the emitter's distance.
+    /// The number of nodes for this series, where `for_distance` suffice for the emitter's distance.
     #[inline(always)]
     pub(crate) fn nodes_with(&self, for_distance: usize) -> usize {
         (for_distance + self.more).max(self.nodes)
@@ -94,7 +94,7 @@ pub(crate) enum CompiledProfile<S> {
 }
 
 impl<S: Scalar> CompiledProfile<S> {
-    /// `tolerance`: relative error allowed where a cheaper form stands for the profile.
+    /// Compiles `profile`. `tolerance`: relative error allowed to [`Emission::near`].
     pub(crate) fn compile(profile: &Profile, tolerance: f64) -> Self {
         match profile {
             Profile::Cosine { exponent } => Self::Cosine(Cosine::compile(*exponent, tolerance)),
@@ -102,7 +102,7 @@ impl<S: Scalar> CompiledProfile<S> {
         }
     }
 
-    /// The power, if that is what the profile is.
+    /// The power, if the profile is a cosine power.
     pub(crate) fn as_power(&self) -> Option<&Power<S>> {
         match self {
             Self::Cosine(cosine) => Some(cosine.power()),

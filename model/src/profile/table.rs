@@ -1,21 +1,22 @@
 //! A profile given as a table of (γ, I_rel): smooth between its points and across them.
 //!
 //! The variable is v = 1 − cos γ, in which a profile that is smooth across the emitter's axis has no
-//! kink there. Through each point (v_i, y_i) goes a parabola P_i = y_i + m·(v − v_i) + q·(v − v_i)²;
-//! between two points the parabolas are blended by a step w that is flat at both ends (parabolic
-//! blending, Overhauser 1968, with a filter step):
+//! kink there. Through each point (v_i, y_i) goes a parabola P_i = y_i + m·(v − v_i) + q·(v − v_i)².
+//! Between two points the parabolas are blended (Overhauser 1968) by the quintic step w of Perlin
+//! (2002), which is flat at both ends:
 //!
 //! I_rel = P_i + w(s)·(P_{i+1} − P_i),  w = s³(10 − 15s + 6s²),  s = (v − v_i)/(v_{i+1} − v_i).
 //!
 //! With d₁, d₂ the secants to the two neighbours and h₁, h₂ their distances, P_i is the parabola
 //! through both neighbours, m = (d₁h₂ + d₂h₁)/(h₁ + h₂), q = (d₂ − d₁)/(h₁ + h₂), except
-//! * where |m| is more than twice the smaller of |d₁|, |d₂|: m is that, and P_i goes through the
-//!   neighbour on that side only;
-//! * where the secants differ in sign or one is zero: m = 0, and q = ±min(|d₁|/h₁, |d₂|/h₂), downward
-//!   from a maximum.
+//! * where |m| exceeds 2·min(|d₁|, |d₂|): |m| is limited to that value, and P_i goes only through the
+//!   neighbour with the smaller secant;
+//! * where the secants differ in sign or one is zero: m = 0, and q = ±min(|d₁|/h₁, |d₂|/h₂), negative
+//!   at a maximum.
 //!
-//! The first and the last parabola have the slope of their neighbour at its point. So I_rel meets the points, stays between
-//! any two neighbouring ones (there is never negative light), and has continuous second derivatives, where no exception applies third ones.
+//! The first and the last parabola have their neighbour's slope at the neighbour's point. I_rel passes
+//! through the points, stays between any two neighbouring ones (and so is never negative), and has
+//! continuous second derivatives, and third derivatives where no exception applies.
 
 use heapless::Vec;
 
@@ -25,10 +26,10 @@ use crate::scene::MAX_PROFILE_KNOTS;
 use super::window::{Piecewise, Windows};
 use super::{Emission, Falloff, Series};
 
-/// A table that ends before 90° gets one more point there.
+/// A table that ends before 90° gets one more point, at 90°.
 pub(super) const MAX_POINTS: usize = MAX_PROFILE_KNOTS + 1;
 
-/// So many points within a panel, and its ten nodes still show that it is rough.
+/// The greatest number of points within a panel for which its ten nodes still show its roughness.
 const RESOLVED_POINTS: usize = 6;
 
 /// A profile from a table.
@@ -39,7 +40,7 @@ pub(crate) struct Table<S> {
     windows: Windows<S>,
 }
 
-/// A point; its parabola is found when it is needed, most spots being within a window.
+/// A point. Its parabola is computed when needed: most spots lie within a window and need none.
 #[derive(Clone, Copy, Debug)]
 struct Point<S> {
     v: S,
@@ -47,17 +48,17 @@ struct Point<S> {
 }
 
 impl<S: Scalar> Table<S> {
-    /// From valid knots: at least two, ascending from zero, none beyond 90°. `tolerance`: relative error
-    /// allowed to [`Emission::near`]; zero: it is not asked.
+    /// Compiles valid knots: at least two, ascending from zero, none beyond 90°. `tolerance`: relative
+    /// error allowed to [`Emission::near`]; zero if that is not called.
     pub(super) fn compile(knots: &[(f64, f64)], tolerance: f64) -> Self {
         let right_angle = core::f64::consts::FRAC_PI_2;
         let mut given: Vec<(f64, f64), MAX_POINTS> = knots.iter().copied().collect();
         if given[given.len() - 1].0 < right_angle {
-            // Capacity is one more than the knots a profile can have.
+            // The capacity is one more than the most knots of a profile.
             let _ = given.push((right_angle, 0.0));
         }
         let horizon = given[given.len() - 1].1;
-        // 2·sin²(γ/2) = 1 − cos γ keeps its digits next to the axis.
+        // 2·sin²(γ/2) = 1 − cos γ, without cancellation near the axis.
         let points = given.iter().map(|&(gamma, value)| {
             let sine = libm::sin(0.5 * gamma);
             Point { v: (2.0 * sine * sine).min(1.0), value }
@@ -105,7 +106,7 @@ impl<S: Scalar> Table<S> {
         (slope, if d1.abs() < d2.abs() { (slope - d1) / h1 } else { (d2 - slope) / h2 })
     }
 
-    /// The point below v, of those that have a next.
+    /// Index of the point at or below v, the last point excluded.
     #[inline]
     fn index(&self, v: S) -> usize {
         let pieces = &self.points[..self.points.len() - 1];
@@ -213,7 +214,7 @@ mod tests {
                 }
             }
         }
-        // Zero at the horizon, if the table does not say otherwise.
+        // Zero at the horizon, unless the table has a point there.
         assert!(table(TABLES[0]).relative((FRAC_PI_2 - 1e-9).cos()) < 1e-8);
         assert!((table(TABLES[4]).relative(1e-12) - 0.4).abs() < 1e-11);
     }

@@ -1,69 +1,68 @@
-//! Polynomials that stand for a table over ranges of cos γ as wide as a spot.
+//! Polynomials that approximate a table over ranges of cos γ as wide as a spot.
 //!
-//! A node of a rule then costs as little as one of a cosine power. Windows are laid evenly over
-//! √(1 − cos γ), about evenly over γ, and each is as wide as the tolerance lets a polynomial of
-//! [`DEGREE`] be; where none is wide enough for a spot, the table itself is integrated.
+//! With them a node of a rule costs as little as for a cosine power. Windows are spaced evenly over
+//! √(1 − cos γ), nearly evenly over γ. Each is as wide as a polynomial of [`DEGREE`] allows within the
+//! tolerance; where no window is wide enough for a spot, the table itself is integrated.
 
 use crate::scalar::Scalar;
 
 use super::{Falloff, MAX_TERMS, Series};
 
-/// Number of windows from the axis to where the light ends: 4.5° each for light up to 90°. A plan has room
-/// for 16 tables, and the board 96 KiB for it and its scene.
+/// Number of windows from the axis to the end of the light, every 4.5° for light up to 90°. A plan holds
+/// 16 tables, and the board has 96 KiB for plan and scene.
 const WINDOWS: usize = 20;
 
-/// Degree of the polynomials: those of a table in steps of 5° then stand for it to 1e-6 over 8° to 16°.
+/// Degree of the polynomials: for a table in steps of 5° they are right to 1e-6 over 8° to 16°.
 const DEGREE: usize = MAX_TERMS;
 
-/// Half widths that are tried, degrees of γ: beyond the first, few spots are that wide; within the last,
-/// few spots are that small.
+/// Half widths to try, degrees of γ: few spots are wider than the first, few smaller than the last.
 const HALF_WIDTHS_DEG: [f64; 10] = [12.0, 10.0, 8.0, 6.8, 5.8, 5.0, 4.2, 3.4, 2.6, 1.8];
 
-/// Shares of the tolerance for the polynomial at its worst point, for terms left out of it within a
-/// spot, and for the rule that integrates the rest.
+/// Shares of the tolerance for the polynomial at its worst point, for its terms neglected within a
+/// spot, and for the rule that integrates the remaining terms.
 const SHARES: [f64; 3] = [0.5, 0.05, 0.25];
 
-/// What Gauss–Legendre rules with 1, 2, … nodes leave out of ∫xᵏ, k ≥ 2N, half of it on −1…1, at most.
+/// Greatest error of Gauss–Legendre rules with N = 1, 2, … nodes for ½∫xᵏ over −1…1, k ≥ 2N.
 const REMAINDERS: [f64; 5] = [0.34, 0.12, 0.05, 0.015, 0.0015];
 
-/// Exponents above which the product of profile and distance takes a node more, and another one: a node
-/// is worth a factor of a hundred and more.
+/// Exponents above which the product of profile and distance takes one and two nodes more: a node
+/// reduces the error by a factor of a hundred or more.
 const STEEPNESSES: [f64; 2] = [3.0, 30.0];
 
-/// A profile given by its values at some positions, smooth between them.
+/// A profile given by its values at some positions and smooth between them.
 pub(super) trait Piecewise: Falloff<f64> {
-    /// 1 − cos γ where the light ends.
+    /// 1 − cos γ at the end of the light.
     fn end(&self) -> f64;
-    /// 1 − cos γ of the values.
+    /// 1 − cos γ of each value.
     fn positions(&self) -> impl Iterator<Item = f64> + Clone;
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct Windows<S> {
     windows: [Window<S>; WINDOWS],
-    /// Windows per unit of √v, and its inverse.
+    /// Windows per unit of √(1 − cos γ), and its inverse.
     density: S,
     pitch: S,
-    /// Relative error allowed to terms left out, and to a rule.
+    /// Relative errors allowed to neglected terms, and to a rule.
     allowed: [S; 2],
 }
 
 /// I_rel = Σ coefficient·(c − c₀)ᵏ.
 #[derive(Clone, Copy, Debug)]
 struct Window<S> {
-    /// The greatest |c − c₀|; zero: the window is closed.
+    /// The greatest |c − c₀|; zero if no polynomial meets the tolerance.
     reach: S,
     coefficients: [S; DEGREE + 1],
 }
 
 impl<S: Scalar> Windows<S> {
-    /// All closed.
+    /// No window has a polynomial.
     pub(super) fn none() -> Self {
         let closed = Window { reach: S::zero(), coefficients: [S::zero(); DEGREE + 1] };
         Self { windows: [closed; WINDOWS], density: S::one(), pitch: S::one(), allowed: [S::zero(); 2] }
     }
 
-    /// As wide as `tolerance` allows.
+    /// Windows for `table`, each as wide as `tolerance` allows.
     pub(super) fn fit(table: &impl Piecewise, tolerance: f64) -> Self {
         let root = libm::sqrt(table.end());
         let mut fitted = Self::none();
@@ -82,7 +81,7 @@ impl<S: Scalar> Windows<S> {
         fitted
     }
 
-    /// cos γ in the middle of a window.
+    /// cos γ at the middle of a window.
     #[inline(always)]
     fn centre(&self, index: usize) -> S {
         let root = (S::of(index as f64) + S::half()) * self.pitch;
@@ -105,7 +104,7 @@ impl<S: Scalar> Windows<S> {
                 coefficients[j] += offset * coefficients[j + 1];
             }
         }
-        // In powers of δ = c/centre − 1, and what each contributes at most within the spot.
+        // In powers of δ = c/centre − 1, with the greatest size of each term within the spot.
         let (mut scale, mut size) = (S::one(), S::one());
         let mut terms = [S::zero(); DEGREE + 1];
         for (coefficient, term) in coefficients.iter_mut().zip(&mut terms) {
@@ -122,7 +121,7 @@ impl<S: Scalar> Windows<S> {
         let mut nodes = REMAINDERS.len();
         let mut rest = terms[DEGREE];
         while nodes > 1 {
-            // Of the power below, the first moment takes a part.
+            // The first moment adds a part of the next lower power.
             let fewer = nodes - 1;
             rest += terms[2 * fewer] + terms[2 * fewer + 1];
             if S::of(REMAINDERS[fewer - 1]) * (rest + S::of(0.25) * terms[2 * fewer - 1]) > by_rule {
@@ -130,28 +129,28 @@ impl<S: Scalar> Windows<S> {
             }
             nodes = fewer;
         }
-        // d ln I/d ln c, the exponent of a power as steep.
+        // d ln I/d ln c: the exponent of an equally steep power.
         let steepness = (coefficients[1] / coefficients[0]).abs();
         let more = STEEPNESSES.iter().filter(|&&steep| steepness > S::of(steep)).count();
         Some(Series { inverse: centre.recip(), coefficients, terms: last, nodes, more })
     }
 }
 
-/// A polynomial of degree [`DEGREE`] for the table around one cosine.
+/// A polynomial of degree [`DEGREE`] fitted to the table around one cosine.
 struct Fit {
     reach: f64,
     coefficients: [f64; DEGREE + 1],
-    /// Greatest difference, relative to the least I_rel of the range.
+    /// Greatest difference from the table, relative to the least I_rel of the range.
     error: f64,
 }
 
 impl Fit {
-    /// Over γ ± `half_width` around the angle of cosine `centre`. `None` where there is no light.
+    /// Fits over γ ± `half_width` around the angle of cosine `centre`. `None` where I_rel is zero.
     fn over(table: &impl Piecewise, centre: f64, half_width: f64) -> Option<Self> {
         let gamma = libm::acos(centre);
         let farther = libm::cos((gamma + half_width).min(core::f64::consts::FRAC_PI_2)).max(0.0);
         let nearer = libm::cos((gamma - half_width).max(0.0));
-        // As far to both sides, as long as there are cosines.
+        // Equally far to both sides, within 0…1.
         let reach = (centre - farther).max(nearer - centre);
         let (low, high) = ((centre - reach).max(0.0), (centre + reach).min(1.0));
         let (middle, half) = (0.5 * (low + high), 0.5 * (high - low));
@@ -166,7 +165,7 @@ impl Fit {
                 newton[i] = (newton[i] - newton[i - 1]) / (nodes[i] - nodes[i - k]);
             }
         }
-        // From the innermost factor outward, in powers of c − centre.
+        // Expanded in powers of c − centre, from the innermost factor outward.
         let mut powers = [0.0; DEGREE + 1];
         powers[0] = newton[DEGREE];
         for k in (0..DEGREE).rev() {
@@ -176,7 +175,7 @@ impl Fit {
             }
             powers[0] = powers[0] * shift + newton[k];
         }
-        // Where a smooth remainder is greatest, and at the points, where the table is least smooth.
+        // Compared where a smooth remainder is greatest, and at the points, where the table is least smooth.
         let extremes =
             (0..=2 * (DEGREE + 1)).map(|i| middle + half * libm::cos(core::f64::consts::PI * i as f64 / (2.0 * count)));
         let points = table.positions().map(|v| 1.0 - v).filter(|c| (low..high).contains(c));
@@ -203,11 +202,11 @@ mod tests {
 
     #[test]
     fn windows_stand_for_the_table_to_the_tolerance() {
-        // As a data sheet gives it, every 5° to four digits.
+        // As in a data sheet: every 5°, four digits.
         let rounded = |degrees: f64| (degrees.to_radians().cos().powf(1.247) * 1e4).round() / 1e4;
         let knots: heapless::Vec<_, 18> =
             (0..18).map(|i| f64::from(i) * 5.0).map(|degrees| (degrees.to_radians(), rounded(degrees))).collect();
-        // Of 1800 spots: what a looser tolerance leaves without a window are those next to the horizon.
+        // Of 1800 spots. At a loose tolerance only those near the horizon have no window.
         for (tolerance, least) in [(1e-3, 1600), (1e-6, 1000), (1e-9, 100)] {
             let table = Table::<f64>::compile(&knots, tolerance);
             let mut found = 0;
@@ -219,7 +218,7 @@ mod tests {
                     for j in -4..=4 {
                         let c = (centre * (1.0 + spread * f64::from(j) / 4.0)).min(1.0);
                         let error = (series.relative(c) / table.relative(c) - 1.0).abs();
-                        // Sampled a little finer than the fit itself samples.
+                        // Sampled a little more finely than in the fit.
                         assert!(error <= 0.7 * tolerance, "{tolerance:e} {centre} {spread} {c}: {error:e}");
                     }
                 }

@@ -1,8 +1,8 @@
-//! Between counts and currents: the one place where board and optics meet.
+//! Conversion between ADC codes and currents, the interface of board and optics.
 //!
-//! [`configuration`] turns a scene's lighting and electronics into the schedule a board runs;
-//! [`Settling`] is the response of a first-order front end to switched light; [`Stage`] has its effect on the noise of a
-//! lit-minus-dark current, and converts scans.
+//! [`configuration`] derives a board's schedule from a scene's lighting and electronics; [`Settling`] is the response
+//! of a first-order front end to switched light; [`Stage`] converts scans, and has the noise of lit-minus-dark
+//! currents.
 
 mod noise;
 mod settling;
@@ -16,10 +16,10 @@ pub use settling::Settling;
 pub use stage::Stage;
 pub use timing::{TimingError, configuration};
 
-/// Full scales that differ by more are not those of one front end: resistors are better than that.
+/// Largest relative difference of the full scales of one front end, above the tolerance of resistors.
 const FULL_SCALE_SLACK: f64 = 0.01;
 
-/// Whether a board that measures up to `board_a` may have the front end of a scene that says `scene_a`.
+/// Whether a board with the full scale `board_a` may have the front end of a scene with `scene_a`, amperes.
 pub fn is_full_scale_of(board_a: f64, scene_a: f64) -> bool {
     (board_a / scene_a - 1.0).abs() <= FULL_SCALE_SLACK
 }

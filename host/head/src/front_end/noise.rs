@@ -1,4 +1,4 @@
-//! Noise of a lit-minus-dark current behind the front end.
+//! Noise of a lit-minus-dark current after the front end.
 
 use slitpose_model::{Noise, Scene};
 use slitpose_protocol::{AdcScaling, Schedule};
@@ -8,14 +8,14 @@ use crate::scene_file::{FrontEnd, SceneFile};
 /// Temperature of detectors whose scene gives none.
 pub const ROOM_TEMPERATURE_K: f64 = 300.0;
 
-/// Converter noise (in steps) from which the rounding of successive conversions is independent, so
-/// that summing averages it.
+/// Converter noise, in steps, from which on the rounding errors of successive conversions are independent,
+/// so that summing averages them.
 const DITHER_LSB: f64 = 0.5;
 
 /// The noise of one current, lit minus dark, after division by the settling `gain`.
 ///
-/// Shot noise of light is there only while there is light; that of the dark current, Johnson noise,
-/// converter noise and rounding are in the lit and in the dark word.
+/// Shot noise of light is only in the lit word; that of the dark current, Johnson noise, converter noise
+/// and rounding are in the lit and in the dark word.
 pub(super) fn of_lit_minus_dark(
     scene: &Scene,
     front_end: &FrontEnd,
@@ -33,8 +33,8 @@ pub(super) fn of_lit_minus_dark(
     }
 }
 
-/// Standard deviation of one dark word of `cell` as the front end of `file` promises it, both
-/// electrodes alike, amperes; `None` for a scene without front end.
+/// Standard deviation of one dark word of `cell` by the front end of `file`, the same for both
+/// electrodes, amperes; `None` for a scene without front end.
 ///
 /// Shot noise of the dark current divides between the electrodes like the current.
 pub fn dark_word_noise_a(file: &SceneFile, cell: usize, scaling: &AdcScaling) -> Option<f64> {

@@ -6,24 +6,23 @@
 //! * lit, x after switching on: I·(1 − A·exp(−x/τ)), A = (1 − b)/(1 − ab);
 //! * dark, x after switching off: I·A'·exp(−x/τ), A' = (1 − a)/(1 − ab),
 //!
-//! for any τ from far below to far above the frame. What a lit-minus-dark sample loses is a known
-//! factor; when the light it shows left the emitter is a known delay.
+//! for any τ from far below to far above the frame. So the gain of a lit-minus-dark sample and the mean
+//! age of its light are known.
 
 use slitpose_protocol::Schedule;
 
 /// Gain and delay of one cell's lit-minus-dark sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settling {
-    /// Sample per photocurrent: 1 for an ideal front end. One that is slower than the frame gives
-    /// next to nothing, and even less than nothing if the light still rises when it is sampled lit
-    /// and has yet to fall when it is sampled dark.
+    /// Sample over photocurrent: 1 for an ideal front end, near zero for one slower than the frame, and
+    /// negative if the output is higher at the dark sample than at the lit one.
     pub gain: f64,
-    /// By how much the light that a lit sample shows is older than the sample, on average, seconds.
+    /// Mean age of the light in a lit sample, seconds.
     pub delay_s: f64,
 }
 
 impl Settling {
-    /// Of `cell` in `schedule`, for a front end of `time_constant_s`.
+    /// Gain and delay of `cell` in `schedule`, for a front end of `time_constant_s`.
     ///
     /// `None` if the schedule does not light the cell.
     pub fn of_cell(schedule: &Schedule, cell: usize, time_constant_s: f64) -> Option<Self> {

@@ -1,4 +1,4 @@
-//! Scans in, photocurrents out.
+//! Conversion of scans to photocurrents.
 
 use slitpose_model::{Pair, Photocurrents, Reading, Scene};
 use slitpose_protocol::{AdcScaling, RawScan, Schedule};
@@ -7,7 +7,7 @@ use super::noise;
 use super::settling::Settling;
 use crate::scene_file::SceneFile;
 
-/// A front end that lets less of a photocurrent through measures nothing.
+/// Least settling gain of a front end that measures.
 const LEAST_GAIN: f64 = 1e-9;
 
 /// Converts the scans of one configuration of one board.
@@ -20,20 +20,20 @@ pub struct Stage {
 
 #[derive(Clone, Copy, Debug)]
 struct CellStage {
-    /// Amperes of photocurrent at nominal drive for one step of a word.
+    /// Photocurrent at nominal drive per step of a word, amperes.
     amperes_per_word: f64,
     exposure_s: f64,
-    /// I_D/2, for schedules that do not measure it.
+    /// I_D/2, for schedules without a dark slot.
     half_dark_a: f64,
-    /// Whether the front end lets anything through.
+    /// Whether the front end has at least the gain [`LEAST_GAIN`].
     measures: bool,
 }
 
 impl Stage {
-    /// For a board that runs `schedule` with `scaling`, in front of the detectors of `file`. A
-    /// scene without front end is taken for ideal: settled at once.
+    /// The stage for a board that runs `schedule` with `scaling` on the head of `file`. A scene without
+    /// front end is taken as ideal, without settling time.
     ///
-    /// The schedule and the scaling must be valid, and have a slot for each of the scene's cells.
+    /// The schedule and the scaling must be valid and have a slot for each of the scene's cells.
     pub fn new(file: &SceneFile, schedule: &Schedule, scaling: &AdcScaling) -> Self {
         let time_constant_s = file.front_end.map_or(0.0, |front_end| front_end.time_constant_s);
         let tick_s = f64::from(schedule.tick_hz).recip();
@@ -54,7 +54,7 @@ impl Stage {
         Self { scaling: *scaling, oversampling: schedule.oversampling, cells }
     }
 
-    /// The scene the solver should weigh by: `file`'s, with the noise of its front end.
+    /// The scene of `file` with the noise of its front end, for the solver's weights.
     pub fn weighted_scene(file: &SceneFile, schedule: &Schedule, scaling: &AdcScaling) -> Scene {
         let mut scene = file.scene.clone();
         if let Some(front_end) = &file.front_end {
@@ -68,16 +68,15 @@ impl Stage {
         scene
     }
 
-    /// When the light of each cell left its emitter, relative to the reference instant, seconds.
+    /// Time at which the light of each cell left its emitter, relative to the reference instant, seconds.
     pub fn exposures_s(&self) -> Vec<f64> {
         self.cells.iter().map(|cell| cell.exposure_s).collect()
     }
 
-    /// The photocurrents of a scan, above dark and at nominal drive.
+    /// The photocurrents of a scan, without dark current, at nominal drive.
     ///
-    /// Without a dark slot the code at zero current stands for the dark words, and the scene's I_D
-    /// for the dark current. An emitter that was
-    /// off measured nothing.
+    /// Without a dark slot, the code at zero current replaces the dark words, and the scene's I_D the
+    /// dark current. A cell whose emitter was off has no photocurrents.
     pub fn photocurrents(&self, scan: &RawScan) -> Photocurrents {
         let zero = self.scaling.zero_code * f64::from(self.oversampling);
         let dark_words = scan.dark();

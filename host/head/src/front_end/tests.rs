@@ -1,5 +1,5 @@
-//! The noise of the front end, where each of its sources dominates: what is said of it against
-//! arithmetic on the constants of physics, and against the scatter of simulated scans.
+//! The noise of the front end, with each of its sources dominant in turn: compared with arithmetic on
+//! physical constants, and with the scatter of simulated scans.
 
 use slitpose_model::{Noise, Reading, Tier};
 use slitpose_protocol::{
@@ -14,7 +14,7 @@ use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 const CHARGE_C: f64 = 1.602_176_634e-19;
 const BOLTZMANN_J_PER_K: f64 = 1.380_649e-23;
 
-/// So small beside the time between conversions that each has noise of its own.
+/// Small beside the time between conversions, so that their noise is independent.
 const FAST_S: f64 = 10e-9;
 
 /// `wide` with a fast front end of 14 bits and next to no noise but that of light, changed by `change`.
@@ -40,8 +40,8 @@ struct Samples {
     dark_a: Vec<[f64; 2]>,
 }
 
-/// What a simulated board in front of `file` measures of a tool at rest, cell by cell, and what the
-/// solver is told of its noise.
+/// Samples of each cell from a simulated board with the head of `file` and a tool at rest, and the noise
+/// given to the solver.
 fn simulated(file: &SceneFile, scans: usize, seed: u64) -> (Vec<Samples>, Noise, Vec<f64>) {
     let mut board =
         SimulatedBoard::new(file, Trajectory::of_kind(TrajectoryKind::Still, 0, 1.0), Tier::Paper, seed).expect("runs");
@@ -92,8 +92,8 @@ fn moments(pairs: &[[f64; 2]]) -> ([f64; 2], [[f64; 2]; 2]) {
 }
 
 /// The covariance of a cell's two currents (PHYSICS.md, section 2): shot noise of a point-like spot is
-/// common and divides like the current, that of the dark current is in the dark word too; Johnson
-/// current flows from one electrode into the other; converters are on their own.
+/// common and divides like the current, and that of the dark current is also in the dark word; Johnson
+/// current flows from one electrode into the other; converter noise is independent.
 fn covariance(file: &SceneFile, cell: usize, noise: &Noise, mean: [f64; 2]) -> [[f64; 2]; 2] {
     let detector = &file.scene.cells[cell].detector;
     let total_a = mean[0] + mean[1];

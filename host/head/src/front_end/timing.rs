@@ -1,4 +1,4 @@
-//! From a scene's lighting and electronics to the schedule a board runs.
+//! The schedule of a board, from a scene's lighting and electronics.
 
 use slitpose_protocol::{
     Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
@@ -7,14 +7,14 @@ use thiserror::Error;
 
 use crate::scene_file::SceneFile;
 
-/// Device ticks a second of the schedules made from scenes. A board whose timers count at another rate
-/// rejects them, and names both rates.
+/// Device ticks per second of schedules from scenes. A board whose timers count at another rate rejects
+/// them, and names both rates.
 const TICK_HZ: u32 = 170_000_000;
 
-/// Why a scene cannot be run by a board.
+/// Why a board cannot run a scene.
 #[derive(Debug, Error)]
 pub enum TimingError {
-    /// No electronics.
+    /// The scene has no front end.
     #[error("scene `{scene}` has no [front_end], so no board can sample it; add one, or use the shipped scene `wide`")]
     NoFrontEnd {
         /// The scene.
@@ -28,10 +28,10 @@ pub enum TimingError {
     Oversampling {
         /// The scene.
         scene: String,
-        /// Conversions asked for.
+        /// Requested number of conversions.
         oversampling: u32,
     },
-    /// A duration that is no number of ticks.
+    /// A duration that cannot be expressed in ticks.
     #[error("scene `{scene}`: front_end.{key} = {value} is not a duration a timer of {TICK_HZ} Hz can count")]
     Ticks {
         /// The scene.
@@ -46,13 +46,13 @@ pub enum TimingError {
     Schedule {
         /// The scene.
         scene: String,
-        /// What disagrees.
+        /// The contradiction.
         source: ScheduleError,
     },
 }
 
-/// The configuration that `file` asks of a board: its lighting slots, each just long enough for
-/// settling and conversions, at nominal emitter levels.
+/// The configuration of a board for `file`: its lighting slots, each just long enough for settling and
+/// conversions, at nominal emitter levels.
 ///
 /// # Errors
 /// If the scene has no front end, or one whose schedule does not fit its frame period.

@@ -1,4 +1,4 @@
-//! A simulated board as its host sees it: bytes in, bytes out, and time.
+//! A simulated board as seen by its host: bytes in, bytes out, and time.
 
 use slitpose_firmware::{Board, Identity, Link, TRANSMIT_BYTES, TransmitBuffer};
 use slitpose_model::{Plan, SceneError, Tier};
@@ -37,19 +37,19 @@ pub enum SimulatorError {
 }
 
 impl SimulatedBoard {
-    /// A board in front of the head of `file`, its tool on `trajectory`, optics of `tier`, noise
-    /// drawn from `seed`. It is idle until told to start.
+    /// A board with the head of `file`, its tool on `trajectory`, optics of `tier`, noise drawn from
+    /// `seed`. It is idle until started.
     ///
     /// # Errors
-    /// If no board could run the scene.
+    /// If a board cannot run the scene.
     pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, seed: u64) -> Result<Self, SimulatorError> {
         Self::numbered(0, file, trajectory, tier, seed)
     }
 
-    /// The same, one of several: its device id ends in `number`.
+    /// As [`new`](Self::new), for one of several boards: its device id ends in `number`.
     ///
     /// # Errors
-    /// If no board could run the scene.
+    /// If a board cannot run the scene.
     pub fn numbered(
         number: u8,
         file: &SceneFile,
@@ -78,7 +78,7 @@ impl SimulatedBoard {
         Ok(Self { board: Box::new(board), frame_ticks })
     }
 
-    /// Hands bytes from the host to the board.
+    /// Sends bytes from the host to the board.
     pub fn write(&mut self, bytes: &[u8]) {
         self.board.receive(bytes);
     }

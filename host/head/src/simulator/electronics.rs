@@ -1,4 +1,4 @@
-//! From photocurrents to words: settling, noise, saturation, quantisation.
+//! Conversion of photocurrents to words: settling, noise, saturation, quantisation.
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -12,7 +12,7 @@ use crate::scene_file::FrontEnd;
 /// is not cut off.
 const PEDESTAL_CODES: f64 = 64.0;
 
-/// Codes from the end of the range where a real stage bends.
+/// Codes at the end of the range where a real stage is nonlinear.
 const HEADROOM_CODES: u16 = 16;
 
 /// The scaling of a front end like the board's: it swings down from near the top code as the
@@ -48,7 +48,7 @@ pub enum Electrode {
     X2,
 }
 
-/// The filtered noise of one cell at an instant. Zero it is absent.
+/// The filtered noise of one cell at an instant; by default zero.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CellNoise {
     /// In units of its standard deviation.
@@ -73,7 +73,7 @@ struct Channel {
 }
 
 impl Electronics {
-    /// The electronics of `front_end` behind the detectors of `scene`, in the dark for long.
+    /// The electronics of `front_end` behind the detectors of `scene`, settled in the dark.
     pub fn new(scene: &Scene, front_end: &FrontEnd) -> Self {
         let temperature_k = scene.noise.map_or(ROOM_TEMPERATURE_K, |noise| noise.temperature_k);
         let tau = front_end.time_constant_s;
@@ -114,7 +114,7 @@ impl Electronics {
         self.scaling
     }
 
-    /// exp(−t/τ) for `duration_s`: how much is left of what was there before.
+    /// exp(−t/τ) for `duration_s`: the share of the earlier output that is left.
     pub fn decay(&self, duration_s: f64) -> f64 {
         decay(duration_s, self.front_end.time_constant_s)
     }

@@ -1,4 +1,4 @@
-//! The firmware's hardware edge, with a simulated tool, optics and electronics behind it.
+//! The firmware's hardware trait, implemented by a simulated tool, optics and electronics.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,7 @@ use super::trajectory::Trajectory;
 /// The sensors of a simulated board.
 const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_permille: 0 };
 
-/// Emitters, slits, detectors and converters of one head, by arithmetic. Time passes only by
+/// Simulated emitters, slits, detectors and converters of one head. Time passes only in
 /// [`SimulatedHardware::advance`].
 #[derive(Debug)]
 pub(crate) struct SimulatedHardware {
@@ -63,7 +63,7 @@ impl SimulatedHardware {
         self.now_ticks += ticks;
     }
 
-    /// The true poses of the scans handed out since the last call, at their reference instants.
+    /// The true poses of the scans delivered since the last call, at their reference instants.
     pub(crate) fn take_truths(&mut self) -> impl Iterator<Item = Truth> + '_ {
         self.truths.drain(..)
     }
@@ -72,8 +72,8 @@ impl SimulatedHardware {
         self.trajectory.pose(ticks / f64::from(self.tick_hz))
     }
 
-    /// Light on `cell` from the emitters of `slot`, at `ticks`: its own, and what others of the
-    /// same slot send through its slit.
+    /// Photocurrents of `cell` at `ticks` from its own emitter in `slot` and from the other emitters of that
+    /// slot through its slit.
     fn light(&self, configuration: &Configuration, cell: usize, slot: usize, ticks: f64) -> Pair<f64> {
         let pose = self.pose_at(ticks);
         let mut light = Pair::default();
@@ -143,7 +143,7 @@ impl Acquisition for SimulatedHardware {
         if cells == channels { Ok(()) } else { Err(HardwareFault::Channels { cells, channels }) }
     }
 
-    /// Simulated emitters follow every level, each on its own.
+    /// Simulated emitters accept every level, independently.
     fn limit_levels(&self, _: &Schedule, _: &mut [Level]) {}
 
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
@@ -182,7 +182,7 @@ impl Acquisition for SimulatedHardware {
     }
 }
 
-/// A simulated board keeps nothing beyond its own life.
+/// A simulated board stores nothing beyond its lifetime.
 impl Storage for SimulatedHardware {
     fn store(&mut self, _: Option<&Settings>) {}
 

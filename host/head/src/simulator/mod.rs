@@ -1,9 +1,9 @@
-//! A board with a tool in front of it, made of arithmetic.
+//! A simulated board with a moving tool.
 //!
 //! [`Trajectory`] moves the tool; the optics of the scene turn its pose at each instant into
 //! photocurrents; the electronics settle, add noise, saturate and quantise; `SimulatedHardware`
-//! hands the words to the firmware's own core, as a board's converters would; [`SimulatedBoard`]
-//! lets time pass and carries bytes. Everything follows from the seed.
+//! delivers the words to the firmware's own core, as a board's converters do; [`SimulatedBoard`]
+//! advances time and exchanges bytes. All results are determined by the seed.
 
 mod board;
 mod electronics;

@@ -1,5 +1,5 @@
 //! Straight flight between random points of a box with abrupt reversals, as against its walls, planned
-//! as far as it is asked for.
+//! on demand.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -12,20 +12,20 @@ use slitpose_model::Pose;
 
 use super::knots::on_path;
 
-/// How long the tool flies straight.
+/// Duration of a straight leg, seconds.
 const LEG_S: Range<f64> = 5e-3..25e-3;
 
 /// Half sides of the box.
 const BOX_M: f64 = 2.5e-3;
 const BOX_RAD: f64 = 0.12;
 
-/// Legs that are kept: who looks back further than a second waits until all are planned again.
+/// Legs kept: for poses more than a second back, all legs are planned again.
 const KEPT: usize = 256;
 
 /// A motion from home on.
 #[derive(Clone, Debug)]
 pub(super) struct Reversals {
-    /// As it was at the beginning.
+    /// The generator at the beginning of the motion.
     random: ChaCha8Rng,
     end_s: f64,
     plan: RefCell<Plan>,
@@ -39,13 +39,13 @@ struct Plan {
 }
 
 impl Reversals {
-    /// At rest from `end_s` on, or the end of the leg that is flown then.
+    /// A motion that rests from the end of the leg flown at `end_s`.
     pub(super) fn new(random: ChaCha8Rng, end_s: f64) -> Self {
         let plan = RefCell::new(Plan::new(random.clone()));
         Self { random, end_s, plan }
     }
 
-    /// Where the tool is at `time_s`.
+    /// The pose of the tool at `time_s`.
     pub(super) fn pose(&self, time_s: f64) -> Pose {
         let mut plan = self.plan.borrow_mut();
         if plan.knots.front().is_some_and(|(first_s, _)| time_s < *first_s) {

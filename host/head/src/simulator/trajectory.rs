@@ -1,4 +1,4 @@
-//! How the tool moves.
+//! Motions of the tool.
 
 use std::f64::consts::PI;
 
@@ -70,8 +70,8 @@ pub enum PathError {
 }
 
 impl Trajectory {
-    /// A motion of a kind, as `seed` makes it. After `duration_s`, which may be infinite, contact-like
-    /// motions rest.
+    /// A random motion of a kind, from `seed`. Motions with reversals rest after `duration_s`, which may be
+    /// infinite.
     pub fn of_kind(kind: TrajectoryKind, seed: u64, duration_s: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         Self(match kind {
@@ -104,8 +104,7 @@ impl Trajectory {
         Ok(Self(Motion::Path(knots)))
     }
 
-    /// Whether a path says where the tool is at `time_s`; before it begins and after it ends the tool
-    /// rests.
+    /// Whether `time_s` is within the path; before and after it the tool rests.
     pub fn covers(&self, time_s: f64) -> bool {
         match &self.0 {
             Motion::Still | Motion::Sines(_) | Motion::Reversals(_) => true,
@@ -116,7 +115,7 @@ impl Trajectory {
         }
     }
 
-    /// Where the tool is at `time_s`.
+    /// The pose of the tool at `time_s`.
     pub fn pose(&self, time_s: f64) -> Pose {
         match &self.0 {
             Motion::Still => Pose::HOME,
@@ -130,7 +129,7 @@ impl Trajectory {
     }
 }
 
-/// Each coordinate swings with its own frequency, so that all combinations come by. The greatest
+/// Each coordinate oscillates with its own frequency, so that all combinations occur. The greatest
 /// speeds of the three axes add up, at worst, to the stated speed.
 fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
     // Shares whose squares add up to one.
