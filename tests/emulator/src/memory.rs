@@ -157,6 +157,11 @@ impl FlashArray {
         self.refusing.insert(offset);
     }
 
+    /// Whether any double word reads as erased and refuses to be programmed.
+    pub fn has_refusing(&self) -> bool {
+        !self.refusing.is_empty()
+    }
+
     /// Whether the erased double word at `offset` refuses to be programmed.
     pub fn refuses(&self, offset: usize) -> bool {
         self.refusing.contains(&offset)

@@ -97,6 +97,12 @@ impl Silicon {
         Fault::ALL.into_iter().collect()
     }
 
+    /// All of these but `fault`.
+    #[must_use]
+    pub fn without(self, fault: Fault) -> Self {
+        Self(self.0 & !(1 << fault as u16))
+    }
+
     /// Whether `fault` is among them.
     #[inline]
     pub fn has(self, fault: Fault) -> bool {

@@ -51,6 +51,7 @@ impl State {
                 let told = |talk: &mut Talk| talk.ear.events().iter().any(|text| text.contains("supply"));
                 assert!(talk.wait_for(5, told), "{:?}", talk.ear.events());
                 talk.rig.machine().set_supply_v(3.3);
+                talk.run_ms(0.2);
             }
             Self::Idle | Self::Acquiring => {}
         }
@@ -277,7 +278,7 @@ fn a_supply_that_stays_low_refuses_light() {
     assert_eq!(talk.ask(Command::Start), Ok(()));
     talk.run_ms(5.0);
     talk.rig.machine().set_supply_v(2.5);
-    talk.run_ms(0.1);
+    talk.run_ms(0.2);
     assert_eq!(talk.rig.machine().board.gates(), 0, "dark at once");
     // The core finds out at its next poll.
     talk.run_ms(2.0);
@@ -290,6 +291,7 @@ fn a_supply_that_stays_low_refuses_light() {
     let status = talk.next_status();
     assert!((status.supply_v - 2.5).abs() < 0.01, "{status:?}");
     talk.rig.machine().set_supply_v(3.3);
+    talk.run_ms(1.0);
     assert_eq!(talk.ask(Command::Start), Ok(()));
     assert!(talk.is_acquiring());
     talk.settle_account(0);

@@ -1,5 +1,6 @@
 //! What goes wrong between converters, transfers and clock, and how the board gets over it.
 
+use crate::common::dma_ticks;
 use crate::common::talk::{FRAME_TICKS, MS, Talk};
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_firmware::pcb::default_configuration;
@@ -101,7 +102,10 @@ fn disturb(configuration: &Configuration, disturbance: Disturbance) {
         for (now, then) in gates_now.iter().zip(&gates) {
             // Between the start of the timer and the look at the clock lie some instructions,
             // whose number does not change, but which may wait for the bus or the flash.
-            assert!(now.1 == then.1 && (now.0 - then.0).abs() <= 32, "{title}: {gates_now:?}, before {gates:?}");
+            assert!(
+                now.1 == then.1 && (now.0 - then.0).unsigned_abs() <= 32 + dma_ticks(),
+                "{title}: {gates_now:?}, before {gates:?}"
+            );
         }
     }
     let status = talk.settle_account(0);

@@ -1,6 +1,7 @@
 //! What ends the light, with the instants on the emulated pins, and what the board says afterwards.
 
 use crate::common::light::{Bench, MS, Said};
+use crate::common::{detector_ticks, dma_ticks};
 use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_protocol::{BootTarget, Command, HardwareFault, Rejection, ResetCause};
@@ -204,7 +205,7 @@ fn the_watchdog_ends_the_light_of_a_program_that_hangs() {
     // Until then the schedule runs on by itself, on its frame.
     let edges: Vec<_> = bench.record().drives.iter().filter(|drive| drive.gates == 0b00_1001).collect();
     assert!(edges.len() > 390);
-    assert!(edges.windows(2).all(|pair| pair[1].at - pair[0].at == FRAME_TICKS));
+    assert!(edges.windows(2).all(|pair| (pair[1].at - pair[0].at).abs_diff(FRAME_TICKS) <= dma_ticks()));
     assert_comes_back(&mut bench, ResetCause::Watchdog);
 }
 
@@ -255,7 +256,7 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
         bench.run_ms(5);
         let lit = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at - event;
         longest = longest.max(lit);
-        assert!(lit <= AT_ONCE_TICKS, "{lit}");
+        assert!(lit <= AT_ONCE_TICKS + detector_ticks(), "{lit}");
         assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
         assert!(bench.events().iter().any(|text| text.contains("supply")), "{:?}", bench.said);
         bench.rig.machine().set_supply_v(3.3);
@@ -334,6 +335,7 @@ fn a_low_supply_refuses_the_start() {
     assert!(!status.acquiring && (status.supply_v - 2.8).abs() < 0.02, "{status:?}");
     // Above the detector's threshold and hysteresis, 3.02 V.
     bench.rig.machine().set_supply_v(3.1);
+    bench.run_ms(1);
     bench.light();
     bench.forget();
     bench.run_ms(100);

@@ -152,7 +152,8 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
             }
             n += 1;
             store(&mut talk, n, Some(duration * step / CUTS));
-            let is_torn = talk.rig.machine().board.flash_array().has_torn();
+            let array = talk.rig.machine().board.flash_array();
+            let is_torn = array.has_torn() || array.has_refusing();
             let found = number(&greet(&mut talk));
             assert!(found == kept || found == n, "{found} instead of {kept} or {n}, cut {step} of part {part}");
             let (torn, old, new) = &mut seen[part];

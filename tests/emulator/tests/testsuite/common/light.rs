@@ -1,7 +1,7 @@
 //! A board on the bench: what its host hears, and every change of its emitter pins and every
 //! instant at which a converter holds a sample.
 
-use super::silicon;
+use super::{dma_ticks, silicon, trigger_ticks};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -310,6 +310,9 @@ pub fn run(bench: &mut Bench, configuration: &Configuration, ms: u64) -> (Vec<Ra
     bench.record().records_holds = true;
     bench.accept(&Command::Start);
     bench.run_ms(ms);
+    let schedule = &configuration.schedule;
+    let period = if schedule.slots.len() == 1 { schedule.frame_ticks } else { schedule.slot_ticks };
+    let zero = bench.rig.machine().board.timers[0].origin().expect("the frame timer runs");
     bench.accept(&Command::Stop);
     // What the link still holds.
     bench.run_ms(5);
@@ -318,7 +321,10 @@ pub fn run(bench: &mut Bench, configuration: &Configuration, ms: u64) -> (Vec<Ra
     let (slot, set) = lit_slots.expect("a schedule has light");
     let lit = bench.record().drives.iter().find(|drive| drive.gates != 0).expect("it lights");
     assert_eq!(lit.gates, set.0 as u8, "the first lit slot comes first");
-    let start = lit.at - slot as u64 * u64::from(configuration.schedule.slot_ticks);
+    let seen = lit.at - slot as u64 * u64::from(configuration.schedule.slot_ticks);
+    // The first update of the timer, which starts at the end of a period.
+    let start = zero + u64::from(period);
+    assert!((0..=dma_ticks()).contains(&(seen - start)), "{} ticks from the timer to the pins", seen - start);
     (bench.scans(), start)
 }
 
@@ -343,12 +349,11 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
                 for conversion in 0..oversampling {
                     let at = start + n as u64 * frame_ticks + first + conversion * u64::from(schedule.conversion_ticks);
                     let pair = [held.next(), held.next()];
-                    let expected = [1, 2].map(|adc| Hold { at, adc, channel: inputs[usize::from(adc) - 1] });
-                    assert_eq!(
-                        pair.map(Option::<&Hold>::copied),
-                        expected.map(Some),
-                        "frame {n}, slot {slot}, cell {cell}, conversion {conversion}"
-                    );
+                    let [Some(first), Some(second)] = pair else { panic!("holds are whole") };
+                    let title = format!("frame {n}, slot {slot}, cell {cell}, conversion {conversion}");
+                    assert!((at..=at + trigger_ticks()).contains(&first.at), "{title}: {first:?} instead of {at}");
+                    let expected = [1, 2].map(|adc| Hold { at: first.at, adc, channel: inputs[usize::from(adc) - 1] });
+                    assert_eq!([*first, *second], expected, "{title}");
                 }
             }
         }
@@ -356,7 +361,7 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
     // A Stop may cut the last frame short behind its last hold.
     let uncut = frames.saturating_sub(1) as u64;
     let expected = gate_edges(schedule, start, uncut);
-    let end = expected.last().map_or(start, |edge| edge.0) + 1;
+    let end = expected.last().map_or(start, |edge| edge.0) + 1 + dma_ticks();
     let mut gates = 0;
     let changes = record.drives.iter().filter(|drive| {
         let is_change = drive.gates != gates;
@@ -365,7 +370,8 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
     });
     let seen: Vec<_> = changes.map(|drive| (drive.at, drive.gates)).collect();
     for (seen, expected) in seen.iter().zip(&expected) {
-        assert_eq!(seen, expected, "gates, in ticks from the start: {}", expected.0 - start);
+        let late = expected.0..=expected.0 + dma_ticks();
+        assert!(seen.1 == expected.1 && late.contains(&seen.0), "{seen:?}, not {expected:?}, of a start at {start}");
     }
     assert_eq!(seen.len(), expected.len());
     check_levels(record, schedule, levels, start, uncut);
@@ -416,9 +422,10 @@ fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start:
     let mut now = Drive { at: 0, gates: 0, levels: [0; 2] };
     for frame in 0..frames {
         for (slot, set) in (0..).zip(&schedule.slots) {
-            let begin =
-                start + frame * u64::from(schedule.frame_ticks) + slot * u64::from(schedule.slot_ticks) + LEVEL_TICKS;
-            let end = begin - LEVEL_TICKS + u64::from(schedule.slot_ticks);
+            let slot_begin = start + frame * u64::from(schedule.frame_ticks) + slot * u64::from(schedule.slot_ticks);
+            // Behind the gates and the other line.
+            let begin = slot_begin + LEVEL_TICKS + 2 * dma_ticks();
+            let end = slot_begin + u64::from(schedule.slot_ticks);
             while let Some(drive) = drives.next_if(|drive| drive.at <= begin) {
                 now = *drive;
             }

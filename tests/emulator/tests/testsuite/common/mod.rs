@@ -4,15 +4,34 @@ pub mod chain;
 pub mod light;
 pub mod talk;
 
-use slitpose_emulator::silicon::Silicon;
+use slitpose_emulator::silicon::{Fault, Silicon};
 
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
 const SILICON: &str = "SLITPOSE_SILICON";
 
-/// The silicon that the tests run on.
+/// Ticks by which a DMA transfer may come late: behind another one of its controller.
+pub fn dma_ticks() -> u64 {
+    if silicon().has(Fault::DmaLatency) { 2 * 60 } else { 0 }
+}
+
+/// Ticks after which the supply detector reacts.
+pub fn detector_ticks() -> u64 {
+    if silicon().has(Fault::PvdSlow) { 17_000 } else { 0 }
+}
+
+/// Ticks by which the converters may see a trigger late: three to their clock's edge, and an eighth of a clock.
+pub fn trigger_ticks() -> u64 {
+    if silicon().has(Fault::TriggerPhase) { 4 } else { 0 }
+}
+
+/// The silicon that the tests run on. A USB host that suspends the bus begins a session anew each time, which has tests
+/// of its own.
 pub fn silicon() -> Silicon {
     match std::env::var(SILICON) {
-        Ok(faults) if !faults.is_empty() => faults.parse().unwrap_or_else(|error| panic!("{SILICON}: {error}")),
+        Ok(faults) if !faults.is_empty() => {
+            let silicon: Silicon = faults.parse().unwrap_or_else(|error| panic!("{SILICON}: {error}"));
+            silicon.without(Fault::UsbHost)
+        }
         _ => Silicon::default(),
     }
 }
