@@ -299,6 +299,12 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
+    /// Fault injection: the crystal stops, for good.
+    pub fn stop_crystal(&mut self) {
+        self.effects.silicon = self.effects.silicon.with(Fault::HseDead);
+        self.rcc.lose_crystal(&mut self.effects);
+    }
+
     /// Fault injection: sets OVR of ADC1 (`index` 0) or ADC2 (1).
     pub fn force_adc_overrun(&mut self, index: usize) {
         self.adc12.force_overrun(index, &mut self.effects);

@@ -57,7 +57,7 @@ struct Args {
     #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
     speed: Speed,
     /// What the silicon does against its manual: names separated by commas, or all [default: nothing]
-    #[arg(long, value_name = "FAULTS", long_help = silicon_help())]
+    #[arg(long, value_name = "FAULTS", env = "SLITPOSE_SILICON", long_help = silicon_help())]
     silicon: Option<Silicon>,
     /// The board's link that the terminal stands for
     #[arg(long, value_enum, default_value_t = LinkKind::Usb)]

@@ -97,10 +97,10 @@ impl Silicon {
         Fault::ALL.into_iter().collect()
     }
 
-    /// All of these but `fault`.
+    /// These and `fault`.
     #[must_use]
-    pub fn without(self, fault: Fault) -> Self {
-        Self(self.0 & !(1 << fault as u16))
+    pub fn with(self, fault: Fault) -> Self {
+        Self(self.0 | 1 << fault as u16)
     }
 
     /// Whether `fault` is among them.

@@ -38,6 +38,8 @@ const SW_PLL: u32 = 0b11;
 const PPRE: u32 = 0b11_1111 << 8;
 const HPRE: u32 = 0b1111 << 4;
 const HPRE_HALF: u32 = 0b1000 << 4;
+const CSSF: u32 = 1 << 8;
+const CSSON: u32 = 1 << 19;
 const HSEON: u32 = 1 << 16;
 const HSERDY: u32 = 1 << 17;
 /// Start of the timers that schedule frames: TIM2 and TIM5 of RCC_APB1ENR1.
@@ -129,12 +131,14 @@ pub struct Rcc {
     crystal_since: Ticks,
     /// When the PLL became the system clock.
     switched_at: Ticks,
+    /// CSSF of CIFR, alone.
+    clock_lost: u32,
 }
 
 impl Rcc {
     /// State after power-on.
     pub fn new() -> Self {
-        let mut rcc = Self { words: [0; WORDS], crystal_since: 0, switched_at: 0 };
+        let mut rcc = Self { words: [0; WORDS], crystal_since: 0, switched_at: 0, clock_lost: 0 };
         rcc.reset(ResetCause::PowerOn);
         rcc
     }
@@ -143,6 +147,7 @@ impl Rcc {
     pub fn reset(&mut self, cause: ResetCause) {
         let (backup, flags) = (self.get(BDCR), self.get(CSR) & RESET_FLAGS);
         self.words = [0; WORDS];
+        self.clock_lost = 0;
         self.set(CR, 1 << 8);
         self.set(ICSCR, 0x4000_0000);
         self.set(CFGR, 1);
@@ -175,7 +180,7 @@ impl Rcc {
             }
             CFGR => self.get(CFGR) | (self.get(CFGR) & SW) << 2,
             BDCR | CSR | CRRCR => self.get(offset) | (self.get(offset) & 1) << 1,
-            CIFR => 0,
+            CIFR => self.clock_lost,
             _ if is_register(offset) => self.get(offset),
             _ => {
                 effects.unmodelled();
@@ -191,7 +196,8 @@ impl Rcc {
             CR => self.write_cr(value, effects),
             CFGR => self.write_cfgr(value, effects),
             PLLCFGR => self.write_pllcfgr(value, effects),
-            CIER | CICR => effects.unmodelled_bits(value & if offset == CIER { u32::MAX } else { 0 }),
+            CICR => self.clock_lost &= !value,
+            CIER => effects.unmodelled_bits(value),
             BDCR if !backup_access => effects.violation(value, "RCC_BDCR is written only while PWR_CR1.DBP = 1"),
             BDCR => self.set(BDCR, if value & BDRST != 0 { BDRST } else { value & !0b10 }),
             CSR => {
@@ -218,6 +224,15 @@ impl Rcc {
     #[inline]
     pub fn is_on(&self, gate: Gate) -> bool {
         self.words[(gate.register / 4) as usize] >> gate.bit & 1 != 0
+    }
+
+    /// The crystal stops. With the clock security system on, the non-maskable interrupt comes (RM0440, "Clock security
+    /// system"); that the core goes on from the internal oscillator does not show.
+    pub fn lose_crystal(&mut self, effects: &mut Effects) {
+        if self.get(CR) & (CSSON | HSEON) == CSSON | HSEON {
+            self.clock_lost = CSSF;
+            effects.raise_nmi();
+        }
     }
 
     /// Whether core and buses run at 170 MHz.

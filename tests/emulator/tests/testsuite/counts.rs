@@ -185,7 +185,7 @@ fn ten_seconds_of_words_are_those_of_the_model() {
 /// Whatever a start finds under way, the first words of its rings are its own.
 #[test]
 fn no_start_loses_or_shifts_a_scan() {
-    let (file, runs) = (WIDE.read().expect("shipped"), 150_u32);
+    let (file, runs) = (WIDE.read().expect("shipped"), 1_000_u32);
     let still = || Trajectory::of_kind(TrajectoryKind::Still, SEED, 1.0);
     let mut chain = Chain::open(&file, still(), NoiseSource::Off);
     let expected = Model::new(&file, still()).frame(0);

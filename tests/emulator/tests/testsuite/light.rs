@@ -1,10 +1,11 @@
 //! What ends the light, with the instants on the emulated pins, and what the board says afterwards.
 
 use crate::common::light::{Bench, MS, Said};
-use crate::common::{detector_ticks, dma_ticks};
+use crate::common::{detector_ticks, dma_ticks, silicon};
 use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_protocol::{BootTarget, Command, HardwareFault, Rejection, ResetCause};
+use slitpose_emulator::silicon::Fault;
+use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
 
 /// A period of the default schedule; the last slot is dark.
 const FRAME_TICKS: Ticks = 42_500;
@@ -241,6 +242,24 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
     assert_eq!(bench.gates(), 0);
     bench.run_ms(5);
     assert_comes_back(&mut bench, ResetCause::Watchdog);
+}
+
+#[test]
+fn a_crystal_that_stops_ends_the_light_at_once_and_the_next_start_does_without() {
+    let mut bench = lit();
+    if silicon().has(Fault::HseDead) {
+        return;
+    }
+    assert_eq!(bench.ask_status().clock, ClockSource::Crystal);
+    until_lit_and_awake(&mut bench);
+    bench.forget();
+    let event = bench.rig.now();
+    bench.rig.machine().board.stop_crystal();
+    bench.run_ms(50);
+    let dark = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at;
+    assert!(dark - event <= AT_ONCE_TICKS, "{}", dark - event);
+    assert_comes_back(&mut bench, ResetCause::Panic);
+    assert_eq!(bench.ask_status().clock, ClockSource::CrystalFailed);
 }
 
 #[test]

@@ -4,6 +4,7 @@
 use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk, last_light};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::memory::UNIQUE_ID;
 use slitpose_emulator::peripherals::Ticks;
@@ -204,6 +205,22 @@ fn a_computer_may_sleep() {
     let status = talk.settle_account(2 * TRANSFER_SCANS);
     assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
     assert_eq!(talk.rig.machine().resets().len(), 1);
+    talk.expect_no_faults();
+}
+
+#[test]
+fn a_host_that_suspends_the_bus_again_and_again_loses_what_is_counted() {
+    let mut talk = Talk::on(Silicon::default().with(Fault::UsbHost));
+    assert_eq!(talk.ask(Command::Start), Ok(()));
+    // At each of them a transfer may be lost.
+    talk.ear.breaks = 100;
+    talk.run_ms(5_000.0);
+    // A bus at rest closes the port for the board: what waits is dropped, and a session begins with a hello.
+    let status = talk.next_status();
+    println!("{} scans taken, {} dropped", status.scans_taken, status.scans_dropped);
+    assert!(talk.ear.hellos() > 5 && status.scans_dropped > 0, "{status:?}");
+    assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
+    assert!(status.acquiring && status.scans_dropped < status.scans_taken / 4, "{status:?}");
     talk.expect_no_faults();
 }
 

@@ -24,14 +24,10 @@ pub fn trigger_ticks() -> u64 {
     if silicon().has(Fault::TriggerPhase) { 4 } else { 0 }
 }
 
-/// The silicon that the tests run on. A USB host that suspends the bus begins a session anew each time, which has tests
-/// of its own.
+/// The silicon that the tests run on.
 pub fn silicon() -> Silicon {
     match std::env::var(SILICON) {
-        Ok(faults) if !faults.is_empty() => {
-            let silicon: Silicon = faults.parse().unwrap_or_else(|error| panic!("{SILICON}: {error}"));
-            silicon.without(Fault::UsbHost)
-        }
+        Ok(faults) if !faults.is_empty() => faults.parse().unwrap_or_else(|error| panic!("{SILICON}: {error}")),
         _ => Silicon::default(),
     }
 }

@@ -7,6 +7,7 @@ use super::silicon;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image};
+use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::Shipped;
 use slitpose_head::simulator::Trajectory;
@@ -273,21 +274,29 @@ impl Talk {
     /// A board with a tool at rest and no noise, so that all scans are alike; its host has not
     /// found it yet.
     pub fn boot() -> Self {
-        Self::boot_with(NoiseSource::Off)
+        Self::boot_with(NoiseSource::Off, silicon())
     }
 
-    /// A board with noise from `seed`, its port open at USB.
-    pub fn noisy(seed: u64) -> Self {
-        let mut talk = Self::boot_with(NoiseSource::Seeded(seed));
+    /// A board on `silicon`, its port open at USB.
+    pub fn on(silicon: Silicon) -> Self {
+        let mut talk = Self::boot_with(NoiseSource::Off, silicon);
         talk.await_port();
         talk.open();
         talk
     }
 
-    fn boot_with(noise: NoiseSource) -> Self {
+    /// A board with noise from `seed`, its port open at USB.
+    pub fn noisy(seed: u64) -> Self {
+        let mut talk = Self::boot_with(NoiseSource::Seeded(seed), silicon());
+        talk.await_port();
+        talk.open();
+        talk
+    }
+
+    fn boot_with(noise: NoiseSource, silicon: Silicon) -> Self {
         let image = open_image(None).expect("firmware/build has made an image");
         let scene = Shipped::named("wide").expect("a shipped scene").read().expect("shipped scenes are valid");
-        let rig = Rig::boot(&image, &scene, at_rest(), noise, silicon()).expect("the board fits the scene");
+        let rig = Rig::boot(&image, &scene, at_rest(), noise, silicon).expect("the board fits the scene");
         Self { rig, ear: Listener::default() }
     }
 
