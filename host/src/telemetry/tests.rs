@@ -8,7 +8,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{Severity, Status};
+use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
 use super::*;
 use crate::clock::{HostInstant, HostTime};
@@ -92,6 +92,8 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
         supply_v: 3.3,
         temperature_k: 300.0,
         cpu_load_permille: 130,
+        clock: ClockSource::CrystalFailed,
+        settings: SettingsSource::PassedOver,
     };
     statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };

@@ -41,7 +41,7 @@ use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
 use slitpose_firmware::{Board, Identity};
-use slitpose_protocol::{BoardKind, Hashes};
+use slitpose_protocol::{BoardKind, ClockSource, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::acquisition::Sampler;
@@ -123,6 +123,11 @@ async fn main(spawner: Spawner) {
         reset_cause,
         hashes: settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes),
         scaling: default_scaling(),
+        clock: ClockSource::Internal,
+        settings: match &settings {
+            Some(stored) if can_run(&stored.configuration) => SettingsSource::Stored,
+            _ => SettingsSource::Defaults,
+        },
     };
     // Another firmware may have left settings that this board cannot run.
     let configuration = settings.map(|settings| settings.configuration).filter(|stored| can_run(stored));
