@@ -7,7 +7,7 @@ use slitpose_protocol::{Severity, Status};
 use thiserror::Error;
 
 use crate::device::{Conversation, DeviceError, Keep};
-use crate::link::Segment;
+use crate::link::{Segment, start_findings};
 use crate::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end::{self, TimingError};
@@ -138,6 +138,7 @@ impl Measurement {
             self.poses(),
             self.health(),
         ];
+        checks.extend(start_findings(self.after.clock, self.after.settings));
         if !self.events.is_empty() {
             checks.push(Finding::warning("events", self.events.join("; "), "act on the warnings of the board"));
         }
@@ -248,6 +249,8 @@ impl Measurement {
 mod tests {
     use std::borrow::Cow;
 
+    use slitpose_protocol::{ClockSource, SettingsSource};
+
     use super::*;
     use crate::device::SimulatedDevice;
     use crate::pipeline::Outcomes;
@@ -273,7 +276,7 @@ mod tests {
         let (good, bytes) = measured();
         assert_eq!(
             grades(&good),
-            [("board".into(), Ok), ("link".into(), Ok), ("poses".into(), Ok), ("health".into(), Ok)]
+            ["board", "link", "poses", "health", "oscillator", "settings"].map(|place| (place.into(), Ok))
         );
         assert_eq!((good.counts.scans, bytes.len()), (400, good.bytes));
         // 60 bytes per scan, and as many for the true pose of a simulated one.
@@ -295,6 +298,8 @@ mod tests {
         });
         assert_eq!(dropped, [("board".into(), Failed)]);
         assert_eq!(with(|it| it.after.adc_overruns += 1), [("board".into(), Failed)]);
+        assert_eq!(with(|it| it.after.clock = ClockSource::CrystalFailed), [("oscillator".into(), Warning)]);
+        assert_eq!(with(|it| it.after.settings = SettingsSource::PassedOver), [("settings".into(), Warning)]);
         assert_eq!(
             with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }),
             [("poses".into(), Warning)]

@@ -6,6 +6,7 @@
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde::Serialize;
+use slitpose_protocol::{ClockSource, SettingsSource};
 
 use super::latency::Latency;
 use crate::clock::HostInstant;
@@ -283,6 +284,14 @@ pub(crate) struct ClockReport {
 pub(crate) struct Vitals {
     /// Cause of the last reset.
     pub reset_cause: String,
+    /// Source of its clock: `internal` (oscillator of the MCU), `crystal`, or `crystal_failed` (oscillator of the MCU, as
+    /// the crystal did not start).
+    #[schemars(with = "String")]
+    pub clock_source: ClockSource,
+    /// Source of its configuration at the start: `defaults`, `stored`, or `passed_over` (defaults, as three starts in a
+    /// row with the stored settings failed).
+    #[schemars(with = "String")]
+    pub settings: SettingsSource,
     /// Whether it acquires scans.
     pub acquiring: bool,
     /// Supply voltage, volts.

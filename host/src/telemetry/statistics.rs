@@ -238,6 +238,8 @@ impl BoardStatistics {
     fn vitals(&self, status: &Status) -> Vitals {
         Vitals {
             reset_cause: self.reset_cause.clone(),
+            clock_source: status.clock,
+            settings: status.settings,
             acquiring: status.acquiring,
             supply_v: status.supply_v,
             temperature_k: status.temperature_k,

@@ -200,6 +200,14 @@ fn metrics_are_what_prometheus_reads() {
     let half = value("slitpose_latency_seconds", &format!(";device={id};stage=link;quantile=0.5;"));
     assert!((half - 1e-3).abs() < 1e-5, "{half}");
     assert_eq!(value("slitpose_clock_drift_ratio", &format!(";device={id};")), -12.0 * 1e-6);
+    for (name, source, is) in [
+        ("clock_source", "crystal_failed", 1.0),
+        ("clock_source", "crystal", 0.0),
+        ("settings", "passed_over", 1.0),
+        ("settings", "stored", 0.0),
+    ] {
+        assert_eq!(value(&format!("slitpose_board_{name}"), &format!(";device={id};source={source};")), is, "{source}");
+    }
     let saturated = format!(";device={id};cell=1;condition=saturated;");
     assert_eq!(value("slitpose_cell_condition_ratio", &saturated), 0.34);
     assert_eq!(value("slitpose_cell_verdict", &format!(";device={id};cell=1;verdict=saturated;")), 1.0);
@@ -225,6 +233,9 @@ fn the_view_keeps_to_its_width() {
     has("1:saturated(34%)");
     has("  !         cell 1: saturated in 34 %");
     has("known to 35.0 us, fast by -12.00 ppm");
+    has("clock: crystal failed, settings:");
+    has("start       oscillator: internal oscillator, as the crystal did not start");
+    has("start       settings: defaults of the firmware, as three starts in a row");
 }
 
 fn is_served(server: &StatusServer) {
@@ -233,6 +244,8 @@ fn is_served(server: &StatusServer) {
     assert_eq!(status["boards"][0]["name"], AWKWARD);
     assert_eq!(status["boards"][1]["head"]["cells"][1]["verdict"], "saturated");
     assert_eq!(status["boards"][1]["link"]["state"], "running");
+    let vitals = &status["boards"][1]["vitals"];
+    assert_eq!((&vitals["clock_source"], &vitals["settings"]), (&"crystal_failed".into(), &"passed_over".into()));
     assert!(status["boards"][1]["head"]["cells"][1]["stray_a"].is_null(), "not a number");
     assert!(get("/").unwrap().contains("converged 3999"));
     check(&get("/metrics").unwrap());
