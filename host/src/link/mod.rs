@@ -7,5 +7,5 @@ mod version;
 
 pub use id::{DeviceId, DeviceIdError};
 pub use segment::{Asked, Read, Segment};
-pub(crate) use start::start_findings;
+pub(crate) use start::{contradicted_crystal, start_findings};
 pub use version::Versions;

@@ -1,4 +1,4 @@
-//! Findings on a board's start.
+//! Findings on a board's start, and on the clock that it says it started with.
 
 use slitpose_head::finding::Finding;
 use slitpose_protocol::{ClockSource, SettingsSource};
@@ -24,6 +24,15 @@ pub(crate) fn start_findings(clock: ClockSource, settings: SettingsSource) -> [F
             ),
         },
     ]
+}
+
+/// The finding on a board that says crystal and has drifted from the host's clock as none does.
+pub(crate) fn contradicted_crystal() -> Finding {
+    Finding::warning(
+        "board clock",
+        "the board says that it runs from a crystal and does not keep time as a crystal does, by this host's clock",
+        "unless this host was suspended or NTP corrected its clock meanwhile, check the board's crystal",
+    )
 }
 
 #[cfg(test)]

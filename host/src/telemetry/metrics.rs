@@ -272,6 +272,12 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     boards.each("slitpose_clock_uncertainty_seconds", gauge, "The instants of scans are right to this.", |board| {
         board.clock.uncertainty_s
     });
+    boards.each(
+        "slitpose_clock_contradicts_crystal",
+        gauge,
+        "1 if the board says crystal and does not keep time as one does.",
+        |board| Some(f64::from(u8::from(board.clock.contradicts_crystal))),
+    );
     boards.each("slitpose_clock_drift_ratio", gauge, "By what share the board's clock is fast.", |board| {
         board.clock.drift_ppm.map(|drift_ppm| drift_ppm * 1e-6)
     });

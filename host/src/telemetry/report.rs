@@ -277,6 +277,9 @@ pub(crate) struct ClockReport {
     pub uncertainty_s: Option<f64>,
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub drift_ppm: Option<f64>,
+    /// The board reports a crystal, and its rate has broken the bounds of one: the wider bounds of an internal oscillator
+    /// hold.
+    pub contradicts_crystal: bool,
 }
 
 /// A board's own status.

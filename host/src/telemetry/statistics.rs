@@ -87,9 +87,10 @@ impl BoardStatistics {
         }
     }
 
-    /// Sets the rate error of the board's clock, ppm, positive if fast.
-    pub(crate) fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
+    /// Sets the rate error of the board's clock, ppm, positive if fast, and whether it contradicts a reported crystal.
+    pub(crate) fn set_clock(&mut self, drift_ppm: Option<f64>, contradicts_crystal: bool) {
         self.clock.drift_ppm = drift_ppm;
+        self.clock.contradicts_crystal = contradicts_crystal;
     }
 
     /// Sets the losses on the host so far.

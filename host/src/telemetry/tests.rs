@@ -98,7 +98,7 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
     statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
     statistics.update(&event, None, None);
-    statistics.set_drift_ppm(Some(-12.0));
+    statistics.set_clock(Some(-12.0), true);
     let mut counts = Counts::default();
     counts.scans = 4000;
     counts.outcomes = Outcomes { converged: 3999, degraded: 1, ..Outcomes::default() };
@@ -234,6 +234,7 @@ fn the_view_keeps_to_its_width() {
     has("  !         cell 1: saturated in 34 %");
     has("known to 35.0 us, fast by -12.00 ppm");
     has("clock: crystal failed, settings:");
+    has("clock       board clock: the board says that it runs from a crystal");
     has("start       oscillator: internal oscillator, as the crystal did not start");
     has("start       settings: defaults of the firmware, as three starts in a row");
 }

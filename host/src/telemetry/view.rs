@@ -6,7 +6,7 @@ use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::{CellHealth, Verdict};
-use crate::link::start_findings;
+use crate::link::{contradicted_crystal, start_findings};
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
@@ -133,6 +133,9 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     if let Some(uncertainty_s) = report.clock.uncertainty_s {
         let drift = report.clock.drift_ppm.map_or(String::new(), |drift_ppm| format!(", fast by {drift_ppm:+.2} ppm"));
         put(&mut lines, "clock", &format!("known to {:.1} us{drift}", uncertainty_s * 1e6)).rank(3);
+    }
+    if report.clock.contradicts_crystal {
+        put_finding(&mut lines, "clock", &contradicted_crystal()).rank(1);
     }
     if let Some(vitals) = &report.vitals {
         put(
