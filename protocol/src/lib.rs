@@ -69,7 +69,10 @@
 //! **2 Status**: `u64` tick · `bool` acquiring · `u64` scans taken · `u64` scans dropped ·
 //! `u32` batches dropped · `u64` scans lost · `u32` ADC overruns · `u32` replies dropped ·
 //! `u32` commands damaged · `u32` commands rejected · `f32` supply in volts ·
-//! `f32` temperature in kelvin · `u16` processor load in thousandths ([`Status`]).
+//! `f32` temperature in kelvin · `u16` processor load in thousandths · enum clock
+//! (0 internal oscillator, 1 crystal, 2 internal oscillator as the crystal did not start:
+//! [`ClockSource`]) · enum settings (0 defaults, 1 stored, 2 defaults as three starts in a
+//! row with the stored ones failed: [`SettingsSource`]) ([`Status`]).
 //!
 //! **3 Event**: `u64` tick · enum severity (0 info, 1 warning, 2 error) · `str` text.
 //!
@@ -107,7 +110,8 @@
 //! Batch:configuration u16,sequence u64,tick u64,levels [u16;..16],samples bytes
 //! Status:tick u64,acquiring bool,scans_taken u64,scans_dropped u64,batches_dropped u32,scans_lost u64,
 //!     adc_overruns u32,replies_dropped u32,commands_damaged u32,commands_rejected u32,supply_v f32,
-//!     temperature_k f32,cpu_load_permille u16
+//!     temperature_k f32,cpu_load_permille u16,clock(Internal|Crystal|CrystalFailed),settings(Defaults|
+//!     Stored|PassedOver)
 //! Event:tick u64,severity(Info|Warning|Error),text str
 //! Reply:number u16,outcome(Ok|Err(Unsupported{kind u32}|Malformed{kind u32}|Schedule(CellCount{cells u8}|
 //!     Oversampling{oversampling u16}|Zero(TickRate|Frame|Slot|Conversion)|DarkTwice{first_slot u8,
@@ -176,13 +180,15 @@
 //! Promised for ever: the framing, and that message 0 starts with the version. Within a
 //! major version kinds are only added at the end, and the fields of a kind never change;
 //! extra bytes after the fields make a payload malformed. A receiver skips kinds it does
-//! not know.
+//! not know. These promises begin with the first release, which will speak 2.0: until then
+//! fields may change, and the keys of a Hello distinguish two builds.
 //!
 //! Not promised: that a varint or a stuffed run has its shortest form (receivers accept
 //! any) · the number of scans in a batch, or that it is constant · the times of Status ·
 //! the texts of Event, and the names of board and firmware · that sequence or tick start
 //! at 0 when a host connects · that nothing is lost (gaps in the sequence show losses) ·
-//! that tick rates of two boards agree better than their crystals.
+//! that tick rates of two boards agree better than the oscillators they are
+//! [counted by](ClockSource).
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -195,6 +201,7 @@ mod scan;
 mod schedule;
 mod schedule_error;
 pub mod schema;
+mod start;
 
 use core::fmt;
 
@@ -212,6 +219,7 @@ pub use message::{
 pub use scan::{AdcScaling, Level, Levels, RawScan, ScalingError, WordPair};
 pub use schedule::{EmitterSet, MAX_CELLS, MAX_OVERSAMPLING, MAX_SLOTS, Schedule};
 pub use schedule_error::{Quantity, ScheduleError};
+pub use start::{ClockSource, SettingsSource};
 
 /// Version of the protocol this crate speaks.
 pub const PROTOCOL: ProtocolVersion = ProtocolVersion { major: 2, minor: 0 };

@@ -14,6 +14,7 @@ use crate::scan::AdcScaling;
 use crate::schedule::Schedule;
 use crate::schedule_error::ScheduleError;
 use crate::schema::{self, SchemaKeys, SchemaMismatch};
+use crate::start::{ClockSource, SettingsSource};
 use crate::{PROTOCOL, ProtocolVersion};
 
 /// A message of a board.
@@ -132,7 +133,7 @@ pub enum ResetCause {
     Panic,
 }
 
-/// Counters since reset, and health. At every instant
+/// Counters since reset, health, and what the board started with. At every instant
 /// `scans_taken = scans sent + scans_dropped + scans_lost + scans still on the board`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Status {
@@ -164,6 +165,10 @@ pub struct Status {
     pub temperature_k: f32,
     /// CPU load in thousandths.
     pub cpu_load_permille: u16,
+    /// What the ticks are counted by.
+    pub clock: ClockSource,
+    /// Where the configuration came from at the start.
+    pub settings: SettingsSource,
 }
 
 /// An event on the board that is not the answer to a command.

@@ -60,7 +60,8 @@ pub const MESSAGES: [Schema; 7] = [
         "Status",
         "tick u64,acquiring bool,scans_taken u64,scans_dropped u64,batches_dropped u32,\
          scans_lost u64,adc_overruns u32,replies_dropped u32,commands_damaged u32,\
-         commands_rejected u32,supply_v f32,temperature_k f32,cpu_load_permille u16",
+         commands_rejected u32,supply_v f32,temperature_k f32,cpu_load_permille u16,\
+         clock(Internal|Crystal|CrystalFailed),settings(Defaults|Stored|PassedOver)",
     ),
     Schema::new("Event", "tick u64,severity(Info|Warning|Error),text str"),
     Schema::new(

@@ -42,6 +42,8 @@ class Wire(unittest.TestCase):
         (hello,) = read["message", "Hello"]
         self.assertEqual((hello["kind"], hello["board"], hello["reset_cause"]), ("Simulated", "virtual", "BrownOut"))
         self.assertEqual(hello["scaling"]["amperes_per_code"], -2.5e-9)
+        (status,) = read["message", "Status"]
+        self.assertEqual((status["clock"], status["settings"]), ("Crystal", "PassedOver"))
         refusals = [reply["outcome"] for reply in read["message", "Reply"] if reply["outcome"] != "Ok"]
         self.assertIn({"Err": {"Hardware": {"Conversion": {"asked_ticks": 150, "nearest_ticks": 148}}}}, refusals)
 

@@ -17,7 +17,7 @@
 //! cannot run it.
 
 use slitpose_protocol::{
-    Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request,
+    Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request, SettingsSource,
 };
 
 use super::{Board, Emitters, Reboot, Storing};
@@ -98,7 +98,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             return Err(Rejection::Storing);
         }
         let settings = hashes.map(|hashes| Settings { configuration: self.configuration.clone(), hashes });
-        self.storing = Some(Storing { number: Some(number), hashes: hashes.unwrap_or_default() });
+        self.storing = Some(Storing { number: Some(number), hashes });
         self.hardware.store(settings.as_ref());
         Ok(Done::Later)
     }
@@ -113,7 +113,8 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         };
         self.storing = None;
         if result.is_ok() {
-            self.identity.hashes = hashes;
+            self.identity.hashes = hashes.unwrap_or_default();
+            self.identity.settings = if hashes.is_some() { SettingsSource::Stored } else { SettingsSource::Defaults };
             self.introduce();
         }
         if let Some(number) = number {

@@ -11,8 +11,8 @@ use core::fmt::{self, Write};
 use heapless::String;
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
-    AdcScaling, BoardKind, BootTarget, Configuration, Decoder, Event, Exposure, HardwareFault, Hashes, Hello,
-    MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, ResetCause, Severity,
+    AdcScaling, BoardKind, BootTarget, ClockSource, Configuration, Decoder, Event, Exposure, HardwareFault, Hashes,
+    Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, ResetCause, SettingsSource, Severity,
 };
 
 use crate::collector::Collector;
@@ -47,7 +47,8 @@ pub enum Link {
     Closed,
 }
 
-/// What a board says of itself in [`Hello`], besides its schedule.
+/// What a board says of itself in [`Hello`], besides its schedule, and of its start in
+/// [`Status`](slitpose_protocol::Status).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Identity {
     /// Unique number of the device.
@@ -62,6 +63,10 @@ pub struct Identity {
     pub hashes: Hashes,
     /// What a word is worth in amperes.
     pub scaling: AdcScaling,
+    /// What the hardware's ticks are counted by.
+    pub clock: ClockSource,
+    /// Where the first configuration came from.
+    pub settings: SettingsSource,
 }
 
 /// State of the emitters, as far as the hardware has confirmed it.
@@ -115,7 +120,8 @@ pub struct Board<H, M> {
 struct Storing {
     /// Number of the request to reply to; `None` if its host has gone.
     number: Option<u16>,
-    hashes: Hashes,
+    /// What a Store keeps; `None` for a Forget.
+    hashes: Option<Hashes>,
 }
 
 /// A reboot that waits for its reply to be sent.
@@ -257,6 +263,21 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         // The end of a longer text is cut off.
         let _ = cut.write_fmt(text);
         self.outbox.push_answer(&Message::Event(Event { tick, severity, text: &cut }));
+    }
+
+    /// Queues a warning for each part of the start that failed: a host that opens the link later
+    /// hears of it, too.
+    fn warn_of_start(&mut self, now: u64) {
+        if self.identity.clock == ClockSource::CrystalFailed {
+            let text = format_args!("the crystal did not start: running from the internal oscillator");
+            self.tell(now, Severity::Warning, text);
+        }
+        if self.identity.settings == SettingsSource::PassedOver {
+            let text = format_args!(
+                "three starts in a row failed: stored settings were passed over; store them again, or forget them"
+            );
+            self.tell(now, Severity::Warning, text);
+        }
     }
 
     /// Queues a hello for the configuration in force.

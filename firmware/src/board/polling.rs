@@ -9,8 +9,8 @@ use crate::hardware::{Hardware, Indicator};
 /// takes them: a UART of 3 Mbaud takes 3.4 ms for a kilobyte.
 const SENDING_MS: u64 = 10;
 
-/// No packet with a status is longer: 78 bytes of payload, every number at its longest, 4
-/// of checksum, 2 of framing, and 12 in hand.
+/// No packet with a status is longer: 80 bytes of payload, every number at its longest, 4
+/// of checksum, 2 of framing, and 10 in hand.
 const STATUS_BYTES: usize = 96;
 
 impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
@@ -50,6 +50,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 self.outbox.open();
                 self.status_tick = now;
                 self.introduce();
+                self.warn_of_start(now);
                 if let Some(tick) = self.host_gone.take() {
                     self.tell(
                         tick,
@@ -149,12 +150,16 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             supply_v: self.health.supply_v,
             temperature_k: self.health.temperature_k,
             cpu_load_permille: self.health.cpu_load_permille,
+            clock: self.identity.clock,
+            settings: self.identity.settings,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use slitpose_protocol::{ClockSource, SettingsSource};
+
     use super::*;
 
     #[test]
@@ -173,7 +178,9 @@ mod tests {
             supply_v: f32::MIN,
             temperature_k: f32::MIN,
             cpu_load_permille: u16::MAX,
+            clock: ClockSource::CrystalFailed,
+            settings: SettingsSource::PassedOver,
         });
-        assert_eq!(encode(&status, &mut [0; STATUS_BYTES]).map(<[u8]>::len), Ok(STATUS_BYTES - 12));
+        assert_eq!(encode(&status, &mut [0; STATUS_BYTES]).map(<[u8]>::len), Ok(STATUS_BYTES - 10));
     }
 }

@@ -57,6 +57,7 @@ fn a_hello_carries_identity_keys_and_schedule() {
         reset_cause: ResetCause::Watchdog,
         hashes: Hashes { scene: Some(3), calibration: Some(4) },
         scaling: AdcScaling { zero_code: 4_031.5, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 32 },
+        ..identity()
     };
     let mut board = Board::new(Fake::default(), identity, without_dark(), [0; 2_048]).unwrap();
     board.poll(Link::Open);

@@ -11,19 +11,13 @@
 
 use std::collections::VecDeque;
 
-/// Greatest rate error of a board relative to the host, either way. Boards may run from their MCU's
-/// internal oscillator: HSI16 of the STM32G474 has 1 % at 30 °C and another 1 % from 0 to 85 °C
-/// (DS12288, table of HSI16 characteristics). A crystal's error is a hundred times smaller.
-pub(super) const MOST_RATE: f64 = 0.025;
-
-/// Greatest change of the rate per second: that of the same oscillator, 2 % in 85 K, on a board that warms
-/// by 0.1 K per second. A crystal drifts a hundred times more slowly.
-const MOST_WANDER_PER_S: f64 = 25e-6;
+use super::bounds::RateBounds;
 
 /// Host time per point kept.
 const BUCKET_NS: u64 = 50_000_000;
 
-/// Points kept. ½ρx² of the oldest is 0.5 ms, as large as delays of USB: older ones add nothing.
+/// Points kept. ½ρx² of the oldest is 0.5 ms with an internal oscillator, as large as delays of USB: older ones add
+/// nothing.
 const BUCKETS: usize = 128;
 
 /// Device time that the points span.
@@ -32,13 +26,8 @@ pub(super) const WINDOW_NS: i64 = BUCKETS as i64 * BUCKET_NS as i64;
 /// Times are whole nanoseconds: lines that cross by less do not contradict each other.
 const ROUNDING_NS: f64 = 1.0;
 
-/// Lines are found to a rate of 5e-2/2²⁴ = 3e-9: 0.02 µs over the window.
+/// Lines are found to a rate of 5e-2/2²⁴ = 3e-9 within the widest bounds: 0.02 µs over the window.
 const BISECTIONS: usize = 24;
-
-/// Greatest distance of the curve from a straight line at `dx_ns` from the point where they touch.
-fn bend_ns(dx_ns: f64) -> f64 {
-    0.5e-9 * MOST_WANDER_PER_S * dx_ns * dx_ns
-}
 
 /// The side of the curve on which points lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,11 +115,11 @@ impl Envelope {
 
     /// The outermost line of a rate: its y at `x0_ns`, and the distance from `x0_ns` back to the point that
     /// it touches.
-    fn outermost(&self, rate: f64, x0_ns: i64) -> (f64, f64) {
+    fn outermost(&self, rate: f64, x0_ns: i64, bounds: RateBounds) -> (f64, f64) {
         let mut tightest = (f64::INFINITY, 0.0);
         for point in &self.points {
             let dx_ns = (x0_ns - point.x_ns) as f64;
-            let y_ns = self.sign * (point.y_ns as f64 + rate * dx_ns) + bend_ns(dx_ns);
+            let y_ns = self.sign * (point.y_ns as f64 + rate * dx_ns) + bounds.bend_ns(dx_ns);
             if y_ns < tightest.0 {
                 tightest = (y_ns, dx_ns);
             }
@@ -147,6 +136,7 @@ impl Envelope {
 /// All straight lines between two envelopes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Band {
+    bounds: RateBounds,
     x0_ns: i64,
     /// The extremes of y₀, over all lines.
     lowest_ns: f64,
@@ -160,13 +150,13 @@ pub(super) struct Band {
 }
 
 impl Band {
-    /// The lines between `above` and `below`, neither of which is empty, seen from `x0_ns`, before
+    /// The lines within `bounds` between `above` and `below`, neither of which is empty, seen from `x0_ns`, before
     /// which all points lie. `None` if there are none.
-    pub(super) fn between(above: &Envelope, below: &Envelope, x0_ns: i64) -> Option<Self> {
+    pub(super) fn between(above: &Envelope, below: &Envelope, x0_ns: i64, bounds: RateBounds) -> Option<Self> {
         // Gap between the envelopes for lines of this rate, a concave function of the rate, and its derivative.
         let room = |rate| {
             let ((high_ns, high_dx_ns), (low_ns, low_dx_ns)) =
-                (above.outermost(rate, x0_ns), below.outermost(rate, x0_ns));
+                (above.outermost(rate, x0_ns, bounds), below.outermost(rate, x0_ns, bounds));
             (high_ns - low_ns + ROUNDING_NS, high_dx_ns - low_dx_ns)
         };
         // Newton's method ends in finitely many steps because the function is piecewise linear, and never
@@ -180,14 +170,14 @@ impl Band {
                 }
                 let next = rate - room_ns / slope_ns;
                 let widens_inwards = slope_ns * outermost < 0.0;
-                if !widens_inwards || next.abs() > MOST_RATE {
+                if !widens_inwards || next.abs() > bounds.most_rate {
                     return None;
                 }
                 rate = next;
             }
             Some(rate)
         };
-        let (least_rate, most_rate) = (edge(-MOST_RATE)?, edge(MOST_RATE)?);
+        let (least_rate, most_rate) = (edge(-bounds.most_rate)?, edge(bounds.most_rate)?);
         let mean_ns = above.mean_dx_ns(x0_ns) - below.mean_dx_ns(x0_ns);
         let (mut left, mut right) = (least_rate, most_rate);
         for _ in 0..BISECTIONS {
@@ -204,10 +194,10 @@ impl Band {
         }
         let rate = 0.5 * (left + right);
         // All points lie before x₀, so a greater rate gives a higher y there.
-        let (highest_ns, _) = above.outermost(most_rate, x0_ns);
-        let (lowest_ns, _) = below.outermost(least_rate, x0_ns);
-        let y0_ns = 0.5 * (above.outermost(rate, x0_ns).0 + below.outermost(rate, x0_ns).0);
-        Some(Self { x0_ns, lowest_ns, highest_ns, least_rate, most_rate, rate, y0_ns })
+        let (highest_ns, _) = above.outermost(most_rate, x0_ns, bounds);
+        let (lowest_ns, _) = below.outermost(least_rate, x0_ns, bounds);
+        let y0_ns = 0.5 * (above.outermost(rate, x0_ns, bounds).0 + below.outermost(rate, x0_ns, bounds).0);
+        Some(Self { bounds, x0_ns, lowest_ns, highest_ns, least_rate, most_rate, rate, y0_ns })
     }
 
     /// Lower and upper bound of the curve's y at `x_ns`.
@@ -215,7 +205,7 @@ impl Band {
         let dx_ns = (x_ns - self.x0_ns) as f64;
         let (falling, rising) =
             if dx_ns < 0.0 { (self.most_rate, self.least_rate) } else { (self.least_rate, self.most_rate) };
-        let slack_ns = bend_ns(dx_ns) + ROUNDING_NS;
+        let slack_ns = self.bounds.bend_ns(dx_ns) + ROUNDING_NS;
         (self.lowest_ns + falling * dx_ns - slack_ns, self.highest_ns + rising * dx_ns + slack_ns)
     }
 }

@@ -8,7 +8,8 @@
 //!
 //! # What is promised
 //! * The true time of a tick lies within ±[`HostTime::uncertainty_ns`] for any delays, as long as the
-//!   board's rate is within 2.5 % of the host's and changes by at most 25 ppm per second. The division of
+//!   board's rate is within 2.5 % of the host's and changes by at most 25 ppm per second; within 200 ppm
+//!   and by 0.25 ppm per second once the board reports a crystal ([`RateBounds`]). The division of
 //!   the least round trip between its two directions is unknown, so the uncertainty is never less than
 //!   about half the least round trip.
 //! * A time is never after the arrival of its scan, and never before the previous time: not when the
@@ -27,12 +28,17 @@
 //!   jumped (the monotonic clock stops while the host is suspended, the ticks continue), or the board
 //!   does not keep time, such as an emulated one at a third of real time. The older half of the points is
 //!   dropped until the rest agrees. If no two pongs 0.4 s apart remain, times resume once there are. If
-//!   the next contradiction follows soon, the required time doubles, up to 3.2 s.
+//!   the next contradiction follows soon, the required time doubles, up to 3.2 s. A board that reports a
+//!   crystal may have none, or NTP may correct the host's clock faster than a crystal explains: after a
+//!   contradiction the bounds of an internal oscillator hold until the fit is restarted.
 //!
 //! From the first pong to the second the rate is unknown. The uncertainty then spans from the last ping
 //! to the last arrival.
 
+use slitpose_protocol::ClockSource;
+
 use super::band::{Band, Envelope, Side, WINDOW_NS};
+use super::bounds::RateBounds;
 use super::utc::UtcOffset;
 use super::{HostInstant, HostTime};
 
@@ -46,6 +52,10 @@ const STEERING_NS: f64 = 1e9;
 #[derive(Debug)]
 pub(crate) struct ClockFit {
     tick_hz: u32,
+    /// Source of the board's clock; `None` until the board reports it.
+    source: Option<ClockSource>,
+    /// The board reports a crystal, and points have contradicted its bounds since the fit was restarted.
+    contradicts_crystal: bool,
     origin: Option<Origin>,
     arrivals: Envelope,
     questions: Envelope,
@@ -109,6 +119,8 @@ impl ClockFit {
     pub(crate) fn new(tick_hz: u32) -> Self {
         Self {
             tick_hz: tick_hz.max(1),
+            source: None,
+            contradicts_crystal: false,
             origin: None,
             arrivals: Envelope::new(Side::Above),
             questions: Envelope::new(Side::Below),
@@ -127,6 +139,8 @@ impl ClockFit {
     /// New times follow those already given.
     pub(crate) fn restart(&mut self, tick_hz: u32) {
         self.tick_hz = tick_hz.max(1);
+        self.source = None;
+        self.contradicts_crystal = false;
         self.origin = None;
         self.arrivals.clear();
         self.questions.clear();
@@ -135,6 +149,15 @@ impl ClockFit {
         self.trust = Trust::New;
         self.last_arrived = None;
         self.last_answered = None;
+    }
+
+    /// Sets the source of the board's clock. The first report since a restart narrows the bounds for all points so far.
+    /// A report of another source shows that the board has restarted.
+    pub(crate) fn set_source(&mut self, source: ClockSource) {
+        if self.source.is_some_and(|before| before != source) {
+            self.restart(self.tick_hz);
+        }
+        self.source = Some(source);
     }
 
     /// Adds an arrival: the host knew at `at` of an event on the board at `tick`, such as the last sample of a batch.
@@ -213,6 +236,15 @@ impl ClockFit {
         self.band.filter(|_| is_proven).map(|band| -band.rate * 1e6)
     }
 
+    /// Whether the board reports a crystal and its rate has broken the bounds of one.
+    pub(crate) fn contradicts_crystal(&self) -> bool {
+        self.contradicts_crystal
+    }
+
+    fn bounds(&self) -> RateBounds {
+        RateBounds::of(self.source.filter(|_| !self.contradicts_crystal))
+    }
+
     /// The curve's rate as far as it is known.
     fn rate(&self) -> f64 {
         self.band.map_or(0.0, |band| band.rate)
@@ -229,11 +261,12 @@ impl ClockFit {
                 break (None, x_ns);
             };
             let (first_ns, x0_ns) = (above.0.min(below.0), above.1.max(below.1));
-            let band = Band::between(&self.arrivals, &self.questions, x0_ns);
+            let band = Band::between(&self.arrivals, &self.questions, x0_ns, self.bounds());
             if band.is_some() {
                 break (band, x0_ns);
             }
             agreed = false;
+            self.contradicts_crystal = self.source == Some(ClockSource::Crystal);
             let newer_ns = first_ns + (x0_ns - first_ns) / 2 + 1;
             self.arrivals.forget_before(newer_ns);
             self.questions.forget_before(newer_ns);

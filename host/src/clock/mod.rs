@@ -4,6 +4,7 @@
 //! suspended and is never set), dates by UTC (CLOCK_REALTIME).
 
 mod band;
+mod bounds;
 mod fit;
 #[cfg(test)]
 mod tests;

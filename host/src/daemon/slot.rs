@@ -21,7 +21,7 @@ impl BoardSlot {
 
     /// Updates the state; called a few times per second.
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
-        statistics.set_drift_ppm(pipeline.drift_ppm());
+        statistics.set_clock(pipeline.drift_ppm(), pipeline.contradicts_crystal());
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
         *lock(&self.report) = report;
     }

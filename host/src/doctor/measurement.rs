@@ -7,7 +7,7 @@ use slitpose_protocol::{Severity, Status};
 use thiserror::Error;
 
 use crate::device::{Conversation, DeviceError, Keep};
-use crate::link::Segment;
+use crate::link::{Segment, contradicted_crystal, start_findings};
 use crate::pipeline::{Counts, Item, Pipeline, PipelineError, SceneMatch};
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end::{self, TimingError};
@@ -64,6 +64,7 @@ pub(super) struct Measurement {
     bytes: usize,
     /// Rate error of the board's clock, ppm, and uncertainty of its times at the end, ns.
     clock: Option<(f64, u64)>,
+    contradicts_crystal: bool,
     events: Vec<String>,
 }
 
@@ -118,7 +119,18 @@ pub(super) fn measure(
     let after = board.status()?;
     let counts = pipeline.counts();
     let clock = pipeline.drift_ppm().zip(uncertainty_ns);
-    Ok(Measurement { counts, clock, before, after, frame_rate_hz, received, bytes: bytes.len(), events })
+    let contradicts_crystal = pipeline.contradicts_crystal();
+    Ok(Measurement {
+        counts,
+        clock,
+        contradicts_crystal,
+        before,
+        after,
+        frame_rate_hz,
+        received,
+        bytes: bytes.len(),
+        events,
+    })
 }
 
 impl Measurement {
@@ -138,6 +150,7 @@ impl Measurement {
             self.poses(),
             self.health(),
         ];
+        checks.extend(start_findings(self.after.clock, self.after.settings));
         if !self.events.is_empty() {
             checks.push(Finding::warning("events", self.events.join("; "), "act on the warnings of the board"));
         }
@@ -160,6 +173,7 @@ impl Measurement {
 
     fn clock(&self) -> Finding {
         match self.clock {
+            _ if self.contradicts_crystal => contradicted_crystal(),
             Some((drift_ppm, uncertainty_ns)) => Finding::ok(
                 "board clock",
                 format!("fast by {drift_ppm:.0} ppm; its instants are known to {:.0} us", uncertainty_ns as f64 * 1e-3),
@@ -248,6 +262,8 @@ impl Measurement {
 mod tests {
     use std::borrow::Cow;
 
+    use slitpose_protocol::{ClockSource, SettingsSource};
+
     use super::*;
     use crate::device::SimulatedDevice;
     use crate::pipeline::Outcomes;
@@ -273,7 +289,7 @@ mod tests {
         let (good, bytes) = measured();
         assert_eq!(
             grades(&good),
-            [("board".into(), Ok), ("link".into(), Ok), ("poses".into(), Ok), ("health".into(), Ok)]
+            ["board", "link", "poses", "health", "oscillator", "settings"].map(|place| (place.into(), Ok))
         );
         assert_eq!((good.counts.scans, bytes.len()), (400, good.bytes));
         // 60 bytes per scan, and as many for the true pose of a simulated one.
@@ -295,6 +311,8 @@ mod tests {
         });
         assert_eq!(dropped, [("board".into(), Failed)]);
         assert_eq!(with(|it| it.after.adc_overruns += 1), [("board".into(), Failed)]);
+        assert_eq!(with(|it| it.after.clock = ClockSource::CrystalFailed), [("oscillator".into(), Warning)]);
+        assert_eq!(with(|it| it.after.settings = SettingsSource::PassedOver), [("settings".into(), Warning)]);
         assert_eq!(
             with(|it| it.counts.outcomes = Outcomes { too_dark: 400, ..Outcomes::default() }),
             [("poses".into(), Warning)]
@@ -317,6 +335,9 @@ mod tests {
         assert_eq!(good.clock().grade, Warning);
         let known = Measurement { clock: Some((-12.4, 250_000)), ..good.clone() }.clock();
         assert!(known.grade == Ok && known.text.contains("-12 ppm") && known.text.contains("250 us"), "{known:?}");
+        let contradicted =
+            Measurement { clock: Some((9_800.0, 250_000)), contradicts_crystal: true, ..good.clone() }.clock();
+        assert!(contradicted.grade == Warning && contradicted.text.contains("crystal"), "{contradicted:?}");
         let with_rate = |scans| Measurement { received: (scans, 0.1), ..good.clone() }.rate().grade;
         assert_eq!([400, 390, 350].map(with_rate), [Ok, Ok, Warning]);
     }

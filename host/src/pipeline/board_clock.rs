@@ -1,6 +1,6 @@
 //! The clock of the connected board relative to the host's, from reads and pings.
 
-use slitpose_protocol::Pong;
+use slitpose_protocol::{ClockSource, Pong};
 
 use crate::clock::{ClockFit, HostInstant, HostTime};
 use crate::link::Asked;
@@ -74,9 +74,21 @@ impl BoardClock {
         }
     }
 
+    /// Sets the source of the board's clock.
+    pub(super) fn set_source(&mut self, source: ClockSource) {
+        if let Some(fit) = &mut self.fit {
+            fit.set_source(source);
+        }
+    }
+
     /// Rate error of the board's clock, ppm; positive if fast.
     pub(super) fn drift_ppm(&self) -> Option<f64> {
         self.fit.as_ref()?.drift_ppm()
+    }
+
+    /// Whether the board reports a crystal and its rate has broken the bounds of one.
+    pub(super) fn contradicts_crystal(&self) -> bool {
+        self.fit.as_ref().is_some_and(ClockFit::contradicts_crystal)
     }
 
     /// The host's time at `fraction_ticks` after `tick`.

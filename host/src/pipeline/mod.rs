@@ -335,6 +335,11 @@ impl Pipeline {
         self.flow.clock.drift_ppm()
     }
 
+    /// Whether the board reports a crystal and its rate has broken the bounds of one.
+    pub(crate) fn contradicts_crystal(&self) -> bool {
+        self.flow.clock.contradicts_crystal()
+    }
+
     /// Device time between the first scan and the last, seconds.
     pub fn elapsed_s(&self) -> f64 {
         self.flow.span.elapsed_s()
@@ -375,6 +380,7 @@ impl Flow {
             Message::Batch(batch) => self.arrive(batch, sink),
             Message::Status(status) => {
                 self.counts.board_status = Some(*status);
+                self.clock.set_source(status.clock);
                 sink(Item::Status(status))
             }
             Message::Event(event) => {

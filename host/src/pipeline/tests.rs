@@ -183,3 +183,25 @@ fn scans_behind_the_end_are_not_solved() {
     let (taken, records) = feed(&mut pipeline, &segment);
     assert!(taken < segment.bytes.len() && records.len() == 20 && pipeline.is_complete());
 }
+
+/// Simulated boards report a crystal.
+#[test]
+fn a_status_sets_the_bounds_of_the_clock() {
+    for (permille, contradicts) in [(1000, false), (1010, true), (990, true)] {
+        let mut link = SimulatedLink::new();
+        link.frame_ns = link.frame_ns * permille / 1000;
+        let mut pipeline = link.pipeline();
+        let mut statuses = 0;
+        // Pings come twice a second, as statuses do.
+        for token in 0..6 {
+            let count = |item: Item<'_>| {
+                statuses += usize::from(matches!(item, Item::Status(_)));
+                Ok::<_, PipelineError>(())
+            };
+            pipeline.receive(&link.segment(2000, token), count).unwrap();
+            pipeline.skip(usize::MAX);
+        }
+        assert!(statuses >= 4, "{statuses}");
+        assert_eq!(pipeline.contradicts_crystal(), contradicts, "{permille}");
+    }
+}

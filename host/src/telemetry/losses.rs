@@ -82,6 +82,8 @@ impl LossBook {
 
 #[cfg(test)]
 mod tests {
+    use slitpose_protocol::{ClockSource, SettingsSource};
+
     use super::*;
 
     fn status(tick: u64, scans_dropped: u64, scans_lost: u64) -> Status {
@@ -99,6 +101,8 @@ mod tests {
             supply_v: 3.3,
             temperature_k: 300.0,
             cpu_load_permille: 0,
+            clock: ClockSource::Crystal,
+            settings: SettingsSource::Stored,
         }
     }
 

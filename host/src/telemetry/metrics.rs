@@ -5,6 +5,8 @@
 
 use std::fmt::Write;
 
+use slitpose_protocol::{ClockSource, SettingsSource};
+
 use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, RecorderState};
 use crate::clock::HostInstant;
@@ -270,6 +272,12 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     boards.each("slitpose_clock_uncertainty_seconds", gauge, "The instants of scans are right to this.", |board| {
         board.clock.uncertainty_s
     });
+    boards.each(
+        "slitpose_clock_contradicts_crystal",
+        gauge,
+        "1 if the board says crystal and does not keep time as one does.",
+        |board| Some(f64::from(u8::from(board.clock.contradicts_crystal))),
+    );
     boards.each("slitpose_clock_drift_ratio", gauge, "By what share the board's clock is fast.", |board| {
         board.clock.drift_ppm.map(|drift_ppm| drift_ppm * 1e-6)
     });
@@ -280,6 +288,25 @@ fn mcu(boards: &mut Boards<'_>) {
     boards.each("slitpose_board_acquiring", gauge, "1 if the board acquires.", |board| {
         board.vitals.as_ref().map(|vitals| f64::from(u8::from(vitals.acquiring)))
     });
+    let is = |it: bool| f64::from(u8::from(it));
+    boards.by(
+        ("slitpose_board_clock_source", "source"),
+        gauge,
+        "1 for what the board's ticks are counted by; no 1 before its first status.",
+        |board| {
+            let now = board.vitals.as_ref().map(|vitals| vitals.clock_source);
+            ClockSource::ALL.map(|source| (source.as_str(), is(now == Some(source))))
+        },
+    );
+    boards.by(
+        ("slitpose_board_settings", "source"),
+        gauge,
+        "1 for where the board's configuration came from at its start; no 1 before its first status.",
+        |board| {
+            let now = board.vitals.as_ref().map(|vitals| vitals.settings);
+            SettingsSource::ALL.map(|source| (source.as_str(), is(now == Some(source))))
+        },
+    );
     boards.each("slitpose_board_supply_volts", gauge, "Supply voltage of the board.", |board| {
         board.vitals.as_ref().map(|vitals| vitals.supply_v.into())
     });

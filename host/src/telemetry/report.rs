@@ -6,6 +6,7 @@
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde::Serialize;
+use slitpose_protocol::{ClockSource, SettingsSource};
 
 use super::latency::Latency;
 use crate::clock::HostInstant;
@@ -276,6 +277,9 @@ pub(crate) struct ClockReport {
     pub uncertainty_s: Option<f64>,
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
     pub drift_ppm: Option<f64>,
+    /// The board reports a crystal, and its rate has broken the bounds of one: the wider bounds of an internal oscillator
+    /// hold.
+    pub contradicts_crystal: bool,
 }
 
 /// A board's own status.
@@ -283,6 +287,14 @@ pub(crate) struct ClockReport {
 pub(crate) struct Vitals {
     /// Cause of the last reset.
     pub reset_cause: String,
+    /// Source of its clock: `internal` (oscillator of the MCU), `crystal`, or `crystal_failed` (oscillator of the MCU, as
+    /// the crystal did not start).
+    #[schemars(with = "String")]
+    pub clock_source: ClockSource,
+    /// Source of its configuration at the start: `defaults`, `stored`, or `passed_over` (defaults, as three starts in a
+    /// row with the stored settings failed).
+    #[schemars(with = "String")]
+    pub settings: SettingsSource,
     /// Whether it acquires scans.
     pub acquiring: bool,
     /// Supply voltage, volts.

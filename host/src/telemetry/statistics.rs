@@ -87,9 +87,10 @@ impl BoardStatistics {
         }
     }
 
-    /// Sets the rate error of the board's clock, ppm, positive if fast.
-    pub(crate) fn set_drift_ppm(&mut self, drift_ppm: Option<f64>) {
+    /// Sets the rate error of the board's clock, ppm, positive if fast, and whether it contradicts a reported crystal.
+    pub(crate) fn set_clock(&mut self, drift_ppm: Option<f64>, contradicts_crystal: bool) {
         self.clock.drift_ppm = drift_ppm;
+        self.clock.contradicts_crystal = contradicts_crystal;
     }
 
     /// Sets the losses on the host so far.
@@ -238,6 +239,8 @@ impl BoardStatistics {
     fn vitals(&self, status: &Status) -> Vitals {
         Vitals {
             reset_cause: self.reset_cause.clone(),
+            clock_source: status.clock,
+            settings: status.settings,
             acquiring: status.acquiring,
             supply_v: status.supply_v,
             temperature_k: status.temperature_k,

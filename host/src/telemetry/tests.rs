@@ -8,7 +8,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{Severity, Status};
+use slitpose_protocol::{ClockSource, SettingsSource, Severity, Status};
 
 use super::*;
 use crate::clock::{HostInstant, HostTime};
@@ -92,11 +92,13 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
         supply_v: 3.3,
         temperature_k: 300.0,
         cpu_load_permille: 130,
+        clock: ClockSource::CrystalFailed,
+        settings: SettingsSource::PassedOver,
     };
     statistics.update(&Item::Status(&status), None, None);
     let event = Item::Event { severity: Severity::Warning, device_time_s: f64::NAN, text: "supply sagged" };
     statistics.update(&event, None, None);
-    statistics.set_drift_ppm(Some(-12.0));
+    statistics.set_clock(Some(-12.0), true);
     let mut counts = Counts::default();
     counts.scans = 4000;
     counts.outcomes = Outcomes { converged: 3999, degraded: 1, ..Outcomes::default() };
@@ -198,6 +200,14 @@ fn metrics_are_what_prometheus_reads() {
     let half = value("slitpose_latency_seconds", &format!(";device={id};stage=link;quantile=0.5;"));
     assert!((half - 1e-3).abs() < 1e-5, "{half}");
     assert_eq!(value("slitpose_clock_drift_ratio", &format!(";device={id};")), -12.0 * 1e-6);
+    for (name, source, is) in [
+        ("clock_source", "crystal_failed", 1.0),
+        ("clock_source", "crystal", 0.0),
+        ("settings", "passed_over", 1.0),
+        ("settings", "stored", 0.0),
+    ] {
+        assert_eq!(value(&format!("slitpose_board_{name}"), &format!(";device={id};source={source};")), is, "{source}");
+    }
     let saturated = format!(";device={id};cell=1;condition=saturated;");
     assert_eq!(value("slitpose_cell_condition_ratio", &saturated), 0.34);
     assert_eq!(value("slitpose_cell_verdict", &format!(";device={id};cell=1;verdict=saturated;")), 1.0);
@@ -223,6 +233,10 @@ fn the_view_keeps_to_its_width() {
     has("1:saturated(34%)");
     has("  !         cell 1: saturated in 34 %");
     has("known to 35.0 us, fast by -12.00 ppm");
+    has("clock: crystal failed, settings:");
+    has("clock       board clock: the board says that it runs from a crystal");
+    has("start       oscillator: internal oscillator, as the crystal did not start");
+    has("start       settings: defaults of the firmware, as three starts in a row");
 }
 
 fn is_served(server: &StatusServer) {
@@ -231,6 +245,8 @@ fn is_served(server: &StatusServer) {
     assert_eq!(status["boards"][0]["name"], AWKWARD);
     assert_eq!(status["boards"][1]["head"]["cells"][1]["verdict"], "saturated");
     assert_eq!(status["boards"][1]["link"]["state"], "running");
+    let vitals = &status["boards"][1]["vitals"];
+    assert_eq!((&vitals["clock_source"], &vitals["settings"]), (&"crystal_failed".into(), &"passed_over".into()));
     assert!(status["boards"][1]["head"]["cells"][1]["stray_a"].is_null(), "not a number");
     assert!(get("/").unwrap().contains("converged 3999"));
     check(&get("/metrics").unwrap());

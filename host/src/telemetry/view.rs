@@ -6,8 +6,9 @@ use super::latency::Latency;
 use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport, RecorderState};
 use crate::clock::HostInstant;
 use crate::health::{CellHealth, Verdict};
+use crate::link::{contradicted_crystal, start_findings};
 use crate::terminal::{Line, Tone, WIDTH, layout};
-use slitpose_head::finding::Finding;
+use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
 
 /// Longer names of boards and firmware are cut.
@@ -133,19 +134,28 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
         let drift = report.clock.drift_ppm.map_or(String::new(), |drift_ppm| format!(", fast by {drift_ppm:+.2} ppm"));
         put(&mut lines, "clock", &format!("known to {:.1} us{drift}", uncertainty_s * 1e6)).rank(3);
     }
+    if report.clock.contradicts_crystal {
+        put_finding(&mut lines, "clock", &contradicted_crystal()).rank(1);
+    }
     if let Some(vitals) = &report.vitals {
         put(
             &mut lines,
             "MCU",
             &format!(
-                "{:.2} V, {:.1} deg C, processor {:.0} %, last reset: {}",
+                "{:.2} V, {:.1} deg C, processor {:.0} %, last reset: {}, clock: {}, settings: {}",
                 vitals.supply_v,
                 vitals.temperature_k - KELVIN_AT_0_CELSIUS,
                 100.0 * vitals.cpu_load,
-                in_words(&vitals.reset_cause)
+                in_words(&vitals.reset_cause),
+                vitals.clock_source.as_str().replace('_', " "),
+                vitals.settings.as_str().replace('_', " ")
             ),
         )
         .rank(3);
+        let start = start_findings(vitals.clock_source, vitals.settings);
+        for finding in start.iter().filter(|finding| finding.grade != Grade::Ok) {
+            put_finding(&mut lines, "start", finding).rank(1);
+        }
     }
     if let Some(event) = &report.complaint {
         put_finding(&mut lines, "event", &event.finding()).rank(1);

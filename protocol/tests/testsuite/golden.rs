@@ -8,9 +8,10 @@ use heapless::Vec;
 use serde::Serialize;
 use slitpose_protocol::schema::{COMMANDS, MESSAGES, SchemaKeys};
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Event, Exposure,
-    HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Packet, Pong,
-    Quantity, Rejection, Reply, Request, ResetCause, Schedule, ScheduleError, Severity, Status, Truth, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, EmitterSet, Event,
+    Exposure, FrameError, HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL,
+    Packet, PayloadError, Pong, Quantity, Rejection, Reply, Request, ResetCause, Schedule, ScheduleError,
+    SettingsSource, Severity, Status, Truth, encode,
 };
 
 fn bytes(hex: &str) -> std::vec::Vec<u8> {
@@ -135,9 +136,26 @@ fn status() {
             supply_v: 3.3,
             temperature_k: 300.0,
             cpu_load_permille: 125,
+            clock: ClockSource::Crystal,
+            settings: SettingsSource::PassedOver,
         }),
-        "0d02c0fec32801d00f0802050107030433335340010896437d8e9ddf1500",
+        "0d02c0fec32801d00f0802050107030433335340010a96437d0102710d729d00",
     );
+}
+
+/// A board of an earlier build: its keys say so, and its status is not misread.
+#[test]
+fn a_status_without_clock_and_settings_is_told_apart() {
+    let mut keys = SchemaKeys::messages().0.to_vec();
+    keys[2 * 8..3 * 8].copy_from_slice(&0xd264_e884_6982_22ef_u64.to_le_bytes());
+    let hello = a_hello(SchemaKeys(&keys), SchemaKeys::commands());
+    assert_eq!(hello.check_schemas().map_err(|mismatch| mismatch.name), Err("Status"));
+
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    let packet = bytes("0d02c0fec32801d00f0802050107030433335340010896437d8e9ddf1500");
+    let malformed = FrameError::Payload(PayloadError::MalformedMessage { kind: 2 });
+    assert_eq!(decoder.next::<Message>(&mut packet.as_slice()), Some(Err(malformed)));
+    assert_eq!(decoder.counters().malformed, 1);
 }
 
 #[test]
@@ -212,7 +230,7 @@ fn schema_keys() {
         [
             "Hello 8f0816ddceb320f3",
             "Batch fc1f7fd1dba5ebc4",
-            "Status d264e884698222ef",
+            "Status 116fc829f823a1ef",
             "Event 6a8d39b88aebc5d5",
             "Reply b70fb5cc8ecb3d93",
             "Pong b252f6723e82c8ae",
@@ -278,14 +296,16 @@ fn variants_are_numbered_as_the_schemas_list_them() {
     use HardwareFault as Fault;
     use Rejection as R;
     use ScheduleError as S;
-    let [hello, event, reply, configure, reboot] =
-        [MESSAGES[0], MESSAGES[3], MESSAGES[4], COMMANDS[3], COMMANDS[8]].map(|schema| schema.fields);
+    let [hello, status, event, reply, configure, reboot] =
+        [MESSAGES[0], MESSAGES[2], MESSAGES[3], MESSAGES[4], COMMANDS[3], COMMANDS[8]].map(|schema| schema.fields);
     assert_variants(hello, "kind", &[BoardKind::Physical, BoardKind::Simulated]);
     let causes = {
         use ResetCause::*;
         [Unknown, PowerOn, BrownOut, Pin, Software, Watchdog, Panic]
     };
     assert_variants(hello, "reset_cause", &causes);
+    assert_variants(status, "clock", &ClockSource::ALL);
+    assert_variants(status, "settings", &SettingsSource::ALL);
     assert_variants(event, "severity", &[Severity::Info, Severity::Warning, Severity::Error]);
     assert_variants(configure, "exposure", &[Exposure::Fixed, Exposure::Automatic]);
     assert_variants(reboot, "target", &[BootTarget::Firmware, BootTarget::BootLoader]);

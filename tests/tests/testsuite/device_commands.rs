@@ -125,6 +125,7 @@ fn boards_are_told_apart_by_their_numbers() {
         (Some(4000.0), Some(6))
     );
     assert_eq!(info["status"]["acquiring"], false);
+    assert_eq!((&info["status"]["clock"], &info["status"]["settings"]), (&"crystal".into(), &"defaults".into()));
     drop(open);
     assert!(only_asked(&first.closed()) && only_asked(&second.closed()));
 
@@ -148,6 +149,9 @@ fn a_board_says_what_it_is() {
     let text = finished.done();
     for part in [FIRST, &path, "firmware", "power on", "(`wide`)", "up to 10.000 uA", "4000.000 frames/s", "3.300 V"] {
         assert!(text.contains(part), "`{part}` is not in: {text}");
+    }
+    for line in ["clock        crystal", "settings     defaults of the firmware"] {
+        assert!(text.lines().any(|found| found == line), "`{line}` is not in: {text}");
     }
     assert!(only_asked(&log));
     assert!(device(&["info", "--device", "sim"]).done().contains("simulated"));

@@ -41,7 +41,8 @@ fn a_simulated_board_is_well_and_its_bundle_is_whole() {
     let bundle = folder.path().join("report.tar.gz");
     let bundle = bundle.to_str().expect("UTF-8");
     let (finished, checks) = doctor("sim", &["--duration", "200ms", "--bundle", bundle]);
-    for name in ["hello", "version", "last start", "scene", "full scale", "board", "link", "poses", "health"] {
+    let good = ["hello", "version", "last start", "scene", "full scale", "board", "link", "poses", "health"];
+    for name in good.into_iter().chain(["oscillator", "settings"]) {
         assert_eq!(checks.get(name).map(String::as_str), Some("ok"), "{name}: {checks:?}");
     }
     for name in ["rate", "date", "clock", "priority", "disk space", "disk rate"] {

@@ -9,6 +9,7 @@ use embassy_stm32::rcc::{PllSource, Sysclk, mux};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peri, pac};
 use slitpose_firmware::pcb::TICK_HZ;
+use slitpose_protocol::ClockSource;
 
 use crate::supply;
 
@@ -25,12 +26,12 @@ const CRYSTAL_LOOKS: u32 = 1_000;
 /// Ticks of embassy's clock, per second.
 const TIME_HZ: u32 = embassy_time::TICK_HZ as u32;
 
-/// Raises the clock. To be called once, while the MCU runs at 16 MHz. Gives whether it comes from the crystal.
+/// Raises the clock. To be called once, while the MCU runs at 16 MHz.
 ///
 /// Above 80 MHz the bus clock must be half of the system clock for a microsecond while the system clock changes
 /// (RM0440, RCC, "Clock switching"; ST's `HAL_RCC_ClockConfig` does the same). The HAL (embassy-stm32 0.6.0) changes both
 /// in one store. It is therefore asked for half of the bus clock, and the rest is done here.
-pub fn raise(control: &mut Peri<'static, RCC>) -> bool {
+pub fn raise(control: &mut Peri<'static, RCC>) -> ClockSource {
     supply::boost();
     let has_crystal = crystal_starts();
     rcc::reinit(half_speed(has_crystal), control);
@@ -42,8 +43,10 @@ pub fn raise(control: &mut Peri<'static, RCC>) -> bool {
     if has_crystal {
         // A crystal that stops later switches the MCU to its own oscillator and raises the non-maskable interrupt.
         pac::RCC.cr().modify(|w| w.set_csson(true));
+        ClockSource::Crystal
+    } else {
+        ClockSource::CrystalFailed
     }
-    has_crystal
 }
 
 /// Whether the crystal oscillates. It is left running.

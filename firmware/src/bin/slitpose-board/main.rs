@@ -41,7 +41,7 @@ use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
 use slitpose_firmware::{Board, Identity};
-use slitpose_protocol::{BoardKind, Hashes};
+use slitpose_protocol::{BoardKind, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::acquisition::Sampler;
@@ -86,7 +86,7 @@ const POLL: Duration = Duration::from_millis(1);
 async fn main(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
     let mut p = embassy_stm32::init(config());
-    let has_crystal = clock_tree::raise(&mut p.RCC);
+    let clock = clock_tree::raise(&mut p.RCC);
     faults::running();
     let emitters = [
         Output::new(p.PC6, Level::Low, Speed::Medium),
@@ -105,7 +105,8 @@ async fn main(spawner: Spawner) {
     #[cfg(not(feature = "storage"))]
     let stored: Option<slitpose_firmware::settings::Settings> = None;
     // Stored settings may be what keeps the board from starting.
-    let is_passed_over = stored.is_some() && faults::failed_starts(reset_cause) >= PATIENCE_STARTS;
+    let failed_starts = faults::failed_starts(reset_cause);
+    let is_passed_over = stored.is_some() && failed_starts >= PATIENCE_STARTS;
     let settings = stored.filter(|_| !is_passed_over);
 
     let hardware = BoardHardware::new(
@@ -123,6 +124,12 @@ async fn main(spawner: Spawner) {
         reset_cause,
         hashes: settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes),
         scaling: default_scaling(),
+        clock,
+        settings: match &settings {
+            _ if is_passed_over => SettingsSource::PassedOver,
+            Some(stored) if can_run(&stored.configuration) => SettingsSource::Stored,
+            _ => SettingsSource::Defaults,
+        },
     };
     // Another firmware may have left settings that this board cannot run.
     let configuration = settings.map(|settings| settings.configuration).filter(|stored| can_run(stored));

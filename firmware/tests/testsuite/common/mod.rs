@@ -7,9 +7,9 @@ use slitpose_firmware::{
     Acquisition, Board, Health, Identity, Indicator, Link, ScanError, Storage, StorageError, System, TRANSMIT_BYTES,
 };
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, Decoder, EmitterSet, Exposure, HardwareFault,
-    Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request, ResetCause,
-    Schedule, Severity, Status, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, EmitterSet, Exposure,
+    HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Pong, RawScan, Reply, Request,
+    ResetCause, Schedule, SettingsSource, Severity, Status, encode,
 };
 
 /// Ticks per second of the scripted board.
@@ -208,6 +208,8 @@ pub fn identity() -> Identity {
         reset_cause: ResetCause::PowerOn,
         hashes: Hashes::default(),
         scaling: AdcScaling { zero_code: 0.0, amperes_per_code: 1e-9, bits: 12, saturation_code: 4_000 },
+        clock: ClockSource::Internal,
+        settings: SettingsSource::Defaults,
     }
 }
 

@@ -2,7 +2,10 @@
 
 use slitpose_firmware::{Board, Identity, Link, TRANSMIT_BYTES, TransmitBuffer};
 use slitpose_model::{Plan, SceneError, Tier};
-use slitpose_protocol::{BoardKind, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, encode};
+use slitpose_protocol::{
+    BoardKind, ClockSource, Configuration, Hashes, MAX_MESSAGE_BYTES, Message, Rejection, ResetCause, SettingsSource,
+    encode,
+};
 use thiserror::Error;
 
 use super::electronics::Electronics;
@@ -69,6 +72,9 @@ impl SimulatedBoard {
             reset_cause: ResetCause::PowerOn,
             hashes: Hashes { scene: Some(file.hash), calibration: None },
             scaling: electronics.scaling(),
+            clock: ClockSource::Crystal,
+            // Its storage is empty at every start.
+            settings: SettingsSource::Defaults,
         };
         let plan = Plan::compile(&file.scene, tier)?;
         let hardware = SimulatedHardware::new(plan, trajectory, electronics, configuration.schedule.tick_hz, seed);

@@ -43,6 +43,8 @@ pub(super) struct Link {
     pub(super) suspend_ns: Option<(f64, f64)>,
     /// When the board restarts; it is away for half a second.
     pub(super) restart_ns: Option<f64>,
+    /// When NTP begins to correct the rate of the host's monotonic clock, and by how much.
+    pub(super) slew: Option<(f64, f64)>,
     /// When UTC is set, and by how much.
     pub(super) utc_step_ns: Option<(f64, i64)>,
 }
@@ -61,6 +63,7 @@ pub(super) const USB: Link = Link {
     pings_lost: 0.0,
     suspend_ns: None,
     restart_ns: None,
+    slew: None,
     utc_step_ns: None,
 };
 
@@ -91,7 +94,9 @@ impl Link {
 
     /// What the monotonic clock shows at a true time.
     pub(super) fn monotonic_ns(&self, truth_ns: f64) -> f64 {
+        let slewed_ns = self.slew.map_or(0.0, |(at_ns, rate)| rate * (truth_ns - at_ns).max(0.0));
         MONOTONIC_NS
+            + slewed_ns
             + match self.suspend_ns {
                 Some((since_ns, _)) if truth_ns < since_ns => truth_ns,
                 Some((since_ns, for_ns)) => since_ns.max(truth_ns - for_ns),

@@ -1,6 +1,8 @@
+mod crystal;
 mod link;
 
 use hdrhistogram::Histogram;
+use slitpose_protocol::ClockSource;
 
 use super::{ClockFit, HostInstant, HostTime};
 use link::{Link, Seen, TICK_HZ, USB};
@@ -18,6 +20,8 @@ struct Trial {
     unknown_s: Vec<f64>,
     /// Most by which a step from scan to scan differed from the truth, after the first seconds.
     unsteady_ns: f64,
+    /// Whether the board reports a crystal and has broken the bounds of one.
+    contradicts_crystal: bool,
 }
 
 /// The first seconds: until the points fill the window.
@@ -27,6 +31,11 @@ impl Trial {
     /// Follows a link, and checks of every time that the truth is within its uncertainty, that it is
     /// not after the arrival of its batch, and that it is not before the time given before.
     fn run(link: &Link, seed: u64, duration_s: f64) -> Self {
+        Self::with_source(None, link, seed, duration_s)
+    }
+
+    /// The same for a board that reports its clock source twice a second.
+    fn with_source(source: Option<ClockSource>, link: &Link, seed: u64, duration_s: f64) -> Self {
         let mut fit = ClockFit::new(TICK_HZ);
         let mut trial = Self {
             seed,
@@ -34,10 +43,14 @@ impl Trial {
             uncertainties: Histogram::new(3).unwrap(),
             unknown_s: Vec::new(),
             unsteady_ns: 0.0,
+            contradicts_crystal: false,
         };
         let mut last = None;
         link.run(seed, duration_s, |seen, restarted| match seen {
-            Seen::Pong { asked, tick, at } => fit.answered(asked, tick, at),
+            Seen::Pong { asked, tick, at } => {
+                fit.answered(asked, tick, at);
+                source.into_iter().for_each(|source| fit.set_source(source));
+            }
             Seen::Batch { tick, last: end, at } => {
                 fit.arrived(end, at);
                 for scan in Link::scans(tick) {
@@ -49,6 +62,7 @@ impl Trial {
                 }
             }
         });
+        trial.contradicts_crystal = fit.contradicts_crystal();
         trial
     }
 

@@ -123,6 +123,8 @@ fn schedule(schedule: &Schedule) -> String {
 fn counters(info: &BoardInfo, status: &Status) -> Vec<(&'static str, String)> {
     let up_s = status.tick as f64 / f64::from(info.schedule.tick_hz);
     vec![
+        ("clock", status.clock.to_string()),
+        ("settings", status.settings.to_string()),
         ("up since", format!("{up_s:.3} s, {}", if status.acquiring { "measuring" } else { "idle" })),
         (
             "scans",

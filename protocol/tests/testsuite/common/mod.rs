@@ -3,11 +3,13 @@
 use proptest::collection::vec;
 use proptest::option;
 use proptest::prelude::*;
+use proptest::sample::select;
 use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
-    AdcScaling, Batch, BoardKind, BootTarget, Command, Configuration, EmitterSet, Event, Exposure, HardwareFault,
-    Hashes, Hello, Level, Levels, MAX_CELLS, MAX_MESSAGE_BYTES, MAX_SLOTS, Message, PROTOCOL, Packet, Pong, Rejection,
-    Reply, Request, ResetCause, Schedule, ScheduleError, Severity, Status, Truth, encode,
+    AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, EmitterSet, Event, Exposure,
+    HardwareFault, Hashes, Hello, Level, Levels, MAX_CELLS, MAX_MESSAGE_BYTES, MAX_SLOTS, Message, PROTOCOL, Packet,
+    Pong, Rejection, Reply, Request, ResetCause, Schedule, ScheduleError, SettingsSource, Severity, Status, Truth,
+    encode,
 };
 
 /// The packet of a value.
@@ -83,7 +85,8 @@ fn batch() -> impl Strategy<Value = Message<'static>> {
 
 fn status() -> impl Strategy<Value = Message<'static>> {
     let counts = any::<(u64, u64, u64, u64, u32, u32, u32, u32, u32)>();
-    (counts, any::<bool>(), 0.0_f32..5.0, any::<u16>()).prop_map(|(n, acquiring, supply_v, load)| {
+    let sources = (select(&ClockSource::ALL), select(&SettingsSource::ALL));
+    (counts, any::<bool>(), 0.0_f32..5.0, any::<u16>(), sources).prop_map(|(n, acquiring, supply_v, load, sources)| {
         Message::Status(Status {
             tick: n.0,
             acquiring,
@@ -98,6 +101,8 @@ fn status() -> impl Strategy<Value = Message<'static>> {
             supply_v,
             temperature_k: 100.0 * supply_v,
             cpu_load_permille: load,
+            clock: sources.0,
+            settings: sources.1,
         })
     })
 }

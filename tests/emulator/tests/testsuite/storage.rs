@@ -1,9 +1,10 @@
 //! What the board keeps without supply, and what a cut of the supply costs.
 
 use crate::common::talk::{Introduction, MS, Talk};
+use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_firmware::pcb::default_configuration;
-use slitpose_protocol::{Command, Configuration, Hashes, Level, ResetCause};
+use slitpose_protocol::{Command, Configuration, Hashes, Level, ResetCause, SettingsSource};
 
 /// From power-on to a serial port that listens, with much in hand: the clock starts within 1 ms.
 const BOOT_MS: f64 = 10.0;
@@ -133,6 +134,33 @@ fn store(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
         }
     }
     0
+}
+
+#[test]
+fn settings_that_the_board_does_not_start_with_are_passed_over_and_told() {
+    let mut talk = Talk::at_uart();
+    store(&mut talk, 1, None);
+    for failed in 0..4 {
+        // Into the handler of faults, within the first second.
+        let cpu = &mut talk.rig.machine().cpu;
+        let mut state = cpu.state();
+        state.r[15] = FLASH_BASE | 0x00FF_FFF0;
+        cpu.set_state(&state);
+        talk.rig.run_for(1e-3);
+        talk.rig.take_packets();
+        talk.ear.forget_board();
+        let found = number(&greet(&mut talk));
+        // The fourth start is the first after three failed ones.
+        assert_eq!(found, if failed < 2 { 1 } else { 0 }, "after {} failed starts", failed + 1);
+        let expected = if failed < 2 { SettingsSource::Stored } else { SettingsSource::PassedOver };
+        assert_eq!(talk.next_status().settings, expected);
+    }
+    talk.run_ms(1_100.0);
+    // A start that went well: the settings are there, and used again at the next.
+    talk.rig.machine().pull_reset_pin();
+    talk.ear.forget_board();
+    assert_eq!(number(&greet(&mut talk)), 1);
+    talk.expect_no_faults();
 }
 
 #[test]
