@@ -33,7 +33,7 @@ const BOOT_LOADER_VECTORS: *const u32 = 0x1fff_0000 as *const u32;
 pub fn reset_cause() -> ResetCause {
     let flags = pac::RCC.csr().read();
     pac::RCC.csr().modify(|w| w.set_rmvf(true));
-    let last = recall();
+    let last = recall(0);
     if last == BOOT_LOADER {
         remember(RUNNING);
         start_boot_loader();
@@ -54,7 +54,7 @@ pub fn reset_cause() -> ResetCause {
 /// Starts in a row that ended in a panic, a fault or a hang before [`started_well`]; `cause`: that of this start.
 pub fn failed_starts(cause: ResetCause) -> u32 {
     let has_failed = matches!(cause, ResetCause::Panic | ResetCause::Watchdog);
-    let failed = if has_failed { (pac::TAMP.bkpr(1).read().bkp() & FAILED_MASK) + 1 } else { 0 };
+    let failed = if has_failed { (recall(1) & FAILED_MASK) + 1 } else { 0 };
     write_backup(1, failed.min(FAILED_MASK));
     failed
 }
@@ -89,10 +89,10 @@ pub fn give_up() -> ! {
     SCB::sys_reset()
 }
 
-fn recall() -> u32 {
+fn recall(index: usize) -> u32 {
     pac::RCC.apb1enr1().modify(|w| w.set_rtcapben(true));
     let _ = pac::RCC.apb1enr1().read();
-    pac::TAMP.bkpr(0).read().bkp()
+    pac::TAMP.bkpr(index).read().bkp()
 }
 
 fn remember(word: u32) {

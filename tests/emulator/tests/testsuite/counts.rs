@@ -136,7 +136,7 @@ fn ten_seconds_of_words_are_those_of_the_model() {
     let (file, seconds) = (WIDE.read().expect("shipped"), 10);
     let trajectory = || Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0);
     println!("seed {SEED}");
-    let mut chain = Chain::open(&file, trajectory(), NoiseSource::Off);
+    let mut chain = Chain::open(&file, trajectory(), NoiseSource::Off, silicon());
     chain.rig.send(Command::Start);
     let count = 4_000 * seconds;
     for _ in 0..seconds {
@@ -187,7 +187,7 @@ fn ten_seconds_of_words_are_those_of_the_model() {
 fn no_start_loses_or_shifts_a_scan() {
     let (file, runs) = (WIDE.read().expect("shipped"), 1_000_u32);
     let still = || Trajectory::of_kind(TrajectoryKind::Still, SEED, 1.0);
-    let mut chain = Chain::open(&file, still(), NoiseSource::Off);
+    let mut chain = Chain::open(&file, still(), NoiseSource::Off, silicon());
     let expected = Model::new(&file, still()).frame(0);
     for run in 0..runs {
         // At another instant of a frame, and of the bus, each time.

@@ -2,9 +2,9 @@
 
 #![allow(dead_code, reason = "each program uses its part")]
 
-use super::silicon;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_image};
+use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
@@ -35,9 +35,9 @@ pub struct Chain {
 impl Chain {
     /// Powers a board with the image of `firmware/build`, waits for its host, opens the port, and
     /// waits for the hello.
-    pub fn open(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource) -> Self {
+    pub fn open(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, silicon: Silicon) -> Self {
         let image = open_image(None).expect("an image");
-        let mut rig = Rig::boot(&image, scene, trajectory, noise, silicon()).expect("a head for the board");
+        let mut rig = Rig::boot(&image, scene, trajectory, noise, silicon).expect("a head for the board");
         let origin = rig.machine().device_clock_origin().expect("the program starts its clock");
         rig.set_open(true);
         let mut chain = Self {
