@@ -64,7 +64,7 @@ fn smooth() -> Trajectory {
 }
 
 fn opened(file: &SceneFile) -> Chain {
-    Chain::open(file, smooth(), NoiseSource::Seeded(1))
+    Chain::open(file, smooth(), NoiseSource::Seeded(1), Silicon::default())
 }
 
 fn percent(share: f64) -> String {

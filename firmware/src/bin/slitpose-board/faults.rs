@@ -51,12 +51,11 @@ pub fn reset_cause() -> ResetCause {
     }
 }
 
-/// Starts in a row that ended in a panic, a fault or a hang before [`started_well`]; `cause`: that of this start.
+/// Starts in a row that ended in a panic, a fault or a hang before [`started_well`]; `cause`: that of this start. To be
+/// called before the HAL, whose start resets the backup registers.
 pub fn failed_starts(cause: ResetCause) -> u32 {
     let has_failed = matches!(cause, ResetCause::Panic | ResetCause::Watchdog);
-    let failed = if has_failed { (recall(1) & FAILED_MASK) + 1 } else { 0 };
-    write_backup(1, failed.min(FAILED_MASK));
-    failed
+    if has_failed { (recall(1) & FAILED_MASK) + 1 } else { 0 }
 }
 
 /// Records that this start went well.
@@ -64,11 +63,12 @@ pub fn started_well() {
     write_backup(1, 0);
 }
 
-/// Records that the board is running.
-pub fn running() {
+/// Records that the board is running, after `failed_starts`.
+pub fn running(failed_starts: u32) {
     // A debugger that halts the processor halts the watchdog, too.
     #[cfg(feature = "defmt")]
     pac::DBGMCU.apb1lfzr().modify(|w| w.set_iwdg(true));
+    write_backup(1, failed_starts.min(FAILED_MASK));
     remember(RUNNING);
 }
 

@@ -85,9 +85,10 @@ const POLL: Duration = Duration::from_millis(1);
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
+    let failed_starts = faults::failed_starts(reset_cause);
     let mut p = embassy_stm32::init(config());
     let clock = clock_tree::raise(&mut p.RCC);
-    faults::running();
+    faults::running(failed_starts);
     let emitters = [
         Output::new(p.PC6, Level::Low, Speed::Medium),
         Output::new(p.PC7, Level::Low, Speed::Medium),
@@ -105,7 +106,6 @@ async fn main(spawner: Spawner) {
     #[cfg(not(feature = "storage"))]
     let stored: Option<slitpose_firmware::settings::Settings> = None;
     // Stored settings may be what keeps the board from starting.
-    let failed_starts = faults::failed_starts(reset_cause);
     let is_passed_over = stored.is_some() && failed_starts >= PATIENCE_STARTS;
     let settings = stored.filter(|_| !is_passed_over);
 
