@@ -306,3 +306,20 @@ fn supply_clock_and_sensors_are_those_of_the_data_sheet() {
     let reference = facts::bits("LL_ADC_CHANNEL_VREFINT") as u8;
     assert_eq!(InternalCodes { supply_v: CALIBRATION_V, temperature_c: 0.0 }.code(reference), VREFINT_CAL);
 }
+
+#[test]
+fn a_debugger_halts_the_timers_of_st_s_bits() {
+    for (name, index) in [("TIM2", 0), ("TIM5", 3)] {
+        let mut board = board();
+        for base in ["TIM2_BASE", "TIM5_BASE"] {
+            put(&mut board, facts::bits(base), 1);
+        }
+        wait(&mut board, 100);
+        board.halt_timers(facts::bits(&format!("DBGMCU_APB1FZR1_DBG_{name}_STOP")));
+        let before = [0, 3].map(|timer| get(&mut board, facts::bits("TIM2_BASE") + 0x400 * timer + 0x24));
+        wait(&mut board, 100);
+        let after = [0, 3].map(|timer| get(&mut board, facts::bits("TIM2_BASE") + 0x400 * timer + 0x24));
+        let stands = [before[0] == after[0], before[1] == after[1]];
+        assert_eq!(stands, [index == 0, index == 3], "{name}");
+    }
+}

@@ -936,6 +936,8 @@ mod tests {
         let fields = ["DMAEN", "DMACFG", "RES", "EXTSEL", "EXTEN", "OVRMOD", "CONT", "JQDIS"];
         assert_eq!(CFGR_MODELLED, fields.map(|field| facts::bits(&format!("ADC_CFGR_{field}"))).iter().sum());
         assert_facts!("ADC_CFGR2_"; ROVSE);
+        let fields = ["ROVSE", "OVSR", "OVSS", "ROVSM"];
+        assert_eq!(CFGR2_MODELLED, fields.map(|field| facts::bits(&format!("ADC_CFGR2_{field}"))).iter().sum());
         let [ckmode, prescaler] = ["CKMODE", "PRESC"].map(|field| facts::bits(&format!("ADC_CCR_{field}")));
         assert_eq!(CCR_CLOCK, ckmode | prescaler);
         let switches = ["VREFEN", "VSENSESEL", "VBATSEL"].map(|field| facts::bits(&format!("ADC_CCR_{field}")));
@@ -947,7 +949,8 @@ mod tests {
         let approximation = [12, 10, 8, 6].map(|bits| half_clocks(&format!("approximation_clocks_{bits}_bits")));
         assert_eq!(APPROXIMATION_HALF_CLOCKS, approximation);
         assert_eq!(CALIBRATION_CLOCKS, u64::from(facts::bits("t_CAL")));
-        assert_eq!(2 * STABILISATION_CLOCKS, sampling[0] + approximation[0], "t_STAB is a conversion");
+        let conversion = sampling[0] + approximation[0];
+        assert_eq!(2 * STABILISATION_CLOCKS, u64::from(facts::bits("t_STAB")) * conversion);
         assert_eq!(CALIBRATION_TO_ENABLE_CLOCKS, u64::from(facts::bits("calibration_to_enable_clocks")));
         let us = |name| (facts::number(name) * TICKS_PER_SECOND as f64 / 1e6) as Ticks;
         assert_eq!(REGULATOR_TICKS, us("t_ADCVREG_STUP"));

@@ -5,6 +5,7 @@ mod common;
 mod counts;
 mod disturbances;
 mod exposure;
+mod facts;
 mod light;
 mod links;
 mod readme;
