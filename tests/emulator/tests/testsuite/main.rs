@@ -6,6 +6,7 @@ mod counts;
 mod disturbances;
 mod exposure;
 mod facts;
+mod facts_page;
 mod light;
 mod links;
 mod readme;
