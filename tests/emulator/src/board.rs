@@ -46,12 +46,14 @@ const USB_PAUSE_TICKS: std::ops::RangeInclusive<u64> = TICKS_PER_SECOND / 5..=TI
 /// Fault pvd-slow: the detector's delay, 100 µs.
 const PVD_TICKS: Ticks = TICKS_PER_SECOND / 10_000;
 
-/// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0).
-const BROWN_OUT_V: f64 = 1.7;
+/// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0, falling, typical).
+const BROWN_OUT_V: f64 = 1.64;
 /// Below this the backup registers are lost, in volts (data sheet, V_BAT minimum).
 const BACKUP_V: f64 = 1.55;
 /// Supply during the factory's calibration of temperature sensor and reference, in volts.
 const CALIBRATION_V: f64 = 3.0;
+/// Temperatures of the calibration of the sensor, in degrees Celsius (data sheet, TS_CAL1 and TS_CAL2).
+const CALIBRATION_C: [f64; 2] = [30.0, 130.0];
 
 /// A change of the emitter gates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,7 +144,7 @@ impl<W: World> Board<W> {
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
             crs: Crs::new(),
-            temperature_c: 30.0,
+            temperature_c: CALIBRATION_C[0],
             pvd: false,
             gates: 0,
             levels: [0; 2],
@@ -243,6 +245,11 @@ impl<W: World> Board<W> {
         }
         self.update_pvd();
         volts >= BROWN_OUT_V
+    }
+
+    /// Sets the temperature of the chip, in degrees Celsius.
+    pub fn set_temperature_c(&mut self, temperature_c: f64) {
+        self.temperature_c = temperature_c;
     }
 
     /// Whether the watchdog was started.
@@ -596,8 +603,8 @@ impl InternalCodes {
     fn code(&self, channel: u8) -> u16 {
         let at_calibration_supply = match channel {
             4 => {
-                let slope = f64::from(TS_CAL2 - TS_CAL1) / (130.0 - 30.0);
-                f64::from(TS_CAL1) + slope * (self.temperature_c - 30.0)
+                let slope = f64::from(TS_CAL2 - TS_CAL1) / (CALIBRATION_C[1] - CALIBRATION_C[0]);
+                f64::from(TS_CAL1) + slope * (self.temperature_c - CALIBRATION_C[0])
             }
             18 => f64::from(VREFINT_CAL),
             _ => 0.0,

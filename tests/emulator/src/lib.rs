@@ -13,6 +13,7 @@
 //! | [`world`] | emitters, optics, electronics |
 //! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
+//! | [`facts`] | numbers from outside the project, for tests |
 //! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made ([`built`]) |
 //! | [`stopwatch`], [`profile`], [`solver_cost`] | a bare board that times the pose solver |
 //!
@@ -22,6 +23,7 @@
 pub mod board;
 pub mod built;
 pub mod cpu;
+pub mod facts;
 pub mod image;
 pub mod machine;
 pub mod memory;

@@ -147,7 +147,7 @@ impl<W: World> Machine<W> {
         }
     }
 
-    /// Sets the supply, in volts. Below 1.7 V the brown-out reset stops the device; it starts
+    /// Sets the supply, in volts. Below 1.64 V the brown-out reset stops the device; it starts
     /// again when the supply is back.
     pub fn set_supply_v(&mut self, volts: f64) {
         let low = !self.board.set_supply_v(volts);

@@ -222,6 +222,7 @@ impl Bits {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::{self, assert_facts};
 
     #[test]
     fn programming_only_clears_bits() {
@@ -253,5 +254,18 @@ mod tests {
         assert_eq!(system_word(FLASH_SIZE_ADDRESS) & 0xFFFF, 512);
         assert_eq!(system_word(0x1FFF_75A8), u32::from(VREFINT_CAL) << 16 | u32::from(TS_CAL1));
         assert_eq!(system_word(0x1FFF_75C8) >> 16, u32::from(TS_CAL2));
+    }
+
+    #[test]
+    fn sizes_and_addresses_are_those_of_st() {
+        assert_facts!(""; FLASH_BASE, RAM_BASE = "SRAM1_BASE", CCM_BASE = "CCMSRAM_BASE", UNIQUE_ID_ADDRESS = "UID_BASE");
+        assert_facts!(""; PACKAGE_ADDRESS = "PACKAGE_BASE", FLASH_SIZE_ADDRESS = "FLASHSIZE_BASE");
+        assert_facts!(""; VREFINT_CAL_ADDRESS = "VREFINT_CAL_ADDR", TS_CAL1_ADDRESS = "TEMPSENSOR_CAL1_ADDR");
+        assert_facts!(""; TS_CAL2_ADDRESS = "TEMPSENSOR_CAL2_ADDR");
+        let sizes = [FLASH_BYTES, BANK_BYTES, PAGE_BYTES, DOUBLE_WORD_BYTES, RAM_BYTES, CCM_BYTES];
+        let names = ["flash_size", "flash_bank_size", "FLASH_PAGE_SIZE", "flash_double_word", "sram_size", "ccm_size"];
+        assert_eq!(sizes, names.map(|name| facts::bits(name) as usize));
+        let full_scale_v = facts::number("calibration_supply");
+        assert_eq!(f64::from(VREFINT_CAL), (4_095.0 * facts::number("V_REFINT") / full_scale_v).round());
     }
 }

@@ -286,3 +286,49 @@ fn repeat(value: u32, width: u32) -> u32 {
         _ => value,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::facts;
+
+    #[test]
+    fn units_answer_at_st_s_addresses() {
+        let units = [
+            ("TIM2_BASE", Unit::Timer(0)),
+            ("TIM3_BASE", Unit::Timer(1)),
+            ("TIM4_BASE", Unit::Timer(2)),
+            ("TIM5_BASE", Unit::Timer(3)),
+            ("CRS_BASE", Unit::Crs),
+            ("TAMP_BASE", Unit::Backup),
+            ("IWDG_BASE", Unit::Watchdog),
+            ("USB_BASE", Unit::Usb),
+            ("PWR_BASE", Unit::Power),
+            ("LPUART1_BASE", Unit::Lpuart),
+            ("SYSCFG_BASE", Unit::Syscfg),
+            ("EXTI_BASE", Unit::Exti),
+            ("DMA1_BASE", Unit::Dma(0)),
+            ("DMA2_BASE", Unit::Dma(1)),
+            ("DMAMUX1_BASE", Unit::Dmamux),
+            ("RCC_BASE", Unit::Rcc),
+            ("FLASH_R_BASE", Unit::Flash),
+            ("GPIOA_BASE", Unit::Gpio(0)),
+            ("GPIOB_BASE", Unit::Gpio(1)),
+            ("GPIOC_BASE", Unit::Gpio(2)),
+            ("GPIOG_BASE", Unit::Gpio(6)),
+            ("ADC1_BASE", Unit::Adc12),
+            ("ADC2_BASE", Unit::Adc12),
+            ("ADC12_COMMON_BASE", Unit::Adc12),
+            ("ADC3_BASE", Unit::Adc345),
+            ("ADC5_BASE", Unit::Adc345),
+            ("ADC345_COMMON_BASE", Unit::Adc345),
+            ("DAC1_BASE", Unit::Dac(0)),
+            ("DAC2_BASE", Unit::Dac(1)),
+        ];
+        for (base, unit) in units {
+            assert_eq!(unit_at(facts::bits(base)).map(|(unit, _)| unit), Some(unit), "{base}");
+        }
+        assert!(unit_at(facts::bits("VREFBUF_BASE")).is_none());
+        assert_eq!(packet_memory_offset(facts::bits("USB_PMAADDR")), Some(0));
+    }
+}

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::*;
 use crate::cpu::{Bus, BusFault, Size};
+use crate::facts;
 use crate::memory::CCM_BASE;
 use crate::peripherals::{TICKS_PER_SECOND, interrupt};
 
@@ -221,7 +222,7 @@ fn the_voltage_detector_interrupts_when_the_supply_falls() {
     put(&mut board, EXTI + 8, 1 << 16);
     assert!(board.set_supply_v(3.0));
     assert_eq!(board.effects.lines()[0], 0);
-    assert!(board.set_supply_v(2.9));
+    assert!(board.set_supply_v(2.89));
     assert_eq!(board.effects.lines()[0], 1 << interrupt::PVD_PVM);
     assert!(!board.set_supply_v(1.6));
 }
@@ -287,4 +288,38 @@ fn full_load_takes_every_sample() {
     assert_eq!(board.world.samples, 2 * 38_400);
     assert_eq!(board.world.drives.len(), 1_600);
     assert_eq!(get(&mut board, ADC1) & 1 << 4, 0);
+}
+
+#[test]
+fn supply_clock_and_sensors_are_those_of_the_data_sheet() {
+    assert_eq!(BROWN_OUT_V, facts::number("V_BOR0_falling"));
+    assert_eq!(BACKUP_V, facts::number("V_BAT_least"));
+    assert_eq!(LATENCY_AT_170_MHZ, facts::bits("wait_states_170_MHz"));
+    assert_eq!(TICKS_PER_SECOND as f64, 1e6 * facts::number("f_HCLK"));
+    assert_eq!(CALIBRATION_V, facts::number("calibration_supply"));
+    let at_calibration = ["TS_CAL1", "TS_CAL2"].map(|name| {
+        let temperature_c = facts::number(&format!("{name}_temperature"));
+        let sensor = facts::bits("LL_ADC_CHANNEL_TEMPSENSOR_ADC5") as u8;
+        InternalCodes { supply_v: CALIBRATION_V, temperature_c }.code(sensor)
+    });
+    assert_eq!(at_calibration, [TS_CAL1, TS_CAL2]);
+    let reference = facts::bits("LL_ADC_CHANNEL_VREFINT") as u8;
+    assert_eq!(InternalCodes { supply_v: CALIBRATION_V, temperature_c: 0.0 }.code(reference), VREFINT_CAL);
+}
+
+#[test]
+fn a_debugger_halts_the_timers_of_st_s_bits() {
+    for (name, index) in [("TIM2", 0), ("TIM5", 3)] {
+        let mut board = board();
+        for base in ["TIM2_BASE", "TIM5_BASE"] {
+            put(&mut board, facts::bits(base), 1);
+        }
+        wait(&mut board, 100);
+        board.halt_timers(facts::bits(&format!("DBGMCU_APB1FZR1_DBG_{name}_STOP")));
+        let before = [0, 3].map(|timer| get(&mut board, facts::bits("TIM2_BASE") + 0x400 * timer + 0x24));
+        wait(&mut board, 100);
+        let after = [0, 3].map(|timer| get(&mut board, facts::bits("TIM2_BASE") + 0x400 * timer + 0x24));
+        let stands = [before[0] == after[0], before[1] == after[1]];
+        assert_eq!(stands, [index == 0, index == 3], "{name}");
+    }
 }

@@ -15,9 +15,9 @@ const SEVONPEND: u32 = 1 << 4;
 /// FPCCR bits.
 const LSPEN: u32 = 1 << 30;
 const ASPEN: u32 = 1 << 31;
-/// AIRCR key of a write, and what it reads as.
 /// Peripherals that stand still while a debugger halts the core (RM0440, "Debug support").
 const DBGMCU_APB1FZR1: u32 = 0xe004_2008;
+/// AIRCR key of a write, and what it reads as.
 const VECTKEY: u32 = 0x05fa;
 const VECTKEYSTAT: u32 = 0xfa05;
 /// CFSR bits telling that MMFAR or BFAR holds an address.
@@ -349,4 +349,15 @@ impl Cpu {
 /// The exceptions of `value` written to a register of interrupt bits at `address`.
 fn interrupt_bits(address: u32, value: u32) -> u128 {
     u128::from(value).checked_shl(8 * (address & 0x7c)).unwrap_or(0) << FIRST_INTERRUPT
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::facts::bits;
+
+    #[test]
+    fn what_a_debugger_halts_is_at_st_s_address() {
+        assert_eq!(DBGMCU_APB1FZR1, bits("DBGMCU_BASE") + bits("DBGMCU_TypeDef.APB1FZR1"));
+    }
 }

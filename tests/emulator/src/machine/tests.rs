@@ -159,7 +159,7 @@ fn a_brown_out_holds_the_device_and_costs_its_ram() {
     let mut machine = machine(SPIN);
     put(&mut machine.board, RAM_BASE, 0x1234_5678);
     machine.run_until(1_000);
-    machine.set_supply_v(1.69);
+    machine.set_supply_v(1.63);
     assert_eq!(machine.run_until(2_000), Stop::PoweredOff);
     assert_eq!(machine.now(), 2_000);
     machine.set_supply_v(3.3);

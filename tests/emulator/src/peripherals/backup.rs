@@ -47,6 +47,7 @@ impl Backup {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     #[test]
     fn writes_need_backup_access() {
@@ -57,5 +58,10 @@ mod tests {
         assert_eq!(backup.read(BKP31R, &mut effects), 7);
         backup.clear();
         assert_eq!(backup.read(BKP31R, &mut effects), 0);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("TAMP_TypeDef."; BKP0R, BKP31R);
     }
 }

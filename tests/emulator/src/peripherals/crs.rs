@@ -72,6 +72,7 @@ impl Default for Crs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     #[test]
     fn configuration_is_fixed_while_it_runs() {
@@ -81,5 +82,11 @@ mod tests {
         assert_eq!(effects.violation_count(), 0);
         crs.write(CFGR, 0, &mut effects);
         assert_eq!(effects.violation_count(), 1);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("CRS_TypeDef."; CR, CFGR, ISR, ICR);
+        assert_facts!("CRS_CR_"; CEN);
     }
 }

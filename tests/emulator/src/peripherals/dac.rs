@@ -121,6 +121,7 @@ impl Dac {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::{self, assert_facts};
 
     #[test]
     fn code_is_out_only_while_enabled() {
@@ -140,5 +141,14 @@ mod tests {
         assert_eq!(effects.violation_count(), 0);
         dac.write(MCR, MCR_HFSEL | 2, &mut effects);
         assert_eq!(effects.violation_count(), 1);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("DAC_TypeDef."; CR, DHR12R1, DHR12L1, DHR8R1, DHR12R2, DHR12L2, DHR8R2, DHR12RD, DOR1, DOR2, SR, CCR);
+        assert_facts!("DAC_TypeDef."; MCR);
+        assert_eq!(CR_EN, ["DAC_CR_EN1", "DAC_CR_EN2"].map(facts::bits));
+        assert_eq!(SR_RDY, ["DAC_SR_DAC1RDY", "DAC_SR_DAC2RDY"].map(facts::bits));
+        assert_eq!(MCR_HFSEL, facts::bits("DAC_MCR_HFSEL"));
     }
 }

@@ -369,6 +369,7 @@ fn channel_register(offset: u32) -> Option<(usize, u32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::{self, assert_facts};
 
     const CH3: u32 = FIRST_CHANNEL + 2 * CHANNEL_SPAN;
 
@@ -454,5 +455,24 @@ mod tests {
         dma.write(0, FIRST_CHANNEL + CNDTR, 1, &mut effects);
         dma.write(0, FIRST_CHANNEL + CCR, EN, &mut effects);
         assert_eq!(effects.violation_count(), 3, "two channels share a request");
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("DMA_TypeDef."; ISR, IFCR);
+        assert_facts!("DMA_Channel_TypeDef."; CCR, CNDTR, CPAR, CMAR);
+        let [controller, first, second] = ["DMA1_BASE", "DMA1_Channel1_BASE", "DMA1_Channel2_BASE"].map(facts::bits);
+        assert_eq!((FIRST_CHANNEL, CHANNEL_SPAN), (first - controller, second - first));
+        assert_facts!("DMA_CCR_"; EN, TCIE, HTIE, TEIE, DIR, CIRC, PINC, MINC, MEM2MEM);
+        assert_facts!("DMA_ISR_"; GIF = "GIF1", TCIF = "TCIF1", HTIF = "HTIF1", TEIF = "TEIF1");
+        assert_facts!("DMAMUX_"; MUX_CSR = "ChannelStatus_TypeDef.CSR", MUX_CFR = "ChannelStatus_TypeDef.CFR");
+        assert_facts!("DMAMUX_"; MUX_RGSR = "RequestGenStatus_TypeDef.RGSR");
+        assert_facts!("DMAMUX_"; MUX_RGCFR = "RequestGenStatus_TypeDef.RGCFR", MUX_EVENTS = "CxCR_EGE");
+        let wide = Channel {
+            ccr: facts::bits("DMA_CCR_PSIZE_1") | facts::bits("DMA_CCR_MSIZE_0") | facts::bits("DMA_CCR_PL"),
+            ..Channel::default()
+        };
+        let Transfer { source_width, destination_width, .. } = wide.transfer();
+        assert_eq!((source_width, destination_width, wide.priority()), (4, 2, 3));
     }
 }

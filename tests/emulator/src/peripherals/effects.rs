@@ -286,3 +286,50 @@ impl Effects {
         &self.unmodelled
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::facts::{self, assert_facts};
+
+    #[test]
+    fn interrupts_are_those_of_st() {
+        use interrupt::*;
+        assert_facts!(""; PVD_PVM = "PVD_PVM_IRQn", FLASH = "FLASH_IRQn", RCC = "RCC_IRQn", EXTI0 = "EXTI0_IRQn");
+        assert_facts!(""; DMA1_CHANNEL1 = "DMA1_Channel1_IRQn", ADC1_2 = "ADC1_2_IRQn", USB_HP = "USB_HP_IRQn");
+        assert_facts!(""; USB_LP = "USB_LP_IRQn", EXTI9_5 = "EXTI9_5_IRQn", TIM2 = "TIM2_IRQn", TIM3 = "TIM3_IRQn");
+        assert_facts!(""; TIM4 = "TIM4_IRQn", EXTI15_10 = "EXTI15_10_IRQn", USB_WAKEUP = "USBWakeUp_IRQn");
+        assert_facts!(""; ADC3 = "ADC3_IRQn", TIM5 = "TIM5_IRQn", DMA2_CHANNEL1 = "DMA2_Channel1_IRQn");
+        assert_facts!(""; ADC4 = "ADC4_IRQn", ADC5 = "ADC5_IRQn", CRS = "CRS_IRQn", LPUART1 = "LPUART1_IRQn");
+        assert_facts!(""; DMA1_CHANNEL8 = "DMA1_Channel8_IRQn", DMA2_CHANNEL6 = "DMA2_Channel6_IRQn");
+    }
+
+    #[test]
+    fn requests_are_those_of_st() {
+        let offset = |request: Request, by: u8| Request(request.0 + by);
+        let requests = [
+            ("ADC1", Request::ADC1),
+            ("LPUART1_RX", Request::LPUART1_RX),
+            ("LPUART1_TX", Request::LPUART1_TX),
+            ("ADC2", Request::ADC2),
+            ("ADC3", Request::ADC3),
+            ("ADC4", offset(Request::ADC3, 1)),
+            ("ADC5", offset(Request::ADC3, 2)),
+            ("TIM2_CH1", Request::TIM2_CH1),
+            ("TIM2_CH2", offset(Request::TIM2_CH1, 1)),
+            ("TIM2_CH3", offset(Request::TIM2_CH1, 2)),
+            ("TIM2_CH4", offset(Request::TIM2_CH1, 3)),
+            ("TIM2_UP", Request::TIM2_UP),
+            ("TIM2_UP", offset(Request::TIM2_CH1, 4)),
+            ("TIM3_CH1", Request::TIM3_CH1),
+            ("TIM3_UP", offset(Request::TIM3_CH1, 4)),
+            ("TIM4_CH1", Request::TIM4_CH1),
+            ("TIM4_UP", offset(Request::TIM4_CH1, 4)),
+            ("TIM5_CH1", Request::TIM5_CH1),
+            ("TIM5_UP", offset(Request::TIM5_CH1, 4)),
+        ];
+        for (name, request) in requests {
+            assert_eq!(u32::from(request.0), facts::bits(&format!("LL_DMAMUX_REQ_{name}")), "{name}");
+        }
+    }
+}

@@ -119,6 +119,7 @@ impl Default for Exti {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     #[test]
     fn selected_edges_interrupt_until_cleared() {
@@ -135,5 +136,11 @@ mod tests {
         exti.write(FTSR1, 1 << 13, &mut effects);
         exti.edge(13, Edge::Falling, &mut effects);
         assert_eq!(effects.lines(), &[0, 1 << (interrupt::EXTI15_10 - 32), 0, 0]);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("EXTI_TypeDef."; IMR1, EMR1, RTSR1, FTSR1, SWIER1, PR1, IMR2, EMR2, RTSR2, PR2);
+        assert_eq!(1 << PVD_LINE, crate::facts::bits("LL_EXTI_LINE_16"));
     }
 }

@@ -51,10 +51,10 @@ const BK_ECC: u32 = 1 << 21;
 /// Option bytes as delivered: no protection, dual bank, brown-out level 0, watchdog by software.
 const OPTR_DELIVERED: u32 = 0xFFEF_F8AA;
 
-/// Programming of a double word: 85 µs (data sheet, t_prog, typical 81.7 to 90.8).
-const PROGRAM_TICKS: Ticks = 85 * TICKS_PER_SECOND / 1_000_000;
-/// Erasure of a page or a bank: 22 ms (data sheet, t_ERASE and t_ME, typical).
-const ERASE_TICKS: Ticks = 22 * TICKS_PER_SECOND / 1_000;
+/// Programming of a double word: 81.7 µs (data sheet, t_prog, typical; 83.35 at most).
+const PROGRAM_TICKS: Ticks = 817 * TICKS_PER_SECOND / 10_000_000;
+/// Erasure of a page or a bank: 22.02 ms (data sheet, t_ERASE, typical; 24.47 at most).
+const ERASE_TICKS: Ticks = 2_202 * TICKS_PER_SECOND / 100_000;
 
 #[derive(Clone, Copy, Debug)]
 enum Work {
@@ -355,6 +355,7 @@ impl Flash {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::{self, assert_facts};
 
     /// Page 3 of bank 2.
     const OFFSET: usize = BANK_BYTES + 3 * PAGE_BYTES;
@@ -479,5 +480,17 @@ mod tests {
         flash.write(KEYR, KEY1, &mut effects);
         flash.write(KEYR, KEY2, &mut effects);
         assert_eq!(flash.read(CR, &mut effects) & LOCK, 0);
+    }
+
+    #[test]
+    fn registers_and_times_are_those_of_st() {
+        assert_facts!("FLASH_TypeDef."; ACR, PDKEYR, KEYR, OPTKEYR, SR, CR, ECCR, OPTR);
+        assert_facts!("FLASH_"; KEY1, KEY2, LATENCY = "ACR_LATENCY", ECCD = "ECCR_ECCD", BK_ECC = "ECCR_BK_ECC");
+        assert_facts!("FLASH_SR_"; EOP, PROGERR, PGAERR, SIZERR, PGSERR, BSY);
+        assert_facts!("FLASH_CR_"; PG, PER, MER1, BKER, MER2, STRT, EOPIE, ERRIE, OPTLOCK, LOCK);
+        assert_eq!(CR_MODELLED & 0x3FF, PG | PER | MER1 | facts::bits("FLASH_CR_PNB"));
+        assert_eq!(OPTR_DELIVERED & facts::bits("FLASH_OPTR_DBANK"), facts::bits("FLASH_OPTR_DBANK"));
+        let ticks = |name, unit_s: f64| (facts::number(name) * unit_s * TICKS_PER_SECOND as f64).round() as Ticks;
+        assert_eq!((PROGRAM_TICKS, ERASE_TICKS), (ticks("t_prog", 1e-6), ticks("t_ERASE", 1e-3)));
     }
 }

@@ -124,6 +124,7 @@ fn push_pull_outputs(moder: u32, otyper: u32) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     #[test]
     fn only_push_pull_outputs_drive() {
@@ -154,5 +155,14 @@ mod tests {
         assert_eq!(port.read(IDR, &mut effects), 1 << 13);
         port.write(MODER, 1 << 26, &mut effects);
         assert_eq!(port.read(IDR, &mut effects), 0);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("GPIO_TypeDef."; MODER, OTYPER, OSPEEDR, PUPDR, IDR, ODR, BSRR, LCKR, AFRL = "AFR", BRR);
+        assert_eq!(AFRH, AFRL + 4);
+        let mut port = Port::new(2);
+        port.write(MODER, crate::facts::bits("LL_GPIO_MODE_OUTPUT") << (2 * 6), &mut Effects::default());
+        assert_eq!(port.push_pull, 1 << 6);
     }
 }

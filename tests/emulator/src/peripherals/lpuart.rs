@@ -370,6 +370,7 @@ impl Lpuart {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     /// 3 Mbaud: 170 MHz · 256 / 3 MHz.
     const BRR_3M: u32 = 14_507;
@@ -483,5 +484,16 @@ mod tests {
         lpuart.write(BRR, 0x2ff, &mut effects);
         lpuart.write(CR1, CR1_UE, &mut effects);
         assert_eq!(effects.violation_count(), 5, "divider too small");
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("USART_TypeDef."; CR1, CR2, CR3, BRR, RQR, ISR, ICR, RDR, TDR, PRESC);
+        assert_facts!("USART_"; CR1_UE, CR1_RE, CR1_TE, CR1_IDLEIE, CR1_RXNEIE = "CR1_RXNEIE_RXFNEIE", CR1_TCIE);
+        assert_facts!("USART_"; CR1_TXEIE = "CR1_TXEIE_TXFNFIE", CR1_FIFOEN, CR2_STOP, CR2_TWO_STOP_BITS = "CR2_STOP_1");
+        assert_facts!("USART_"; CR3_EIE, CR3_DMAR, CR3_DMAT, CR3_OVRDIS, RQR_RXFRQ, ISR_ORE, ISR_IDLE);
+        assert_facts!("USART_"; ISR_RXNE = "ISR_RXNE_RXFNE", ISR_TC, ISR_TXE = "ISR_TXE_TXFNF", ISR_BUSY);
+        assert_facts!("USART_"; ISR_TEACK, ISR_REACK);
+        assert_facts!(""; LEAST_BRR = "LPUART_BRR_least");
     }
 }

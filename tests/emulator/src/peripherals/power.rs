@@ -28,7 +28,7 @@ const CR3_RESET: u32 = 0x8000;
 /// Falling thresholds of the voltage detector by PLS code, in volts (data sheet, "Embedded
 /// reset and power control block characteristics", V_PVD0 to V_PVD6, typical). The seventh code
 /// compares an external pin, which is not modelled.
-const PVD_FALLING_V: [f64; 7] = [2.05, 2.20, 2.36, 2.52, 2.64, 2.81, 2.92];
+const PVD_FALLING_V: [f64; 7] = [2.05, 2.20, 2.36, 2.52, 2.64, 2.81, 2.90];
 /// Hysteresis of the detector (data sheet, V_hyst_BOR_PVD).
 const PVD_HYSTERESIS_V: f64 = 0.1;
 
@@ -135,6 +135,7 @@ impl Power {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::{self, assert_facts};
 
     #[test]
     fn detector_has_its_threshold_and_hysteresis() {
@@ -160,5 +161,15 @@ mod tests {
         power.write(CR5, 0, &mut effects);
         power.write(CR1, CR1_RESET | DBP, &mut effects);
         assert!(power.is_boosted() && power.backup_access());
+    }
+
+    #[test]
+    fn registers_and_thresholds_are_those_of_st() {
+        assert_facts!("PWR_TypeDef."; CR1, CR2, CR3, CR4, SR1, SR2, SCR, PUCRA, PDCRG, CR5);
+        assert_facts!("PWR_"; DBP = "CR1_DBP", PVDE = "CR2_PVDE", PVDO = "SR2_PVDO", REGLPS = "SR2_REGLPS");
+        assert_facts!("PWR_"; R1MODE = "CR5_R1MODE");
+        assert_eq!(facts::bits("PWR_CR2_PLS"), 7 << 1);
+        assert_eq!(PVD_FALLING_V, [0, 1, 2, 3, 4, 5, 6].map(|level| facts::number(&format!("V_PVD{level}_falling"))));
+        assert_eq!(PVD_HYSTERESIS_V, facts::number("V_hyst_BOR_PVD"));
     }
 }

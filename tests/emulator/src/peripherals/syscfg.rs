@@ -71,11 +71,17 @@ impl Default for Syscfg {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     #[test]
     fn each_line_has_a_port() {
         let (mut syscfg, mut effects) = (Syscfg::new(), Effects::default());
         syscfg.write(EXTICR4, 0x0020, &mut effects);
         assert_eq!((syscfg.port_of_line(13), syscfg.port_of_line(12)), (2, 0));
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("SYSCFG_TypeDef."; MEMRMP, CFGR1, EXTICR1 = "EXTICR", SCSR, CFGR2);
     }
 }

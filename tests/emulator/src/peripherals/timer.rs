@@ -539,6 +539,7 @@ fn channel_of(offset: u32) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     /// Runs `timer` to `end` and returns the ticks at which `seen` became true.
     fn run(
@@ -641,5 +642,15 @@ mod tests {
         assert_eq!(timer.next_event(), 1_010);
         run(&mut timer, &mut effects, 1_015, |_| false);
         assert_eq!(timer.count(1_015), 5);
+    }
+
+    #[test]
+    fn registers_are_those_of_st() {
+        assert_facts!("TIM_TypeDef."; CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER, CNT, PSC, ARR, CCR1, CCR4);
+        assert_facts!("TIM_"; CR1_CEN, CR1_UDIS, CR1_URS, CR1_ARPE, CR1_UIFREMAP, CR2_CCDS);
+        // MMS[3], for encoders, stands apart.
+        assert_eq!(CR2_MMS, crate::facts::bits("TIM_CR2_MMS") & 0xFFFF);
+        assert_facts!("TIM_"; UIF = "SR_UIF", UDE = "DIER_UDE");
+        assert_eq!(FLAGS + 1, 2 * crate::facts::bits("TIM_SR_CC4IF"));
     }
 }

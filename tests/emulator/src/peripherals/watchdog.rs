@@ -111,6 +111,7 @@ impl Default for Watchdog {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     fn started() -> (Watchdog, Effects) {
         let (mut watchdog, mut effects) = (Watchdog::new(), Effects::default());
@@ -155,5 +156,12 @@ mod tests {
         effects.now *= 3;
         watchdog.write(KR, KEY_REFRESH, &mut effects);
         assert_eq!(effects.reset, None);
+    }
+
+    #[test]
+    fn registers_and_clock_are_those_of_st() {
+        assert_facts!("IWDG_TypeDef."; KR, PR, RLR, SR, WINR);
+        assert_facts!("LL_IWDG_KEY_"; KEY_UNLOCK = "WR_ACCESS_ENABLE", KEY_REFRESH = "RELOAD", KEY_START = "ENABLE");
+        assert_eq!(LSI_HZ as f64, 1e3 * crate::facts::number("LSI"));
     }
 }

@@ -2,11 +2,13 @@
 //! instants the schedule names, scan after scan.
 
 use crate::common::chain::Chain;
-use crate::common::silicon;
+use crate::common::wiring::inputs;
+use slitpose_emulator::facts;
 use slitpose_emulator::machine::{Machine, Stop};
 use slitpose_emulator::memory::FlashArray;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{open_image, request};
+use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::world::{NoiseSource, World};
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -213,11 +215,13 @@ fn no_start_loses_or_shifts_a_scan() {
     assert_eq!(chain.rig.faults(), Vec::<String>::new());
 }
 
-/// A world whose codes tell when, where and in whose light they were taken.
+/// A world whose codes say when, where and in whose light they were taken.
 #[derive(Debug, Default)]
 struct Witness {
     gates: u8,
     levels: [u16; 2],
+    /// Every change of the gates.
+    edges: Vec<(Ticks, u8)>,
 }
 
 /// 12 bits that depend on all of what they are made of.
@@ -228,7 +232,10 @@ fn testimony(at: Ticks, adc: u8, channel: u8, gates: u8, levels: [u16; 2]) -> u1
 }
 
 impl World for Witness {
-    fn drive(&mut self, _: Ticks, gates: u8, level_codes: [u16; 2]) {
+    fn drive(&mut self, at: Ticks, gates: u8, level_codes: [u16; 2]) {
+        if gates != self.gates {
+            self.edges.push((at, gates));
+        }
         (self.gates, self.levels) = (gates, level_codes);
     }
 
@@ -237,30 +244,25 @@ impl World for Witness {
     }
 }
 
-/// Inputs of the converters by cell: I_X1 on ADC1 (PA0, PA1, PC0 to PC3), I_X2 on ADC2 (PA7, PC4,
-/// PC5, PB2, PB11, PB15), by the data sheet's pin definitions.
-const INPUTS: [(u8, [u8; 6]); 2] = [(1, [1, 2, 6, 7, 8, 9]), (2, [4, 5, 11, 12, 14, 15])];
-
 /// A frame's tick is read from the clock right behind the start of the frames' timer, so it is a
 /// few instructions late; in 100 ns the tool moves 50 nm.
 const MOST_TICKS_LATE: u64 = 17;
 
-/// The word of `cell` in `slot`, whose frame starts at tick `start` of power.
-fn witnessed(schedule: &Schedule, start: Ticks, slot: usize, cell: usize) -> [u16; 2] {
-    let first = start + schedule.first_sample_ticks(slot, cell).expect("in the schedule");
-    INPUTS.map(|(adc, channels)| {
-        (0..u64::from(schedule.oversampling))
-            .map(|j| first + j * u64::from(schedule.conversion_ticks))
-            .map(|at| testimony(at, adc, channels[cell], schedule.slots[slot].0 as u8, [2048; 2]))
-            .sum()
-    })
+/// Periods of the converters' clock in ticks.
+const CLOCK_TICKS: f64 = 4.0;
+
+/// What the schedule's times mean in periods of the converters' clock, by the data sheet.
+fn conversion_ticks() -> Ticks {
+    let clocks = facts::number("sampling_clocks_3") + facts::number("approximation_clocks_12_bits");
+    (clocks * CLOCK_TICKS) as Ticks
 }
 
-#[test]
-fn every_conversion_is_held_at_its_tick_in_its_light() {
+/// A run of the default configuration: the scans, with the instants at which their first slot's gates came on, and the
+/// tick of power at which the device clock was zero.
+fn witness(silicon: Silicon, seed: u64, seconds: f64) -> (Vec<(RawScan, Ticks)>, Ticks) {
     let mut flash = FlashArray::erased();
     open_image(None).expect("an image").load_into(&mut flash);
-    let mut machine = Machine::new(flash, Witness::default()).with_silicon(silicon(), 1);
+    let mut machine = Machine::new(flash, Witness::default()).with_silicon(silicon, seed);
     let run = |machine: &mut Machine<Witness>, seconds: f64| {
         assert_eq!(machine.run_until(machine.now() + (seconds * 170e6) as Ticks), Stop::Reached);
     };
@@ -268,32 +270,84 @@ fn every_conversion_is_held_at_its_tick_in_its_light() {
     machine.board.usb_host.set_dtr(true, machine.now());
     machine.board.usb_host.send(&request(1, Command::Start), machine.now());
     machine.board.outside_changed();
-    run(&mut machine, 1.0);
-    let origin = machine.device_clock_origin().expect("started");
+    run(&mut machine, seconds);
     let schedule = default_configuration().schedule;
     let bytes: Vec<u8> = machine.board.usb_host.take_received().into_iter().flat_map(|got| got.bytes).collect();
-
-    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
-    let (mut rest, mut next, mut late) = (&bytes[..], 0, None);
+    let (mut decoder, mut rest) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &bytes[..]);
+    let mut scans = Vec::new();
     while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
         let Message::Batch(batch) = message.expect("undamaged") else { continue };
-        for scan in batch.scans(&schedule).expect("of the default schedule") {
-            assert_eq!(scan.sequence, next);
-            next += 1;
-            // The same in all frames of a run.
-            let late = *late.get_or_insert_with(|| {
-                let is = |&late: &u64| scan.lit()[0] == witnessed(&schedule, origin + scan.tick - late, 0, 0);
-                (0..=MOST_TICKS_LATE).find(is).expect("the tick of the first frame is its start")
-            });
-            let start = origin + scan.tick - late;
-            for cell in 0..6 {
-                let slot = schedule.lit_slot(cell).expect("lit");
-                assert_eq!(scan.lit()[cell], witnessed(&schedule, start, slot, cell), "scan {next}, cell {cell}");
-                let dark = scan.dark().expect("dark words")[cell];
-                assert_eq!(dark, witnessed(&schedule, start, 3, cell), "scan {next}, cell {cell}, dark");
-            }
-        }
+        scans.extend(batch.scans(&schedule).expect("of the default schedule"));
     }
-    println!("{next} scans, labelled {} ticks late", late.expect("scans"));
-    assert!(next > 3_900);
+    let first = schedule.slots[0].0 as u8;
+    let starts = machine.board.world.edges.iter().filter(|edge| edge.1 == first).map(|edge| edge.0);
+    let origin = machine.device_clock_origin().expect("started");
+    (scans.into_iter().zip(starts).collect(), origin)
+}
+
+/// The word of `cell` in `slot`, if its first sample is held `first` ticks behind the start of the slot at `start`.
+fn witnessed(wired: &[[u8; 6]; 2], schedule: &Schedule, first: Ticks, slot: usize, cell: usize) -> [u16; 2] {
+    let conversions =
+        cell as u64 * u64::from(schedule.oversampling)..(cell as u64 + 1) * u64::from(schedule.oversampling);
+    [1_u8, 2].map(|adc| {
+        let instants = conversions.clone().map(|n| first + n * conversion_ticks());
+        let channel = wired[usize::from(adc) - 1][cell];
+        instants.map(|at| testimony(at, adc, channel, schedule.slots[slot].0 as u8, [2048; 2])).sum()
+    })
+}
+
+/// Whether the words of `scan`, whose first slot's gates came on at `start`, were held `settling` ticks behind the start
+/// of each slot.
+fn is_held(scan: &RawScan, start: Ticks, settling: Ticks, wired: &[[u8; 6]; 2]) -> bool {
+    let schedule = default_configuration().schedule;
+    let first = |slot: usize| start + slot as u64 * u64::from(schedule.slot_ticks) + settling;
+    let dark = schedule.dark_slot().expect("the default has one");
+    (0..6).all(|cell| {
+        let slot = schedule.lit_slot(cell).expect("lit");
+        let dark = [scan.dark().expect("dark words")[cell], witnessed(wired, &schedule, first(dark), dark, cell)];
+        scan.lit()[cell] == witnessed(wired, &schedule, first(slot), slot, cell) && dark[0] == dark[1]
+    })
+}
+
+/// Counted from the edge of the gates on the pins: no offset is looked for. The emulator's trigger takes two periods of
+/// the converters' clock, in whole ticks. A board's takes 2.125 (DS12288, Table 66), so that its samples are half a tick
+/// later than this, and up to another four, as the trigger waits for an edge of that clock: see
+/// [`on_silicon_every_sample_is_late_by_the_same_few_ticks`].
+#[test]
+fn every_conversion_is_held_at_its_tick_in_its_light() {
+    let Schedule { settling_ticks, frame_ticks, conversion_ticks: asked, .. } = default_configuration().schedule;
+    assert_eq!(u64::from(asked), conversion_ticks());
+    let (scans, origin) = witness(Silicon::default(), 1, 1.0);
+    let wired = inputs();
+    let late = (origin + scans[0].0.tick).wrapping_sub(scans[0].1);
+    assert!(late <= MOST_TICKS_LATE, "labelled {late} ticks late");
+    for (n, (scan, start)) in (0..).zip(&scans) {
+        assert_eq!(scan.sequence, n);
+        assert_eq!(*start, scans[0].1 + n * u64::from(frame_ticks), "the gates of frame {n}");
+        // The same in all frames of a run.
+        assert_eq!(origin + scan.tick - start, late, "frame {n}");
+        assert!(is_held(scan, *start, settling_ticks.into(), &wired), "frame {n}: {scan:?}");
+    }
+    println!("{} scans, labelled {late} ticks late", scans.len());
+    assert!(scans.len() > 3_900);
+}
+
+/// With fault trigger-phase: half a tick more than two clocks, and the way to the next edge of a clock of four ticks.
+#[test]
+fn on_silicon_every_sample_is_late_by_the_same_few_ticks() {
+    let settling = u64::from(default_configuration().schedule.settling_ticks);
+    let beyond = (facts::number("t_LATR_ckmode_11") - 2.0) * CLOCK_TICKS;
+    let may_be_late = beyond..=beyond + CLOCK_TICKS;
+    assert_eq!(may_be_late, 0.5..=4.5);
+    let wired = inputs();
+    for seed in 1..=6 {
+        let (scans, _) = witness([Fault::TriggerPhase].into_iter().collect(), seed, 0.05);
+        let held = |late: &u64| is_held(&scans[0].0, scans[0].1, settling + late, &wired);
+        let late = (0..=5).find(held).expect("held a few ticks late");
+        println!("seed {seed}: samples {late} ticks late");
+        assert!(may_be_late.contains(&(late as f64)), "seed {seed}: {late} ticks");
+        assert!(scans.len() > 150);
+        // A frame and a slot are whole periods of the converters' clock.
+        assert!(scans.iter().all(|(scan, start)| is_held(scan, *start, settling + late, &wired)), "seed {seed}");
+    }
 }

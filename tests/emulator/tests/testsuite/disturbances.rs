@@ -1,17 +1,18 @@
 //! What goes wrong between converters, transfers and clock, and how the board gets over it.
 
 use crate::common::dma_ticks;
+use crate::common::registers::channel_of;
 use crate::common::talk::{FRAME_TICKS, MS, Talk};
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::{Command, Configuration, Level, RawScan};
 
-// Channels of DMA1, from 0, as the firmware uses them.
-const WORDS: [usize; 2] = [0, 1];
-const DARKNESS: usize = 2;
-const GATES: usize = 3;
-const PERIODS: usize = 4;
-const LEVELS: [usize; 2] = [5, 6];
+// Requests of the transfers (firmware/README.md, "A frame"). The channels that serve them are looked up on the board.
+const WORDS: [&str; 2] = ["ADC1", "ADC2"];
+const DARKNESS: &str = "TIM2_CH4";
+const GATES: &str = "TIM2_UP";
+const PERIODS: &str = "TIM2_CH2";
+const LEVELS: [&str; 2] = ["TIM2_CH1", "TIM2_CH3"];
 
 /// Something that goes wrong once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,8 +21,8 @@ enum Disturbance {
     SwallowedRequest(usize),
     /// A converter says that it has lost a word.
     Overrun(usize),
-    /// A transfer of this channel of DMA1 (from 0) meets a bus error.
-    Transfer(usize),
+    /// A transfer for this request meets a bus error.
+    Transfer(&'static str),
 }
 
 impl Disturbance {
@@ -30,7 +31,10 @@ impl Disturbance {
         match self {
             Self::SwallowedRequest(converter) => board.adc12.adc_mut(converter).swallow_request(),
             Self::Overrun(converter) => board.force_adc_overrun(converter),
-            Self::Transfer(channel) => board.dma.fail_next(channel),
+            Self::Transfer(request) => {
+                let channel = channel_of(board, request);
+                board.dma.fail_next(channel);
+            }
         }
     }
 }
@@ -130,8 +134,8 @@ fn an_overrun_costs_a_few_scans() {
 
 #[test]
 fn a_failed_transfer_of_words_costs_a_few_scans() {
-    for channel in WORDS {
-        disturb(&default_configuration(), Disturbance::Transfer(channel));
+    for request in WORDS {
+        disturb(&default_configuration(), Disturbance::Transfer(request));
     }
 }
 
@@ -157,8 +161,8 @@ fn a_failed_transfer_of_levels_costs_a_few_scans() {
     let mut configuration = default_configuration();
     let levels = [0x8000, 0x7000, 0x6000, 0x8000, 0x7800, 0x7000].map(Level);
     configuration.levels = levels.into_iter().collect();
-    for channel in LEVELS {
-        disturb(&configuration, Disturbance::Transfer(channel));
+    for request in LEVELS {
+        disturb(&configuration, Disturbance::Transfer(request));
     }
 }
 

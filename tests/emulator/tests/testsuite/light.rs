@@ -352,7 +352,7 @@ fn a_low_supply_refuses_the_start() {
     assert!(bench.record().drives.iter().all(|drive| drive.gates == 0), "nothing lights");
     let status = bench.ask_status();
     assert!(!status.acquiring && (status.supply_v - 2.8).abs() < 0.02, "{status:?}");
-    // Above the detector's threshold and hysteresis, 3.02 V.
+    // Above the detector's threshold and hysteresis, 3.00 V.
     bench.rig.machine().set_supply_v(3.1);
     bench.run_ms(1);
     bench.light();

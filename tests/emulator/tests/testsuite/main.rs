@@ -5,6 +5,8 @@ mod common;
 mod counts;
 mod disturbances;
 mod exposure;
+mod facts;
+mod facts_page;
 mod light;
 mod links;
 mod readme;

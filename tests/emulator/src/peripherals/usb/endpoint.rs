@@ -138,6 +138,7 @@ const fn nak_tx() -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::facts::assert_facts;
 
     #[test]
     fn ones_toggle_and_zeros_clear() {
@@ -168,5 +169,12 @@ mod tests {
         assert_ne!(endpoint.register() & SETUP, 0);
         endpoint.complete_rx();
         assert_eq!(endpoint.register() & SETUP, 0);
+    }
+
+    #[test]
+    fn bits_are_those_of_st() {
+        assert_facts!("USB_EP_"; CTR_RX, DTOG_RX, SETUP, EP_TYPE = "T_FIELD", EP_KIND = "KIND", CTR_TX, DTOG_TX);
+        assert_facts!("USB_EP_"; TYPE_BULK = "BULK", TYPE_CONTROL = "CONTROL", TYPE_INTERRUPT = "INTERRUPT");
+        assert_facts!("USB_"; STAT_RX = "EPRX_STAT", STAT_TX = "EPTX_STAT", EA = "EPADDR_FIELD");
     }
 }

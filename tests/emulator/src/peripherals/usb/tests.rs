@@ -1,4 +1,5 @@
 use super::*;
+use crate::facts::assert_facts;
 use crate::usb_wire::{BusSignal, FullSpeedDevice, Handshake, InAnswer, OutPacket};
 
 const CONTROL: u32 = 0b01 << 9;
@@ -193,4 +194,12 @@ fn rules_are_watched() {
     broken(&effects, "may send it");
     usb.write(BTABLE, 512, &mut effects);
     broken(&effects, "BTABLE");
+}
+
+#[test]
+fn registers_are_those_of_st() {
+    assert_facts!("USB_TypeDef."; CNTR, ISTR, FNR, DADDR, BTABLE, LPMCSR, BCDR);
+    assert_facts!("USB_"; CNTR_FRES, CNTR_PDWN, CNTR_LPMODE, CNTR_FSUSP, ISTR_DIR, ISTR_ESOF, ISTR_SOF, ISTR_RESET);
+    assert_facts!("USB_"; ISTR_SUSP, ISTR_WKUP, ISTR_CTR, FNR_FRAME = "FNR_FN", FNR_LSOF, FNR_LCK, FNR_RXDP);
+    assert_facts!("USB_"; DADDR_EF, BCDR_DPPU);
 }

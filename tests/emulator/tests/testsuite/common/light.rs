@@ -1,13 +1,14 @@
 //! A board on the bench: what its host hears, and every change of its emitter pins and every
 //! instant at which a converter holds a sample.
 
+use super::wiring::{inputs, level_line};
 use super::{dma_ticks, silicon, trigger_ticks};
+use slitpose_emulator::facts;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image};
 use slitpose_emulator::world::{NoiseSource, OpticsWorld, World};
-use slitpose_firmware::pcb::wiring::{LEVEL_LINES, level_line};
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, Shipped};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
@@ -19,12 +20,9 @@ use slitpose_protocol::{
 
 pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
-/// Inputs of ADC1 and ADC2 by cell, from the board's wiring table (firmware/README.md).
-pub const INPUTS: [[u8; 6]; 2] = [[1, 2, 6, 7, 8, 9], [4, 5, 11, 12, 14, 15]];
-
 /// By so much the emitters of a lit last slot go off ahead of the slot's end if the frame has an
-/// idle rest (firmware/README.md, "A frame").
-pub const OFF_LEAD_TICKS: u64 = 32;
+/// idle rest: 0.2 µs, rounded (firmware/README.md, "A frame").
+const OFF_LEAD_S: std::ops::Range<f64> = 0.15e-6..0.25e-6;
 
 /// Ticks after the start of a slot within which the level lines have its levels: the compare that
 /// writes them comes one tick after the update that switches the gates.
@@ -334,6 +332,7 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
     let Configuration { schedule, levels, .. } = configuration;
     let frame_ticks = u64::from(schedule.frame_ticks);
     let (cells, oversampling) = (usize::from(schedule.cells), u64::from(schedule.oversampling));
+    let wired = inputs();
     // Before the first frame the converters work for nobody.
     let holds = &record.holds[record.holds.partition_point(|hold| hold.at < start)..];
     let leading = leading_cells(schedule, holds.first().map_or(start, |hold| hold.at) - start);
@@ -344,7 +343,7 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
         for slot in 0..schedule.slots.len() {
             let ahead = std::iter::repeat_n((0, oversampling * u64::from(schedule.conversion_ticks)), leading);
             for (cell, earlier) in ahead.chain((0..cells).map(|cell| (cell, 0))) {
-                let inputs = INPUTS.map(|inputs| inputs[cell]);
+                let inputs = wired.map(|inputs| inputs[cell]);
                 let first = schedule.first_sample_ticks(slot, cell).expect("it has them") - earlier;
                 for conversion in 0..oversampling {
                     let at = start + n as u64 * frame_ticks + first + conversion * u64::from(schedule.conversion_ticks);
@@ -360,7 +359,7 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
     }
     // A Stop may cut the last frame short behind its last hold.
     let uncut = frames.saturating_sub(1) as u64;
-    let expected = gate_edges(schedule, start, uncut);
+    let expected = gate_edges(record, schedule, start, uncut);
     let end = expected.last().map_or(start, |edge| edge.0) + 1 + dma_ticks();
     let mut gates = 0;
     let changes = record.drives.iter().filter(|drive| {
@@ -391,18 +390,35 @@ fn leading_cells(schedule: &Schedule, first: Ticks) -> usize {
     leading
 }
 
+/// By so much the emitters went off ahead of the end of a lit last slot, in frames whose idle rests begin at
+/// `rests`: the earliest, where transfers take their time.
+fn off_lead_ticks(record: &Recorder, rests: impl Iterator<Item = Ticks>) -> Ticks {
+    let most = (OFF_LEAD_S.end * TICKS_PER_SECOND as f64) as Ticks;
+    let mut drives = record.drives.iter();
+    let leads = rests.filter_map(|rest| {
+        let dark = drives.find(|drive| drive.at + most >= rest && drive.gates == 0)?;
+        Some((rest + most).saturating_sub(dark.at))
+    });
+    let lead = leads.max().expect("it goes dark").saturating_sub(most);
+    assert!(OFF_LEAD_S.contains(&(lead as f64 / TICKS_PER_SECOND as f64)), "{lead} ticks");
+    lead
+}
+
 /// Changes of the gates in the first `frames` frames of `schedule`.
-fn gate_edges(schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)> {
+fn gate_edges(record: &Recorder, schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)> {
     let (slot_ticks, frame_ticks) = (u64::from(schedule.slot_ticks), u64::from(schedule.frame_ticks));
     let slots = schedule.slots.len() as u64;
     let has_rest = frame_ticks > slots * slot_ticks;
+    let is_lit = schedule.slots.last().is_some_and(|set| !set.is_dark());
+    let rests = (0..frames).map(|n| start + n * frame_ticks + slots * slot_ticks);
+    let lead = if has_rest && is_lit && frames > 0 { off_lead_ticks(record, rests) } else { 0 };
     let mut edges: Vec<(Ticks, u8)> = Vec::new();
     for frame in (0..frames).map(|n| start + n * frame_ticks) {
         for (slot, set) in (0..).zip(&schedule.slots) {
             edges.push((frame + slot * slot_ticks, set.0 as u8));
         }
         if has_rest {
-            edges.push((frame + slots * slot_ticks - OFF_LEAD_TICKS, 0));
+            edges.push((frame + slots * slot_ticks - lead, 0));
         }
     }
     let mut gates = 0;
@@ -410,14 +426,16 @@ fn gate_edges(schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)
     edges
 }
 
-/// DAC code of a level: 2048 is nominal.
+/// DAC code of a level: nominal is the middle of the DAC's range (firmware/README.md, "Emitter drive").
 pub fn level_code(level: Level) -> u16 {
-    (level.relative() * 2048.0).round() as u16
+    let nominal = f64::from(1 << (facts::bits("DAC_bits") - 1));
+    (level.relative() * nominal).round() as u16
 }
 
 /// Checks that in each lit slot the level lines of its emitters have their codes from just after
 /// its start to its end.
 fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start: Ticks, frames: u64) {
+    let lines: Vec<_> = (0..levels.len()).map(level_line).collect();
     let mut drives = record.drives.iter().peekable();
     let mut now = Drive { at: 0, gates: 0, levels: [0; 2] };
     for frame in 0..frames {
@@ -430,11 +448,9 @@ fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start:
                 now = *drive;
             }
             loop {
-                for line in 0..LEVEL_LINES {
-                    if let Some(emitter) = set.emitters().find(|&emitter| level_line(emitter) == line) {
-                        let code = level_code(levels[emitter]);
-                        assert_eq!(now.levels[line], code, "frame {frame}, slot {slot}, line {line}: {now:?}");
-                    }
+                for emitter in set.emitters() {
+                    let (line, code) = (lines[emitter], level_code(levels[emitter]));
+                    assert_eq!(now.levels[line], code, "frame {frame}, slot {slot}, line {line}: {now:?}");
                 }
                 match drives.next_if(|drive| drive.at < end) {
                     Some(drive) => now = *drive,

@@ -2,7 +2,9 @@
 
 pub mod chain;
 pub mod light;
+pub mod registers;
 pub mod talk;
+pub mod wiring;
 
 use slitpose_emulator::silicon::{Fault, Silicon};
 
