@@ -2,6 +2,7 @@
 //! instants the schedule names, scan after scan.
 
 use crate::common::chain::Chain;
+use crate::common::silicon;
 use crate::common::wiring::inputs;
 use slitpose_emulator::facts;
 use slitpose_emulator::machine::{Machine, Stop};

@@ -260,6 +260,7 @@ fn a_crystal_that_stops_ends_the_light_at_once_and_the_next_start_does_without()
     assert!(dark - event <= AT_ONCE_TICKS, "{}", dark - event);
     assert_comes_back(&mut bench, ResetCause::Panic);
     assert_eq!(bench.ask_status().clock, ClockSource::CrystalFailed);
+    assert!(bench.events().iter().any(|text| text.contains("crystal did not start")), "{:?}", bench.events());
 }
 
 #[test]

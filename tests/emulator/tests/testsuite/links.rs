@@ -1,6 +1,7 @@
 //! The board at its links: what a computer sees of it, programs that come and go, hosts that
 //! sleep, do not read, or talk rubbish.
 
+use crate::common::is_of_silicon;
 use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk, last_light};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -399,6 +400,9 @@ fn at_serial_port(talk: &mut Talk) -> Vec<String> {
     let (mut decoder, mut rest, mut said) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &bytes[..], Vec::new());
     while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
         let message = format!("{:?}", message.expect("whole packets"));
+        if is_of_silicon(&message) {
+            continue;
+        }
         said.push(message.split(['(', ' ']).next().unwrap_or_default().to_owned());
     }
     said

@@ -2,7 +2,7 @@
 //! instant at which a converter holds a sample.
 
 use super::wiring::{inputs, level_line};
-use super::{dma_ticks, silicon, trigger_ticks};
+use super::{dma_ticks, is_of_silicon, silicon, trigger_ticks};
 use slitpose_emulator::facts;
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
@@ -272,7 +272,7 @@ impl Bench {
 
     pub fn events(&self) -> Vec<&str> {
         let events = self.said.iter().filter_map(|(_, said)| match said {
-            Said::Event(text) => Some(text.as_str()),
+            Said::Event(text) if !is_of_silicon(text) => Some(text.as_str()),
             _ => None,
         });
         events.collect()
@@ -372,7 +372,9 @@ pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks
         let late = expected.0..=expected.0 + dma_ticks();
         assert!(seen.1 == expected.1 && late.contains(&seen.0), "{seen:?}, not {expected:?}, of a start at {start}");
     }
-    assert_eq!(seen.len(), expected.len());
+    // While DMA is late the frame behind may have begun.
+    let most = expected.len() + usize::from(dma_ticks() > 0);
+    assert!((expected.len()..=most).contains(&seen.len()), "{} edges, {} expected", seen.len(), expected.len());
     check_levels(record, schedule, levels, start, uncut);
     frames as u64
 }

@@ -11,6 +11,11 @@ use slitpose_emulator::silicon::{Fault, Silicon};
 /// The variable that gives the silicon its faults: names, or `all`. Without it there are none.
 const SILICON: &str = "SLITPOSE_SILICON";
 
+/// Whether an event follows from a fault of the silicon that the tests run on.
+pub fn is_of_silicon(text: &str) -> bool {
+    silicon().has(Fault::HseDead) && text.contains("crystal")
+}
+
 /// Ticks by which a DMA transfer may come late: behind another one of its controller.
 pub fn dma_ticks() -> u64 {
     if silicon().has(Fault::DmaLatency) { 2 * 60 } else { 0 }

@@ -3,7 +3,7 @@
 //! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
-use super::silicon;
+use super::{is_of_silicon, silicon};
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, Rig, open_image};
@@ -251,6 +251,11 @@ impl Listener {
 
     /// Texts of the events of this session.
     pub fn events(&self) -> Vec<&str> {
+        self.all_events().into_iter().filter(|text| !is_of_silicon(text)).collect()
+    }
+
+    /// The same with those that faults of the silicon make for.
+    pub fn all_events(&self) -> Vec<&str> {
         self.said
             .iter()
             .filter_map(|(_, said)| if let Said::Event(_, _, text) = said { Some(&text[..]) } else { None })
