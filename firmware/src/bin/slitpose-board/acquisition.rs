@@ -299,9 +299,10 @@ impl Run {
 
     /// Ticks from `now` until the next conversion begins; `None` during conversions.
     fn pause_ticks(&self, now: u64) -> Option<u32> {
-        let into_frame = now.saturating_sub(self.tick) % u64::from(self.plan.frame_ticks);
-        let slot = (into_frame as u32 / self.plan.periods[0]).min(self.plan.periods.len() as u32 - 1);
-        let into_slot = into_frame as u32 - slot * self.plan.periods[0];
+        // The next frame to be handed out began less than the ring or a longest frame ago.
+        let into_frame = now.saturating_sub(self.tick) as u32 % self.plan.frame_ticks;
+        let slot = (into_frame / self.plan.periods[0]).min(self.plan.periods.len() as u32 - 1);
+        let into_slot = into_frame - slot * self.plan.periods[0];
         let FramePlan { trigger_ticks, converted_ticks, periods, .. } = &self.plan;
         if into_slot < *trigger_ticks {
             Some(trigger_ticks - into_slot)

@@ -1,20 +1,19 @@
 //! 170 MHz for the processor, the buses, the timers and the converters: from the board's crystal, or from the MCU's
 //! own oscillator if the crystal does not start.
+//!
+//! The HAL (embassy-stm32 0.6.0) cannot do this: it waits for a crystal for ever, changes system clock and bus clock in
+//! one store, and its register map has the boost bit in the wrong place. It is left to believe in the 16 MHz from which
+//! the MCU starts, and the two that ask it are told otherwise: its own time driver here, and the serial port by
+//! [`believed_baud`].
 
+use embassy_stm32::pac;
 use embassy_stm32::pac::flash::vals::Latency;
+use embassy_stm32::pac::rcc::vals::{Hpre, Pllm, Plln, Pllr, Pllsrc, Sw};
 use embassy_stm32::pac::timer::vals::Urs;
-use embassy_stm32::peripherals::RCC;
-use embassy_stm32::rcc::{self, AHBPrescaler, Config, Hse, HseMode, Hsi48Config, Pll, PllMul, PllPreDiv, PllRDiv};
-use embassy_stm32::rcc::{PllSource, Sysclk, mux};
-use embassy_stm32::time::Hertz;
-use embassy_stm32::{Peri, pac};
 use slitpose_firmware::pcb::TICK_HZ;
 use slitpose_protocol::ClockSource;
 
 use crate::supply;
-
-/// The crystal of the NUCLEO-G474RE (UM2505, X3).
-const CRYSTAL: Hertz = Hertz(24_000_000);
 
 /// The MCU's own oscillator, from which it starts.
 const START_HZ: u32 = 16_000_000;
@@ -26,19 +25,36 @@ const CRYSTAL_LOOKS: u32 = 1_000;
 /// Ticks of embassy's clock, per second.
 const TIME_HZ: u32 = embassy_time::TICK_HZ as u32;
 
+/// What the HAL must be asked for, so that a port that runs from the system clock has `baud`.
+pub const fn believed_baud(baud: u32) -> u32 {
+    (baud as u64 * START_HZ as u64 / TICK_HZ as u64) as u32
+}
+
 /// Raises the clock. To be called once, while the MCU runs at 16 MHz.
 ///
-/// Above 80 MHz the bus clock must be half of the system clock for a microsecond while the system clock changes
-/// (RM0440, RCC, "Clock switching"; ST's `HAL_RCC_ClockConfig` does the same). The HAL (embassy-stm32 0.6.0) changes both
-/// in one store. It is therefore asked for half of the bus clock, and the rest is done here.
-pub fn raise(control: &mut Peri<'static, RCC>) -> ClockSource {
-    supply::boost();
+/// In the order of RM0440 (PWR, range 1 boost mode; RCC, clock switching): above 80 MHz the bus clock is half of the
+/// system clock until a microsecond after the switch. ST's `HAL_RCC_ClockConfig` does the same.
+pub fn raise() -> ClockSource {
     let has_crystal = crystal_starts();
-    rcc::reinit(half_speed(has_crystal), control);
-    cortex_m::asm::delay(TICK_HZ / 1_000_000);
+    // The crystal of the NUCLEO-G474RE has 24 MHz (UM2505, X3): 4 MHz into the PLL either way.
+    let (source, divider) = if has_crystal { (Pllsrc::HSE, Pllm::DIV6) } else { (Pllsrc::HSI, Pllm::DIV4) };
+    pac::RCC.pllcfgr().write(|w| {
+        w.set_pllsrc(source);
+        w.set_pllm(divider);
+        w.set_plln(Plln::MUL85);
+        w.set_pllr(Pllr::DIV2);
+        w.set_pllren(true);
+    });
+    pac::RCC.cr().modify(|w| w.set_pllon(true));
+    while !pac::RCC.cr().read().pllrdy() {}
+    pac::RCC.cfgr().modify(|w| w.set_hpre(Hpre::DIV2));
+    supply::boost();
     pac::FLASH.acr().modify(|w| w.set_latency(Latency::WS4));
     while pac::FLASH.acr().read().latency() != Latency::WS4 {}
-    pac::RCC.cfgr().modify(|w| w.set_hpre(AHBPrescaler::DIV1));
+    pac::RCC.cfgr().modify(|w| w.set_sw(Sw::PLL1_R));
+    while pac::RCC.cfgr().read().sws() != Sw::PLL1_R {}
+    cortex_m::asm::delay(TICK_HZ / 1_000_000);
+    pac::RCC.cfgr().modify(|w| w.set_hpre(Hpre::DIV1));
     set_time_driver();
     if has_crystal {
         // A crystal that stops later switches the MCU to its own oscillator and raises the non-maskable interrupt.
@@ -49,36 +65,20 @@ pub fn raise(control: &mut Peri<'static, RCC>) -> ClockSource {
     }
 }
 
-/// Whether the crystal oscillates. It is left running.
+/// Whether the crystal oscillates. If not, it is switched off.
 fn crystal_starts() -> bool {
     pac::RCC.cr().modify(|w| w.set_hseon(true));
-    (0..CRYSTAL_LOOKS).any(|_| {
+    let has_started = (0..CRYSTAL_LOOKS).any(|_| {
         cortex_m::asm::delay(START_HZ / 100_000);
         pac::RCC.cr().read().hserdy()
-    })
+    });
+    if !has_started {
+        pac::RCC.cr().modify(|w| w.set_hseon(false));
+    }
+    has_started
 }
 
-/// System clock 170 MHz, bus clock 85 MHz. USB has an oscillator of its own, trimmed by the host's frames.
-fn half_speed(has_crystal: bool) -> Config {
-    let mut config = Config::new();
-    // 4 MHz into the PLL either way.
-    let (source, prediv) =
-        if has_crystal { (PllSource::HSE, PllPreDiv::DIV6) } else { (PllSource::HSI, PllPreDiv::DIV4) };
-    config.pll = Some(Pll { source, prediv, mul: PllMul::MUL85, divp: None, divq: None, divr: Some(PllRDiv::DIV2) });
-    config.hse = has_crystal.then_some(Hse { freq: CRYSTAL, mode: HseMode::Oscillator });
-    config.hsi = true;
-    config.sys = Sysclk::PLL1_R;
-    config.ahb_pre = AHBPrescaler::DIV2;
-    config.boost = true;
-    config.hsi48 = Some(Hsi48Config { sync_from_usb: true });
-    config.mux.clk48sel = mux::Clk48sel::HSI48;
-    // Both count by the system clock, which the HAL knows rightly.
-    config.mux.lpuart1sel = mux::Uartsel::SYS;
-    config.mux.adc345sel = mux::Adcsel::SYS;
-    config
-}
-
-/// embassy's clock has been set for a bus of 85 MHz: its timer, TIM4, divides by twice as much from now on.
+/// embassy's clock has been set for 16 MHz: its timer, TIM4, divides by more from now on.
 fn set_time_driver() {
     let timer = pac::TIM4;
     timer.psc().write_value((TICK_HZ / TIME_HZ - 1) as u16);

@@ -123,6 +123,7 @@ impl Converters {
 }
 
 /// Powers converters up that have just been reset (RM0440, ADC): regulator and calibration; each step is waited for.
+#[inline(never)]
 pub fn power_up(converters: &[Adc], common: AdcCommon) -> Result<(), Unresponsive> {
     // A quarter of the bus clock for all converters of the MCU: clocks of their own would disturb each other
     // (ES0430, converters at work at the same time). Slots of whole periods of this clock have no jitter of the
@@ -143,6 +144,7 @@ pub fn power_up(converters: &[Adc], common: AdcCommon) -> Result<(), Unresponsiv
 }
 
 /// Switches a converter on, after [`power_up`].
+#[inline(never)]
 pub fn enable(adc: Adc) -> Result<(), Unresponsive> {
     if adc.cr().read().aden() {
         return Ok(());
@@ -162,6 +164,7 @@ fn convert_in_vain(adc: Adc) -> Result<(), Unresponsive> {
     wait(PATIENCE, || !adc.cr().read().adstart())
 }
 
+#[inline(never)]
 fn configure(adc: Adc, inputs: &[u8], plan: &FramePlan) {
     let sampling = SampleTime::from_bits(plan.sampling_code);
     let leading = inputs.iter().take(usize::from(plan.has_leading_word));

@@ -51,6 +51,7 @@ impl Channel {
         self.start(register, table, Dir::FROM_PERIPHERAL);
     }
 
+    #[inline(never)]
     fn start(self, register: *mut (), table: Table, direction: Dir) {
         let channel = DMA1.ch(self.index);
         self.stop();
@@ -72,6 +73,7 @@ impl Channel {
     /// Stops the channel and clears its flags, each by its own bit: a write to the global one may hide an error that
     /// comes at the same time (ES0548 of the STM32G0, "DMA disable failure and error flag omission upon simultaneous
     /// transfer error and global flag clear"; ES0430 has not been read for it).
+    #[inline(never)]
     pub fn stop(self) {
         DMA1.ch(self.index).cr().modify(|w| w.set_en(false));
         DMA1.ifcr().write(|w| {

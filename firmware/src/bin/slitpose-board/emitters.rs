@@ -110,6 +110,7 @@ fn lines() -> [Dac; LEVEL_LINES] {
 
 /// Stops the frame timer and the DMA of the gates, and switches all emitters off. Valid at
 /// any time, also in an interrupt or after a fault.
+#[inline(never)]
 pub fn darken() {
     pac::TIM2.cr1().modify(|w| w.set_cen(false));
     GATE_DMA.stop();

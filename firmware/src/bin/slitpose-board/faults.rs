@@ -83,12 +83,14 @@ pub fn restart(target: BootTarget) -> ! {
 }
 
 /// Switches the emitters off and resets the board as after a panic.
+#[inline(never)]
 pub fn give_up() -> ! {
     emitters::darken();
     remember(PANICKED);
     SCB::sys_reset()
 }
 
+#[inline(never)]
 fn recall(index: usize) -> u32 {
     pac::RCC.apb1enr1().modify(|w| w.set_rtcapben(true));
     let _ = pac::RCC.apb1enr1().read();
@@ -99,6 +101,7 @@ fn remember(word: u32) {
     write_backup(0, word);
 }
 
+#[inline(never)]
 fn write_backup(index: usize, word: u32) {
     pac::RCC.apb1enr1().modify(|w| {
         w.set_rtcapben(true);

@@ -26,10 +26,14 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Takes the timer, and lets a debugger that halts the processor halt the frame timer.
+    /// Takes the timer, and lets a debugger that halts the processor halt the frame timer, and with it the clock of
+    /// embassy (TIM4), which would lose count.
     pub fn new(_timer: Peri<'static, TIM3>) -> Self {
         rcc::enable_and_reset::<TIM3>();
-        pac::DBGMCU.apb1lfzr().modify(|w| w.set_tim2(true));
+        pac::DBGMCU.apb1lfzr().modify(|w| {
+            w.set_tim2(true);
+            w.set_tim4(true);
+        });
         Self { fires_in_rest: false }
     }
 

@@ -34,6 +34,7 @@ use core::cell::RefCell;
 
 use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Level, Output, Speed};
+use embassy_stm32::rcc::{Hsi48Config, mux};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, bind_interrupts};
 use embassy_sync::blocking_mutex::Mutex;
@@ -86,8 +87,8 @@ const POLL: Duration = Duration::from_millis(1);
 async fn main(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
     let failed_starts = faults::failed_starts(reset_cause);
-    let mut p = embassy_stm32::init(config());
-    let clock = clock_tree::raise(&mut p.RCC);
+    let p = embassy_stm32::init(config());
+    let clock = clock_tree::raise();
     faults::running(failed_starts);
     let emitters = [
         Output::new(p.PC6, Level::Low, Speed::Medium),
@@ -168,9 +169,13 @@ async fn main(spawner: Spawner) {
     }
 }
 
-/// Configuration for the start: the MCU runs at 16 MHz.
+/// Configuration for the start: the MCU runs at 16 MHz, and USB from an oscillator of its own, trimmed by the host's
+/// frames.
 fn config() -> Config {
     let mut config = Config::default();
+    config.rcc.hsi48 = Some(Hsi48Config { sync_from_usb: true });
+    config.rcc.mux.clk48sel = mux::Clk48sel::HSI48;
+    config.rcc.mux.lpuart1sel = mux::Uartsel::SYS;
     // The processor's load is measured by its cycle counter, which stands still in sleep.
     // With a debugger attached the counter runs on and the load reads full.
     config.enable_debug_during_sleep = cfg!(feature = "defmt");

@@ -17,6 +17,9 @@ const SAMPLING: SampleTime = SampleTime::CYCLES247_5;
 /// Ticks of a conversion: 2 periods of the converter's clock from the start, 260 to the end, and one in hand.
 const CONVERSION_TICKS: u32 = 263 * 4;
 
+/// Ticks from the look at the clock to the start of the conversion, at most: some eighty instructions from flash.
+const LOOK_TICKS: u32 = 400;
+
 /// Processor cycles until the sensor has started: 120 µs (DS12288, t_START of the temperature sensor).
 const SENSOR_CYCLES: u32 = TICK_HZ / 1_000_000 * 120;
 
@@ -124,9 +127,6 @@ fn start_in_pause(input: u8, pause_ticks: &mut impl FnMut() -> Option<u32>) -> O
     }
     None
 }
-
-/// Ticks from the look at the clock to the start of the conversion, at most.
-const LOOK_TICKS: u32 = 150;
 
 fn result() -> Result<u16, Unresponsive> {
     let since = now();

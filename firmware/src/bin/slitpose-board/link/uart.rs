@@ -16,6 +16,7 @@ use static_cell::StaticCell;
 
 use super::{Links, Port, start};
 use crate::Interrupts;
+use crate::clock_tree::believed_baud;
 
 /// 4 000 frames of 60 bytes a second take 2.4 Mbaud.
 const BAUD: u32 = 3_000_000;
@@ -37,7 +38,7 @@ pub fn spawn(
     rx_dma: Peri<'static, DMA2_CH2>,
 ) {
     let mut config = Config::default();
-    config.baudrate = BAUD;
+    config.baudrate = believed_baud(BAUD);
     // The pull-up keeps the line idle while the debugger is not powered.
     config.rx_pull = Pull::Up;
     let Ok(uart) = Uart::new(port, rx, tx, tx_dma, rx_dma, Interrupts, config) else {
