@@ -77,6 +77,13 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
     };
     let (before, after) = (kept(&before), kept(&info()));
     assert!(before.len() == 6 && before == after, "{before:?} {after:?}");
+    // Settings that were there before are kept.
+    let set = slitpose!().run(["device", "set", "--device", &emulator.path, "--scene", "wide"]);
+    assert_eq!(set.code, 0, "{}", set.stderr);
+    let stored = bring_up(&emulator.path, &["--step", "storage"]);
+    assert_eq!(stored.code, 0, "{}", stored.stderr);
+    assert!(!self::text(&stored).contains("forget"), "{}", self::text(&stored));
+    assert!(info().lines().any(|line| line.starts_with("settings") && line.contains("stored")), "{}", info());
     // Steps are taken alone, too, by number.
     let alone = bring_up(&emulator.path, &["--step", "2"]);
     assert_eq!(alone.code, 0, "{}", alone.stderr);

@@ -5,12 +5,13 @@ use slitpose_protocol::{Level, Status};
 use super::bench::{Bench, BenchError, sample};
 use super::lighting;
 use crate::doctor::{link, measurement};
+use crate::link::start_findings;
 use slitpose_head::finding::Finding;
 
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;
 
-/// Largest relative difference of rates: the MCU's RC oscillator is of the 1 % class, and packets are cut at both ends.
+/// Largest relative difference of rates: the MCU's own oscillator is of the 1 % class, and packets are cut at both ends.
 const RATE_SLACK: f64 = 0.05;
 
 /// What was counted in `DURATION_S`.
@@ -32,6 +33,7 @@ pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let before = board.status()?;
     let sampling = sample(&mut board, configuration, (DURATION_S * scheduled_hz) as usize)?;
     let after = board.status()?;
+    findings.extend(start_findings(after.clock, after.settings));
     let lost = |status: &Status| status.scans_dropped + status.scans_lost;
     findings.extend(judge(&Counted {
         scans: sampling.scans.len(),

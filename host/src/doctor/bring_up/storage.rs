@@ -4,7 +4,7 @@
 
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{BootTarget, Hashes, Level, Schedule};
+use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource};
 
 use super::bench::{Bench, BenchError};
 use super::lighting;
@@ -16,6 +16,9 @@ use slitpose_head::finding::Finding;
 const DISCONNECTED: Duration = Duration::from_millis(500);
 const BACK_WITHIN: Duration = Duration::from_secs(15);
 const LOOK_EVERY: Duration = Duration::from_millis(200);
+
+/// Timeout of the hello that shows what was stored.
+const HELLO_WITHIN: Duration = Duration::from_secs(1);
 
 /// What is stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,9 +37,13 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
     if bench.is_simulated() {
         return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing beyond its life")]);
     }
-    let (mut board, info) = bench.connect()?;
-    let had_settings = info.hashes != Hashes::default();
-    if !had_settings {
+    // What a start brings is the reference; the configuration in force may be another.
+    let (board, _) = bench.connect()?;
+    let (mut board, info) = restart(bench, board)?;
+    let had_settings = board.status()?.settings != SettingsSource::Defaults || info.hashes != Hashes::default();
+    let before = if had_settings {
+        Stored::from(info)
+    } else {
         // One frame in two: a schedule that no board starts with.
         let schedule = bench.schedule()?;
         board
@@ -45,21 +52,15 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
         if let Err(error) = board.store(hashes) {
             return Ok(vec![refused(&error)]);
         }
-    }
-    let before = if had_settings {
-        // The configuration in force may be another than the stored one: what a start brings is the reference.
-        Stored::from(restart(bench, board)?)
-    } else {
-        let before = Stored::from(board.introduce(DISCONNECTED)?);
-        drop(board);
-        before
+        Stored::from(board.introduce(HELLO_WITHIN)?)
     };
+    drop(board);
     let is_cut = cut_power();
     let after = if is_cut {
         reconnect(bench)?.1
     } else {
         let (board, _) = bench.connect()?;
-        restart(bench, board)?
+        restart(bench, board)?.1
     };
     let after = Stored::from(after);
     let mut findings = vec![judge(&before, &after, is_cut)];
@@ -76,11 +77,11 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
 }
 
 /// Reboots the board and connects again.
-fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<BoardInfo, BenchError> {
+fn restart(bench: &mut Bench<'_>, mut board: Conversation) -> Result<(Conversation, BoardInfo), BenchError> {
     board.reboot(BootTarget::Firmware)?;
     drop(board);
     std::thread::sleep(DISCONNECTED);
-    Ok(reconnect(bench)?.1)
+    reconnect(bench)
 }
 
 /// Connects to a board that may take a while to be there.
