@@ -1,15 +1,15 @@
 //! `slitpose doctor`: what may be wrong, and what to do about it.
 
-use std::io::Write;
+use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 
 use super::device::BoardOptions;
 use super::poses::parse_duration;
 use super::{CommandError, Outcome};
 use super::{names, talk};
-use crate::doctor::{Bundle, Subject, examine};
+use crate::doctor::{BringUp, Bundle, Step, Subject, examine, scene_of_bring_up};
 use crate::terminal::{self, Tone};
-use slitpose_head::finding::Grade;
+use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError};
 
@@ -17,9 +17,14 @@ use slitpose_head::table::{Output, OutputError};
 ///
 /// Ports and permissions, the board and its scene, what it measures, clock, disk and priorities of this host. The
 /// board measures for a while by the schedule of the scene; nothing is stored on it. Ends with 1 if a check failed.
+///
+/// With --bring-up it walks through the steps for a new board instead: each says what to connect, measures by schedules
+/// of its own, and compares with what is expected. The last step stores settings, unless there are some, and erases them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose doctor\n  slitpose doctor --device sim\n  \
-                  slitpose doctor --scene head.toml --folder /var/lib/slitpose --bundle report.tar.gz")]
+                  slitpose doctor --scene head.toml --folder /var/lib/slitpose --bundle report.tar.gz\n  \
+                  slitpose doctor --bring-up --scene head.toml\n  \
+                  slitpose doctor --bring-up --step crosstalk")]
 pub(super) struct Args {
     #[command(flatten)]
     board: BoardOptions,
@@ -35,10 +40,27 @@ pub(super) struct Args {
     /// Pack what was found into this file, for a report of a fault
     #[arg(long, value_name = "FILE.tar.gz")]
     bundle: Option<PathBuf>,
+    /// Walk through the bring-up of a new board, step by step
+    #[arg(long, conflicts_with_all = ["folder", "duration", "bundle"])]
+    bring_up: bool,
+    /// Only this step of the bring-up
+    #[arg(long, value_name = "STEP", requires = "bring_up", long_help = step_help())]
+    step: Option<Step>,
+    /// Do not wait for Enter before a step; reboot the board instead of a power cut
+    #[arg(long, requires = "bring_up")]
+    yes: bool,
+}
+
+fn step_help() -> String {
+    let steps = Step::ALL.map(|step| format!("\n  {:2} {:10} {}", step.number(), step.name(), step.expectation()));
+    format!("Only this step of the bring-up, by number or name:\n{}", steps.concat())
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let scene = args.scene.as_deref().map(SceneFile::open).transpose()?;
+    if args.bring_up {
+        return bring_up(args, scene.as_ref());
+    }
     // An impossible place is told before anything is measured.
     let file = args.bundle.as_deref().map(Output::file).transpose()?;
     let mut output = Output::open(None)?;
@@ -72,4 +94,81 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let [failed, warnings] = [Grade::Failed, Grade::Warning].map(|grade| examination.count(grade));
     talk(format_args!("{failed} checks failed, {warnings} with warnings, of {}", examination.checks.len()));
     Ok(if failed == 0 { Outcome::Done } else { Outcome::Failed })
+}
+
+/// Standard output with the findings printed to it, and their number by grade.
+struct Report {
+    output: Output,
+    has_colours: bool,
+    failed: usize,
+    warnings: usize,
+}
+
+impl Report {
+    fn finding(&mut self, finding: &Finding) -> Result<(), OutputError> {
+        self.failed += usize::from(finding.grade == Grade::Failed);
+        self.warnings += usize::from(finding.grade == Grade::Warning);
+        let text = Tone::from(finding.grade).paint(&format!("{finding:#}"), self.has_colours);
+        self.line(&text)
+    }
+
+    fn line(&mut self, text: &str) -> Result<(), OutputError> {
+        writeln!(self.output, "{text}").and_then(|()| self.output.flush()).map_err(|source| self.output.error(source))
+    }
+}
+
+fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandError> {
+    let (device, search) = (&args.board.device, &args.board.search[..]);
+    let output = Output::open(None)?;
+    let has_colours = terminal::has_colours(output.is_terminal());
+    let mut report = Report { output, has_colours, failed: 0, warnings: 0 };
+    let asks = !args.yes && io::stdin().is_terminal();
+    let mut findings = Vec::new();
+    let scene = scene_of_bring_up(device, search, given, &mut findings);
+    findings.iter().try_for_each(|finding| report.finding(finding))?;
+    let mut failed_steps = Vec::new();
+    if let Some(scene) = &scene {
+        match BringUp::begin(device, search, scene) {
+            Ok(mut bring_up) => {
+                let steps = args.step.map_or_else(|| Step::ALL.to_vec(), |step| vec![step]);
+                for step in steps {
+                    report.line(&format!("{step}: {}", step.preparation()))?;
+                    report.line(&format!("{:8} {}", "expected", step.expectation()))?;
+                    if asks {
+                        wait_for_enter("press Enter when it is so")?;
+                    }
+                    let before = report.failed;
+                    let mut cut_power = || {
+                        asks && wait_for_enter(
+                            "take all cables off the board for two seconds, plug them in again, and press Enter",
+                        )
+                        .is_ok()
+                    };
+                    for finding in bring_up.take(step, &mut cut_power) {
+                        report.finding(&finding)?;
+                    }
+                    if report.failed > before {
+                        failed_steps.push(step.name());
+                    }
+                }
+                if let Err(finding) = bring_up.restore() {
+                    report.finding(&finding)?;
+                }
+            }
+            Err(finding) => report.finding(&finding)?,
+        }
+    }
+    let Report { output, failed, warnings, .. } = report;
+    output.finish()?;
+    talk(format_args!("{failed} findings failed, {warnings} with warnings"));
+    if !failed_steps.is_empty() {
+        talk(format_args!("put right what failed and take these steps again: {}", failed_steps.join(", ")));
+    }
+    Ok(if failed == 0 { Outcome::Done } else { Outcome::Failed })
+}
+
+/// Asks on standard error and waits for a line of standard input; its end counts as one.
+fn wait_for_enter(what: &str) -> Result<(), CommandError> {
+    talk(format_args!("{what}"));
+    io::stdin().read_line(&mut String::new()).map(drop).map_err(CommandError::Input)
 }

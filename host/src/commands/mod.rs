@@ -194,6 +194,9 @@ pub(crate) enum CommandError {
     /// A service manager that cannot be told anything.
     #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
     Service(#[source] io::Error),
+    /// The user cannot be asked.
+    #[error("cannot read from standard input; give --yes to go on without questions")]
+    Input(#[source] io::Error),
     /// Signals cannot be handled.
     #[error("cannot listen to signals")]
     Interrupt(#[source] io::Error),

@@ -220,6 +220,16 @@ impl Conversation {
         }
     }
 
+    /// The bytes received last.
+    pub(crate) fn received(&self) -> &[u8] {
+        &self.inbox
+    }
+
+    /// Closes the conversation without a Stop, as a program does that is killed.
+    pub(crate) fn abandon(mut self) {
+        self.started = false;
+    }
+
     /// The user's name for the device.
     pub(crate) fn name(&self) -> String {
         self.device.name().to_owned()

@@ -38,8 +38,19 @@ impl SimulatedDevice {
     /// # Errors
     /// If a board cannot run the scene.
     pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
+        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S))
+    }
+
+    /// As [`live`](Self::live), with the tool at rest at home.
+    ///
+    /// # Errors
+    /// If a board cannot run the scene.
+    pub(crate) fn at_rest(file: &SceneFile) -> Result<Self, SimulatorError> {
+        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Still, 1, MOTION_S))
+    }
+
+    fn endless(file: &SceneFile, trajectory: Trajectory) -> Result<Self, SimulatorError> {
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
-        let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S);
         let board = SimulatedBoard::new(file, trajectory, Tier::Exact { tolerance: 1e-6 }, 1)?;
         Ok(Self::new(board, frame_s, f64::INFINITY, Speed::Times(1.0)))
     }

@@ -108,7 +108,7 @@ fn of_permission(found: &Found) -> Finding {
 }
 
 /// Findings on a board's hello, and whether it is understood.
-fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
+pub(super) fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
     use slitpose_protocol::ResetCause::{BrownOut, Panic, Watchdog};
     let who = format!("{} {}, {}, firmware {}", info.kind_name(), info.board, info.device, info.firmware);
     let mut checks = vec![Finding::ok("hello", who)];

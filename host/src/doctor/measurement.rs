@@ -27,10 +27,10 @@ const RATE_SLACK: f64 = 0.05;
 const POSES: f64 = 0.99;
 
 /// Supply of the MCU: 3.3 V ± 5 %, as the regulator of its board gives it.
-const SUPPLY_V: std::ops::RangeInclusive<f32> = 3.135..=3.465;
+pub(super) const SUPPLY_V: std::ops::RangeInclusive<f32> = 3.135..=3.465;
 
 /// Ambient limits of the MCU (STM32G474xE data sheet, suffix 6), which its own heat may reach.
-const TEMPERATURE_K: std::ops::RangeInclusive<f32> = 273.15 - 40.0..=273.15 + 85.0;
+pub(super) const TEMPERATURE_K: std::ops::RangeInclusive<f32> = 273.15 - 40.0..=273.15 + 85.0;
 
 /// Greatest CPU load of the MCU that leaves a reserve.
 const BUSIEST_PERMILLE: u16 = 900;

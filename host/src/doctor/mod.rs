@@ -1,9 +1,10 @@
 //! Checks everything between a board and its poses, one part after the other.
 //!
 //! `link` finds and opens the board, `head` compares it with its scene, `measurement` lets it measure for a while,
-//! `host` and `disk` check the machine. A [`Bundle`] packs the findings for a report of a fault. Only the schedule of
+//! `host` and `disk` check the machine. `bring_up` walks through the steps for a new board. A [`Bundle`] packs the findings for a report of a fault. Only the schedule of
 //! the board is changed, and nothing is stored on it.
 
+mod bring_up;
 mod bundle;
 mod disk;
 mod head;
@@ -13,6 +14,7 @@ mod measurement;
 
 use std::path::Path;
 
+pub(crate) use bring_up::{BringUp, Step, scene as scene_of_bring_up};
 pub(crate) use bundle::Bundle;
 
 use crate::device::{BoardInfo, Search, Selector};

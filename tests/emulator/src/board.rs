@@ -170,6 +170,11 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
+    /// Lets the flash pages of the settings be erased at each reset from now on.
+    pub fn lose_settings_at_reset(&mut self) {
+        self.flash.lose_settings_at_reset();
+    }
+
     /// The present, in ticks since the machine was made.
     #[inline]
     pub fn now(&self) -> Ticks {

@@ -16,7 +16,7 @@ use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
 use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::talk::{ended, talk};
 use slitpose_emulator::terminal::{Terminal, TerminalError};
-use slitpose_emulator::world::{NoiseSource, WorldError};
+use slitpose_emulator::world::{Flaw, Flaws, NoiseSource, WorldError};
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
 use slitpose_head::simulator::{PathError, Trajectory, TrajectoryKind};
@@ -59,6 +59,9 @@ struct Args {
     /// What the silicon does against its manual: names separated by commas, or all [default: nothing]
     #[arg(long, value_name = "FAULTS", env = "SLITPOSE_SILICON", long_help = silicon_help())]
     silicon: Option<Silicon>,
+    /// What is wrong with board and head: names separated by commas [default: nothing]
+    #[arg(long, value_name = "FLAWS", long_help = flaw_help())]
+    flaw: Option<Flaws>,
     /// The board's link that the terminal stands for
     #[arg(long, value_enum, default_value_t = LinkKind::Usb)]
     link: LinkKind,
@@ -100,6 +103,11 @@ fn silicon_help() -> String {
     )
 }
 
+fn flaw_help() -> String {
+    let lines = Flaw::ALL.map(|flaw| format!("\n  {:16} {}", flaw.name(), flaw.what()));
+    format!("What is wrong with board and head: names separated by commas [default: nothing]\n{}", lines.concat())
+}
+
 /// The name this program talks under.
 const NAME: &str = "slitpose-emulator";
 
@@ -119,7 +127,8 @@ fn run(args: &Args) -> Result<(), Failure> {
         LinkKind::Usb => Link::Usb,
         LinkKind::Uart => Link::Uart,
     };
-    let rig = Rig::boot(&image, &scene, trajectory, noise, args.silicon.unwrap_or_default())?.with_link(link);
+    let (silicon, flaws) = (args.silicon.unwrap_or_default(), args.flaw.unwrap_or_default());
+    let rig = Rig::boot_flawed(&image, &scene, trajectory, noise, silicon, flaws)?.with_link(link);
     let terminal = Terminal::open()?;
     let mut out = io::stdout();
     writeln!(out, "{}", terminal.path().display())?;

@@ -15,7 +15,7 @@ use crate::machine::{Machine, Stop};
 use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::silicon::Silicon;
-use crate::world::{NoiseSource, OpticsWorld, World, WorldError};
+use crate::world::{Flaw, Flaws, LOW_SUPPLY_V, NoiseSource, OpticsWorld, World, WorldError};
 
 /// Optics are evaluated to this relative error, which is far below a code of the converters.
 const TOLERANCE: f64 = 1e-6;
@@ -114,8 +114,29 @@ impl Rig {
         noise: NoiseSource,
         silicon: Silicon,
     ) -> Result<Self, WorldError> {
-        let world = OpticsWorld::new(scene, trajectory, WORLD_TIER, noise)?;
+        Self::boot_flawed(image, scene, trajectory, noise, silicon, Flaws::default())
+    }
+
+    /// The same with `flaws` of board and head.
+    ///
+    /// # Errors
+    /// If the board cannot be connected to such a head.
+    pub fn boot_flawed(
+        image: &Image,
+        scene: &SceneFile,
+        trajectory: Trajectory,
+        noise: NoiseSource,
+        silicon: Silicon,
+        flaws: Flaws,
+    ) -> Result<Self, WorldError> {
+        let world = OpticsWorld::with_flaws(scene, trajectory, WORLD_TIER, noise, flaws)?;
         let mut rig = Self::power_on(image, world, silicon);
+        if flaws.has(Flaw::LowSupply) {
+            rig.machine.set_supply_v(LOW_SUPPLY_V);
+        }
+        if flaws.has(Flaw::LostSettings) {
+            rig.machine.board.lose_settings_at_reset();
+        }
         if let Some(origin) = rig.machine.device_clock_origin() {
             rig.machine.board.world.set_origin(origin);
         }

@@ -1,6 +1,7 @@
 //! Tests of the whole chain and of the command, in one program.
 
 mod bad_scenes_and_tables;
+mod bring_up;
 mod completions_and_man_pages;
 mod configuration;
 mod damaged_captures;
@@ -8,6 +9,7 @@ mod damaged_files;
 mod device_commands;
 mod doctor;
 mod documents;
+mod emulated;
 mod foreign_text;
 mod full_disk;
 mod guide;

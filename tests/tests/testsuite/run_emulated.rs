@@ -4,8 +4,9 @@
 //! The tool follows the board's clock, so where it was at the instant of a pose is known.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::Stdio;
 
+use super::emulated::{Emulator, emulator};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use slitpose_emulator::rig::WORLD_TIER;
@@ -33,54 +34,6 @@ const RMS_RAD: (f64, f64) = (242e-6, 328e-6);
 
 /// The first line a run on a board without a stored scene prints: not an error.
 const NO_SCENE_STORED: &str = "has no scene stored";
-
-fn emulator(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_slitpose-emulator-under-test"));
-    command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
-
-/// An emulator under way.
-struct Emulator {
-    child: Child,
-    stdin: ChildStdin,
-    stdout: BufReader<ChildStdout>,
-    /// What it printed first, without the end of the line.
-    path: String,
-}
-
-impl Emulator {
-    fn start(arguments: &[&str]) -> Self {
-        println!("slitpose-emulator {arguments:?}");
-        let mut child = emulator(arguments).spawn().expect("slitpose-emulator starts");
-        let stdin = child.stdin.take().expect("piped");
-        let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
-        let mut path = String::new();
-        stdout.read_line(&mut path).expect("UTF-8");
-        let path = path.strip_suffix('\n').expect("a whole line").to_owned();
-        Self { child, stdin, stdout, path }
-    }
-
-    fn run(&self, arguments: &[&str]) -> Finished {
-        slitpose!().run(["run", "--device", &self.path].iter().chain(arguments))
-    }
-
-    /// Closes its standard input; gives what it said to standard error until its end. It must not
-    /// have printed anything but the path, nor found the program at fault.
-    fn close(mut self) -> String {
-        drop(self.stdin);
-        let mut rest = String::new();
-        self.stdout.read_to_string(&mut rest).expect("UTF-8");
-        assert_eq!(rest, "", "more than the path on standard output");
-        let finished = Finished::from(self.child.wait_with_output().expect("ends"));
-        assert_eq!(finished.code, 0, "{}", finished.stderr);
-        println!("{}", finished.stderr);
-        let ratio = finished.stderr.lines().next().unwrap_or_default();
-        assert!(ratio.contains("s of device time in") && ratio.contains("ratio"), "{ratio}");
-        assert_eq!(finished.stderr.lines().count(), 1, "the program is at fault: {}", finished.stderr);
-        finished.stderr
-    }
-}
 
 /// The poses of a run that has lost nothing, each with where the tool was.
 fn poses(finished: Finished, kind: TrajectoryKind, seed: u64) -> Vec<Line> {

@@ -184,14 +184,20 @@ impl Electronics {
         code.round().clamp(0.0, self.top_code) as u16
     }
 
-    /// Samples `cell` into a word pair; `light` is what falls on it at each conversion. On return
-    /// the front end is at the last conversion.
-    pub(super) fn sample(&mut self, cell: usize, light: impl Fn(u32) -> Pair<f64>, rng: &mut ChaCha8Rng) -> WordPair {
+    /// Samples `cell` into a word pair, the sum of `conversions`; `light` is what falls on it at each conversion. On
+    /// return the front end is at the last conversion.
+    pub(super) fn sample(
+        &mut self,
+        cell: usize,
+        conversions: u16,
+        light: impl Fn(u32) -> Pair<f64>,
+        rng: &mut ChaCha8Rng,
+    ) -> WordPair {
         let mut draw = || -> f64 { StandardNormal.sample(rng) };
         // That of the last word has long gone.
         let mut noise = self.noise(cell, &CellNoise::default(), 0.0, &mut draw);
         let mut sums = [0_u32; 2];
-        for conversion in 0..self.front_end.oversampling {
+        for conversion in 0..u32::from(conversions) {
             if conversion > 0 {
                 self.pass(cell, self.front_end.conversion_s, light(conversion - 1), light(conversion));
                 noise = self.noise(cell, &noise, self.conversion_decay, &mut draw);

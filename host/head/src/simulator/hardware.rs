@@ -119,6 +119,7 @@ impl SimulatedHardware {
                     self.electronics.pass(cell, (first - start) * tick_s, first_light, light(first));
                     let word = self.electronics.sample(
                         cell,
+                        schedule.oversampling,
                         |conversion| light(first + f64::from(conversion) * conversion_ticks),
                         &mut self.rng,
                     );

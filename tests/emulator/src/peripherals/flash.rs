@@ -96,6 +96,8 @@ pub struct Flash {
     /// First word of a double word being programmed: offset and value.
     latch: Option<(usize, u32)>,
     operation: Option<Operation>,
+    /// The pages of the settings are erased at each reset.
+    loses_settings: bool,
 }
 
 impl Flash {
@@ -111,7 +113,13 @@ impl Flash {
             jammed: false,
             latch: None,
             operation: None,
+            loses_settings: false,
         }
+    }
+
+    /// Lets the pages of the settings, the first two of bank 2, be erased at each reset from now on.
+    pub fn lose_settings_at_reset(&mut self) {
+        self.loses_settings = true;
     }
 
     /// Reset or loss of power: an operation under way leaves torn cells.
@@ -125,8 +133,11 @@ impl Flash {
                 work => self.apply(work, granted),
             }
         }
+        if self.loses_settings {
+            self.apply(Work::Erase { offset: BANK_BYTES, length: 2 * PAGE_BYTES }, 1.0);
+        }
         let array = std::mem::replace(&mut self.array, FlashArray::erased());
-        *self = Self::new(array);
+        *self = Self { loses_settings: self.loses_settings, ..Self::new(array) };
     }
 
     /// The cells.

@@ -4,18 +4,21 @@
 //! and levels that the board drives say which emitters shine, `light` follows the moving tool,
 //! and the electronics of the host's simulator settle, add noise and quantise.
 
+mod flaw;
 mod light;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_head::scene_file::SceneFile;
+use slitpose_head::scene_file::{FrontEnd, SceneFile};
 use slitpose_head::simulator::{CellNoise, Electrode, Electronics, Trajectory};
 use slitpose_model::{SceneError, Tier};
 use slitpose_protocol::AdcScaling;
 use thiserror::Error;
 
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
+pub(crate) use flaw::LOW_SUPPLY_V;
+pub use flaw::{Flaw, Flaws, UnknownFlaw};
 use light::Illumination;
 
 /// Cells a board has converter inputs for.
@@ -94,6 +97,7 @@ pub struct OpticsWorld {
     settled_to: Vec<Ticks>,
     noise: Option<Noise>,
     zero_current_code: u16,
+    flaws: Flaws,
 }
 
 /// Where noise comes from, and what it is at each cell.
@@ -110,6 +114,20 @@ impl OpticsWorld {
     /// # Errors
     /// If the board cannot be connected to such a head.
     pub fn new(file: &SceneFile, trajectory: Trajectory, tier: Tier, noise: NoiseSource) -> Result<Self, WorldError> {
+        Self::with_flaws(file, trajectory, tier, noise, Flaws::default())
+    }
+
+    /// The same with `flaws` of board and head.
+    ///
+    /// # Errors
+    /// If the board cannot be connected to such a head.
+    pub fn with_flaws(
+        file: &SceneFile,
+        trajectory: Trajectory,
+        tier: Tier,
+        noise: NoiseSource,
+        flaws: Flaws,
+    ) -> Result<Self, WorldError> {
         let scene = || file.name.clone();
         let front_end = file.front_end.as_ref().ok_or_else(|| WorldError::NoFrontEnd { scene: scene() })?;
         if front_end.adc_bits != ADC_BITS {
@@ -119,9 +137,11 @@ impl OpticsWorld {
         if cells > BOARD_CELLS {
             return Err(WorldError::TooManyCells { scene: scene(), cells });
         }
-        let electronics = Electronics::new(&file.scene, front_end);
+        let slowness = if flaws.has(Flaw::SlowFrontEnd) { flaw::SLOW_FACTOR } else { 1.0 };
+        let front_end = FrontEnd { time_constant_s: slowness * front_end.time_constant_s, ..*front_end };
+        let electronics = Electronics::new(&file.scene, &front_end);
         Ok(Self {
-            illumination: Illumination::new(&file.scene, trajectory, tier)?,
+            illumination: Illumination::new(&file.scene, trajectory, tier, flaws)?,
             zero_current_code: electronics.scaling().zero_code.round() as u16,
             electronics,
             settled_to: vec![0; cells],
@@ -131,6 +151,7 @@ impl OpticsWorld {
                 }
                 NoiseSource::Off => None,
             },
+            flaws,
         })
     }
 
@@ -154,6 +175,18 @@ impl OpticsWorld {
         }
     }
 
+    /// Gates and level codes as they reach the drivers.
+    fn driven(&self, gates: u8, mut level_codes: [u16; 2]) -> (u8, [u16; 2]) {
+        if self.flaws.has(Flaw::StuckLevel) {
+            level_codes[flaw::LEVEL_LINE] = NOMINAL_LEVEL_CODE;
+        }
+        if !self.flaws.has(Flaw::SwappedGates) {
+            return (gates, level_codes);
+        }
+        let at_driver = |driver: usize| gates >> exchanged(flaw::GATES, driver) & 1;
+        ((0..BOARD_CELLS).fold(0, |driven, driver| driven | at_driver(driver) << driver), level_codes)
+    }
+
     fn settle_all(&mut self, now: Ticks) {
         for cell in 0..self.settled_to.len() {
             self.settle(cell, now);
@@ -173,6 +206,7 @@ impl World for OpticsWorld {
     fn drive(&mut self, now: Ticks, gates: u8, level_codes: [u16; 2]) {
         self.follow_light(now);
         self.settle_all(now);
+        let (gates, level_codes) = self.driven(gates, level_codes);
         let relative = level_codes.map(|code| f64::from(code) / f64::from(NOMINAL_LEVEL_CODE));
         self.illumination.switch(now, gates, relative);
     }
@@ -182,15 +216,27 @@ impl World for OpticsWorld {
             // An open input; 0 is also what an electrode gives that is far beyond full scale.
             return 0;
         };
+        let cell = match self.flaws.has(Flaw::SwappedCells) {
+            true => exchanged(flaw::CELLS, cell),
+            false => cell,
+        };
         if cell >= self.settled_to.len() {
             return self.zero_current_code;
         }
         self.follow_light(now);
         self.settle(cell, now);
+        let has = |flaw, place| self.flaws.has(flaw) && (cell, electrode) == place;
+        if has(Flaw::OpenElectrode, flaw::OPEN) {
+            return self.zero_current_code;
+        }
+        if has(Flaw::StuckElectrode, flaw::STUCK) {
+            return 0;
+        }
+        let noisiness = if has(Flaw::NoisyChannel, flaw::NOISY) { flaw::NOISE_FACTOR } else { 1.0 };
         match &mut self.noise {
             Some(noise) => {
                 let disturbance = noise.at(cell, now, &self.electronics);
-                let converter = noise.draw();
+                let converter = noisiness * noise.draw();
                 self.electronics.convert(cell, electrode, &disturbance, converter)
             }
             None => self.electronics.convert(cell, electrode, &CellNoise::default(), 0.0),
@@ -215,6 +261,15 @@ impl Noise {
         let noise = electronics.noise(cell, &before, keep, draw);
         cells[cell] = Some((now, noise));
         noise
+    }
+}
+
+/// `index`, with the two of `pair` exchanged.
+fn exchanged(pair: [usize; 2], index: usize) -> usize {
+    match pair {
+        [first, second] if index == first => second,
+        [first, second] if index == second => first,
+        _ => index,
     }
 }
 

@@ -94,7 +94,7 @@ fn codes_follow_a_fine_integration_through_edges_and_motion() {
 #[test]
 fn linear_stretches_are_as_good_as_the_optics_themselves() {
     let reference = Plan::<f64>::compile(&wide().scene, TIER).unwrap();
-    let mut illumination = Illumination::new(&wide().scene, moving(), TIER).unwrap();
+    let mut illumination = Illumination::new(&wide().scene, moving(), TIER, Flaws::default()).unwrap();
     illumination.switch(0, 0b111_111, [1.0; 2]);
     let step_a = 10e-6 / 4096.0;
     let mut worst = 0.0_f64;

@@ -1,0 +1,230 @@
+//! The board on the bench: connects, takes scans by a configuration, leaves the board dark.
+
+use std::time::{Duration, Instant};
+
+use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_protocol::{
+    AdcScaling, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule,
+};
+use thiserror::Error;
+
+use super::expected::Expected;
+use super::sampling::Sampling;
+use crate::device::{
+    BoardInfo, Conversation, Device, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find,
+    locate,
+};
+use crate::link::{Segment, Versions};
+use slitpose_head::front_end::{self, TimingError};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::SimulatorError;
+
+/// Time that a board needs to answer if its other port was asked just before.
+const HELLO_WITHIN: Duration = Duration::from_millis(2500);
+
+/// Scans after a start that are left out: the first may hold light of what was lit before.
+const FIRST_SCANS: usize = 4;
+
+/// Time limit of a measurement: this many times its duration, for slow emulators, and the time to begin.
+const SLOWEST: f64 = 10.0;
+const BEGIN: Duration = Duration::from_secs(5);
+
+/// Why a step could not be done.
+#[derive(Debug, Error)]
+pub(super) enum BenchError {
+    /// The board.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The schedule of the scene.
+    #[error(transparent)]
+    Timing(#[from] TimingError),
+    /// The simulated board.
+    #[error(transparent)]
+    Simulator(#[from] SimulatorError),
+    /// The optics of the scene.
+    #[error(transparent)]
+    Optics(#[from] SceneError),
+    /// Board and program do not understand each other.
+    #[error("{versions}: update whichever is older")]
+    Version {
+        /// Versions of both.
+        versions: Versions,
+    },
+    /// Scans that did not come.
+    #[error("{got} of {wanted} scans came within {seconds:.0} s")]
+    Scans {
+        /// Scans that came.
+        got: usize,
+        /// Scans asked for.
+        wanted: usize,
+        /// Time waited, seconds.
+        seconds: f64,
+    },
+}
+
+/// The board and its head.
+pub(super) struct Bench<'a> {
+    device: &'a Selector,
+    search: &'a [Search],
+    /// The scene of the head.
+    pub(super) scene: &'a SceneFile,
+    /// Where the board was last.
+    found: Option<Found>,
+}
+
+impl<'a> Bench<'a> {
+    pub(super) fn new(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Self {
+        Self { device, search, scene, found: None }
+    }
+
+    /// Whether the board is simulated.
+    pub(super) fn is_simulated(&self) -> bool {
+        *self.device == Selector::Sim
+    }
+
+    /// Whether the board was last connected by its own USB port.
+    pub(super) fn has_own_port(&self) -> bool {
+        self.found.as_ref().and_then(|found| found.usb.as_ref()).is_some_and(|usb| usb.is_board())
+    }
+
+    /// Opens the board's port and reads its hello.
+    pub(super) fn connect(&mut self) -> Result<(Conversation, BoardInfo), BenchError> {
+        let (device, found): (Box<dyn Device>, _) = if self.is_simulated() {
+            (Box::new(SimulatedDevice::at_rest(self.scene)?), None)
+        } else {
+            let found = match locate(self.device, self.found.as_ref()) {
+                Some(found) => found,
+                None => find(self.device, self.search)?,
+            };
+            (Box::new(SerialDevice::open(&found.port)?), Some(found))
+        };
+        let mut board = Conversation::open(device)?;
+        let info = board.introduce(HELLO_WITHIN)?;
+        self.found = found.map(|found| Found { device: Some(info.device), ..found });
+        if info.mismatch.is_some() {
+            return Err(BenchError::Version { versions: Versions { board: info.protocol } });
+        }
+        Ok((board, info))
+    }
+
+    /// The schedule of the scene.
+    pub(super) fn schedule(&self) -> Result<Schedule, BenchError> {
+        Ok(front_end::configuration(self.scene)?.schedule)
+    }
+
+    /// What the scene predicts with the tool at home.
+    pub(super) fn expected(&self) -> Result<Expected, BenchError> {
+        // A plan is large for a stack.
+        let optics = |tolerance| Plan::compile(&self.scene.scene, Tier::Exact { tolerance }).map(Box::new);
+        let (own, stray) = (optics(OWN_TOLERANCE)?, optics(STRAY_TOLERANCE)?);
+        Ok(Expected::of(&own, &stray))
+    }
+}
+
+/// Relative error of predicted light of a cell's own emitter, and of the others.
+const OWN_TOLERANCE: f64 = 1e-4;
+const STRAY_TOLERANCE: f64 = 1e-2;
+
+/// Takes `count` scans by `configuration`; the board is dark afterwards.
+pub(super) fn sample(
+    board: &mut Conversation,
+    configuration: Configuration,
+    count: usize,
+) -> Result<Sampling, BenchError> {
+    let wanted = count + FIRST_SCANS;
+    let patience = BEGIN + Duration::from_secs_f64(SLOWEST * wanted as f64 / configuration.schedule.frame_rate_hz());
+    board.configure(configuration)?;
+    board.start()?;
+    let begun = Instant::now();
+    let mut reader = Reader::default();
+    let mut segment = Segment::default();
+    let mut more = true;
+    loop {
+        segment.clear();
+        board.fill(&mut segment);
+        reader.read(&segment.bytes);
+        if !more || reader.scans.len() >= wanted || begun.elapsed() > patience {
+            break;
+        }
+        more = board.listen()?;
+    }
+    board.stop(Keep::Replies)?;
+    reader.finish(count).ok_or(BenchError::Scans {
+        got: reader.scans.len().saturating_sub(FIRST_SCANS),
+        wanted: count,
+        seconds: begun.elapsed().as_secs_f64(),
+    })
+}
+
+/// The least settling of `configuration` that the board accepts: it is asked for less, and says so.
+pub(super) fn least_settling_ticks(board: &mut Conversation, configuration: &Configuration) -> Result<u32, BenchError> {
+    let mut trial = configuration.clone();
+    trial.schedule.settling_ticks = 1;
+    match board.configure(trial).map_err(BenchError::from) {
+        Ok(()) => Ok(1),
+        Err(error) => match hardware_limit(&error) {
+            Some(&HardwareFault::Settling { least_ticks, .. }) => Ok(least_ticks),
+            _ => Err(error),
+        },
+    }
+}
+
+/// Whether an error says that two emitters of one slot share a level line.
+pub(super) fn is_shared_level(error: &BenchError) -> bool {
+    matches!(hardware_limit(error), Some(HardwareFault::SharedLevel { .. }))
+}
+
+/// What the board cannot do, if it has refused a configuration for that.
+fn hardware_limit(error: &BenchError) -> Option<&HardwareFault> {
+    match error {
+        BenchError::Device(DeviceError::Refused { source: Rejection::Unsuited(limit), .. }) => Some(limit),
+        _ => None,
+    }
+}
+
+/// Reads the scans of the configuration announced last.
+#[derive(Default)]
+struct Reader {
+    decoder: Decoder<MAX_MESSAGE_BYTES>,
+    announced: Option<(u16, Schedule, AdcScaling)>,
+    scans: Vec<slitpose_protocol::RawScan>,
+    missing: u64,
+    /// Instants of the first bytes with scans, of the last ones, and the number of scans with the first.
+    times: Option<(Instant, Instant, usize)>,
+}
+
+impl Reader {
+    fn read(&mut self, mut bytes: &[u8]) {
+        let before = self.scans.len();
+        while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
+            match (message, &self.announced) {
+                (Ok(Message::Hello(hello)), _) => {
+                    self.announced = Some((hello.configuration, hello.schedule.clone(), hello.scaling));
+                    self.scans.clear();
+                }
+                (Ok(Message::Batch(batch)), Some((number, schedule, _))) if batch.configuration == *number => {
+                    let due = self.scans.last().map_or(batch.sequence, |scan| scan.sequence + 1);
+                    self.missing += batch.sequence.saturating_sub(due);
+                    self.scans.extend(batch.scans(schedule).into_iter().flatten());
+                }
+                _ => {}
+            }
+        }
+        if self.scans.len() > before {
+            let now = Instant::now();
+            let (first, _, count) = self.times.unwrap_or((now, now, self.scans.len()));
+            self.times = Some((first, now, count));
+        }
+    }
+
+    /// The scans without the first ones; `None` if there are fewer than `count`.
+    fn finish(&self, count: usize) -> Option<Sampling> {
+        let (_, schedule, scaling) = self.announced.clone()?;
+        let (first, last, early) = self.times?;
+        let scans = self.scans.get(FIRST_SCANS..).filter(|scans| scans.len() >= count)?.to_vec();
+        // Scans that came with the first are not covered by the time.
+        let timed = (self.scans.len() - early).max(1) as f64;
+        let elapsed_s = (last - first).as_secs_f64() * scans.len() as f64 / timed;
+        Some(Sampling { schedule, scaling, scans, missing: self.missing, elapsed_s })
+    }
+}

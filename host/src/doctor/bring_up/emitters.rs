@@ -1,0 +1,264 @@
+//! Each emitter alone: whether its own cell sees it, by both electrodes, as bright as the scene says.
+//!
+//! With emitters lit one by one, a cell is read while its own emitter is lit only. If a cell is dark then, all emitters
+//! are lit in pairs, too, and where the light of the dark cell's emitter goes shows in the words of its partners.
+
+use slitpose_model::Pair;
+use slitpose_protocol::{Level, Schedule};
+
+use super::bench::{Bench, BenchError, is_shared_level, sample};
+use super::crosstalk::responses;
+use super::lighting;
+use super::pins::{ELECTRODES, electrode, gate};
+use crate::device::Conversation;
+use slitpose_head::finding::Finding;
+
+/// Scans of each configuration.
+const SCANS: usize = 200;
+
+/// Least share of the scene's light at which an electrode, or a cell, counts as lit.
+const LIT: f64 = 0.15;
+
+/// Shares of the scene's light at home that emitters of one part number may have: the figures of such parts spread from
+/// 0.6 to 1.6 times their typical value (not checked against the data sheet of this part).
+const STRENGTH: std::ops::RangeInclusive<f64> = 0.6..=1.6;
+
+/// Least difference of both electrodes over their sum by which they can be told apart.
+const ASYMMETRY: f64 = 0.05;
+
+/// Cells whose light and words do not belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Exchange {
+    /// The gates are on each other's drivers.
+    Gates,
+    /// The detectors are on each other's inputs.
+    Cells,
+    /// Either of both: their emitters share a level line, so that no measurement tells.
+    Unknown,
+}
+
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+    let expected = bench.expected()?;
+    let (mut board, _) = bench.connect()?;
+    let schedule = bench.schedule()?;
+    let sampling = sample(&mut board, lighting::at(lighting::alone(&schedule), Level::NOMINAL), SCANS)?;
+    let own = sampling.all_light();
+    let saturated: Vec<usize> = (0..own.len())
+        .filter(|&cell| {
+            [0, 1]
+                .into_iter()
+                .any(|electrode| sampling.scaling.is_saturated(sampling.lit(cell, electrode).mean.round() as u16, 1))
+        })
+        .collect();
+    let mut exchanges = Vec::new();
+    if (0..own.len()).any(|cell| is_dark(own[cell], expected.own[cell])) {
+        for (first, second) in exchanged(&responses(&mut board, &schedule, &own, SCANS)?, &own, &expected.own) {
+            exchanges.push((first, second, tell(&mut board, &schedule, [first, second], &expected.own)?));
+        }
+    }
+    Ok(judge(&own, &expected.own, &saturated, &exchanges))
+}
+
+/// Whether neither electrode sees light.
+fn is_dark(light: Pair<f64>, expected: Pair<f64>) -> bool {
+    !is_lit(light.i_x1_a, expected) && !is_lit(light.i_x2_a, expected)
+}
+
+fn is_lit(current_a: f64, expected: Pair<f64>) -> bool {
+    current_a >= 0.5 * LIT * expected.total_a()
+}
+
+/// Pairs of cells that are dark with their own emitters, and lit while both emitters of the pair are.
+fn exchanged(responses: &[Vec<Pair<f64>>], own: &[Pair<f64>], expected: &[Pair<f64>]) -> Vec<(usize, usize)> {
+    let dark = |cell: usize| is_dark(own[cell], expected[cell]);
+    let lit_by = |cell: usize, emitter: usize| !is_dark(responses[cell][emitter], expected[cell]);
+    let pairs = (0..own.len()).flat_map(|first| (first + 1..own.len()).map(move |second| (first, second)));
+    pairs.filter(|&(i, j)| dark(i) && dark(j) && lit_by(i, j) && lit_by(j, i)).collect()
+}
+
+/// Tells exchanged gates from exchanged cells: both emitters are lit together, the second at level 0. Level lines stay
+/// with their drivers, so exchanged gates light the first emitter and its cell, exchanged cells the word of the second.
+fn tell(
+    board: &mut Conversation,
+    base: &Schedule,
+    pair: [usize; 2],
+    expected: &[Pair<f64>],
+) -> Result<Exchange, BenchError> {
+    let [first, second] = pair;
+    let others = (0..usize::from(base.cells)).filter(|emitter| !pair.contains(emitter));
+    let groups: Vec<Vec<usize>> = std::iter::once(pair.to_vec()).chain(others.map(|emitter| vec![emitter])).collect();
+    let mut configuration = lighting::at(lighting::grouped(base, &groups), Level::NOMINAL);
+    configuration.levels[second] = Level(0);
+    match sample(board, configuration, SCANS) {
+        Ok(sampling) => {
+            Ok(if is_dark(sampling.light(first), expected[first]) { Exchange::Cells } else { Exchange::Gates })
+        }
+        Err(error) if is_shared_level(&error) => Ok(Exchange::Unknown),
+        Err(error) => Err(error),
+    }
+}
+
+fn judge(
+    own: &[Pair<f64>],
+    expected: &[Pair<f64>],
+    saturated: &[usize],
+    exchanges: &[(usize, usize, Exchange)],
+) -> Vec<Finding> {
+    let mut findings: Vec<Finding> = exchanges.iter().map(|&exchange| of_exchange(exchange)).collect();
+    let is_exchanged = |cell: usize| exchanges.iter().any(|&(first, second, _)| [first, second].contains(&cell));
+    for cell in (0..own.len()).filter(|&cell| !is_exchanged(cell)) {
+        findings.push(of_cell(cell, own[cell], expected[cell], saturated.contains(&cell)));
+    }
+    findings.push(of_order(own, expected));
+    findings
+}
+
+fn of_exchange((first, second, exchange): (usize, usize, Exchange)) -> Finding {
+    let gates = format!("{} and {}", gate(first), gate(second));
+    let cells = format!(
+        "{} and {}, {} and {}",
+        electrode(first, ELECTRODES[0]),
+        electrode(second, ELECTRODES[0]),
+        electrode(first, ELECTRODES[1]),
+        electrode(second, ELECTRODES[1])
+    );
+    let (what, next_step) = match exchange {
+        Exchange::Gates => (format!("gates exchanged: {gates}"), "exchange the two gate lines"),
+        Exchange::Cells => (format!("inputs exchanged: {cells}"), "exchange the plugs of the two detectors"),
+        Exchange::Unknown => (
+            format!("gates exchanged ({gates}), or inputs ({cells})"),
+            "look at the 3.3 ohm of both emitters with an oscilloscope: it tells which of the two is lit by which gate",
+        ),
+    };
+    Finding::failed("emitters", format!("cells {first} and {second} see each other's emitters; {what}"), next_step)
+}
+
+fn of_cell(cell: usize, own: Pair<f64>, expected: Pair<f64>, is_saturated: bool) -> Finding {
+    let share = own.total_a() / expected.total_a();
+    let micro = |current_a: f64| current_a * 1e6;
+    let text = format!(
+        "cell {cell}: {:.3} and {:.3} uA by its emitter alone, {:.3} and {:.3} uA by the scene; {share:.2} of it",
+        micro(own.i_x1_a),
+        micro(own.i_x2_a),
+        micro(expected.i_x1_a),
+        micro(expected.i_x2_a)
+    );
+    if is_saturated {
+        let next_step = "is the tool at its home pose? else lower the emitter's level or its current";
+        return Finding::failed("emitters", format!("{text}: saturated"), next_step);
+    }
+    match [own.i_x1_a, own.i_x2_a].map(|current_a| is_lit(current_a, expected)) {
+        [false, false] => Finding::failed(
+            "emitters",
+            format!("{text}: dark; emitter {cell} gives no light, or none reaches the detector ({})", gate(cell)),
+            "measure its 3.3 ohm: 329 mV in its slot if the emitter is lit, then look at the detector's cathode, its \
+             plug and the slit; 0 V if it is not: gate, switch, emitter",
+        ),
+        [false, true] => of_electrode(cell, 0, &text),
+        [true, false] => of_electrode(cell, 1, &text),
+        [true, true] if !STRENGTH.contains(&share) => {
+            let (what, next_step) = if share < 1.0 {
+                ("weak", "measure its 3.3 ohm (329 mV at nominal), clean emitter and slit; then change the emitter")
+            } else {
+                ("strong", "measure its 3.3 ohm (329 mV at nominal): the current is too high, or the tool too close")
+            };
+            Finding::failed("emitters", format!("{text}: emitter {cell} is {what}, expected 0.6 to 1.6"), next_step)
+        }
+        [true, true] => Finding::ok("emitters", text),
+    }
+}
+
+fn of_electrode(cell: usize, dark: usize, text: &str) -> Finding {
+    let name = electrode(cell, ELECTRODES[dark]);
+    let next_step =
+        "look for an open anode, a shorted input or a dead amplifier: its output must fall in the cell's slot";
+    Finding::failed("emitters", format!("{text}: {name} sees no light, the other electrode does"), next_step)
+}
+
+/// Whether electrodes may be exchanged, where the spot is far enough from the middle.
+fn of_order(own: &[Pair<f64>], expected: &[Pair<f64>]) -> Finding {
+    let asymmetry = |pair: &Pair<f64>| (pair.i_x2_a - pair.i_x1_a) / pair.total_a();
+    let lit = (0..own.len()).filter(|&cell| !is_dark(own[cell], expected[cell]));
+    let seen: Vec<usize> = lit.filter(|&cell| asymmetry(&expected[cell]).abs() >= ASYMMETRY).collect();
+    let wrong = |&cell: &usize| asymmetry(&own[cell]) * asymmetry(&expected[cell]) < -0.25 * ASYMMETRY * ASYMMETRY;
+    let exchanged: Vec<String> = seen.iter().copied().filter(wrong).map(|cell| cell.to_string()).collect();
+    if !exchanged.is_empty() {
+        let text = format!("cells {}: I_X1 and I_X2 exchanged, by the spots at home", exchanged.join(", "));
+        return Finding::failed("electrodes", text, "exchange the wires of the two anodes");
+    }
+    if seen.is_empty() {
+        let text = "at home the spots are in the middle, so exchanged electrodes of a cell do not show; move the tool and \
+                    look at `slitpose run`, which names them";
+        return Finding::skipped("electrodes", text);
+    }
+    let cells = seen.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    Finding::ok("electrodes", format!("the spots of cells {cells} are on the side that the scene says"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slitpose_head::finding::Grade;
+
+    const OWN: Pair<f64> = Pair { i_x1_a: 3.4e-6, i_x2_a: 3.4e-6 };
+    const DARK: Pair<f64> = Pair { i_x1_a: 1e-9, i_x2_a: -1e-9 };
+
+    fn with(cell: usize, light: Pair<f64>) -> Vec<Pair<f64>> {
+        let mut own = vec![OWN; 6];
+        own[cell] = light;
+        own
+    }
+
+    fn failed(own: &[Pair<f64>]) -> String {
+        let findings = judge(own, &[OWN; 6], &[], &[]);
+        let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Grade::Failed).collect();
+        assert_eq!(failed.len(), 1, "{findings:?}");
+        failed[0].to_string()
+    }
+
+    #[test]
+    fn a_good_head_has_no_failure_and_centred_spots_do_not_tell_electrodes_apart() {
+        let findings = judge(&[OWN; 6], &[OWN; 6], &[], &[]);
+        assert!(findings[..6].iter().all(|finding| finding.grade == Grade::Ok), "{findings:?}");
+        assert_eq!(findings[6].grade, Grade::Skipped);
+    }
+
+    #[test]
+    fn dark_cells_dark_electrodes_and_weak_emitters_are_named() {
+        assert!(failed(&with(3, DARK)).contains("emitter 3 gives no light"));
+        assert!(failed(&with(3, DARK)).contains("PC9"));
+        assert!(failed(&with(2, Pair { i_x1_a: 0.0, ..OWN })).contains("I_X1 of cell 2 (PC0, CN7-38) sees no light"));
+        assert!(failed(&with(5, Pair { i_x1_a: 1.7e-6, i_x2_a: 1.7e-6 })).contains("emitter 5 is weak"));
+        assert!(failed(&with(5, Pair { i_x1_a: 5.7e-6, i_x2_a: 5.7e-6 })).contains("emitter 5 is strong"));
+        assert!(judge(&[OWN; 6], &[OWN; 6], &[1], &[])[1].text.contains("saturated"));
+    }
+
+    #[test]
+    fn exchanged_cells_are_those_that_light_each_other() {
+        let mut own = vec![OWN; 6];
+        (own[1], own[4]) = (DARK, DARK);
+        let mut responses: Vec<Vec<_>> =
+            (0..6).map(|cell| (0..6).map(|emitter| if cell == emitter { own[cell] } else { DARK }).collect()).collect();
+        assert_eq!(exchanged(&responses, &own, &[OWN; 6]), []);
+        (responses[1][4], responses[4][1]) = (OWN, OWN);
+        assert_eq!(exchanged(&responses, &own, &[OWN; 6]), [(1, 4)]);
+        for (exchange, words) in [
+            (Exchange::Gates, "gates exchanged: gate of emitter 1 (PC7"),
+            (Exchange::Cells, "inputs exchanged: I_X1 of"),
+        ] {
+            let findings = judge(&own, &[OWN; 6], &[], &[(1, 4, exchange)]);
+            let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Grade::Failed).collect();
+            assert!(failed.len() == 1 && failed[0].text.contains(words), "{failed:?}");
+        }
+    }
+
+    #[test]
+    fn electrodes_are_told_apart_by_spots_beside_the_middle() {
+        let aside = Pair { i_x1_a: 3.0e-6, i_x2_a: 3.8e-6 };
+        let mut expected = vec![OWN; 6];
+        expected[2] = aside;
+        assert_eq!(of_order(&with(2, aside), &expected).grade, Grade::Ok);
+        let turned = of_order(&with(2, Pair { i_x1_a: 3.8e-6, i_x2_a: 3.0e-6 }), &expected);
+        assert!(turned.grade == Grade::Failed && turned.text.contains("cells 2:"), "{turned}");
+    }
+}

@@ -1,0 +1,176 @@
+//! Current against level: each emitter alone, at levels from none to nominal.
+
+use slitpose_model::Pair;
+use slitpose_protocol::Level;
+
+use super::bench::{Bench, BenchError, sample};
+use super::lighting;
+use super::pins::level_line;
+use slitpose_head::finding::Finding;
+
+/// Scans of each level.
+const SCANS: usize = 200;
+
+/// Levels, rising to nominal; none above, where pulses are limited.
+const LEVELS: [Level; 5] = [Level(0), Level(0x2000), Level(0x4000), Level(0x6000), Level::NOMINAL];
+
+/// Largest difference from proportionality, as a share of the light at nominal level: a driver with 3.3 Ω within 1 %
+/// and an amplifier's offset of 150 µV has 0.1 % of 329 mV; the rest is heating of the emitter.
+const TOLERANCE: f64 = 0.02;
+
+/// Least share of the scene's light of a cell that is to be judged.
+const LIT: f64 = 0.15;
+
+pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
+    let expected = bench.expected()?;
+    let (mut board, _) = bench.connect()?;
+    let schedule = lighting::alone(&bench.schedule()?);
+    let mut light = Vec::new();
+    for level in LEVELS {
+        light.push(sample(&mut board, lighting::at(schedule.clone(), level), SCANS)?.all_light());
+    }
+    Ok(judge(&light, &expected.own))
+}
+
+/// How the light of an emitter follows its level.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Following {
+    /// In proportion; the largest difference.
+    Proportional(f64),
+    /// Not at all.
+    Not,
+    /// Up to about this level, and not beyond.
+    UpTo(f64),
+    /// Otherwise; the largest difference.
+    Otherwise(f64),
+}
+
+/// `shares`: light at each of [`LEVELS`], relative to that at nominal level.
+fn following(shares: [f64; LEVELS.len()]) -> Following {
+    let off = |k: usize| shares[k] - LEVELS[k].relative();
+    let worst = (0..LEVELS.len()).fold(0.0_f64, |worst, k| worst.max(off(k).abs()));
+    if worst <= TOLERANCE {
+        return Following::Proportional(worst);
+    }
+    if shares.iter().all(|share| (share - 1.0).abs() <= TOLERANCE) {
+        return Following::Not;
+    }
+    // Proportional below, the same above.
+    let knee = (1..LEVELS.len() - 1).find(|&k| {
+        let slope = shares[1] / LEVELS[1].relative();
+        (0..=k).all(|k| (shares[k] - slope * LEVELS[k].relative()).abs() <= TOLERANCE)
+            && (k + 1..LEVELS.len()).all(|k| (shares[k] - 1.0).abs() <= TOLERANCE)
+    });
+    match knee {
+        Some(_) if shares[1] > 0.0 => Following::UpTo(LEVELS[1].relative() / shares[1]),
+        _ => Following::Otherwise(worst),
+    }
+}
+
+/// `light`: of each cell, at each of [`LEVELS`].
+fn judge(light: &[Vec<Pair<f64>>], expected: &[Pair<f64>]) -> Vec<Finding> {
+    let shares_of = |emitter: usize| -> Option<[f64; LEVELS.len()]> {
+        let nominal_a = light.last()?.get(emitter)?.total_a();
+        let is_lit = nominal_a >= LIT * expected[emitter].total_a();
+        is_lit.then(|| std::array::from_fn(|k| light[k][emitter].total_a() / nominal_a))
+    };
+    let shares: Vec<_> = (0..expected.len()).map(shares_of).collect();
+    let is_stuck =
+        |shares: &Option<[f64; LEVELS.len()]>| shares.is_some_and(|shares| following(shares) == Following::Not);
+    let whole_line = |emitter: usize| {
+        let (name, emitters) = level_line(emitter)?;
+        let lit: Vec<_> =
+            emitters.filter_map(|emitter| shares.get(emitter)).filter(|shares| shares.is_some()).collect();
+        (lit.len() > 1 && lit.into_iter().all(is_stuck)).then_some(name)
+    };
+    (0..shares.len()).map(|emitter| of_emitter(emitter, shares[emitter], whole_line(emitter))).collect()
+}
+
+/// `stuck_line`: the level line, if no emitter on it follows.
+fn of_emitter(emitter: usize, shares: Option<[f64; LEVELS.len()]>, stuck_line: Option<String>) -> Finding {
+    let Some(shares) = shares else {
+        let text = format!("emitter {emitter}: no light at nominal level: see step emitters");
+        return Finding::failed("levels", text, "take step emitters first");
+    };
+    let [of, levels] = [shares, LEVELS.map(Level::relative)]
+        .map(|row| row.map(|share| format!("{:.3}", if share.abs() < 5e-4 { 0.0 } else { share })).join(" "));
+    let text = format!("emitter {emitter}: {of} of its nominal light at levels {levels}");
+    match following(shares) {
+        Following::Proportional(worst) => {
+            Finding::ok("levels", format!("{text}; off by {:.2} % at most, 2 % allowed", 1e2 * worst))
+        }
+        Following::Not => {
+            let (what, next_step) = match stuck_line {
+                Some(line) => {
+                    (format!("{line} stays at nominal"), "measure the level line: 0 to 1.65 V with the level")
+                }
+                None => (
+                    "the driver does not follow its level line".to_owned(),
+                    "look at the switch and the divider in front of the driver's amplifier",
+                ),
+            };
+            Finding::failed("levels", format!("{text}: {what}"), next_step)
+        }
+        Following::UpTo(level) => Finding::failed(
+            "levels",
+            format!("{text}: no more light above level {level:.2}; the driver or the cell saturates"),
+            "measure the 3.3 ohm (329 mV at nominal) and the 5 V of the emitters under load; is the cell saturated?",
+        ),
+        Following::Otherwise(worst) => Finding::failed(
+            "levels",
+            format!("{text}: off by {:.1} %, 2 % allowed", 1e2 * worst),
+            "measure the 3.3 ohm at each level: 329 mV in proportion; if it is, the emitter heats up or the tool moves",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slitpose_head::finding::Grade;
+
+    const OWN: Pair<f64> = Pair { i_x1_a: 3.4e-6, i_x2_a: 3.4e-6 };
+
+    /// Findings if emitters give these shares of the scene's light at each level, 1 at nominal being good.
+    fn judged(shares: impl Fn(usize, f64) -> f64) -> Vec<Finding> {
+        let light: Vec<Vec<_>> = LEVELS
+            .iter()
+            .map(|level| {
+                let share = |emitter| shares(emitter, level.relative());
+                (0..6)
+                    .map(|emitter| Pair { i_x1_a: share(emitter) * 3.4e-6, i_x2_a: share(emitter) * 3.4e-6 })
+                    .collect()
+            })
+            .collect();
+        judge(&light, &[OWN; 6])
+    }
+
+    fn failed(shares: impl Fn(usize, f64) -> f64) -> Vec<String> {
+        let findings = judged(shares);
+        findings.iter().filter(|finding| finding.grade == Grade::Failed).map(|finding| finding.text.clone()).collect()
+    }
+
+    #[test]
+    fn light_in_proportion_to_the_level_is_good() {
+        assert_eq!(failed(|_, level| 0.7 * level), [""; 0]);
+        assert_eq!(failed(|_, level| level + 0.05 * level * (1.0 - level)), [""; 0]);
+    }
+
+    #[test]
+    fn a_stuck_line_is_named_and_a_stuck_driver_is_not_taken_for_it() {
+        let line = failed(|emitter, level| if emitter < 3 { 1.0 } else { level });
+        assert!(line.len() == 3 && line.iter().all(|text| text.contains("(PA4, CN7-32) stays at nominal")), "{line:?}");
+        let driver = failed(|emitter, level| if emitter == 4 { 1.0 } else { level });
+        assert!(driver.len() == 1 && driver[0].contains("emitter 4") && driver[0].contains("does not follow"));
+    }
+
+    #[test]
+    fn saturating_drivers_bent_ones_and_dark_ones_are_told_apart() {
+        let saturated = failed(|emitter, level| if emitter == 1 { level.min(0.6) } else { level });
+        assert!(saturated.len() == 1 && saturated[0].contains("no more light above level 0.60"), "{saturated:?}");
+        let bent = failed(|emitter, level| if emitter == 1 { level * level } else { level });
+        assert!(bent.len() == 1 && bent[0].contains("off by 25.0 %"), "{bent:?}");
+        let dark = failed(|emitter, level| if emitter == 1 { 0.0 } else { level });
+        assert!(dark.len() == 1 && dark[0].contains("no light at nominal"), "{dark:?}");
+    }
+}

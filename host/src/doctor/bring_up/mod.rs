@@ -1,0 +1,280 @@
+//! The bring-up of a new board: steps in the order in which they can be done on a bench.
+//!
+//! | file | steps |
+//! |---|---|
+//! | `link` | link and start; supply and temperature |
+//! | `dark` | codes without light; noise |
+//! | `emitters` | each emitter alone |
+//! | `levels` | current against level |
+//! | `settling` | time constant and delay |
+//! | `crosstalk` | light of other emitters |
+//! | `safety` | dark after Stop and without a host |
+//! | `storage` | settings over a power cut |
+//!
+//! Each of these files measures first and judges then: what judges is a pure function from measured numbers to
+//! findings. `bench` connects the board and takes scans, `lighting` makes their configurations, `sampling` their
+//! statistics, `expected` what the scene predicts; `pins` names signals. A step opens the port and closes it, so that
+//! between steps the board is idle without a host.
+
+mod bench;
+mod crosstalk;
+mod dark;
+mod emitters;
+mod expected;
+mod levels;
+mod lighting;
+mod link;
+mod pins;
+mod safety;
+mod sampling;
+mod settling;
+mod storage;
+
+use std::fmt;
+use std::str::FromStr;
+
+use slitpose_protocol::{Level, Schedule};
+use thiserror::Error;
+
+use self::bench::{Bench, BenchError};
+use super::{default_scene, head, link::in_full};
+use crate::device::{Search, Selector};
+use slitpose_head::finding::Finding;
+use slitpose_head::scene_file::SceneFile;
+
+/// A step of the bring-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Step {
+    /// Link and start.
+    Link,
+    /// Supply and temperature.
+    Supply,
+    /// Codes without light.
+    Dark,
+    /// Noise without light.
+    Noise,
+    /// Each emitter alone.
+    Emitters,
+    /// Current against level.
+    Levels,
+    /// Time constant and delay.
+    Settling,
+    /// Light of other emitters.
+    Crosstalk,
+    /// Dark after Stop and without a host.
+    Safety,
+    /// Settings over a power cut.
+    Storage,
+}
+
+impl Step {
+    /// All steps, in their order.
+    pub(crate) const ALL: [Self; 10] = [
+        Self::Link,
+        Self::Supply,
+        Self::Dark,
+        Self::Noise,
+        Self::Emitters,
+        Self::Levels,
+        Self::Settling,
+        Self::Crosstalk,
+        Self::Safety,
+        Self::Storage,
+    ];
+
+    /// Its number, from 1.
+    pub(crate) fn number(self) -> usize {
+        self as usize + 1
+    }
+
+    /// Its name on the command line.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Link => "link",
+            Self::Supply => "supply",
+            Self::Dark => "dark",
+            Self::Noise => "noise",
+            Self::Emitters => "emitters",
+            Self::Levels => "levels",
+            Self::Settling => "settling",
+            Self::Crosstalk => "crosstalk",
+            Self::Safety => "safety",
+            Self::Storage => "storage",
+        }
+    }
+
+    /// What to connect or to prepare.
+    pub(crate) fn preparation(self) -> &'static str {
+        match self {
+            Self::Link => "power and data cable; detectors covered; emitters need not be connected",
+            Self::Supply => "as before; the multimeter on 3.3 V",
+            Self::Dark => "all detectors connected and covered from room light",
+            Self::Noise => "as before; lids closed, no lamp and no cable moved meanwhile",
+            Self::Emitters => "all emitters connected; the tool fixed at its home pose; head covered from room light",
+            Self::Levels | Self::Settling => "as before; the tool must not move",
+            Self::Crosstalk => "as before; baffles fitted",
+            Self::Safety => "as before; no other program opens the port",
+            Self::Storage => "as before; be ready to take all cables off the board and to plug them in again",
+        }
+    }
+
+    /// What is expected, with its tolerance and its origin.
+    pub(crate) fn expectation(self) -> &'static str {
+        match self {
+            Self::Link => {
+                "hello in this program's protocol, frames at the scheduled rate within 5 % of the host's clock, \
+                 none lost in 2 s"
+            }
+            Self::Supply => "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
+            Self::Dark => {
+                "each word at the scaling's zero code within 10 codes: divider 1.3, amplifiers 2.6, converter 4 \
+                 (firmware/README.md, analogue front end); no light from emitters at level 0"
+            }
+            Self::Noise => {
+                "rms of one conversion 0.4 to 1.3 times the scene's front end, failed above 2; codes in steps of 1"
+            }
+            Self::Emitters => {
+                "each cell sees its own emitter, by both electrodes, at 0.6 to 1.6 times the scene's light at home \
+                 (spread of such emitters)"
+            }
+            Self::Levels => "light in proportion to the level within 2 % of nominal, and none at level 0",
+            Self::Settling => {
+                "the scene's time constant within 30 %; settled to 0.3 codes of full scale within the scene's settling \
+                 time (firmware/README.md, bandwidth and settling)"
+            }
+            Self::Crosstalk => {
+                "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end of a \
+                 12 mm detector moves the spot by 60 um, the detector's own error"
+            }
+            Self::Safety => "idle after Stop; idle 1 s after the port was closed (serial link: 3 s)",
+            Self::Storage => "schedule and hash of the scene are back after the power cut",
+        }
+    }
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "step {} of {}, {}", self.number(), Self::ALL.len(), self.name())
+    }
+}
+
+/// A step that is not in the list.
+#[derive(Debug, Error)]
+#[error("no step is called `{text}`; there are 1 to {}, or {}", Step::ALL.len(), Step::ALL.map(Step::name).join(", "))]
+pub(crate) struct UnknownStep {
+    text: String,
+}
+
+impl FromStr for Step {
+    type Err = UnknownStep;
+
+    /// Its number or its name.
+    fn from_str(text: &str) -> Result<Self, UnknownStep> {
+        let is_it = |step: &Self| step.name() == text || step.number().to_string() == text;
+        Self::ALL.into_iter().find(is_it).ok_or_else(|| UnknownStep { text: text.to_owned() })
+    }
+}
+
+/// The bring-up of one board.
+pub(crate) struct BringUp<'a> {
+    bench: Bench<'a>,
+    /// The schedule that the board had at first.
+    schedule: Schedule,
+}
+
+impl fmt::Debug for BringUp<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("BringUp").field("schedule", &self.schedule).finish_non_exhaustive()
+    }
+}
+
+/// The scene of a bring-up: `given`, else the one the board belongs to, else the default one; and what there is to say
+/// about it. `None` if the board cannot be reached, or belongs to another scene.
+pub(crate) fn scene(
+    device: &Selector,
+    search: &[Search],
+    given: Option<&SceneFile>,
+    findings: &mut Vec<Finding>,
+) -> Option<SceneFile> {
+    let trial = given.cloned().or_else(default_scene)?;
+    match Bench::new(device, search, &trial).connect() {
+        Ok((_, info)) => {
+            let scene = head::scene(given, &info, findings)?;
+            findings.push(head::full_scale(&scene, &info));
+            Some(scene)
+        }
+        Err(error) => {
+            findings.push(unreachable_board(&error));
+            None
+        }
+    }
+}
+
+fn unreachable_board(error: &BenchError) -> Finding {
+    Finding::failed("link", in_full(error), "slitpose doctor checks ports and permissions; reset the board")
+}
+
+impl<'a> BringUp<'a> {
+    /// Of the board that `device` names, with the head of `scene`.
+    ///
+    /// # Errors
+    /// A finding, if the board cannot be reached.
+    pub(crate) fn begin(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Result<Self, Finding> {
+        let mut bench = Bench::new(device, search, scene);
+        match bench.connect() {
+            Ok((_, info)) => Ok(Self { bench, schedule: info.schedule }),
+            Err(error) => Err(unreachable_board(&error)),
+        }
+    }
+
+    /// Does `step`. `cut_power` asks the user to cut the board's power, and is false if there is no one to ask; then the
+    /// board is rebooted instead.
+    pub(crate) fn take(&mut self, step: Step, cut_power: &mut dyn FnMut() -> bool) -> Vec<Finding> {
+        let bench = &mut self.bench;
+        let done = match step {
+            Step::Link => link::link(bench),
+            Step::Supply => link::supply(bench),
+            Step::Dark => dark::zero(bench),
+            Step::Noise => dark::noise(bench),
+            Step::Emitters => emitters::take(bench),
+            Step::Levels => levels::take(bench),
+            Step::Settling => settling::take(bench),
+            Step::Crosstalk => crosstalk::take(bench),
+            Step::Safety => safety::take(bench),
+            Step::Storage => storage::take(bench, cut_power),
+        };
+        done.unwrap_or_else(|error| {
+            vec![Finding::failed(step.name(), in_full(&error), "reset the board and take this step again")]
+        })
+    }
+
+    /// Gives the board the schedule that it had at first, at nominal levels.
+    ///
+    /// # Errors
+    /// A finding, if it does not take it.
+    pub(crate) fn restore(mut self) -> Result<(), Finding> {
+        let configuration = lighting::at(self.schedule.clone(), Level::NOMINAL);
+        let restored = self.bench.connect().and_then(|(mut board, _)| Ok(board.configure(configuration)?));
+        restored.map_err(|error| {
+            Finding::warning("configuration", in_full(&error), "reset the board: it starts with its own configuration")
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_named_by_number_and_by_name() {
+        for step in Step::ALL {
+            assert_eq!(step.name().parse::<Step>().unwrap(), step);
+            assert_eq!(step.number().to_string().parse::<Step>().unwrap(), step);
+        }
+        for text in ["0", "11", "Dark", ""] {
+            let error = text.parse::<Step>().unwrap_err().to_string();
+            assert!(error.contains("crosstalk") && error.contains(text), "{error}");
+        }
+        assert_eq!(Step::Storage.to_string(), "step 10 of 10, storage");
+    }
+}

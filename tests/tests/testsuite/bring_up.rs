@@ -1,0 +1,135 @@
+//! `slitpose doctor --bring-up`: a good board passes every step, simulated and emulated, and each flaw that the emulator
+//! plants is named by the step that looks for it.
+
+use std::process::Command;
+
+use super::emulated::Emulator;
+use slitpose_emulator::world::Flaw;
+use slitpose_tests::process::Finished;
+use slitpose_tests::slitpose;
+
+const STEPS: [&str; 10] =
+    ["link", "supply", "dark", "noise", "emitters", "levels", "settling", "crosstalk", "safety", "storage"];
+
+/// Arguments of an emulator as fast as it can, its tool at rest at home.
+const AT_HOME: [&str; 7] = ["wide", "--seed", "5", "--trajectory", "still", "--speed", "max"];
+
+/// Each flaw, the step that must find it, and the words of its finding.
+const FOUND: [(Flaw, &str, &[&str]); 12] = [
+    (Flaw::OpenElectrode, "emitters", &["I_X1 of cell 2 (PC0, CN7-38) sees no light"]),
+    (Flaw::StuckElectrode, "dark", &["I_X2 of cell 4 (PB11, CN10-18)", "stuck at ground"]),
+    (Flaw::NoisyChannel, "noise", &["I_X1 of cell 1 (PA1, CN7-30)", "too noisy"]),
+    (Flaw::DeadEmitter, "emitters", &["emitter 3 gives no light", "PC9"]),
+    (Flaw::SwappedGates, "emitters", &["gates exchanged: gate of emitter 1 (PC7", "gate of emitter 4 (PC10"]),
+    (Flaw::SwappedCells, "emitters", &["inputs exchanged: I_X1 of cell 0 (PA0", "I_X2 of cell 5 (PB15"]),
+    (Flaw::StuckLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) stays at nominal"]),
+    (Flaw::WeakEmitter, "emitters", &["0.50 of it", "emitter 5 is weak"]),
+    (Flaw::SlowFrontEnd, "settling", &["time constant 3.4", "the front end is slow"]),
+    (Flaw::MissingBaffle, "crosstalk", &["too much by emitter 2", "too much by emitter 1"]),
+    (Flaw::LowSupply, "supply", &["V_DDA 3.000 V, expected 3.135 to 3.465 V"]),
+    (Flaw::LostSettings, "storage", &["after a reboot none", "settings are lost"]),
+];
+
+fn bring_up(device: &str, arguments: &[&str]) -> Finished {
+    slitpose!().run([&["doctor", "--bring-up", "--device", device], arguments].concat())
+}
+
+fn text(finished: &Finished) -> String {
+    String::from_utf8(finished.stdout.clone()).expect("UTF-8")
+}
+
+/// Asserts that all steps were taken in their order, and that nothing failed.
+fn assert_well(finished: &Finished) {
+    let text = text(finished);
+    println!("{text}{}", finished.stderr);
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
+    let taken = text.lines().filter(|line| line.starts_with("step "));
+    let expected = (1..).zip(STEPS).map(|(number, name)| format!("step {number} of 10, {name}"));
+    assert!(taken.zip(expected).filter(|(line, start)| line.starts_with(start)).count() == STEPS.len());
+    assert!(!text.lines().any(|line| line.starts_with("failed")));
+}
+
+#[test]
+fn a_simulated_board_passes_every_step() {
+    // Standard input is no terminal: nobody is asked.
+    assert_well(&bring_up("sim", &[]));
+}
+
+#[test]
+fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
+    let emulator = Emulator::start(&AT_HOME);
+    let info = || text(&slitpose!().run(["device", "info", "--device", &emulator.path]));
+    let before = info();
+    let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
+    assert_well(&finished);
+    let text = text(&finished);
+    for place in ["frames", "zero", "level 0", "noise", "stop", "port closed", "storage", "forget"] {
+        assert!(text.lines().any(|line| line.starts_with(&format!("ok       {place:14} "))), "{place}");
+    }
+    for [place, count] in [["emitters", "6"], ["levels", "6"], ["settling", "6"], ["crosstalk", "6"]] {
+        let rows = text.lines().filter(|line| line.starts_with(&format!("ok       {place:14} ")));
+        assert_eq!(rows.count().to_string(), count, "{place}");
+    }
+    let kept = |info: &str| -> Vec<String> {
+        let names = ["serial", "board", "scene", "calibration", "scaling", "schedule"];
+        let is_kept = |line: &&str| names.contains(&line.split(' ').next().unwrap_or_default());
+        info.lines().filter(is_kept).map(str::to_owned).collect()
+    };
+    let (before, after) = (kept(&before), kept(&info()));
+    assert!(before.len() == 6 && before == after, "{before:?} {after:?}");
+    // Settings that were there before are kept.
+    let set = slitpose!().run(["device", "set", "--device", &emulator.path, "--scene", "wide"]);
+    assert_eq!(set.code, 0, "{}", set.stderr);
+    let stored = bring_up(&emulator.path, &["--step", "storage"]);
+    assert_eq!(stored.code, 0, "{}", stored.stderr);
+    assert!(!self::text(&stored).contains("forget"), "{}", self::text(&stored));
+    assert!(info().lines().any(|line| line.starts_with("settings") && line.contains("stored")), "{}", info());
+    // Steps are taken alone, too, by number.
+    let alone = bring_up(&emulator.path, &["--step", "2"]);
+    assert_eq!(alone.code, 0, "{}", alone.stderr);
+    let stdout = String::from_utf8(alone.stdout).expect("UTF-8");
+    assert_eq!(stdout.lines().filter(|line| line.starts_with("step ")).count(), 1, "{stdout}");
+    emulator.close();
+}
+
+#[test]
+fn each_flaw_is_named_by_the_step_that_looks_for_it() {
+    assert!(Flaw::ALL.iter().all(|flaw| FOUND.iter().any(|(found, ..)| found == flaw)));
+    for (flaw, step, words) in FOUND {
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", flaw.name()]].concat());
+        let finished = bring_up(&emulator.path, &["--step", step, "--scene", "wide"]);
+        let text = text(&finished);
+        println!("{}: {}\n{text}{}", flaw.name(), flaw.what(), finished.stderr);
+        assert_eq!(finished.code, 1, "{}", flaw.name());
+        let failed: Vec<&str> = text.lines().filter(|line| line.starts_with("failed")).collect();
+        for word in words {
+            assert!(failed.iter().any(|line| line.contains(word)), "{}: no `{word}`", flaw.name());
+        }
+        assert!(finished.stderr.contains(&format!("take these steps again: {step}")), "{}", finished.stderr);
+        // Nothing but the flaw is complained of.
+        let most = match flaw {
+            Flaw::SlowFrontEnd => 6,
+            Flaw::StuckLevel => 3,
+            Flaw::MissingBaffle => 2,
+            _ => 1,
+        };
+        assert_eq!(failed.len(), most, "{}", flaw.name());
+        emulator.close();
+    }
+}
+
+#[test]
+fn what_the_bring_up_cannot_do_is_refused() {
+    let refused = |arguments: &[&str]| slitpose!().run([&["doctor"], arguments].concat());
+    refused(&["--step", "dark"]).assert_refused(2, &["--bring-up"]);
+    refused(&["--bring-up", "--step", "11"]).assert_refused(2, &["`11`", "crosstalk"]);
+    refused(&["--bring-up", "--bundle", "report.tar.gz"]).assert_refused(2, &["--bundle"]);
+    let missing = refused(&["--bring-up", "--device", "/dev/no-such-board"]);
+    assert_eq!(missing.code, 1, "{}", missing.stderr);
+    assert!(text(&missing).contains("/dev/no-such-board") && text(&missing).contains("slitpose doctor"));
+    let unknown = Command::new(env!("CARGO_BIN_EXE_slitpose-emulator-under-test"))
+        .args(["wide", "--flaw", "broken"])
+        .output()
+        .expect("slitpose-emulator starts");
+    Finished::from(unknown).assert_refused(2, &["`broken`", "dead-emitter"]);
+}
