@@ -1,9 +1,12 @@
 //! `slitpose doctor --bring-up`: a good board passes every step, simulated and emulated, and each flaw that the emulator
 //! plants is named by the step that looks for it.
 
+use std::io::{BufRead, BufReader};
 use std::process::Command;
+use std::time::Duration;
 
 use super::emulated::Emulator;
+use nix::pty::openpty;
 use slitpose_emulator::world::Flaw;
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
@@ -63,7 +66,7 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
     let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
     assert_well(&finished);
     let text = text(&finished);
-    for place in ["frames", "zero", "level 0", "noise", "stop", "port closed", "storage", "forget"] {
+    for place in ["frames", "zero", "level 0", "noise", "codes", "stop", "port closed", "storage", "forget"] {
         assert!(text.lines().any(|line| line.starts_with(&format!("ok       {place:14} "))), "{place}");
     }
     for [place, count] in [["emitters", "6"], ["levels", "6"], ["settling", "6"], ["crosstalk", "6"]] {
@@ -116,6 +119,23 @@ fn each_flaw_is_named_by_the_step_that_looks_for_it() {
         assert_eq!(failed.len(), most, "{}", flaw.name());
         emulator.close();
     }
+}
+
+#[test]
+fn at_a_terminal_a_step_waits_for_enter() {
+    let pair = openpty(None, None).expect("pseudo-terminal");
+    let arguments = ["doctor", "--bring-up", "--device", "sim", "--step", "supply"];
+    let mut child = slitpose!().command(arguments).stdin(pair.slave).spawn().expect("slitpose starts");
+    let mut stderr = BufReader::new(child.stderr.take().expect("piped"));
+    let mut asked = String::new();
+    stderr.read_line(&mut asked).expect("UTF-8");
+    assert!(asked.contains("press Enter"), "{asked}");
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(child.try_wait().expect("a child").is_none(), "it has not waited");
+    nix::unistd::write(&pair.master, b"\n").expect("written");
+    let finished = Finished::from(child.wait_with_output().expect("ends"));
+    assert_eq!(finished.code, 0);
+    assert!(text(&finished).contains("V_DDA 3.300 V"), "{}", text(&finished));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use slitpose_model::{Plan, SceneError, Tier};
 use slitpose_protocol::{
-    AdcScaling, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule,
+    AdcScaling, Configuration, Decoder, HardwareFault, MAX_MESSAGE_BYTES, Message, Rejection, Schedule, Severity,
 };
 use thiserror::Error;
 
@@ -29,6 +29,9 @@ const FIRST_SCANS: usize = 4;
 const SLOWEST: f64 = 10.0;
 const BEGIN: Duration = Duration::from_secs(5);
 
+/// Most warnings and errors of the board that are kept.
+const EVENTS: usize = 3;
+
 /// Why a step could not be done.
 #[derive(Debug, Error)]
 pub(super) enum BenchError {
@@ -49,6 +52,16 @@ pub(super) enum BenchError {
     Version {
         /// Versions of both.
         versions: Versions,
+    },
+    /// The board has stopped by itself.
+    #[error("the board stopped by itself after {got} of {wanted} scans; it said: {}", if events.is_empty() { "nothing" } else { events })]
+    Stopped {
+        /// Scans that came.
+        got: usize,
+        /// Scans asked for.
+        wanted: usize,
+        /// Its warnings and errors.
+        events: String,
     },
     /// Scans that did not come.
     #[error("{got} of {wanted} scans came within {seconds:.0} s")]
@@ -143,16 +156,19 @@ pub(super) fn sample(
         segment.clear();
         board.fill(&mut segment);
         reader.read(&segment.bytes);
-        if !more || reader.scans.len() >= wanted || begun.elapsed() > patience {
+        if !more || reader.scans.len() >= wanted || reader.is_stopped || begun.elapsed() > patience {
             break;
         }
         more = board.listen()?;
     }
     board.stop(Keep::Replies)?;
-    reader.finish(count).ok_or(BenchError::Scans {
-        got: reader.scans.len().saturating_sub(FIRST_SCANS),
-        wanted: count,
-        seconds: begun.elapsed().as_secs_f64(),
+    let got = reader.scans.len().saturating_sub(FIRST_SCANS);
+    reader.finish(count).ok_or_else(|| {
+        if reader.is_stopped {
+            BenchError::Stopped { got, wanted: count, events: reader.events.join("; ") }
+        } else {
+            BenchError::Scans { got, wanted: count, seconds: begun.elapsed().as_secs_f64() }
+        }
     })
 }
 
@@ -189,6 +205,10 @@ struct Reader {
     announced: Option<(u16, Schedule, AdcScaling)>,
     scans: Vec<slitpose_protocol::RawScan>,
     missing: u64,
+    /// The board was acquiring and says that it is idle.
+    is_stopped: bool,
+    /// Its warnings and errors.
+    events: Vec<String>,
     /// Instants of the first bytes with scans, of the last ones, and the number of scans with the first.
     times: Option<(Instant, Instant, usize)>,
 }
@@ -198,14 +218,22 @@ impl Reader {
         let before = self.scans.len();
         while let Some(message) = self.decoder.next::<Message<'_>>(&mut bytes) {
             match (message, &self.announced) {
-                (Ok(Message::Hello(hello)), _) => {
-                    self.announced = Some((hello.configuration, hello.schedule.clone(), hello.scaling));
-                    self.scans.clear();
+                (Ok(Message::Hello(hello)), known) => {
+                    // A board says hello again when a suspended USB port goes on.
+                    let is_new = known.as_ref().is_none_or(|(number, ..)| *number != hello.configuration);
+                    if is_new {
+                        self.announced = Some((hello.configuration, hello.schedule.clone(), hello.scaling));
+                        self.scans.clear();
+                    }
                 }
                 (Ok(Message::Batch(batch)), Some((number, schedule, _))) if batch.configuration == *number => {
                     let due = self.scans.last().map_or(batch.sequence, |scan| scan.sequence + 1);
                     self.missing += batch.sequence.saturating_sub(due);
                     self.scans.extend(batch.scans(schedule).into_iter().flatten());
+                }
+                (Ok(Message::Status(status)), _) => self.is_stopped = !status.acquiring && !self.scans.is_empty(),
+                (Ok(Message::Event(event)), _) if event.severity != Severity::Info && self.events.len() < EVENTS => {
+                    self.events.push(event.text.to_owned());
                 }
                 _ => {}
             }

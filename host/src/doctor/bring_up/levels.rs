@@ -4,8 +4,8 @@ use slitpose_model::Pair;
 use slitpose_protocol::Level;
 
 use super::bench::{Bench, BenchError, sample};
-use super::lighting;
 use super::pins::level_line;
+use super::{codes, lighting};
 use slitpose_head::finding::Finding;
 
 /// Scans of each level.
@@ -24,12 +24,15 @@ const LIT: f64 = 0.15;
 pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let expected = bench.expected()?;
     let (mut board, _) = bench.connect()?;
-    let schedule = lighting::alone(&bench.schedule()?);
+    let base = bench.schedule()?;
+    let schedule = lighting::alone(&base);
     let mut light = Vec::new();
     for level in LEVELS {
         light.push(sample(&mut board, lighting::at(schedule.clone(), level), SCANS)?.all_light());
     }
-    Ok(judge(&light, &expected.own))
+    let mut findings = judge(&light, &expected.own);
+    findings.extend(codes::take(&mut board, &base)?);
+    Ok(findings)
 }
 
 /// How the light of an emitter follows its level.

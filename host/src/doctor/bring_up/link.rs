@@ -65,7 +65,7 @@ fn judge(counted: &Counted) -> [Finding; 2] {
         Finding::failed(
             "frames",
             text,
-            "the host did not read in time, or the MCU is overloaded: lower the load of both",
+            "the host did not read in time, its USB port suspends, or the MCU is overloaded: lower the load of both",
         )
     } else {
         Finding::failed("frames", text, "change cable or hub; data lines of USB as short as possible, side by side")

@@ -5,7 +5,7 @@
 //! | `link` | link and start; supply and temperature |
 //! | `dark` | codes without light; noise |
 //! | `emitters` | each emitter alone |
-//! | `levels` | current against level |
+//! | `levels`, `codes` | current against level; codes on the way |
 //! | `settling` | time constant and delay |
 //! | `crosstalk` | light of other emitters |
 //! | `safety` | dark after Stop and without a host |
@@ -17,6 +17,7 @@
 //! between steps the board is idle without a host.
 
 mod bench;
+mod codes;
 mod crosstalk;
 mod dark;
 mod emitters;
@@ -137,7 +138,10 @@ impl Step {
                 "each cell sees its own emitter, by both electrodes, at 0.6 to 1.6 times the scene's light at home \
                  (spread of such emitters)"
             }
-            Self::Levels => "light in proportion to the level within 2 % of nominal, and none at level 0",
+            Self::Levels => {
+                "light in proportion to the level within 2 % of nominal, and none at level 0; no code missing or \
+                 repeated on the way"
+            }
             Self::Settling => {
                 "the scene's time constant within 30 %; settled to 0.3 codes of full scale within the scene's settling \
                  time (firmware/README.md, bandwidth and settling)"
