@@ -86,7 +86,7 @@ fn judge_supply(status: &Status) -> [Finding; 2] {
     let supply = if range.contains(&volts) {
         Finding::ok("supply", text)
     } else {
-        let next_step = "measure 3.3 V at CN7-16 and V_DDA: regulator, cable, a short or a load that does not belong \
+        let next_step = "measure 3.3 V and V_DDA: regulator, cable, a short or a load that does not belong \
                          there; currents scale with V_DDA";
         Finding::failed("supply", text, next_step)
     };
