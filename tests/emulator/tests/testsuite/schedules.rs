@@ -93,9 +93,9 @@ fn layouts() {
         ("all at once, back to back", &ALL[..], 8_500, 1.0),
         ("pairs without dark", &PAIRS[..3], 42_500, 1.0),
         ("pairs without dark, back to back", &PAIRS[..3], 17_400, 1.0),
-        // Shorter than a DMA transfer may take: the light of the next frame must not go off with the last one's.
-        ("pairs without dark, a short rest", &PAIRS[..3], 17_420, 1.0),
-        ("all at once, a short rest", &ALL[..], 8_520, 1.0),
+        // Slots without a tick in hand and a rest of one: while the last words are moved, all off and the gates of the
+        // next frame both wait, and must not change places.
+        ("pairs without dark, a short rest", &PAIRS[..3], 17_287, 1.0),
         ("dark first", &[PAIRS[3], PAIRS[0], PAIRS[1], PAIRS[2]][..], 42_500, 1.0),
         ("dark in the middle", &[PAIRS[0], PAIRS[3], PAIRS[1], PAIRS[2]][..], 42_500, 1.0),
         ("pairs, back to back", &PAIRS[..], 23_200, 1.0),
@@ -104,8 +104,10 @@ fn layouts() {
         let mut configuration = default_configuration();
         slots(&mut configuration.schedule, sets);
         configuration.schedule.frame_ticks = frame_ticks;
-        if sets == ALL && frame_ticks < 10_000 {
-            configuration.schedule.slot_ticks = 8_500;
+        match frame_ticks {
+            8_500 => configuration.schedule.slot_ticks = frame_ticks,
+            17_287 => configuration.schedule.slot_ticks = shortest_slot(&configuration.schedule),
+            _ => {}
         }
         let level = Level((relative * f64::from(Level::NOMINAL.0)) as u16);
         configuration.levels.iter_mut().for_each(|of| *of = level);

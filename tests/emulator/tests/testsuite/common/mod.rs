@@ -16,9 +16,9 @@ pub fn is_of_silicon(text: &str) -> bool {
     silicon().has(Fault::HseDead) && text.contains("crystal")
 }
 
-/// Ticks by which a DMA transfer may come late: behind another one of its controller.
+/// Ticks by which a DMA transfer may come late: behind three others of its controller.
 pub fn dma_ticks() -> u64 {
-    if silicon().has(Fault::DmaLatency) { 2 * 60 } else { 0 }
+    if silicon().has(Fault::DmaLatency) { 4 * 60 } else { 0 }
 }
 
 /// Ticks after which the supply detector reacts.
