@@ -56,12 +56,15 @@ impl BoardError {
 
     /// Whether the user most likely has to act, so that trying again is not urgent.
     pub(super) fn needs_user(&self) -> bool {
-        !self.is_passing() || matches!(self, Self::Device(DeviceError::NoScans { .. }))
+        let is_silent = matches!(self, Self::Device(DeviceError::NoScans { .. }));
+        is_silent || !self.is_passing() && !self.is_away()
     }
 
-    /// Whether the board is simply not there.
-    pub(super) fn is_absence(&self) -> bool {
-        matches!(self, Self::Device(DeviceError::Missing { .. } | DeviceError::Gone { .. }))
+    /// Whether the board is not there, or its port is in use: another program may probe a port that has just appeared.
+    /// Both may end at any moment.
+    pub(super) fn is_away(&self) -> bool {
+        let Self::Device(error) = self else { return false };
+        matches!(error, DeviceError::Missing { .. } | DeviceError::Gone { .. } | DeviceError::Busy { .. })
     }
 }
 

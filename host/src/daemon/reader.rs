@@ -102,7 +102,7 @@ impl Reader {
             self.slot.link.lost(&error);
             // A board that has just run will most likely run again at once. A board that stays away, or needs the
             // user, is tried less often.
-            let is_soon = self.has_scans || (error.is_absence() && missing_since.elapsed() < RECENTLY);
+            let is_soon = self.has_scans || (error.is_away() && missing_since.elapsed() < RECENTLY);
             self.rest(if is_soon { SOON } else { pause_behind(&error, attempts) });
             attempts = attempts.saturating_add(1);
             if self.stops() {
@@ -232,5 +232,6 @@ mod tests {
         let cause = Scanless::Nothing;
         assert_eq!(seconds(DeviceError::NoScans { name: name(), seconds: 3.0, cause }), growing);
         assert_eq!(seconds(DeviceError::Missing { name: name() }), [0.5; 6]);
+        assert_eq!(seconds(DeviceError::Busy { name: name() }), [0.5; 6]);
     }
 }
