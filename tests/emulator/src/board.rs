@@ -420,6 +420,8 @@ impl<W: World> Board<W> {
         let now = self.effects.now();
         if self.usb_host.is_suspended() {
             self.usb_host.resume(now);
+        } else if self.usb_host.dtr() && self.effects.chance.within(0..=2) == 0 {
+            self.usb_host.reset_bus(now);
         } else if self.usb_host.dtr() {
             self.usb_host.suspend(now);
             self.usb_trouble = now + USB_SUSPENDED_TICKS;

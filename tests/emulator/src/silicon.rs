@@ -29,7 +29,7 @@ pub enum Fault {
     HseDead,
     /// The supply detector reacts 100 µs late.
     PvdSlow,
-    /// The USB host suspends the bus in the middle of streaming, again and again.
+    /// The USB host suspends the bus or resets it in the middle of streaming, again and again.
     UsbHost,
 }
 
@@ -52,7 +52,9 @@ impl Fault {
             Self::FlashTornOnes => "a torn double word reads as erased, and refuses to be programmed (RM0440)",
             Self::HseDead => "the crystal does not start",
             Self::PvdSlow => "the supply detector reacts 100 us late (no figure is published)",
-            Self::UsbHost => "the USB host suspends the bus for 5 ms in the middle of streaming, again and again",
+            Self::UsbHost => {
+                "the USB host suspends the bus for 5 ms or resets it in the middle of streaming, again and again"
+            }
         }
     }
 

@@ -74,8 +74,8 @@ pub struct UsbHost {
     cable: bool,
     /// The cable was pulled since the port was last looked at.
     pulled: bool,
-    /// What to do about suspension, when the bus is free.
-    suspension: Option<Suspension>,
+    /// What to do with the port when the bus is free.
+    order: Option<Order>,
     /// When something is to be done next.
     due: Ticks,
     next_frame: Ticks,
@@ -114,9 +114,10 @@ enum Port {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Suspension {
-    Begin,
-    End,
+enum Order {
+    Suspend,
+    Resume,
+    Reset,
 }
 
 impl Default for UsbHost {
@@ -132,7 +133,7 @@ impl UsbHost {
             port: Port::Watching,
             cable: true,
             pulled: false,
-            suspension: None,
+            order: None,
             due: 0,
             next_frame: Ticks::MAX,
             frame_number: 0,
@@ -165,19 +166,25 @@ impl UsbHost {
 
     /// Stops all traffic, as when the computer sleeps.
     pub fn suspend(&mut self, now: Ticks) {
-        self.suspension = Some(Suspension::Begin);
+        self.order = Some(Order::Suspend);
         self.hurry(now);
     }
 
     /// Wakes the device and goes on.
     pub fn resume(&mut self, now: Ticks) {
-        self.suspension = Some(Suspension::End);
+        self.order = Some(Order::Resume);
+        self.hurry(now);
+    }
+
+    /// Resets the bus in the middle of what goes on; the device is then enumerated anew.
+    pub fn reset_bus(&mut self, now: Ticks) {
+        self.order = Some(Order::Reset);
         self.hurry(now);
     }
 
     /// Whether traffic is stopped, or about to be.
     pub fn is_suspended(&self) -> bool {
-        self.port == Port::Suspended || self.suspension == Some(Suspension::Begin)
+        self.port == Port::Suspended || self.order == Some(Order::Suspend)
     }
 
     /// Opens (`true`) or closes the serial port: sets DTR as soon as the device is configured.
@@ -301,7 +308,7 @@ impl UsbHost {
         self.in_flight = None;
         self.transfer = None;
         self.pipes = None;
-        self.suspension = None;
+        self.order = None;
         self.enumeration.lose();
     }
 
@@ -321,8 +328,8 @@ impl UsbHost {
     }
 
     fn sleep(&mut self, now: Ticks, device: &mut impl FullSpeedDevice) {
-        match self.suspension.take() {
-            Some(Suspension::End) => {
+        match self.order.take() {
+            Some(Order::Resume) => {
                 device.signal(BusSignal::ResumeBegins);
                 self.enter(Port::Resuming { until: now + RESUME_TICKS });
             }

@@ -3,7 +3,7 @@
 use super::attempt::Outcome;
 use super::pipe::{self, Pipe, Pipes};
 use super::transfer::{Progress, Transfer};
-use super::{Port, Received, Suspension, UsbHost, WATCH_TICKS};
+use super::{Order, Port, RESET_TICKS, Received, UsbHost, WATCH_TICKS};
 use crate::peripherals::Ticks;
 use crate::usb_wire::{self, BusSignal, FRAME_TICKS, FullSpeedDevice, InAnswer, OutPacket};
 
@@ -41,13 +41,19 @@ impl UsbHost {
             }
             self.complete(in_flight, now, device);
         }
-        match self.suspension.take() {
-            Some(Suspension::Begin) => {
+        match self.order.take() {
+            Some(Order::Suspend) => {
                 self.port = Port::Suspended;
                 self.due = now + WATCH_TICKS;
                 return;
             }
-            Some(Suspension::End) | None => {}
+            Some(Order::Reset) => {
+                self.lose_device();
+                device.signal(BusSignal::ResetBegins);
+                self.enter(Port::Resetting { until: now + RESET_TICKS });
+                return;
+            }
+            Some(Order::Resume) | None => {}
         }
         if now >= self.next_frame {
             if !device.is_pulled_up() {

@@ -210,7 +210,7 @@ fn a_computer_may_sleep() {
 }
 
 #[test]
-fn a_host_that_suspends_the_bus_again_and_again_loses_what_is_counted() {
+fn a_host_that_suspends_and_resets_the_bus_loses_what_is_counted() {
     let mut talk = Talk::on(Silicon::default().with(Fault::UsbHost));
     assert_eq!(talk.ask(Command::Start), Ok(()));
     // At each of them a transfer may be lost.
