@@ -1,5 +1,5 @@
 //! Everything but the core: memories, peripherals, and the wires between them; the address map is
-//! in `bus`.
+//! in `bus`, what faulty silicon does to the wires in `faults`.
 //!
 //! The board moves in time from event to event. All that happens in one tick is done in this
 //! order: converters hold their samples; timers and the others have their events; trigger edges
@@ -21,12 +21,15 @@ use crate::peripherals::syscfg::Syscfg;
 use crate::peripherals::timer::Timer;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
-use crate::peripherals::{Edge, Effects, Request, ResetCause, TICKS_PER_SECOND, Ticks};
-use crate::silicon::{Fault, Silicon};
+use crate::peripherals::{Edge, Effects, Request, ResetCause, Ticks};
+use crate::silicon::Fault;
 use crate::usb_host::UsbHost;
 use crate::world::World;
 
 mod bus;
+mod faults;
+
+use faults::Faults;
 
 /// Flash wait states that the core needs at 170 MHz (RM0440, "Number of wait states according
 /// to CPU clock frequency", range 1 boost mode).
@@ -37,14 +40,6 @@ const GATE_PORT: usize = 2;
 const FIRST_GATE: u32 = 6;
 /// PC6 to PC11.
 const GATES: u16 = 0x3F;
-
-/// Fault dma-latency: ticks of a transfer.
-const DMA_LATENCY_TICKS: std::ops::RangeInclusive<u64> = 5..=60;
-/// Fault usb-host: ticks for which the bus is suspended, 5 ms, and between two times, 0.2 to 0.6 s.
-const USB_SUSPENDED_TICKS: Ticks = TICKS_PER_SECOND / 200;
-const USB_PAUSE_TICKS: std::ops::RangeInclusive<u64> = TICKS_PER_SECOND / 5..=TICKS_PER_SECOND / 5 * 3;
-/// Fault pvd-slow: the detector's delay, 100 µs.
-const PVD_TICKS: Ticks = TICKS_PER_SECOND / 10_000;
 
 /// Below this supply the brown-out reset holds the device, in volts (data sheet, V_BOR0, falling, typical).
 const BROWN_OUT_V: f64 = 1.64;
@@ -103,21 +98,8 @@ pub struct Board<W> {
     gates: u8,
     levels: [u16; 2],
     gate_log: Option<Vec<GateEdge>>,
-    /// Transfers of DMA1 and DMA2 under way, with fault dma-latency.
-    moving: [Option<Moving>; 2],
-    /// When the detector's output follows the supply, with fault pvd-slow.
-    pvd_due: Ticks,
-    /// When the USB host next suspends the bus or lets it go on, with fault usb-host.
-    usb_trouble: Ticks,
+    faults: Faults,
     next_event: Ticks,
-}
-
-/// A DMA transfer that takes its time.
-#[derive(Clone, Copy, Debug)]
-struct Moving {
-    channel: usize,
-    request: Request,
-    done: Ticks,
 }
 
 impl<W: World> Board<W> {
@@ -149,25 +131,12 @@ impl<W: World> Board<W> {
             gates: 0,
             levels: [0; 2],
             gate_log: None,
-            moving: [None; 2],
-            pvd_due: Ticks::MAX,
-            usb_trouble: Ticks::MAX,
+            faults: Faults::default(),
             next_event: Ticks::MAX,
         };
         board.scramble_ram();
         board.find_next_event();
         board
-    }
-
-    /// Gives the silicon its faults; before the board runs.
-    pub fn set_silicon(&mut self, silicon: Silicon, seed: u64) {
-        self.effects.silicon = silicon;
-        self.effects.chance = Bits::seeded(seed);
-        self.effects.clock_phase = self.effects.chance.within(0..=3);
-        if silicon.has(Fault::UsbHost) {
-            self.usb_trouble = *USB_PAUSE_TICKS.start();
-        }
-        self.find_next_event();
     }
 
     /// Lets the flash pages of the settings be erased at each reset from now on.
@@ -205,7 +174,7 @@ impl<W: World> Board<W> {
     /// that was under way leaves torn cells.
     pub fn reset(&mut self, cause: ResetCause) {
         self.effects.clear_signals();
-        self.moving = [None; 2];
+        self.faults.reset();
         self.flash.reset(&self.effects);
         self.effects.forget_code();
         self.rcc.reset(cause);
@@ -311,12 +280,6 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
-    /// Fault injection: the crystal stops, for good.
-    pub fn stop_crystal(&mut self) {
-        self.effects.silicon = self.effects.silicon.with(Fault::HseDead);
-        self.rcc.lose_crystal(&mut self.effects);
-    }
-
     /// Fault injection: sets OVR of ADC1 (`index` 0) or ADC2 (1).
     pub fn force_adc_overrun(&mut self, index: usize) {
         self.adc12.force_overrun(index, &mut self.effects);
@@ -369,21 +332,7 @@ impl<W: World> Board<W> {
             self.adc345.advance(&mut self.effects, &mut |_, channel| codes.code(channel));
             self.disturb_neighbours();
         }
-        for controller in 0..2 {
-            if let Some(moving) = self.moving[controller].filter(|moving| moving.done == now) {
-                self.moving[controller] = None;
-                // A channel that was stopped meanwhile lets go, unless its access is on the bus already.
-                if self.dma.is_enabled(moving.channel) {
-                    self.carry_out(moving.channel, moving.request);
-                }
-            }
-        }
-        if self.usb_trouble == now {
-            self.trouble_usb();
-        }
-        if self.pvd_due == now {
-            self.follow_pvd();
-        }
+        self.handle_faults(now);
         if self.watchdog.next_event() == now {
             self.watchdog.advance(&mut self.effects);
         }
@@ -415,43 +364,6 @@ impl<W: World> Board<W> {
         self.find_next_event();
     }
 
-    /// Fault usb-host.
-    fn trouble_usb(&mut self) {
-        let now = self.effects.now();
-        if self.usb_host.is_suspended() {
-            self.usb_host.resume(now);
-        } else if self.usb_host.dtr() && self.effects.chance.within(0..=2) == 0 {
-            self.usb_host.reset_bus(now);
-        } else if self.usb_host.dtr() {
-            self.usb_host.suspend(now);
-            self.usb_trouble = now + USB_SUSPENDED_TICKS;
-            return;
-        }
-        self.usb_trouble = now + self.effects.chance.within(USB_PAUSE_TICKS);
-    }
-
-    /// Fault adc-neighbour.
-    #[inline]
-    fn disturb_neighbours(&mut self) {
-        if self.effects.silicon.has(Fault::AdcNeighbour) && self.adc12.is_converting() && self.adc345.is_converting() {
-            self.adc12.disturb(&mut self.effects);
-        }
-    }
-
-    /// Fault dma-latency: each controller that is free begins its next transfer. Gives whether one has.
-    fn begin_transfers(&mut self, ready: u128) -> bool {
-        let mut has_begun = false;
-        for (controller, moving) in self.moving.iter_mut().enumerate().filter(|(_, moving)| moving.is_none()) {
-            let channels = 8 * controller..8 * (controller + 1);
-            if let Some((channel, request)) = self.dma.select(ready, channels) {
-                let done = self.effects.now() + self.effects.chance.within(DMA_LATENCY_TICKS);
-                *moving = Some(Moving { channel, request, done });
-                has_begun = true;
-            }
-        }
-        has_begun
-    }
-
     fn carry_out(&mut self, channel: usize, request: Request) {
         // Acknowledged first: the access itself may raise the next request.
         self.effects.withdraw(request);
@@ -476,11 +388,7 @@ impl<W: World> Board<W> {
             .min(self.flash.next_event())
             .min(self.adc345.next_event())
             .min(self.watchdog.next_event())
-            .min(self.pvd_due)
-            .min(self.usb_trouble);
-        for moving in self.moving.iter().flatten() {
-            self.next_event = self.next_event.min(moving.done);
-        }
+            .min(self.faults.next_event());
     }
 
     /// Tells the world, if gates or levels have changed.
@@ -500,18 +408,8 @@ impl<W: World> Board<W> {
         self.world.drive(at, gates, levels);
     }
 
-    /// Lets the detector see the supply: at once, or late with fault pvd-slow.
-    fn update_pvd(&mut self) {
-        if self.effects.silicon.has(Fault::PvdSlow) {
-            self.pvd_due = self.effects.now() + PVD_TICKS;
-        } else {
-            self.follow_pvd();
-        }
-    }
-
     /// Carries the detector's output to its interrupt line.
     fn follow_pvd(&mut self) {
-        self.pvd_due = Ticks::MAX;
         self.power.compare();
         let low = self.power.is_low();
         if low != self.pvd {

@@ -9,7 +9,7 @@
 //! | [`cpu`] | the core: instructions with their cycles, interrupts, faults |
 //! | [`memory`], [`peripherals`] | the rest of the controller, from its reference manual (RM0440) |
 //! | [`board`], [`machine`] | the controller as a whole: bus, time, resets, supply |
-//! | [`silicon`] | what real silicon does against its manual, to be switched on |
+//! | [`silicon`], [`named`] | what real silicon does against its manual, to be switched on by name |
 //! | [`world`] | emitters, optics, electronics |
 //! | [`usb_wire`], [`usb_host`] | the cable and the computer at its other end |
 //! | [`terminal`] | that computer's serial port, as programs open it |
@@ -27,6 +27,7 @@ pub mod facts;
 pub mod image;
 pub mod machine;
 pub mod memory;
+pub mod named;
 pub mod peripherals;
 pub mod profile;
 pub mod rig;

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use clap::{Parser, ValueEnum};
 use slitpose_emulator::cpu::FaultReport;
 use slitpose_emulator::machine::Stop;
+use slitpose_emulator::named::Named;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Link, OpenError, Rig, open_image};
 use slitpose_emulator::silicon::{Fault, Silicon};
@@ -57,10 +58,10 @@ struct Args {
     #[arg(long, value_name = "N", default_value_t = Speed::Times(1.0), allow_negative_numbers = true)]
     speed: Speed,
     /// What the silicon does against its manual: names separated by commas, or all [default: nothing]
-    #[arg(long, value_name = "FAULTS", env = "SLITPOSE_SILICON", long_help = silicon_help())]
+    #[arg(long, value_name = "FAULTS", env = "SLITPOSE_SILICON", long_help = format!("What the silicon does against its manual: names separated by commas, or all [default: nothing]\n{}", Fault::list()))]
     silicon: Option<Silicon>,
     /// What is wrong with board and head: names separated by commas [default: nothing]
-    #[arg(long, value_name = "FLAWS", long_help = flaw_help())]
+    #[arg(long, value_name = "FLAWS", long_help = format!("What is wrong with board and head: names separated by commas [default: nothing]\n{}", Flaw::list()))]
     flaw: Option<Flaws>,
     /// The board's link that the terminal stands for
     #[arg(long, value_enum, default_value_t = LinkKind::Usb)]
@@ -93,19 +94,6 @@ enum Failure {
     BootLoader,
     #[error("the board is dead: {0}")]
     Lockup(FaultReport),
-}
-
-fn silicon_help() -> String {
-    let lines = Fault::ALL.map(|fault| format!("\n  {:16} {}", fault.name(), fault.what()));
-    format!(
-        "What the silicon does against its manual: names separated by commas, or all [default: nothing]\n{}",
-        lines.concat()
-    )
-}
-
-fn flaw_help() -> String {
-    let lines = Flaw::ALL.map(|flaw| format!("\n  {:16} {}", flaw.name(), flaw.what()));
-    format!("What is wrong with board and head: names separated by commas [default: nothing]\n{}", lines.concat())
 }
 
 /// The name this program talks under.

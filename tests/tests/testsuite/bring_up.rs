@@ -6,7 +6,9 @@ use std::process::Command;
 use std::time::Duration;
 
 use super::emulated::Emulator;
+use clap::ValueEnum;
 use nix::pty::openpty;
+use slitpose_emulator::named::Named;
 use slitpose_emulator::world::Flaw;
 use slitpose_tests::process::Finished;
 use slitpose_tests::slitpose;
@@ -97,9 +99,9 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
 
 #[test]
 fn each_flaw_is_named_by_the_step_that_looks_for_it() {
-    assert!(Flaw::ALL.iter().all(|flaw| FOUND.iter().any(|(found, ..)| found == flaw)));
+    assert!(Flaw::value_variants().iter().all(|flaw| FOUND.iter().any(|(found, ..)| found == flaw)));
     for (flaw, step, words) in FOUND {
-        let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", flaw.name()]].concat());
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", &flaw.name()]].concat());
         let finished = bring_up(&emulator.path, &["--step", step, "--scene", "wide"]);
         let text = text(&finished);
         println!("{}: {}\n{text}{}", flaw.name(), flaw.what(), finished.stderr);

@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 pub(crate) use flaw::LOW_SUPPLY_V;
-pub use flaw::{Flaw, Flaws, UnknownFlaw};
+pub use flaw::{Flaw, Flaws};
 use light::Illumination;
 
 /// Cells a board has converter inputs for.
