@@ -42,7 +42,7 @@ const LEAST_SAMPLING_CODE: usize = 3;
 
 /// Ticks without a conversion after which the next one may be wrong: the 1 ms of ES0430, less a tenth for a clock
 /// that runs late.
-const STALE_TICKS: u32 = TICK_HZ / 1_000 / 10 * 9;
+pub const STALE_TICKS: u32 = TICK_HZ / 1_000 / 10 * 9;
 
 /// Half periods from the hold to the end of a conversion of twelve bits.
 const CONVERSION_HALF_CLOCKS: u32 = 25;
@@ -129,13 +129,15 @@ impl FramePlan {
         }
         check_levels(configuration)?;
         let sampling_code = sampling_code(schedule.conversion_ticks)?;
-        let has_leading_word = longest_pause_ticks(schedule) > STALE_TICKS;
+        let slots = schedule.slots.len();
+        let idle = schedule.frame_ticks - slots as u32 * schedule.slot_ticks;
+        // From the last conversion of a frame to the first of the next.
+        let longest_pause = idle + schedule.slot_ticks - conversions_ticks(schedule);
+        let has_leading_word = longest_pause > STALE_TICKS;
         let trigger_ticks = trigger_ticks(schedule, sampling_code, has_leading_word)?;
         let ranks = schedule.cells + u8::from(has_leading_word);
-        let slots = schedule.slots.len();
         // At most as many slots as emitters, and a dark slot.
         let mut periods: Vec<u32, BOARD_SLOTS> = (0..slots.min(BOARD_SLOTS)).map(|_| schedule.slot_ticks).collect();
-        let idle = schedule.frame_ticks - slots as u32 * schedule.slot_ticks;
         match periods.last_mut() {
             Some(last) if slots <= BOARD_SLOTS => *last += idle,
             _ => return Err(HardwareFault::Timing),
@@ -195,12 +197,9 @@ fn sampling_code(asked_ticks: u32) -> Result<usize, HardwareFault> {
     }
 }
 
-/// The longest time between the end of a conversion and the start of the next.
-fn longest_pause_ticks(schedule: &Schedule) -> u32 {
-    let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
-    let slots = schedule.slots.len() as u32;
-    let idle = schedule.frame_ticks - slots * schedule.slot_ticks;
-    idle + schedule.slot_ticks - conversions * schedule.conversion_ticks
+/// Ticks of the conversions of all cells in a slot.
+fn conversions_ticks(schedule: &Schedule) -> u32 {
+    u32::from(schedule.cells) * u32::from(schedule.oversampling) * schedule.conversion_ticks
 }
 
 fn trigger_ticks(schedule: &Schedule, sampling_code: usize, has_leading_word: bool) -> Result<u32, HardwareFault> {
@@ -230,10 +229,9 @@ fn guard(slot_ticks: u32, trigger_ticks: u32, idle_ticks: u32) -> (u32, bool) {
 }
 
 fn converted_ticks(schedule: &Schedule) -> u32 {
-    let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
     // Counted from the hold of the first conversion. The hold of the last conversion is one
     // conversion earlier than this sum, which therefore covers its end.
-    schedule.settling_ticks + conversions * schedule.conversion_ticks
+    schedule.settling_ticks + conversions_ticks(schedule)
 }
 
 fn done_ticks(schedule: &Schedule) -> u32 {

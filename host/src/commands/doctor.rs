@@ -63,7 +63,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     // An impossible place is told before anything is measured.
     let file = args.bundle.as_deref().map(Output::file).transpose()?;
-    let mut output = Output::open(None)?;
+    let mut report = Report::open()?;
     let examination = examine(&Subject {
         device: &args.board.device,
         search: &args.board.search,
@@ -71,14 +71,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         folder: &args.folder,
         duration_s: args.duration,
     });
-    let has_colours = terminal::has_colours(output.is_terminal());
-    for check in &examination.checks {
-        let text = Tone::from(check.grade).paint(&format!("{check:#}"), has_colours);
-        if let Err(source) = writeln!(output, "{text}") {
-            return Err(output.error(source).into());
-        }
-    }
-    output.finish()?;
+    examination.checks.iter().try_for_each(|check| report.finding(check))?;
+    let (failed, warnings) = report.finish()?;
     if let Some(file) = file {
         let target = file.target().to_owned();
         let bundle = Bundle::of(&examination);
@@ -91,7 +85,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         }
         talk(format_args!("no environment, and no names of users or hosts"));
     }
-    let [failed, warnings] = [Grade::Failed, Grade::Warning].map(|grade| examination.count(grade));
     talk(format_args!("{failed} checks failed, {warnings} with warnings, of {}", examination.checks.len()));
     Ok(if failed == 0 { Outcome::Done } else { Outcome::Failed })
 }
@@ -105,6 +98,18 @@ struct Report {
 }
 
 impl Report {
+    fn open() -> Result<Self, OutputError> {
+        let output = Output::open(None)?;
+        let has_colours = terminal::has_colours(output.is_terminal());
+        Ok(Self { output, has_colours, failed: 0, warnings: 0 })
+    }
+
+    /// The numbers of failures and warnings.
+    fn finish(self) -> Result<(usize, usize), OutputError> {
+        self.output.finish()?;
+        Ok((self.failed, self.warnings))
+    }
+
     fn finding(&mut self, finding: &Finding) -> Result<(), OutputError> {
         self.failed += usize::from(finding.grade == Grade::Failed);
         self.warnings += usize::from(finding.grade == Grade::Warning);
@@ -119,9 +124,7 @@ impl Report {
 
 fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandError> {
     let (device, search) = (&args.board.device, &args.board.search[..]);
-    let output = Output::open(None)?;
-    let has_colours = terminal::has_colours(output.is_terminal());
-    let mut report = Report { output, has_colours, failed: 0, warnings: 0 };
+    let mut report = Report::open()?;
     let asks = !args.yes && io::stdin().is_terminal();
     let mut findings = Vec::new();
     let scene = scene_of_bring_up(device, search, given, &mut findings);
@@ -158,8 +161,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
             Err(finding) => report.finding(&finding)?,
         }
     }
-    let Report { output, failed, warnings, .. } = report;
-    output.finish()?;
+    let (failed, warnings) = report.finish()?;
     talk(format_args!("{failed} findings failed, {warnings} with warnings"));
     if !failed_steps.is_empty() {
         talk(format_args!("put right what failed and take these steps again: {}", failed_steps.join(", ")));

@@ -20,8 +20,13 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 const SLOWEST: f64 = 10.0;
 const BEGIN: Duration = Duration::from_secs(5);
 
+/// How long to wait for a measurement that takes `duration_s` of a board's time.
+pub(super) fn patience(duration_s: f64) -> Duration {
+    BEGIN + Duration::try_from_secs_f64(SLOWEST * duration_s).unwrap_or(Duration::MAX)
+}
+
 /// Largest relative difference of rates explained by crystals, and by packets cut at both ends of a second.
-const RATE_SLACK: f64 = 0.05;
+pub(super) const RATE_SLACK: f64 = 0.05;
 
 /// Least share of scans with a pose for a tool in its workspace.
 const POSES: f64 = 0.99;
@@ -102,7 +107,7 @@ pub(super) fn measure(
     board.configure(configuration)?;
     board.start()?;
     let started = Instant::now();
-    let patience = BEGIN + Duration::try_from_secs_f64(SLOWEST * duration_s).unwrap_or(Duration::MAX);
+    let patience = patience(duration_s);
     take(&mut pipeline, board)?;
     let mut first: Option<(u64, Instant)> = None;
     let mut received = (0, 0.0);

@@ -18,7 +18,7 @@ pub(crate) use bring_up::{BringUp, Step, scene as scene_of_bring_up};
 pub(crate) use bundle::Bundle;
 
 use crate::device::{BoardInfo, Search, Selector};
-use slitpose_head::finding::{Finding, Grade};
+use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 
 /// Bytes per second assumed for a board that was not measured: 4 000 scans of 60 bytes.
@@ -53,11 +53,6 @@ pub(crate) struct Examination {
 }
 
 impl Examination {
-    /// The number of findings of `grade`.
-    pub(crate) fn count(&self, grade: Grade) -> usize {
-        self.checks.iter().filter(|check| check.grade == grade).count()
-    }
-
     /// The findings for people: one line per check, and one for the next step if there is one.
     pub(crate) fn text(&self) -> String {
         self.checks.iter().map(|check| format!("{check:#}\n")).collect()

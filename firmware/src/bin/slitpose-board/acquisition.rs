@@ -300,15 +300,12 @@ impl Run {
     /// Ticks from `now` until the next conversion begins; `None` during conversions.
     fn pause_ticks(&self, now: u64) -> Option<u32> {
         // The next frame to be handed out began less than the ring or a longest frame ago.
-        let into_frame = now.saturating_sub(self.tick) as u32 % self.plan.frame_ticks;
-        let slot = (into_frame / self.plan.periods[0]).min(self.plan.periods.len() as u32 - 1);
-        let into_slot = into_frame - slot * self.plan.periods[0];
-        let FramePlan { trigger_ticks, converted_ticks, periods, .. } = &self.plan;
-        if into_slot < *trigger_ticks {
+        let At { into_slot, to_next, .. } = self.at(now.saturating_sub(self.tick) as u32 % self.plan.frame_ticks);
+        let FramePlan { trigger_ticks, converted_ticks, .. } = self.plan;
+        if into_slot < trigger_ticks {
             Some(trigger_ticks - into_slot)
         } else {
-            let is_over = into_slot >= *converted_ticks;
-            is_over.then(|| periods[slot as usize].saturating_sub(into_slot) + trigger_ticks)
+            (into_slot >= converted_ticks).then_some(to_next + trigger_ticks)
         }
     }
 
@@ -374,7 +371,7 @@ impl Run {
             return (first <= most && second <= most).then_some(finished);
         };
         // Words of the slot are coming in; near its edges also words of a neighbouring slot.
-        let slack = if at.is_at_edge { ranks } else { 0 };
+        let slack = if at.is_at_edge() { ranks } else { 0 };
         let expected = (at.slot * ranks).saturating_sub(slack)..=(at.slot + 1) * ranks + slack;
         let is_in_step = first.abs_diff(second) <= 1 && expected.contains(&first) && self.rounds_fit(&at, look);
         is_in_step.then_some(finished)
@@ -383,7 +380,7 @@ impl Run {
     fn rounds_fit(&self, at: &At, look: Look) -> bool {
         let slots = self.plan.periods.len() as u32;
         self.rounds.iter().zip(look.rounds_left).all(|(&(_, step), left)| {
-            let is_near = at.is_at_edge || at.into_slot.abs_diff(step) < EDGE_TICKS;
+            let is_near = at.is_at_edge() || at.into_slot.abs_diff(step) < EDGE_TICKS;
             let done = at.slot + u32::from(at.into_slot > step);
             is_near || u32::from(left) == slots - done % slots
         })
@@ -392,14 +389,16 @@ impl Run {
     /// Place of `now` in the frame after `finished` frames; `None` before that frame begins.
     fn slot_at(&self, now: u64, finished: u64) -> Option<At> {
         let start = self.tick + finished * u64::from(self.plan.frame_ticks);
-        let into_frame = now.checked_sub(start)? as u32;
-        let last = self.plan.periods.len() as u32 - 1;
-        let period = self.plan.periods[0];
+        Some(self.at(now.checked_sub(start)? as u32))
+    }
+
+    /// The place that is `into_frame` ticks behind the start of a frame.
+    fn at(&self, into_frame: u32) -> At {
         // All slots but the last have the period of the first.
-        let slot = if last == 0 { 0 } else { (into_frame / period).min(last) };
+        let period = self.plan.periods[0];
+        let slot = (into_frame / period).min(self.plan.periods.len() as u32 - 1);
         let into_slot = into_frame - slot * period;
-        let to_next = self.plan.periods[slot as usize].saturating_sub(into_slot);
-        Some(At { slot, into_slot, is_at_edge: into_slot < EDGE_TICKS || to_next < EDGE_TICKS })
+        At { slot, into_slot, to_next: self.plan.periods[slot as usize].saturating_sub(into_slot) }
     }
 }
 
@@ -407,9 +406,16 @@ impl Run {
 #[derive(Debug, Clone, Copy)]
 struct At {
     slot: u32,
+    /// Ticks from the start of the slot, and to the next one.
     into_slot: u32,
+    to_next: u32,
+}
+
+impl At {
     /// Near the beginning or the end of the slot.
-    is_at_edge: bool,
+    fn is_at_edge(&self) -> bool {
+        self.into_slot < EDGE_TICKS || self.to_next < EDGE_TICKS
+    }
 }
 
 /// DMA channels of a run that make one step a slot, and the tick of the step in its slot.

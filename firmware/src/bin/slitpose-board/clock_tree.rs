@@ -2,7 +2,7 @@
 //! own oscillator if the crystal does not start.
 //!
 //! The HAL (embassy-stm32 0.6.0) cannot do this: it waits for a crystal for ever, changes system clock and bus clock in
-//! one store, and its register map has the boost bit in the wrong place. It is left to believe in the 16 MHz from which
+//! one store, and does not raise the core voltage. It is left to believe in the 16 MHz from which
 //! the MCU starts, and the two that ask it are told otherwise: its own time driver here, and the serial port by
 //! [`believed_baud`].
 
@@ -13,14 +13,16 @@ use embassy_stm32::pac::timer::vals::Urs;
 use slitpose_firmware::pcb::TICK_HZ;
 use slitpose_protocol::ClockSource;
 
-use crate::supply;
-
 /// The MCU's own oscillator, from which it starts.
 const START_HZ: u32 = 16_000_000;
 
 /// Looks for the crystal's ready flag, 10 µs apart, before the crystal is given up: five times its typical start-up
 /// of 2 ms (DS12288, HSE oscillator characteristics, t_SU).
 const CRYSTAL_LOOKS: u32 = 1_000;
+
+/// R1MODE of PWR_CR5: clear for the core voltage that more than 150 MHz need. The register map (stm32-metapac 21.0.0)
+/// has the bit in the wrong place.
+const NORMAL_MODE: u32 = 1 << 8;
 
 /// Ticks of embassy's clock, per second.
 const TIME_HZ: u32 = embassy_time::TICK_HZ as u32;
@@ -48,7 +50,7 @@ pub fn raise() -> ClockSource {
     pac::RCC.cr().modify(|w| w.set_pllon(true));
     while !pac::RCC.cr().read().pllrdy() {}
     pac::RCC.cfgr().modify(|w| w.set_hpre(Hpre::DIV2));
-    supply::boost();
+    pac::PWR.cr5().modify(|w| w.0 &= !NORMAL_MODE);
     pac::FLASH.acr().modify(|w| w.set_latency(Latency::WS4));
     while pac::FLASH.acr().read().latency() != Latency::WS4 {}
     pac::RCC.cfgr().modify(|w| w.set_sw(Sw::PLL1_R));

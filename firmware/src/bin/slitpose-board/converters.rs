@@ -48,7 +48,6 @@ fn both() -> [Adc; 2] {
     [pac::ADC1, pac::ADC2]
 }
 
-/// Waits for `done`.
 fn wait(patience: u32, mut done: impl FnMut() -> bool) -> Result<(), Unresponsive> {
     if (0..patience).any(|_| done()) { Ok(()) } else { Err(Unresponsive) }
 }
@@ -95,9 +94,9 @@ impl Converters {
     }
 
     /// Ends sampling, and switches both off until the next run: a converter that was only stopped takes channel 0
-    /// first (ES0430, "ADC channel 0 converted instead of the required ADC channel"). Drops the conversion under way, and also a word that the DMA has not
-    /// fetched: the request for that word would outlive the stop and put the word ahead of
-    /// the next run's words.
+    /// first (ES0430, "ADC channel 0 converted instead of the required ADC channel"). Drops the conversion under way,
+    /// and also a word that the DMA has not fetched: the request for that word would outlive the stop and put the word
+    /// ahead of the next run's words.
     pub fn stop(&mut self) -> Result<(), Unresponsive> {
         let mut outcome = Ok(());
         for adc in both() {

@@ -118,26 +118,26 @@ async fn main(spawner: Spawner) {
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
     );
+    let hashes = settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes);
+    // Another firmware may have left settings that this board cannot run.
+    let configuration = settings.map(|settings| settings.configuration).filter(can_run);
     let identity = Identity {
         device_id: embassy_stm32::uid::uid(),
         kind: BoardKind::Physical,
         board: "NUCLEO-G474RE",
         reset_cause,
-        hashes: settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes),
+        hashes,
         scaling: default_scaling(),
         clock,
-        settings: match &settings {
+        settings: match &configuration {
             _ if is_passed_over => SettingsSource::PassedOver,
-            Some(stored) if can_run(&stored.configuration) => SettingsSource::Stored,
-            _ => SettingsSource::Defaults,
+            Some(_) => SettingsSource::Stored,
+            None => SettingsSource::Defaults,
         },
     };
-    // Another firmware may have left settings that this board cannot run.
-    let configuration = settings.map(|settings| settings.configuration).filter(|stored| can_run(stored));
-    let configuration = configuration.unwrap_or_else(default_configuration);
     static QUEUE: ConstStaticCell<[u8; QUEUE_BYTES]> = ConstStaticCell::new([0; QUEUE_BYTES]);
     let queue: &'static mut [u8] = QUEUE.take();
-    let Ok(board) = Board::new(hardware, identity, configuration, queue) else {
+    let Ok(board) = Board::new(hardware, identity, configuration.unwrap_or_else(default_configuration), queue) else {
         faults::give_up();
     };
     static CORE: StaticCell<Core> = StaticCell::new();

@@ -8,6 +8,7 @@ use embassy_stm32::pac::adc::vals::SampleTime;
 use embassy_stm32::peripherals::ADC5;
 use embassy_stm32::{Peri, pac, rcc};
 use slitpose_firmware::pcb::TICK_HZ;
+use slitpose_firmware::pcb::frame_plan::STALE_TICKS;
 
 use crate::converters::{Unresponsive, enable, power_up};
 
@@ -25,9 +26,6 @@ const SENSOR_CYCLES: u32 = TICK_HZ / 1_000_000 * 120;
 
 /// Ticks for which a pause is waited for: more than the default frame.
 const PATIENCE_TICKS: u32 = TICK_HZ / 2_500;
-
-/// Ticks after which a conversion comes too late after the one before: 0.9 ms.
-const STALE_TICKS: u32 = TICK_HZ / 1_000 / 10 * 9;
 
 /// Inputs of ADC5 (RM0440, ADC internal channels).
 const SENSOR: u8 = 4;
@@ -77,7 +75,8 @@ impl Sensors {
     }
 
     /// Measures both, each in a pause of the other converters: `pause_ticks` gives the ticks that are left of it.
-    /// Takes some 20 µs, or up to 0.4 ms if there are pauses; without a pause that is long enough there is no reading.
+    /// Takes some 20 µs while nothing else converts, and waits for each of three pauses for 0.4 ms at most; without one
+    /// that is long enough by then there is no reading.
     pub fn read(&mut self, pause_ticks: impl FnMut() -> Option<u32>) -> Readings {
         let [supply_v, temperature_k] = self.try_read(pause_ticks).unwrap_or([f32::NAN; 2]);
         Readings { supply_v, temperature_k }

@@ -13,17 +13,7 @@ const THRESHOLD: u8 = 6;
 /// The detector's line among the external interrupts.
 const LINE: usize = 16;
 
-/// R1MODE of PWR_CR5: clear for the voltage that more than 150 MHz need.
-const NORMAL_MODE: u32 = 1 << 8;
-
 static FELL: AtomicBool = AtomicBool::new(false);
-
-/// Raises the core voltage. To be called before the clock is raised, and after every reset
-/// of the power control (PWR). The HAL attempts this itself, but its register map
-/// (stm32-metapac 21.0.0) has the bit in the wrong place.
-pub fn boost() {
-    pac::PWR.cr5().modify(|w| w.0 &= !NORMAL_MODE);
-}
 
 /// Watches the supply from now on.
 pub fn watch() {

@@ -14,6 +14,7 @@ use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find,
     locate,
 };
+use crate::doctor::measurement::patience;
 use crate::link::{Segment, Versions};
 use slitpose_head::front_end::{self, TimingError};
 use slitpose_head::scene_file::SceneFile;
@@ -24,10 +25,6 @@ const HELLO_WITHIN: Duration = Duration::from_millis(2500);
 
 /// Scans after a start that are left out: the first may hold light of what was lit before.
 const FIRST_SCANS: usize = 4;
-
-/// Time limit of a measurement: this many times its duration, for slow emulators, and the time to begin.
-const SLOWEST: f64 = 10.0;
-const BEGIN: Duration = Duration::from_secs(5);
 
 /// Most warnings and errors of the board that are kept.
 const EVENTS: usize = 3;
@@ -145,7 +142,7 @@ pub(super) fn sample(
     count: usize,
 ) -> Result<Sampling, BenchError> {
     let wanted = count + FIRST_SCANS;
-    let patience = BEGIN + Duration::from_secs_f64(SLOWEST * wanted as f64 / configuration.schedule.frame_rate_hz());
+    let patience = patience(wanted as f64 / configuration.schedule.frame_rate_hz());
     board.configure(configuration)?;
     board.start()?;
     let begun = Instant::now();

@@ -11,9 +11,6 @@ use slitpose_head::finding::Finding;
 /// Duration of the measurement, seconds.
 const DURATION_S: f64 = 2.0;
 
-/// Largest relative difference of rates: the MCU's own oscillator is of the 1 % class, and packets are cut at both ends.
-const RATE_SLACK: f64 = 0.05;
-
 /// What was counted in `DURATION_S`.
 #[derive(Clone, Copy, Debug)]
 struct Counted {
@@ -50,7 +47,7 @@ fn judge(counted: &Counted) -> [Finding; 2] {
     let &Counted { scans, missing, elapsed_s, scheduled_hz, lost_on_board, overruns } = counted;
     let rate_hz = scans as f64 / elapsed_s;
     let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule, within 5 %");
-    let rate = if (rate_hz / scheduled_hz - 1.0).abs() <= RATE_SLACK {
+    let rate = if (rate_hz / scheduled_hz - 1.0).abs() <= measurement::RATE_SLACK {
         Finding::ok("frame rate", text)
     } else {
         // An emulated board, or a busy host, and no fault of the board's clock that keeps poses from coming.

@@ -48,6 +48,19 @@ fn until_lit_and_awake(bench: &mut Bench) {
     panic!("never lit and awake");
 }
 
+/// Lets time pass until the light is on, in phase `n`; gives the instant, and forgets what was before.
+fn lit_in_phase(bench: &mut Bench, n: u64) -> Ticks {
+    change_phase(bench, n);
+    until_lit_and_awake(bench);
+    bench.forget();
+    bench.rig.now()
+}
+
+/// How long the gates went on behind `event`, of what is recorded since.
+fn dark_after(bench: &mut Bench, event: Ticks) -> Ticks {
+    bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at - event
+}
+
 /// Sends the core to `address`.
 fn jump(bench: &mut Bench, address: u32) {
     let cpu = &mut bench.rig.machine().cpu;
@@ -215,15 +228,11 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
     let mut bench = lit();
     let mut longest = 0;
     for n in 0..20 {
-        change_phase(&mut bench, n);
-        until_lit_and_awake(&mut bench);
-        bench.forget();
-        let event = bench.rig.now();
+        let event = lit_in_phase(&mut bench, n);
         // Less than the watchdog waits.
         bench.rig.machine().halt_until(event + 50 * MS);
         assert_eq!(bench.gates(), 0, "halted in the dark");
-        let dark = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at;
-        longest = longest.max(dark - event);
+        longest = longest.max(dark_after(&mut bench, event));
         bench.run_ms(50);
         let scans = bench.scans();
         assert!(scans.len() >= 190, "it goes on: {}", scans.len());
@@ -255,8 +264,8 @@ fn a_crystal_that_stops_ends_the_light_at_once_and_the_next_start_does_without()
     let event = bench.rig.now();
     bench.rig.machine().board.stop_crystal();
     bench.run_ms(50);
-    let dark = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at;
-    assert!(dark - event <= AT_ONCE_TICKS, "{}", dark - event);
+    let lit = dark_after(&mut bench, event);
+    assert!(lit <= AT_ONCE_TICKS, "{lit}");
     assert_comes_back(&mut bench, ResetCause::Panic);
     assert_eq!(bench.ask_status().clock, ClockSource::CrystalFailed);
     assert!(bench.events().iter().any(|text| text.contains("crystal did not start")), "{:?}", bench.events());
@@ -267,13 +276,10 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
     let mut bench = lit();
     let mut longest = 0;
     for n in 0..20 {
-        change_phase(&mut bench, n);
-        until_lit_and_awake(&mut bench);
-        bench.forget();
-        let event = bench.rig.now();
+        let event = lit_in_phase(&mut bench, n);
         bench.rig.machine().set_supply_v(2.8);
         bench.run_ms(5);
-        let lit = bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at - event;
+        let lit = dark_after(&mut bench, event);
         longest = longest.max(lit);
         assert!(lit <= AT_ONCE_TICKS + detector_ticks(), "{lit}");
         assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
