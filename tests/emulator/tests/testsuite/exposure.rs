@@ -2,7 +2,8 @@
 
 use std::fs;
 
-use crate::common::light::{Bench, level_code, light_on};
+use crate::common::light::{Bench, light_on};
+use crate::common::pins::level_code;
 use slitpose_emulator::rig::WORLD_TIER;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;

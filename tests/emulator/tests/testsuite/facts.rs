@@ -1,7 +1,7 @@
 //! What the image writes into the registers, against numbers from outside the project
 //! (`tests/data/stm32g474/facts.csv`): an error of reading that image and emulator share would show here.
 
-use crate::common::light::level_code;
+use crate::common::pins::level_code;
 use crate::common::registers::{channel_of, multiplexer, register};
 use crate::common::silicon;
 use crate::common::talk::{MS, Talk};

@@ -5,7 +5,8 @@
 //! exact, and a tolerance of zero ticks is what is asserted unless stated. A real transfer
 //! controller takes some ten ticks from request to write, and a few more when the bus is busy.
 
-use crate::common::light::{Bench, check_counters, check_pins, run, tick_offset, worst_codes};
+use crate::common::light::{Bench, check_counters, run, tick_offset, worst_codes};
+use crate::common::pins::check_pins;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_protocol::{Command, Configuration, EmitterSet, Level, Schedule};
 

@@ -1,9 +1,7 @@
 //! A board on the bench: what its host hears, and every change of its emitter pins and every
 //! instant at which a converter holds a sample.
 
-use super::wiring::{inputs, level_line};
-use super::{dma_ticks, is_of_silicon, silicon, trigger_ticks};
-use slitpose_emulator::facts;
+use super::{dma_ticks, is_of_silicon, silicon};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
@@ -19,14 +17,6 @@ use slitpose_protocol::{
 };
 
 pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
-
-/// By so much the emitters of a lit last slot go off ahead of the slot's end if the frame has an
-/// idle rest: 0.2 µs, rounded (firmware/README.md, "A frame").
-const OFF_LEAD_S: std::ops::Range<f64> = 0.15e-6..0.25e-6;
-
-/// Ticks after the start of a slot within which the level lines have its levels: the compare that
-/// writes them comes one tick after the update that switches the gates.
-pub const LEVEL_TICKS: u64 = 1;
 
 /// Gates and level codes from `at` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -324,143 +314,6 @@ pub fn run(bench: &mut Bench, configuration: &Configuration, ms: u64) -> (Vec<Ra
     let start = zero + u64::from(period);
     assert!((0..=dma_ticks()).contains(&(seen - start)), "{} ticks from the timer to the pins", seen - start);
     (bench.scans(), start)
-}
-
-/// Checks every change of the gates and every hold against the instants of `schedule`, for the
-/// frames that are whole; gives their number.
-pub fn check_pins(record: &Recorder, configuration: &Configuration, start: Ticks) -> u64 {
-    let Configuration { schedule, levels, .. } = configuration;
-    let frame_ticks = u64::from(schedule.frame_ticks);
-    let (cells, oversampling) = (usize::from(schedule.cells), u64::from(schedule.oversampling));
-    let wired = inputs();
-    // Before the first frame the converters work for nobody.
-    let holds = &record.holds[record.holds.partition_point(|hold| hold.at < start)..];
-    let leading = leading_cells(schedule, holds.first().map_or(start, |hold| hold.at) - start);
-    let holds_a_frame = 2 * schedule.slots.len() * (leading + cells) * usize::from(schedule.oversampling);
-    let frames = holds.len() / holds_a_frame;
-    for (n, frame) in holds.chunks_exact(holds_a_frame).enumerate() {
-        let mut held = frame.iter();
-        for slot in 0..schedule.slots.len() {
-            let ahead = std::iter::repeat_n((0, oversampling * u64::from(schedule.conversion_ticks)), leading);
-            for (cell, earlier) in ahead.chain((0..cells).map(|cell| (cell, 0))) {
-                let inputs = wired.map(|inputs| inputs[cell]);
-                let first = schedule.first_sample_ticks(slot, cell).expect("it has them") - earlier;
-                for conversion in 0..oversampling {
-                    let at = start + n as u64 * frame_ticks + first + conversion * u64::from(schedule.conversion_ticks);
-                    let pair = [held.next(), held.next()];
-                    let [Some(first), Some(second)] = pair else { panic!("holds are whole") };
-                    let title = format!("frame {n}, slot {slot}, cell {cell}, conversion {conversion}");
-                    assert!((at..=at + trigger_ticks()).contains(&first.at), "{title}: {first:?} instead of {at}");
-                    let expected = [1, 2].map(|adc| Hold { at: first.at, adc, channel: inputs[usize::from(adc) - 1] });
-                    assert_eq!([*first, *second], expected, "{title}");
-                }
-            }
-        }
-    }
-    // A Stop may cut the last frame short behind its last hold.
-    let uncut = frames.saturating_sub(1) as u64;
-    let expected = gate_edges(record, schedule, start, uncut);
-    let end = expected.last().map_or(start, |edge| edge.0) + 1 + dma_ticks();
-    let mut gates = 0;
-    let changes = record.drives.iter().filter(|drive| {
-        let is_change = drive.gates != gates;
-        gates = drive.gates;
-        is_change && drive.at < end
-    });
-    let seen: Vec<_> = changes.map(|drive| (drive.at, drive.gates)).collect();
-    for (seen, expected) in seen.iter().zip(&expected) {
-        let late = expected.0..=expected.0 + dma_ticks();
-        assert!(seen.1 == expected.1 && late.contains(&seen.0), "{seen:?}, not {expected:?}, of a start at {start}");
-    }
-    // While DMA is late the frame behind may have begun.
-    let most = expected.len() + usize::from(dma_ticks() > 0);
-    assert!((expected.len()..=most).contains(&seen.len()), "{} edges, {} expected", seen.len(), expected.len());
-    check_levels(record, schedule, levels, start, uncut);
-    frames as u64
-}
-
-/// Words ahead of those of the cells in each slot, if the first conversion after a frame's start comes `first` ticks
-/// behind it. The first conversion more than a millisecond after the one before may be wrong (ES0430), so that there
-/// has to be one; where half a millisecond is never exceeded there is none.
-fn leading_cells(schedule: &Schedule, first: Ticks) -> usize {
-    let leading = usize::from(first < schedule.first_sample_ticks(0, 0).expect("it has a cell"));
-    let idle = schedule.frame_ticks - schedule.slots.len() as u32 * schedule.slot_ticks;
-    let conversions = u32::from(schedule.cells) * u32::from(schedule.oversampling);
-    let pause = idle + schedule.slot_ticks - conversions * schedule.conversion_ticks;
-    assert!(leading == 1 || pause < 170_000, "a pause of {pause} ticks");
-    assert!(leading == 0 || pause > 85_000, "a pause of {pause} ticks");
-    leading
-}
-
-/// By so much the emitters went off ahead of the end of a lit last slot, in frames whose idle rests begin at
-/// `rests`: the earliest, where transfers take their time.
-fn off_lead_ticks(record: &Recorder, rests: impl Iterator<Item = Ticks>) -> Ticks {
-    let most = (OFF_LEAD_S.end * TICKS_PER_SECOND as f64) as Ticks;
-    let mut drives = record.drives.iter();
-    let leads = rests.filter_map(|rest| {
-        let dark = drives.find(|drive| drive.at + most >= rest && drive.gates == 0)?;
-        Some((rest + most).saturating_sub(dark.at))
-    });
-    let lead = leads.max().expect("it goes dark").saturating_sub(most);
-    assert!(OFF_LEAD_S.contains(&(lead as f64 / TICKS_PER_SECOND as f64)), "{lead} ticks");
-    lead
-}
-
-/// Changes of the gates in the first `frames` frames of `schedule`.
-fn gate_edges(record: &Recorder, schedule: &Schedule, start: Ticks, frames: u64) -> Vec<(Ticks, u8)> {
-    let (slot_ticks, frame_ticks) = (u64::from(schedule.slot_ticks), u64::from(schedule.frame_ticks));
-    let slots = schedule.slots.len() as u64;
-    let has_rest = frame_ticks > slots * slot_ticks;
-    let is_lit = schedule.slots.last().is_some_and(|set| !set.is_dark());
-    let rests = (0..frames).map(|n| start + n * frame_ticks + slots * slot_ticks);
-    let lead = if has_rest && is_lit && frames > 0 { off_lead_ticks(record, rests) } else { 0 };
-    let mut edges: Vec<(Ticks, u8)> = Vec::new();
-    for frame in (0..frames).map(|n| start + n * frame_ticks) {
-        for (slot, set) in (0..).zip(&schedule.slots) {
-            edges.push((frame + slot * slot_ticks, set.0 as u8));
-        }
-        if has_rest {
-            edges.push((frame + slots * slot_ticks - lead, 0));
-        }
-    }
-    let mut gates = 0;
-    edges.retain(|edge| std::mem::replace(&mut gates, edge.1) != edge.1);
-    edges
-}
-
-/// DAC code of a level: nominal is the middle of the DAC's range (firmware/README.md, "Emitter drive").
-pub fn level_code(level: Level) -> u16 {
-    let nominal = f64::from(1 << (facts::bits("DAC_bits") - 1));
-    (level.relative() * nominal).round() as u16
-}
-
-/// Checks that in each lit slot the level lines of its emitters have their codes from just after
-/// its start to its end.
-fn check_levels(record: &Recorder, schedule: &Schedule, levels: &[Level], start: Ticks, frames: u64) {
-    let lines: Vec<_> = (0..levels.len()).map(level_line).collect();
-    let mut drives = record.drives.iter().peekable();
-    let mut now = Drive { at: 0, gates: 0, levels: [0; 2] };
-    for frame in 0..frames {
-        for (slot, set) in (0..).zip(&schedule.slots) {
-            let slot_begin = start + frame * u64::from(schedule.frame_ticks) + slot * u64::from(schedule.slot_ticks);
-            // Behind the gates and the other line.
-            let begin = slot_begin + LEVEL_TICKS + 2 * dma_ticks();
-            let end = slot_begin + u64::from(schedule.slot_ticks);
-            while let Some(drive) = drives.next_if(|drive| drive.at <= begin) {
-                now = *drive;
-            }
-            loop {
-                for emitter in set.emitters() {
-                    let (line, code) = (lines[emitter], level_code(levels[emitter]));
-                    assert_eq!(now.levels[line], code, "frame {frame}, slot {slot}, line {line}: {now:?}");
-                }
-                match drives.next_if(|drive| drive.at < end) {
-                    Some(drive) => now = *drive,
-                    None => break,
-                }
-            }
-        }
-    }
 }
 
 /// Checks that `scans` follow one another one frame apart and none is missing.

@@ -2,6 +2,7 @@
 
 pub mod chain;
 pub mod light;
+pub mod pins;
 pub mod registers;
 pub mod talk;
 pub mod wiring;
