@@ -5,7 +5,10 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use glam::DVec3;
-use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Solver, Start, Tier};
+use slitpose_model::{
+    Converters, MotionPrior, Photocurrents, Plan, Pose, Profile, ProfileShape, Scene, Solver, Start, Stray, Tier,
+    Window,
+};
 
 #[path = "../tests/testsuite/common/mod.rs"]
 mod common;
@@ -22,16 +25,66 @@ fn poses() -> Vec<Pose> {
         .collect()
 }
 
+/// A profile like that of the CQY36N: every 5°, three decimals.
+fn tabulated() -> Scene {
+    let mut scene = wide();
+    let relative = |gamma: f64| {
+        let (c, z) = (gamma.cos(), 1.0 - gamma.cos());
+        (c.powf(1.247) * (1.0 + 0.1 * z - 0.15 * z * z) * 1e3).round() * 1e-3
+    };
+    let knots = (0..18).map(|i| f64::from(5 * i).to_radians());
+    for cell in &mut scene.cells {
+        cell.emitter.profile = Profile::Table(knots.clone().map(|gamma| (gamma, relative(gamma))).collect());
+    }
+    scene
+}
+
+/// Every effect that a calibration knows.
+fn calibrated() -> Scene {
+    let mut scene = wide();
+    for cell in &mut scene.cells {
+        cell.slit.thickness_m = 0.15e-3;
+        cell.slit.tilt_rad = DVec3::new(0.01, -0.005, 0.02);
+        let effects = &mut cell.effects;
+        effects.window = Some(Window { thickness_m: 0.7e-3, refractive_index: 1.52 });
+        effects.nonlinearity_m = (0..12).map(|k| 5e-6 * f64::from(k).sin()).collect();
+        effects.profile = ProfileShape { radial: [0.1, -0.2, 0.1, 0.05], azimuthal: [0.02, -0.01, 0.03, 0.02] };
+        effects.stray = Some(Stray {
+            linear_a_per_m: [[3e-6, -5e-6, 2e-6], [1e-6, 4e-6, -6e-6]],
+            quadratic_a_per_m2: [[1e-3; 6]; 2],
+            ..Stray::at(100e-9, 1e-3, cell.detector.length_m)
+        });
+        effects.electrode_gain = [1.01, 0.98];
+        let curve = |sign: f64| (0..10).map(|k| sign * 1e-10 * f64::from(k)).collect();
+        effects.converters = Some(Converters { full_scale_a: 10e-6, curves_a: [curve(1.0), curve(-1.0)] });
+    }
+    scene
+}
+
+fn thick() -> Scene {
+    let mut scene = wide();
+    scene.cells.iter_mut().for_each(|cell| cell.slit.thickness_m = 0.15e-3);
+    scene
+}
+
+const EXACT: Tier = Tier::Exact { tolerance: 1e-6 };
+
+fn cases() -> [(&'static str, Scene, Tier); 6] {
+    [
+        ("paper", wide(), Tier::Paper),
+        ("exact 1e-6", wide(), EXACT),
+        ("exact 1e-10", wide(), Tier::Exact { tolerance: 1e-10 }),
+        ("thick mask", thick(), EXACT),
+        ("tabulated profile", tabulated(), EXACT),
+        ("all effects", calibrated(), EXACT),
+    ]
+}
+
 fn forward(c: &mut Criterion) {
-    let scene = wide();
     let poses = poses();
     let mut group = c.benchmark_group("six cells");
     group.measurement_time(Duration::from_secs(3)).throughput(criterion::Throughput::Elements(poses.len() as u64));
-    for (name, tier) in [
-        ("paper", Tier::Paper),
-        ("exact 1e-6", Tier::Exact { tolerance: 1e-6 }),
-        ("exact 1e-10", Tier::Exact { tolerance: 1e-10 }),
-    ] {
+    for (name, scene, tier) in cases() {
         let plan = Plan::<f64>::compile(&scene, tier).expect("scene");
         group.bench_function(format!("{name}, currents"), |b| {
             b.iter(|| {
@@ -56,11 +109,10 @@ fn forward(c: &mut Criterion) {
 }
 
 fn solve(c: &mut Criterion) {
-    let scene = wide();
     let poses = poses();
     let mut group = c.benchmark_group("solve");
     group.measurement_time(Duration::from_secs(3)).throughput(criterion::Throughput::Elements(poses.len() as u64));
-    for (name, tier) in [("paper", Tier::Paper), ("exact 1e-6", Tier::Exact { tolerance: 1e-6 })] {
+    for (name, scene, tier) in cases() {
         let solver = Solver::<f64>::new(&scene, tier).expect("scene");
         let readings: Vec<Photocurrents> = poses
             .iter()

@@ -18,6 +18,8 @@ pub(crate) enum Aperture<S: Scalar> {
     Thick(Face<S>, Face<S>),
     /// A slit rotated relative to the detector; the two faces of a thin mask coincide.
     Turned(Turned<S>),
+    /// That of a cell with effects, by its number among those.
+    Imperfect(usize),
 }
 
 /// A slit face parallel to the detector at height z.
@@ -110,7 +112,7 @@ impl<S: Scalar> Aperture<S> {
     pub(crate) fn skew(&self) -> S {
         match self {
             Self::Turned(turned) => turned.skew,
-            Self::Thin(_) | Self::Thick(..) => S::zero(),
+            Self::Thin(_) | Self::Thick(..) | Self::Imperfect(_) => S::zero(),
         }
     }
 
@@ -137,6 +139,7 @@ impl<S: Scalar> Aperture<S> {
             Self::Thin(face) => [of_face(face)].into_iter().collect(),
             Self::Thick(lower, upper) => [of_face(lower), of_face(upper)].into_iter().collect(),
             Self::Turned(turned) => turned.faces[..turned.face_count].iter().copied().collect(),
+            Self::Imperfect(_) => heapless::Vec::new(),
         }
     }
 }

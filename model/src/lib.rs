@@ -43,6 +43,7 @@
 //!             position_tool_m: 10e-3 * out, axis_tool: out, radiant_intensity_w_per_sr: 3.16e-3,
 //!             profile: Profile::from_half_angle(55_f64.to_radians()),
 //!         },
+//!         effects: Effects::default(),
 //!     }
 //! };
 //! let scene = Scene { cells: (0..6).map(cell).collect(), ..Scene::default() };
@@ -62,6 +63,7 @@
 #![no_std]
 
 mod aperture;
+mod effects;
 mod exact;
 mod identify;
 mod lanes;
@@ -78,6 +80,10 @@ mod scene;
 mod solid_angle;
 mod solve;
 
+pub use effects::{
+    AZIMUTHAL_TERMS, Converters, Effects, MAX_CONVERTER, MAX_NONLINEARITY, ModelError, ProfileShape, RADIAL_TERMS,
+    Stray, Window,
+};
 pub use identify::identified_relative_intensity;
 pub use plan::{CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};

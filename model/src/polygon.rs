@@ -7,6 +7,7 @@
 use heapless::Vec;
 
 use crate::aperture::{Aperture, Turned};
+use crate::rectangle::Rectangle;
 use crate::response::Status;
 use crate::scalar::{Linear3, Real, Scalar};
 
@@ -126,6 +127,21 @@ impl<S: Scalar> Polygon<S> {
         let cut = polygon.lines.iter().any(|line| matches!(line.motion, Motion::DetectorEnd));
         let status = if cut { Status::Clipped } else { Status::Lit };
         Ok((polygon, status))
+    }
+
+    /// A rectangular spot whose sides do not move with the emitter.
+    pub(crate) fn of_rectangle(spot: &Rectangle<S>) -> Self {
+        let [x0, x1] = [spot.x.low.position, spot.x.high.position];
+        let [y0, y1] = [spot.y.low.position, spot.y.high.position];
+        let (zero, one) = (S::zero(), S::one());
+        let line = |normal, offset| Line { normal, offset, motion: Motion::Still };
+        Self {
+            corners: spot.corners().into_iter().collect(),
+            lines: [line([zero, one], -y0), line([-one, zero], x1), line([zero, -one], y1), line([one, zero], -x0)]
+                .into_iter()
+                .collect(),
+            height: spot.height,
+        }
     }
 
     fn detector(emitter: S::Vec3, half: [S; 2]) -> Self {

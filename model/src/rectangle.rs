@@ -35,6 +35,14 @@ pub(crate) struct Rectangle<S> {
     pub(crate) height: S,
 }
 
+/// Slack per distance of the emitter from a wall of a thick mask, where the other face begins to bound the beam. Nothing
+/// magnifies the emitter's motion there, while [`MOST_MAGNIFICATION`] is allowed for elsewhere; √17 is that of an
+/// emitter on the longest arm that one of sixteen can have, four length scales.
+pub(crate) const WALL_SLACK: f64 = MOST_MAGNIFICATION / 4.124;
+
+/// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
+pub(crate) const MOST_MAGNIFICATION: f64 = 10.0;
+
 /// Origin of a side that is an edge of the detector; else the index of its face.
 const DETECTOR: f64 = -1.0;
 
@@ -55,8 +63,15 @@ impl<R: Real> Extent<R> {
             let index = R::constant(index as f64);
             let shift = e * m;
             let (a, b) = (span.low * k - shift, span.high * k - shift);
-            for apart in [a - low.position, high.position - b] {
-                let apart = R::where_at_least(apart, -apart, apart, -apart);
+            for (apart, wall, from) in
+                [(a - low.position, span.low, from_low), (high.position - b, span.high, from_high)]
+            {
+                let magnitude = |value: R| R::where_at_least(value, -value, value, -value);
+                let mut apart = magnitude(apart);
+                if N > 1 {
+                    let from_wall = R::constant(WALL_SLACK) * magnitude(e - wall);
+                    apart = R::where_at_least(from, R::constant(0.0), from_wall, apart);
+                }
                 slack = R::where_at_least(slack, apart, apart, slack);
             }
             let at_low = |yes, no| R::where_at_least(a, low.position, yes, no);
@@ -105,6 +120,19 @@ impl<R: Real> Rectangle<R> {
         let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
         let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
         (Self { x, y, height: ez }, Visibility { behind, cut, narrower, slack })
+    }
+
+    /// This spot with one side (x low, x high, y low, y high) moved outward or inward.
+    pub(crate) fn with_side_moved(&self, side: usize, by: R) -> Self {
+        let mut moved = *self;
+        let half = R::constant(0.5);
+        let extent = if side < 2 { &mut moved.x } else { &mut moved.y };
+        let (edge, sign) = if side.is_multiple_of(2) { (&mut extent.low, -half) } else { (&mut extent.high, half) };
+        edge.position += by;
+        extent.middle += half * by;
+        extent.landing += half * by;
+        extent.half += sign * by;
+        moved
     }
 
     /// Corners in order around the spot, relative to the emitter's foot point.

@@ -8,6 +8,9 @@ use glam::{DVec2, DVec3};
 use heapless::Vec;
 use thiserror::Error;
 
+#[cfg(feature = "effects")]
+use crate::effects::Effects;
+
 /// Elementary charge, coulombs (SI, exact).
 pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
 
@@ -57,6 +60,9 @@ pub struct Cell {
     pub slit: Slit,
     /// The infrared emitter (IRED) on the tool.
     pub emitter: Emitter,
+    /// What the parts do beyond the ideal.
+    #[cfg(feature = "effects")]
+    pub effects: Effects,
 }
 
 /// A one-dimensional PSD.
@@ -126,9 +132,11 @@ pub enum Profile {
         /// The exponent n.
         exponent: f64,
     },
-    /// Points (γ in radians, I_rel), ascending from γ = 0. I_rel passes through the points and is
-    /// interpolated between them by blended parabolas in 1 − cos γ, without overshoot. A table that ends
-    /// before 90° falls to zero at 90°.
+    /// Points (γ in radians, I_rel), ascending from γ = 0. If a function cosⁿγ·P(1 − cos γ), P of eighth degree at most
+    /// and half as many coefficients as points, gives the table when rounded to the table's decimals (to 0.5 % of
+    /// the greatest value, if those are one or none), I_rel is that function. Else it passes through the points and is
+    /// interpolated between them by blended parabolas in 1 − cos γ, without overshoot, which takes tens of times as
+    /// long. A table that ends before 90° falls to zero at 90°.
     Table(Vec<(f64, f64), MAX_PROFILE_KNOTS>),
 }
 
@@ -158,6 +166,17 @@ pub struct Noise {
 }
 
 impl Noise {
+    /// Of the mean of so many readings.
+    #[must_use]
+    pub fn averaged(&self, readings: f64) -> Self {
+        Self {
+            shot_bandwidth_hz: self.shot_bandwidth_hz / readings,
+            johnson_bandwidth_hz: self.johnson_bandwidth_hz / readings,
+            adc_a: self.adc_a / libm::sqrt(readings),
+            ..*self
+        }
+    }
+
     /// 2q·B: variance of the shot noise per ampere of current (Schottky 1918), A.
     pub fn shot_a(&self) -> f64 {
         2.0 * ELEMENTARY_CHARGE_C * self.shot_bandwidth_hz
@@ -244,6 +263,14 @@ pub enum Fault {
     /// The mask reaches below the detector's surface, by so many metres.
     #[error("the mask reaches {0} m below the detector surface; raise slit.distance_mm or make the mask thinner")]
     MaskInDetector(f64),
+    /// A refractive index below that of vacuum.
+    #[error("refractive index {0} is below 1; a resin has 1.5")]
+    BelowOne(f64),
+    /// A turned slit in a cell with effects; its rotation in degrees.
+    #[error(
+        "a slit turned by {0} degrees cannot be computed in a cell with effects such as a window; turn it by 10 degrees at most"
+    )]
+    TurnedWithEffects(f64),
     /// No cell at all.
     #[error("the scene has no cell; add at least one [[cell]]")]
     NoCells,

@@ -5,11 +5,13 @@ use glam::DVec3;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::exact::{Orders, SERIES_EXPONENT};
+use crate::effects::{Effects, MAX_IMPERFECT, RADIAL_TERMS};
+use crate::exact::Orders;
 use crate::profile::CompiledProfile;
 use crate::scalar::{Scalar, Vector3};
 use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
 
+use super::imperfect::Imperfect;
 use super::optics::{Receiver, Source};
 use super::{CompiledCell, CompiledEmitter, Tier};
 
@@ -82,6 +84,7 @@ impl Check {
 #[inline(never)]
 pub(super) fn fill<S: Scalar>(
     cells: &mut Vec<CompiledCell<S>, MAX_CELLS>,
+    imperfect: &mut Vec<Imperfect<S>, MAX_IMPERFECT>,
     scene: &Scene,
     tier: Tier,
 ) -> Result<(), SceneError> {
@@ -91,7 +94,17 @@ pub(super) fn fill<S: Scalar>(
     }
     check_noise(scene)?;
     for (index, cell) in scene.cells.iter().enumerate() {
-        let compiled = compile_cell(index, cell, tier)?;
+        let mut compiled = compile_cell(index, cell, tier)?;
+        if let Some(effects) = cell.acting_effects() {
+            check_effects(index, effects)?;
+            let turned = Check { cell: Some(index), section: "slit" };
+            let tilt = cell.slit.tilt_rad.length().to_degrees();
+            let effects =
+                Imperfect::compile(cell, effects).ok_or(turned.fault("tilt_deg", Fault::TurnedWithEffects(tilt)))?;
+            compiled.aperture = Aperture::Imperfect(imperfect.len());
+            // There are no more of them than cells.
+            let _ = imperfect.push(effects);
+        }
         // `cells` has the capacity of the scene's own list.
         let _ = cells.push(compiled);
     }
@@ -122,11 +135,8 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
         Tier::Paper => 0.0,
         Tier::Exact { tolerance } => tolerance.max(4.0 * S::epsilon().as_f64()),
     };
-    let profile = CompiledProfile::<S>::compile(&cell.emitter.profile, tolerance);
-    let exponent = match &cell.emitter.profile {
-        Profile::Cosine { exponent } => *exponent,
-        Profile::Table(_) => SERIES_EXPONENT,
-    };
+    let radial = cell.acting_effects().map_or([0.0; RADIAL_TERMS], |effects| effects.profile.radial);
+    let (profile, exponent) = CompiledProfile::<S>::compile(&cell.emitter.profile, radial, tolerance);
     let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(exponent, tolerance));
     let y_axis = normal.cross(x_axis);
     let vector = |v: DVec3| S::Vec3::of(v);
@@ -194,6 +204,39 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
     let below = 0.5 * slit.thickness_m - slit.distance_m;
     if below > 0.0 {
         return Err(check.fault("distance_mm", Fault::MaskInDetector(below)));
+    }
+    Ok(())
+}
+
+fn check_effects(cell: usize, effects: &Effects) -> Result<(), SceneError> {
+    let at = |section| Check { cell: Some(cell), section };
+    let (detector, emitter, stray) = (at("detector"), at("emitter"), at("stray"));
+    emitter.not_negative("source_diameter_mm", effects.source_diameter_m)?;
+    emitter.within("source_diameter_mm", &[effects.source_diameter_m], LONGEST_M)?;
+    emitter.within("profile_radial", &effects.profile.radial, LARGEST)?;
+    emitter.within("profile_azimuthal", &effects.profile.azimuthal, LARGEST)?;
+    if let Some(window) = effects.window {
+        at("window").not_negative("thickness_mm", window.thickness_m)?;
+        at("window").within("thickness_mm", &[window.thickness_m], LONGEST_M)?;
+        at("window").within("refractive_index", &[window.refractive_index], LARGEST)?;
+        if window.refractive_index < 1.0 {
+            return Err(at("window").fault("refractive_index", Fault::BelowOne(window.refractive_index)));
+        }
+    }
+    detector.within("nonlinearity_mm", &effects.nonlinearity_m, LONGEST_M)?;
+    if let Some(of) = &effects.stray {
+        stray.within("current_a", &of.constant_a, LARGEST)?;
+        stray.within("linear_a_per_mm", of.linear_a_per_m.as_flattened(), LARGEST)?;
+        stray.within("quadratic_a_per_mm2", of.quadratic_a_per_m2.as_flattened(), LARGEST)?;
+    }
+    for gain in effects.electrode_gain {
+        detector.positive("electrode_gain", gain)?;
+    }
+    detector.within("electrode_gain", &effects.electrode_gain, LARGEST)?;
+    if let Some(converters) = &effects.converters {
+        at("converter").positive("full_scale_a", converters.full_scale_a)?;
+        at("converter").within("curve_1_a", &converters.curves_a[0], LARGEST)?;
+        at("converter").within("curve_2_a", &converters.curves_a[1], LARGEST)?;
     }
     Ok(())
 }

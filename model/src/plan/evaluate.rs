@@ -14,7 +14,7 @@ use crate::scalar::{Linear3, Scalar};
 use crate::solid_angle;
 
 use super::optics::{Light, Place, Receiver, Seen, of_sides};
-use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
+use super::{CellTerms, CompiledCell, CompiledEmitter, Plan, imperfect};
 
 impl<S: Scalar> CompiledCell<S> {
     #[inline(always)]
@@ -24,7 +24,7 @@ impl<S: Scalar> CompiledCell<S> {
         let (rectangle, verdict) = match &self.aperture {
             Aperture::Thin(face) => Rectangle::of_beam([*face], emitter, half),
             Aperture::Thick(lower, upper) => Rectangle::of_beam([*lower, *upper], emitter, half),
-            Aperture::Turned(_) => {
+            Aperture::Turned(_) | Aperture::Imperfect(_) => {
                 return Polygon::of_beam(&self.aperture, e, half)
                     .map(|(polygon, status)| (Spot::Polygon(polygon), status, S::zero()));
             }
@@ -115,9 +115,26 @@ impl<S: Scalar> CompiledEmitter<S> {
     ) -> (Option<Light<S>>, Option<Integration<S>>) {
         match &self.profile {
             CompiledProfile::Cosine(cosine) => light::<S, _, GRADIENT>(plan, cell, self, cosine, seen, spot),
-            CompiledProfile::Table(table) => light::<S, _, GRADIENT>(plan, cell, self, table, seen, spot),
+            CompiledProfile::Table(table) => light_apart::<S, _, GRADIENT>(plan, cell, self, table, seen, spot),
+            CompiledProfile::ShapedCosine(shaped) => {
+                light_apart::<S, _, GRADIENT>(plan, cell, self, shaped, seen, spot)
+            }
+            CompiledProfile::ShapedTable(shaped) => light_apart::<S, _, GRADIENT>(plan, cell, self, shaped, seen, spot),
         }
     }
+}
+
+/// [`light`], apart: so that the code for the commonest profile stays short.
+#[inline(never)]
+fn light_apart<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    emitter: &CompiledEmitter<S>,
+    emission: &E,
+    seen: &Seen<S>,
+    spot: &Spot<S>,
+) -> (Option<Light<S>>, Option<Integration<S>>) {
+    light::<S, E, GRADIENT>(plan, cell, emitter, emission, seen, spot)
 }
 
 impl<S: Scalar> Plan<S> {
@@ -131,10 +148,13 @@ impl<S: Scalar> Plan<S> {
 
 pub(super) fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
+    if let Some(imperfect) = plan.imperfect_of(cell) {
+        return imperfect::photocurrents(plan, cell, imperfect, base_from_tool);
+    }
     photocurrents_of(plan, cell, &cell.emitter, base_from_tool)
 }
 
-#[inline(always)]
+#[inline(never)]
 fn photocurrents_of<S: Scalar>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
@@ -154,9 +174,12 @@ fn photocurrents_of<S: Scalar>(
     }
 }
 
-#[inline]
+#[inline(never)]
 pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
+    if let Some(imperfect) = plan.imperfect_of(cell) {
+        return imperfect::linearise(plan, cell, imperfect, base_from_tool);
+    }
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
     let (spot, status, slack_m) = match cell.spot(&seen) {
         Ok(spot) => spot,
@@ -171,6 +194,9 @@ pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
 
 pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
     let cell = &plan.cells[cell];
+    if let Some(imperfect) = plan.imperfect_of(cell) {
+        return imperfect::respond(plan, cell, imperfect, base_from_tool);
+    }
     let CompiledCell { receiver, emitter, .. } = cell;
     let seen = receiver.see(&emitter.source, base_from_tool);
     let half_dark = S::half() * receiver.dark;
@@ -219,13 +245,15 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
 
 fn exact_solid_angle<S: Scalar>(spot: &Spot<S>) -> S {
     match spot {
-        Spot::Rectangle(rectangle) => {
-            let [a, b, c, d] = rectangle.corners();
-            let half_area = S::of(4.0) * rectangle.x.half * rectangle.y.half;
-            solid_angle::of_fan(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)
-        }
+        Spot::Rectangle(rectangle) => rectangle_solid_angle(rectangle),
         Spot::Polygon(polygon) => solid_angle::of_fan(polygon.corners()[0], polygon.fan(), polygon.height()),
     }
+}
+
+pub(super) fn rectangle_solid_angle<S: Scalar>(rectangle: &Rectangle<S>) -> S {
+    let [a, b, c, d] = rectangle.corners();
+    let half_area = S::of(4.0) * rectangle.x.half * rectangle.y.half;
+    solid_angle::of_fan(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)
 }
 
 pub(super) fn outline<S: Scalar>(
@@ -234,6 +262,9 @@ pub(super) fn outline<S: Scalar>(
     base_from_tool: &Transform<S>,
 ) -> Vec<[S; 2], MAX_CORNERS> {
     let cell = &plan.cells[cell];
+    if let Some(imperfect) = plan.imperfect_of(cell) {
+        return imperfect::outline(cell, imperfect, base_from_tool);
+    }
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
     let on_detector = |[x, y]: [S; 2]| [x + seen.position.x(), y + seen.position.y()];
     match cell.spot(&seen) {
@@ -243,11 +274,19 @@ pub(super) fn outline<S: Scalar>(
     }
 }
 
-pub(super) fn crosstalk<S: Scalar>(
+pub(super) fn photocurrents_of_emitters<S: Scalar>(
     plan: &Plan<S>,
     cell: usize,
-    emitter: usize,
+    lit: impl Iterator<Item = (usize, S)>,
     base_from_tool: &Transform<S>,
 ) -> Pair<S> {
-    photocurrents_of(plan, &plan.cells[cell], &plan.cells[emitter].emitter, base_from_tool)
+    let cell = &plan.cells[cell];
+    let lit = lit.map(|(emitter, level)| (&plan.cells[emitter], level));
+    if let Some(imperfect) = plan.imperfect_of(cell) {
+        return imperfect::photocurrents_of_emitters(plan, cell, imperfect, lit, base_from_tool);
+    }
+    lit.fold(Pair::default(), |sum: Pair<S>, (of, level)| {
+        let pair = photocurrents_of(plan, cell, &of.emitter, base_from_tool);
+        Pair { i_x1_a: sum.i_x1_a + level * pair.i_x1_a, i_x2_a: sum.i_x2_a + level * pair.i_x2_a }
+    })
 }

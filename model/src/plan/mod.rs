@@ -2,12 +2,14 @@
 
 mod compile;
 mod evaluate;
+mod imperfect;
 mod optics;
 mod pack;
 
 use heapless::Vec;
 
 use crate::aperture::Aperture;
+use crate::effects::MAX_IMPERFECT;
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
@@ -15,6 +17,7 @@ use crate::response::{Pair, Response, Status};
 use crate::scalar::Scalar;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
+use imperfect::Imperfect;
 pub(crate) use optics::Instant;
 use optics::{Receiver, Source};
 use pack::Pack;
@@ -36,6 +39,8 @@ pub enum Tier {
 #[derive(Clone, Debug)]
 pub struct Plan<S: Scalar> {
     cells: Vec<CompiledCell<S>, MAX_CELLS>,
+    /// The effects of those cells that have any.
+    imperfect: Vec<Imperfect<S>, MAX_IMPERFECT>,
     /// `None` in the paper tier.
     rules: Option<Rules<S>>,
     /// The same cells in SIMD lanes if all are of the kind in [`pack`]; else empty.
@@ -101,14 +106,15 @@ impl<S: Scalar> Plan<S> {
     /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
-        Self { cells: Vec::new(), rules: None, packs: Vec::new() }
+        Self { cells: Vec::new(), imperfect: Vec::new(), rules: None, packs: Vec::new() }
     }
 
     /// [`Self::compile`] in place. After an error the plan has no cells.
     pub(crate) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.cells.clear();
+        self.imperfect.clear();
         self.packs.clear();
-        if let Err(error) = compile::fill(&mut self.cells, scene, tier) {
+        if let Err(error) = compile::fill(&mut self.cells, &mut self.imperfect, scene, tier) {
             self.cells.clear();
             return Err(error);
         }
@@ -117,6 +123,15 @@ impl<S: Scalar> Plan<S> {
             pack::fill(&mut self.packs, &self.cells);
         }
         Ok(())
+    }
+
+    /// The effects of `cell`, if it has any.
+    #[inline(always)]
+    fn imperfect_of(&self, cell: &CompiledCell<S>) -> Option<&Imperfect<S>> {
+        match cell.aperture {
+            Aperture::Imperfect(index) if cfg!(feature = "effects") => self.imperfect.get(index),
+            _ => None,
+        }
     }
 
     /// Number of cells.
@@ -198,13 +213,31 @@ impl<S: Scalar> Plan<S> {
         evaluate::outline(self, cell, &Transform::of(pose))
     }
 
-    /// The photocurrents that the light of emitter `emitter` causes on the detector of cell `cell`
-    /// through that cell's slit, without dark current, amperes.
+    /// The photocurrents of cell `cell` without dark current, amperes, while the emitters `lit` shine through its slit,
+    /// each at its level relative to nominal, and no others. Stray light and the curves of the converters, which are
+    /// those of a lit cell, count only if the cell's own emitter is among them.
+    ///
+    /// # Panics
+    /// If there is no such cell or emitter.
+    pub fn photocurrents_of(&self, cell: usize, lit: impl IntoIterator<Item = (usize, S)>, pose: &Pose) -> Pair<S> {
+        evaluate::photocurrents_of_emitters(self, cell, lit.into_iter(), &Transform::of(pose))
+    }
+
+    /// [`Self::photocurrents_of`] one emitter at its nominal level.
     ///
     /// # Panics
     /// If there is no such cell or emitter.
     pub fn crosstalk(&self, cell: usize, emitter: usize, pose: &Pose) -> Pair<S> {
-        evaluate::crosstalk(self, cell, emitter, &Transform::of(pose))
+        self.photocurrents_of(cell, [(emitter, S::one())], pose)
+    }
+
+    /// Emitters that are lit with that of cell `cell`, bit j for emitter j: those of
+    /// [`Effects::lit_together`](crate::Effects::lit_together), whose light [`Self::photocurrents`] contain.
+    ///
+    /// # Panics
+    /// If there is no such cell.
+    pub fn lit_together(&self, cell: usize) -> u16 {
+        self.imperfect_of(&self.cells[cell]).map_or(0, Imperfect::lit_together)
     }
 }
 

@@ -34,7 +34,7 @@ pub(super) struct Seen<R: Real> {
     pub(super) axis: R::Vec3,
     /// From the tool's origin to the emitter, base frame.
     arm: R::Vec3,
-    axis_base: R::Vec3,
+    pub(super) axis_base: R::Vec3,
 }
 
 /// The tool's motion around a reference instant, and each cell's exposure.
@@ -85,12 +85,12 @@ impl<R: Real> Place<R> {
 
 impl<R: Real> Receiver<R> {
     #[inline(always)]
-    fn to_cell(&self, base: R::Vec3) -> R::Vec3 {
+    pub(super) fn to_cell(&self, base: R::Vec3) -> R::Vec3 {
         R::Vec3::new(self.axes[0].dot(base), self.axes[1].dot(base), self.axes[2].dot(base))
     }
 
     #[inline(always)]
-    fn to_base(&self, cell: R::Vec3) -> R::Vec3 {
+    pub(super) fn to_base(&self, cell: R::Vec3) -> R::Vec3 {
         self.axes[0] * cell.x() + self.axes[1] * cell.y() + self.axes[2] * cell.z()
     }
 
@@ -164,7 +164,7 @@ impl<R: Real> Receiver<R> {
     /// Converts derivatives with respect to the emitter to those with respect to the pose: a rotation δθ
     /// about the tool's origin moves the emitter by δθ × arm and its axis by δθ × axis.
     #[inline(always)]
-    fn of_pose(&self, gradient: &EmitterGradient<R>, seen: &Seen<R>) -> [R; 6] {
+    pub(super) fn of_pose(&self, gradient: &EmitterGradient<R>, seen: &Seen<R>) -> [R; 6] {
         let by_position = self.to_base(gradient.by_position);
         let by_axis = self.to_base(gradient.by_axis);
         let turn = seen.arm.cross(by_position) + seen.axis_base.cross(by_axis);

@@ -39,6 +39,7 @@ fn cell(index: usize) -> Cell {
             radiant_intensity_w_per_sr: 3e-3 + shift,
             profile: Profile::Cosine { exponent: 1.2 + 0.1 * index as f64 },
         },
+        effects: crate::Effects::default(),
     }
 }
 

@@ -3,14 +3,21 @@
 //! Defined for c > 0 only: an emitter emits nothing at γ ≥ 90°.
 
 mod cosine;
+mod fit;
+mod shaped;
 mod table;
 mod window;
 
+use crate::effects::RADIAL_TERMS;
+use crate::exact::SERIES_EXPONENT;
 use crate::power::Power;
 use crate::scalar::Scalar;
 use crate::scene::Profile;
 
 pub(crate) use cosine::Cosine;
+use fit::Smooth;
+use shaped::Shape;
+pub(crate) use shaped::Shaped;
 pub(crate) use table::Table;
 
 /// I_rel and its derivative with respect to cos γ, for one cell or several.
@@ -91,22 +98,46 @@ impl<S: Scalar> Falloff<S> for Series<S> {
 pub(crate) enum CompiledProfile<S> {
     Cosine(Cosine<S>),
     Table(Table<S>),
+    ShapedCosine(Shaped<S, Cosine<S>>),
+    ShapedTable(Shaped<S, Table<S>>),
 }
 
 impl<S: Scalar> CompiledProfile<S> {
-    /// Compiles `profile`. `tolerance`: relative error allowed to [`Emission::near`].
-    pub(crate) fn compile(profile: &Profile, tolerance: f64) -> Self {
-        match profile {
-            Profile::Cosine { exponent } => Self::Cosine(Cosine::compile(*exponent, tolerance)),
-            Profile::Table(knots) => Self::Table(Table::compile(knots, tolerance)),
-        }
+    /// Compiles `profile` with its `radial` deviation, and its exponent for [`crate::exact::Orders`]. `tolerance`:
+    /// relative error allowed to [`Emission::near`].
+    pub(crate) fn compile(profile: &Profile, radial: [f64; RADIAL_TERMS], tolerance: f64) -> (Self, f64) {
+        let mut shape: Shape<f64> = [1.0].into_iter().chain(radial).collect();
+        let exponent = match profile {
+            Profile::Cosine { exponent } => *exponent,
+            Profile::Table(knots) => match Smooth::of(knots) {
+                Some(smooth) => {
+                    shape = shaped::product(&shape, &smooth.coefficients);
+                    smooth.exponent
+                }
+                None => {
+                    let table = Table::compile(knots, tolerance);
+                    let is_plain = shape[1..].iter().all(|&coefficient| coefficient == 0.0);
+                    let compiled = if is_plain {
+                        Self::Table(table)
+                    } else {
+                        Self::ShapedTable(Shaped::new(table, &shape, tolerance))
+                    };
+                    return (compiled, SERIES_EXPONENT);
+                }
+            },
+        };
+        let cosine = Cosine::compile(exponent, tolerance);
+        let is_power = shape[0] == 1.0 && shape[1..].iter().all(|&coefficient| coefficient == 0.0);
+        let compiled =
+            if is_power { Self::Cosine(cosine) } else { Self::ShapedCosine(Shaped::new(cosine, &shape, tolerance)) };
+        (compiled, exponent)
     }
 
     /// The power, if the profile is a cosine power.
     pub(crate) fn as_power(&self) -> Option<&Power<S>> {
         match self {
             Self::Cosine(cosine) => Some(cosine.power()),
-            Self::Table(_) => None,
+            Self::Table(_) | Self::ShapedCosine(_) | Self::ShapedTable(_) => None,
         }
     }
 }

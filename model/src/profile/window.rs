@@ -118,22 +118,31 @@ impl<S: Scalar> Windows<S> {
             tail += terms[last];
             last -= 1;
         }
-        let mut nodes = REMAINDERS.len();
-        let mut rest = terms[DEGREE];
-        while nodes > 1 {
-            // The first moment adds a part of the next lower power.
-            let fewer = nodes - 1;
-            rest += terms[2 * fewer] + terms[2 * fewer + 1];
-            if S::of(REMAINDERS[fewer - 1]) * (rest + S::of(0.25) * terms[2 * fewer - 1]) > by_rule {
-                break;
-            }
-            nodes = fewer;
-        }
+        let nodes = rule_nodes(&terms, by_rule);
         // d ln I/d ln c: the exponent of an equally steep power.
         let steepness = (coefficients[1] / coefficients[0]).abs();
         let more = STEEPNESSES.iter().filter(|&&steep| steepness > S::of(steep)).count();
         Some(Series { inverse: centre.recip(), coefficients, terms: last, nodes, more })
     }
+}
+
+/// Gauss–Legendre nodes that integrate a polynomial, with terms of these greatest sizes, to within `allowed`.
+#[inline(always)]
+pub(super) fn rule_nodes<S: Scalar>(sizes: &[S], allowed: S) -> usize {
+    let size = |k: usize| sizes.get(k).copied().unwrap_or_default();
+    // Exact for the polynomial and its first moment.
+    let mut nodes = (sizes.len() / 2 + 1).min(REMAINDERS.len());
+    let mut rest = size(2 * nodes);
+    while nodes > 1 {
+        // The first moment adds a part of the next lower power.
+        let fewer = nodes - 1;
+        rest += size(2 * fewer) + size(2 * fewer + 1);
+        if S::of(REMAINDERS[fewer - 1]) * (rest + S::of(0.25) * size(2 * fewer - 1)) > allowed {
+            break;
+        }
+        nodes = fewer;
+    }
+    nodes
 }
 
 /// A polynomial of degree [`DEGREE`] fitted to the table around one cosine.

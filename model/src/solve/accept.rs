@@ -11,11 +11,12 @@
 
 use arrayvec::ArrayVec;
 
+use crate::pose::Transform;
 use crate::scalar::Scalar;
 
 use super::chi2::redundancy;
 use super::compiled::Compiled;
-use super::levenberg_marquardt::Minimum;
+use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::observability;
 use super::outcome::{DegradedReason, Directions, Estimate, Outcome, Solution};
@@ -36,9 +37,12 @@ const SOFT: usize = 3;
 /// where a head is singular has σ as large as you like, and the currents bend long before.
 const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
 
-/// A residual this large a share of a cell's current is no misfit but another place. Gains that
-/// calibration has not settled stay well below.
-const ELSEWHERE: f64 = 0.1;
+/// A residual this large a share of a cell's current is no small misfit: gains that calibration has not settled stay
+/// well below. The pose is then another, or the head.
+const ELSEWHERE: f64 = 0.05;
+
+/// Evaluations that are left to [`Compiled::taken_roughly`], whatever came before: it takes some eight.
+pub(super) const ROUGH_WORK: usize = 16;
 
 /// How well a pose explains the data, worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -111,6 +115,26 @@ impl<S: Scalar> Compiled<S> {
         };
         solution.estimate = Some(Estimate { pose, covariance });
         solution
+    }
+
+    /// The pose near `start` of a head that is not as its scene says: by coarse weights, under which gains and places that
+    /// are off draw the pose less. χ² is by these weights.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn taken_roughly(
+        &self,
+        sorted: &Sorted<S>,
+        problem: &Problem<'_, S>,
+        start: Transform<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Solution<S> {
+        let whiteners = problem.coarse_whiteners();
+        let minimum = problem.minimise(start, &whiteners, Stopping::near(), workspace);
+        if !minimum.converged {
+            return Solution::without_pose(Outcome::Diverged, sorted.used);
+        }
+        problem.linearise(&minimum.pose, &whiteners, workspace);
+        self.conclude(sorted, problem, &minimum, workspace, Fit::None)
     }
 
     /// [`Self::conclude`] where the tool is expected and images are not looked for: one that is so near that

@@ -6,7 +6,7 @@
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
 
-use super::accept::{DISTINCT_SIGMAS, Fit, is_elsewhere};
+use super::accept::{DISTINCT_SIGMAS, Fit, ROUGH_WORK, is_elsewhere};
 use super::algebra::square;
 use super::chi2::redundancy;
 use super::compiled::{Compiled, MotionPrior};
@@ -23,6 +23,10 @@ use super::{observability, starts};
 /// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too: without it the
 /// search begins anew.
 pub(super) const COLD_WORK: usize = 600;
+
+/// Evaluations after which a search in pieces ends, if there are no images to be found: of two cold solves, for each piece
+/// begins with the planes again.
+const LONGEST_WORK: usize = 2 * COLD_WORK;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
@@ -48,6 +52,8 @@ pub(super) struct Search<S: Scalar> {
     outlier: OutlierSearch<S>,
     /// The cell that is an outlier: the search for mirror images of the pose without it.
     without: Option<usize>,
+    /// Evaluations that its earlier pieces took.
+    spent: usize,
     /// Whether it goes on with another frame's currents when its work is used up; else it ends.
     may_pause: bool,
     is_over: bool,
@@ -64,6 +70,7 @@ impl<S: Scalar> Search<S> {
             under_way: None,
             outlier: OutlierSearch::new(false),
             without: None,
+            spent: 0,
             may_pause: false,
             is_over: false,
         }
@@ -224,7 +231,11 @@ impl<S: Scalar> Compiled<S> {
         let mut iterations = 0;
         if !search.has_begun || !may_have_images {
             // A start that fails on the currents of one frame may succeed on those of another.
+            // It leaves half of a later piece to the starts that have not been tried yet.
+            let held_back = if search.has_begun { workspace.work / 2 } else { 0 };
+            workspace.work -= held_back;
             let mut minimum = problem.minimise(on_planes, &whiteners, Stopping::exact(), workspace);
+            workspace.work += held_back;
             let gate = self.gates[sorted.usable.len()];
             if minimum.converged && minimum.chi2 <= gate {
                 minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
@@ -250,7 +261,8 @@ impl<S: Scalar> Compiled<S> {
         let mut is_cut_short = false;
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
             if workspace.work == 0 {
-                if search.may_pause {
+                if search.may_pause && (may_have_images || search.spent < LONGEST_WORK) {
+                    search.spent += workspace.evaluations;
                     return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
                 }
                 is_cut_short = true;
@@ -308,7 +320,7 @@ impl<S: Scalar> Compiled<S> {
             }
         }
         search.is_over = true;
-        let mut solution = self.judge(sorted, problem, &whiteners, &minima, workspace);
+        let mut solution = self.judge(sorted, problem, &whiteners, &minima, &on_planes, workspace);
         if is_cut_short && self.has_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
             // An image may fit as well, and was not looked for to the end.
             solution = nothing(sorted, Outcome::Ambiguous);
@@ -357,6 +369,7 @@ impl<S: Scalar> Compiled<S> {
         problem: &Problem<'_, S>,
         whiteners: &Whiteners<S>,
         minima: &Minima<S>,
+        on_planes: &Transform<S>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let Some((best, fit)) = minima.best else {
@@ -367,7 +380,11 @@ impl<S: Scalar> Compiled<S> {
         // A valley without an end fits as well: what the data leave free along it is told.
         let is_valley = fit == Fit::None && best.chi2 <= self.gates[sorted.usable.len()];
         if is_nowhere && !is_valley {
-            return nothing(sorted, Outcome::Diverged);
+            if sorted.usable.len() < UNIQUE_FROM {
+                return nothing(sorted, Outcome::Diverged);
+            }
+            workspace.work = workspace.work.max(ROUGH_WORK);
+            return self.taken_roughly(sorted, problem, *on_planes, workspace);
         }
         let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
         if may_have_images

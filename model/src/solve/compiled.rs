@@ -93,8 +93,9 @@ impl<S: Scalar> Compiled<S> {
         self.length_scale_m = S::of(scene.length_scale_m());
         self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, tier == Tier::Paper)));
         self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
-        self.limits.extend(cells.map(|Cell { detector, .. }| Limits {
-            faint_a: S::of(detector.faint_a),
+        self.limits.extend(cells.map(|cell @ Cell { detector, .. }| Limits {
+            // Stray light without a spot is as faint as none.
+            faint_a: S::of(detector.faint_a + cell.stray_a()),
             saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
             most_share: S::infinity(),
         }));

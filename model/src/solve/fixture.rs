@@ -46,6 +46,7 @@ pub(super) fn head() -> Scene {
                     radiant_intensity_w_per_sr: 3e-3,
                     profile: Profile::Cosine { exponent: 1.2 },
                 },
+                effects: crate::Effects::default(),
             };
             scene.cells.push(cell).expect("six of sixteen");
         }

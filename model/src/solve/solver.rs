@@ -128,13 +128,15 @@ impl<S: Scalar> Solver<S> {
         if let Some(solution) = self.compiled.too_few(&sorted) {
             return solution;
         }
-        match (start, self.max_steps) {
+        let mut solution = match (start, self.max_steps) {
             (Start::PlanesOnly, _) => self.unfinished(&sorted, motion, self.compiled.on_planes(&sorted), 0),
             (Start::Cold, Some(steps)) => self.unfinished(&sorted, motion, self.compiled.on_planes(&sorted), steps),
             (Start::Near(pose), Some(steps)) => self.unfinished(&sorted, motion, Transform::of(pose), steps),
             (Start::Cold, None) => self.cold(&sorted, motion),
             (Start::Near(pose), None) => self.near(&sorted, pose, motion),
-        }
+        };
+        solution.own_up();
+        solution
     }
 
     /// At most `max_iterations` steps from `start`, without asking whether the data fit.

@@ -4,15 +4,13 @@
 //! number of J. Where that would cost more than half of the digits, J itself is factorised, by QR (Björck 1996,
 //! section 2.4).
 
+use crate::rectangle::MOST_MAGNIFICATION;
 use crate::scalar::Scalar;
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::residuals::{ResidualSums, Row};
 use super::twist::{Elimination, add_moments};
-
-/// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
-const MOST_MAGNIFICATION: f64 = 10.0;
 
 /// Least ratio of a pivot to its diagonal element, in units of rounding, at which normal equations
 /// are trusted: they then keep more than half of the digits.

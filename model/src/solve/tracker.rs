@@ -175,6 +175,8 @@ impl<S: Scalar> Tracker<S> {
         if !self.is_misfit {
             self.lost = Lost::new(self.lost.saved_work.min(MOST_SAVED));
         }
+        let mut solution = solution;
+        solution.own_up();
         Tracked {
             solution,
             twist: self.motion.state(&estimate.covariance).map(|state| state.twist),

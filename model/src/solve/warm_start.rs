@@ -7,9 +7,13 @@ use super::accept::{Fit, is_elsewhere};
 use super::chi2::redundancy;
 use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::{Minimum, Stopping};
+use super::mirror_images::UNIQUE_FROM;
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
 use super::readings::Sorted;
+
+/// Evaluations that are left to [`Compiled::taken_roughly`], which takes some five near an expected pose.
+const ROUGH_STEPS: usize = 12;
 
 impl<S: Scalar> Compiled<S> {
     /// The pose near `start`, where the tool is expected: of all cells; without the one that was
@@ -55,12 +59,19 @@ impl<S: Scalar> Compiled<S> {
         let whiteners = problem.whiteners();
         let mut minimum = *minimum;
         if !minimum.converged {
+            let held_back = workspace.work.min(ROUGH_STEPS);
+            workspace.work -= held_back;
             minimum = problem.minimise(minimum.pose, &whiteners, Stopping::near(), workspace);
+            workspace.work += held_back;
             iterations += minimum.iterations;
         }
         let fit = self.fit(sorted, &problem, &minimum);
         let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !is_elsewhere(&problem, &minimum);
         if !has_pose {
+            if sorted.usable.len() >= UNIQUE_FROM {
+                let solution = self.taken_roughly(sorted, &problem, start, workspace);
+                return Solution { iterations: iterations + solution.iterations, ..solution };
+            }
             return Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) };
         }
         // The last linearisation may be of other cells.

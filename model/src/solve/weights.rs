@@ -57,11 +57,11 @@ pub(crate) struct CellNoise<S> {
     shot: S,
     /// 4kT·B/R_ie, and what the places where the dark current starts do.
     johnson: S,
-    /// Of converter and amplifier, per electrode.
+    /// Of converter and amplifier, and of the model's currents, per electrode.
     converter: S,
     emitter_gain: S,
     electrode_gain: S,
-    /// Variance of X_A/Lx, on the way from far off.
+    /// Variance of X_A/Lx: model error, and more on the way from far off.
     position: S,
     /// Variance of the place of the cell's parts per axis, m²: see [`Whitener::displaced`].
     pub(crate) displacement: S,
@@ -81,13 +81,15 @@ impl<S: Scalar> CellNoise<S> {
             (noise.shot_a(), dark, noise.johnson_a2(detector) + dark / 12.0, noise.adc_a * noise.adc_a)
         });
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
+        let error = scene.cells[cell].model_error();
+        let moved = error.position_m / detector.length_m;
         Self {
             shot: S::of(shot),
             johnson: S::of(johnson),
-            converter: S::of(converter),
-            emitter_gain: S::of(emitter_gain_relative * emitter_gain_relative),
+            converter: S::of(converter + error.current_a * error.current_a),
+            emitter_gain: S::of(emitter_gain_relative * emitter_gain_relative + error.relative * error.relative),
             electrode_gain: S::of(electrode_gain_relative * electrode_gain_relative),
-            position: S::zero(),
+            position: S::of(moved * moved),
             displacement: S::of(position_m * position_m),
             arithmetic: S::of(relative_error * relative_error),
             dark: S::of(dark),

@@ -3,9 +3,11 @@
 mod acceptance;
 mod common;
 mod derivatives;
+mod effects;
 mod honesty;
 mod images;
 mod kinks;
+mod misfit;
 mod noise;
 mod numbers;
 mod profiles;

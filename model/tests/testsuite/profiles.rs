@@ -2,10 +2,12 @@
 //! program (`tests/data/profiles/profiles.py`): both currents keep the tolerance.
 
 use glam::{DVec2, DVec3};
-use slitpose_model::{Cell, Detector, Emitter, Plan, Pose, Profile, Scene, Slit, Tier, Uncertainty};
+use slitpose_model::{Cell, Detector, Emitter, Pair, Plan, Pose, Profile, Scene, Slit, Tier, Uncertainty};
 
 /// Next to the end of the number range currents have fewer digits, or none: they are numbers all the same.
 const LEAST_A: f64 = 1e-290;
+
+const EXACT: Tier = Tier::Exact { tolerance: 1e-10 };
 
 struct Row {
     id: String,
@@ -58,6 +60,7 @@ fn row(names: &[&str], fields: &[&str]) -> Row {
                 Err(_) => Profile::Table(profile.split(' ').map(point).collect()),
             },
         },
+        effects: slitpose_model::Effects::default(),
     };
     Row {
         id: text("id").to_owned(),
@@ -113,4 +116,56 @@ fn both_currents_keep_the_tolerance() {
         println!("at {tolerance:e}: worst {worst:.2} of the achieved error, most evaluations {most}");
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+/// Greatest difference of both currents and their sum, relative to the sum.
+fn difference(one: &Pair<f64>, other: &Pair<f64>) -> f64 {
+    let differences = [one.i_x1_a - other.i_x1_a, one.i_x2_a - other.i_x2_a, one.total_a() - other.total_a()];
+    differences.into_iter().map(f64::abs).fold(0.0, f64::max) / other.total_a()
+}
+
+#[test]
+fn a_table_of_a_power_is_that_power() {
+    let mut count = 0;
+    for row in rows() {
+        let Some(exponent) = row.profile.parse::<f64>().ok().filter(|&exponent| exponent < 10.0) else { continue };
+        let mut scene = row.scene.clone();
+        let angles = (0..18).map(|i| f64::from(5 * i).to_radians());
+        scene.cells[0].emitter.profile =
+            Profile::Table(angles.map(|gamma| (gamma, gamma.cos().powf(exponent))).collect());
+        let pair = Plan::<f64>::compile(&scene, EXACT).expect("scene").photocurrents(0, &Pose::HOME);
+        let reference = Pair { i_x1_a: row.electrodes_a[0], i_x2_a: row.electrodes_a[1] };
+        // The table's values round, and so does n.
+        assert!(difference(&pair, &reference) < 1e-10 + 1e-12, "{}: {pair:?} {reference:?}", row.id);
+        count += 1;
+    }
+    assert!(count >= 20, "{count}");
+}
+
+#[test]
+fn a_smooth_table_keeps_the_tolerance_and_takes_no_more_nodes_than_a_power() {
+    let relative = |gamma: f64| gamma.cos().powf(1.247) * (1.0 + 0.1 * gamma.sin().powi(2) - 0.1 * gamma.sin().powi(4));
+    let rounded = |degrees: i32| {
+        let gamma = f64::from(degrees).to_radians();
+        (gamma, (relative(gamma) * 1e3).round() / 1e3)
+    };
+    let smooth = Profile::Table((0..18).map(|i| rounded(5 * i)).collect());
+    for tolerance in [1e-3, 1e-6, 1e-10] {
+        let (mut worst, mut evaluations) = (0.0_f64, [0_usize; 2]);
+        for row in rows().into_iter().filter(|row| row.profile == "1.247") {
+            let at = |profile: &Profile, tolerance: f64| {
+                let mut scene = row.scene.clone();
+                scene.cells[0].emitter.profile = profile.clone();
+                let plan = Plan::<f64>::compile(&scene, Tier::Exact { tolerance }).expect("scene");
+                (plan.photocurrents(0, &Pose::HOME), plan.respond(0, &Pose::HOME).integration.expect("light"))
+            };
+            let ((pair, table), (fine, _)) = (at(&smooth, tolerance), at(&smooth, 1e-13));
+            worst = worst.max(difference(&pair, &fine) / tolerance);
+            for (sum, of) in evaluations.iter_mut().zip([table, at(&row.scene.cells[0].emitter.profile, tolerance).1]) {
+                *sum += of.evaluations;
+            }
+        }
+        println!("at {tolerance:e}: {worst:.2} of it, {evaluations:?} evaluations");
+        assert!(worst < 1.0 && 10 * evaluations[0] <= 13 * evaluations[1]);
+    }
 }

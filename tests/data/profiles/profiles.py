@@ -188,14 +188,15 @@ def integrals(case, profile):
                 push(part, value, depth + 1)
 
 
-COSINE_TABLE = [(a, round(float(np.cos(np.radians(a)) ** 1.247), 4)) for a in range(0, 90, 5)]
+# A power with errors of up to 0.002, too rough to be the rounding of a smooth function.
+ROUGH_TABLE = [(a, round(float(np.cos(np.radians(a)) ** 1.247 - 0.001 * (a * 7 // 5 % 5 - 2)), 4)) for a in range(0, 90, 5)]
 BUMPY_TABLE = [(0, 1), (10, 0.9), (20, 0.6), (30, 0.75), (40, 0.5), (50, 0.45), (60, 0.2), (70, 0.1)]
 SMOOTH_TABLE = [(0, 1), (20, 0.925), (40, 0.7), (60, 0.4), (75, 0.1)]
 STEEP_TABLE = [(0, 1), (7.16, 1.042), (19.63, 0.731), (21.51, 1.076), (29.02, 0.796), (59.16, 0.509), (75.23, 0)]
 NARROW_TABLE = [(0, 1), (1, 0.97), (2, 0.88), (4, 0.6), (6, 0.3), (8, 0.1), (10, 0.02), (15, 0)]
 OPEN_TABLE = [(0, 0.3), (30, 0.8), (60, 1), (90, 0.5)]
 PROFILES = [1.247, 3.9, 4.1, 20, 45, 193.553, 1000, 4550.3, 20000] + [
-    COSINE_TABLE, BUMPY_TABLE, SMOOTH_TABLE, STEEP_TABLE, NARROW_TABLE, OPEN_TABLE
+    ROUGH_TABLE, BUMPY_TABLE, SMOOTH_TABLE, STEEP_TABLE, NARROW_TABLE, OPEN_TABLE
 ]
 
 

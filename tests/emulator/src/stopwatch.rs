@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use slitpose_model::{Photocurrents, Pose, Scene, Tier};
+use slitpose_model::{Effects, Photocurrents, Pose, Scene, Tier};
 use slitpose_stopwatch::{Answer, MAILBOX_SYMBOL, Mailbox, Numbers, Request, SLOTS, Solved, State};
 use thiserror::Error;
 
@@ -47,6 +47,12 @@ pub enum StopwatchError {
     /// It is another program.
     #[error("the image has no symbol {MAILBOX_SYMBOL}; give the one that firmware/build --stopwatch makes")]
     NoMailbox,
+    /// A scene that the image cannot be told of.
+    #[error("cell {cell} has effects such as a window, which the image does not compute; give a scene without them")]
+    Effects {
+        /// Number of the cell.
+        cell: usize,
+    },
     /// The board does not go on.
     #[error("the core is dead: {0}")]
     Fault(FaultReport),
@@ -120,8 +126,11 @@ impl Stopwatch {
     /// Powers a board with `image` and has it make a solver for `scene`.
     ///
     /// # Errors
-    /// If the image is another one, or cannot.
+    /// If the scene has effects, or the image is another one, or cannot.
     pub fn boot(image: &Image, scene: &Scene, tier: Tier) -> Result<Self, StopwatchError> {
+        if let Some(cell) = scene.cells.iter().position(|cell| cell.effects != Effects::default()) {
+            return Err(StopwatchError::Effects { cell });
+        }
         let (_, mailbox) =
             image.symbols().find(|(name, _)| *name == MAILBOX_SYMBOL).ok_or(StopwatchError::NoMailbox)?;
         let mut flash = FlashArray::erased();

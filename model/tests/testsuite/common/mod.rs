@@ -85,6 +85,7 @@ pub fn scene(rng: &mut ChaCha8Rng, kind: Kind) -> Scene {
             radiant_intensity_w_per_sr: 3.16e-3,
             profile,
         },
+        effects: slitpose_model::Effects::default(),
     };
     Scene { cells: [cell].into_iter().collect(), noise: None, uncertainty: Uncertainty::default() }
 }
@@ -130,6 +131,7 @@ pub fn six_cells(distance_mm: f64, width_mm: f64, rolls_deg: [f64; 2]) -> Scene 
                 radiant_intensity_w_per_sr: 3.16e-3,
                 profile: Profile::from_half_angle(55_f64.to_radians()),
             },
+            effects: slitpose_model::Effects::default(),
         }
     });
     let noise = Noise { shot_bandwidth_hz: 10e3, johnson_bandwidth_hz: 10e3, temperature_k: 300.0, adc_a: 0.6e-9 };

@@ -115,11 +115,10 @@ impl Request {
                 });
                 Self::Scene(noise, Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m })
             }
-            1 => Self::Cell(Cell {
-                detector: read_detector(&mut from)?,
-                slit: read_slit(&mut from)?,
-                emitter: read_emitter(&mut from)?,
-            }),
+            1 => {
+                let (detector, slit) = (read_detector(&mut from)?, read_slit(&mut from)?);
+                Self::Cell(Cell::ideal(detector, slit, read_emitter(&mut from)?))
+            }
             2 => Self::Compile(from.option()?.map_or(Tier::Paper, |tolerance| Tier::Exact { tolerance })),
             _ => {
                 let prior = read_pose(&mut from)?;

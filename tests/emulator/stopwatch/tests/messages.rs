@@ -36,6 +36,7 @@ fn cell(profile: Profile, known: bool) -> Cell {
             radiant_intensity_w_per_sr: 32.0,
             profile,
         },
+        effects: slitpose_model::Effects::default(),
     }
 }
 

@@ -5,7 +5,7 @@ use std::process::Command;
 use slitpose_emulator::memory::RAM_BYTES;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::solver_cost::{Cost, Start, Trial, measure};
-use slitpose_emulator::stopwatch::{Stopwatch, open_stopwatch_image};
+use slitpose_emulator::stopwatch::{Stopwatch, StopwatchError, open_stopwatch_image};
 use slitpose_head::scene_file::WIDE;
 use slitpose_model::Tier;
 use slitpose_stopwatch::MAILBOX_SYMBOL;
@@ -93,6 +93,14 @@ fn the_table_has_a_row_for_each_tier_and_start() {
     let tiers = ["paper", "exact:1e-4", "exact:1e-6"];
     assert_eq!(cases, tiers.map(|tier| [format!("{tier} cold"), format!("{tier} warm")]).concat());
     assert!(err.contains("slitpose_model::") && err.contains("CCM SRAM"), "{err}");
+}
+
+#[test]
+fn a_scene_with_effects_is_refused() {
+    let mut scene = WIDE.read().expect("shipped").scene;
+    scene.cells[3].effects.source_diameter_m = 0.3e-3;
+    let refused = Stopwatch::boot(&open_stopwatch_image(None).expect("an image"), &scene, Tier::Paper);
+    assert!(matches!(refused, Err(StopwatchError::Effects { cell: 3 })), "{refused:?}");
 }
 
 #[test]

@@ -1,0 +1,178 @@
+//! What real parts do beyond the ideal cell. Every effect is off by default, and then costs nothing.
+
+use heapless::Vec;
+
+use crate::scene::{Cell, Detector, Emitter, MAX_CELLS, Slit};
+
+/// Most cells with effects in a scene: all, with the feature `effects` of this crate; else none.
+pub(crate) const MAX_IMPERFECT: usize = if cfg!(feature = "effects") { MAX_CELLS } else { 0 };
+
+/// Most coefficients of [`Effects::nonlinearity_m`].
+pub const MAX_NONLINEARITY: usize = 12;
+
+/// Most coefficients of each curve of [`Converters`].
+pub const MAX_CONVERTER: usize = 10;
+
+/// Terms of [`ProfileShape::radial`].
+pub const RADIAL_TERMS: usize = 4;
+
+/// Terms of [`ProfileShape::azimuthal`].
+pub const AZIMUTHAL_TERMS: usize = 4;
+
+/// The effects of one cell, in the order in which they act on light and currents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Effects {
+    /// Diameter of the emitter's luminous disc, perpendicular to its axis, metres; zero: a point.
+    pub source_diameter_m: f64,
+    /// Deviation of the emitter from its [`crate::Profile`].
+    pub profile: ProfileShape,
+    /// Cover on the detector.
+    pub window: Option<Window>,
+    /// X_measured − X_A as a polynomial in ξ = 2·X_A/Lx: coefficients of ξ⁰, ξ¹, …, metres.
+    pub nonlinearity_m: Vec<f64, MAX_NONLINEARITY>,
+    /// Light of the cell's emitter that does not come through the slit directly.
+    pub stray: Option<Stray>,
+    /// Other emitters that are lit in the same slot: bit j for emitter j.
+    pub lit_together: u16,
+    /// Factors of I_X1 and I_X2.
+    pub electrode_gain: [f64; 2],
+    /// Deviation of the converters of both electrodes from a straight line.
+    pub converters: Option<Converters>,
+    /// What the cell does beyond all of this.
+    pub model_error: ModelError,
+}
+
+impl Default for Effects {
+    fn default() -> Self {
+        Self {
+            source_diameter_m: 0.0,
+            profile: ProfileShape::default(),
+            window: None,
+            nonlinearity_m: Vec::new(),
+            stray: None,
+            lit_together: 0,
+            electrode_gain: [1.0; 2],
+            converters: None,
+            model_error: ModelError::default(),
+        }
+    }
+}
+
+impl Effects {
+    /// Whether they change what a cell sees.
+    fn act(&self) -> bool {
+        let ideal = Self { model_error: self.model_error, ..Self::default() };
+        *self != ideal
+    }
+}
+
+impl Cell {
+    /// A cell whose parts are ideal.
+    pub fn ideal(detector: Detector, slit: Slit, emitter: Emitter) -> Self {
+        Self {
+            detector,
+            slit,
+            emitter,
+            #[cfg(feature = "effects")]
+            effects: Effects::default(),
+        }
+    }
+
+    /// The effects; `None`: the crate has been built without.
+    fn effects(&self) -> Option<&Effects> {
+        #[cfg(feature = "effects")]
+        let effects = Some(&self.effects);
+        #[cfg(not(feature = "effects"))]
+        let effects = None;
+        effects
+    }
+
+    /// The effects, if there are any that change what the cell sees.
+    pub(crate) fn acting_effects(&self) -> Option<&Effects> {
+        self.effects().filter(|effects| effects.act())
+    }
+
+    /// What the cell does beyond the model.
+    pub(crate) fn model_error(&self) -> ModelError {
+        self.effects().map_or_else(ModelError::default, |effects| effects.model_error)
+    }
+
+    /// Magnitude of the current that is read when only stray light comes, the tool at home, amperes.
+    pub(crate) fn stray_a(&self) -> f64 {
+        let current_a = |effects: &Effects| {
+            let [first, second] = effects.stray.unwrap_or_default().constant_a;
+            (first * effects.electrode_gain[0] + second * effects.electrode_gain[1]).abs()
+        };
+        self.effects().map_or(0.0, current_a)
+    }
+}
+
+/// A plane-parallel cover on the detector, which refracts the light by Snell's law.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// Thickness t_g, metres.
+    pub thickness_m: f64,
+    /// Refractive index n.
+    pub refractive_index: f64,
+}
+
+/// A factor of the relative radiant intensity: 1 + Σ radial + Σ azimuthal.
+///
+/// With c = cos γ, z = 1 − c, and (v, w) the components of the ray's unit vector across the emitter's
+/// axis: v along the projection of the tool's z axis (of its x axis, if the emitter's axis is within 45° of
+/// z), w = u × v.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProfileShape {
+    /// Coefficients of z, z², z³, z⁴.
+    pub radial: [f64; RADIAL_TERMS],
+    /// Coefficients of v² − w², 2·v·w, z·v, z·w. (Terms in v and w alone would tilt the emitter.)
+    pub azimuthal: [f64; AZIMUTHAL_TERMS],
+}
+
+impl ProfileShape {
+    /// Whether the factor is 1.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Light of the cell's own emitter that reaches the detector by reflection, as the currents it adds to I_X1 and
+/// I_X2. It follows the tool's translation t as a polynomial of second order.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stray {
+    /// With the tool at home, amperes.
+    pub constant_a: [f64; 2],
+    /// Per metre of t_x, t_y, t_z.
+    pub linear_a_per_m: [[f64; 3]; 2],
+    /// Per square metre: coefficients of t_x², t_y², t_z², t_x·t_y, t_y·t_z, t_z·t_x.
+    pub quadratic_a_per_m2: [[f64; 6]; 2],
+}
+
+impl Stray {
+    /// A constant current at one place of the detector of length `length_m`.
+    pub fn at(current_a: f64, centre_m: f64, length_m: f64) -> Self {
+        let share = centre_m / length_m;
+        Self { constant_a: [current_a * (0.5 - share), current_a * (0.5 + share)], ..Self::default() }
+    }
+}
+
+/// The non-linearity of two converters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Converters {
+    /// Current at the top code, amperes.
+    pub full_scale_a: f64,
+    /// Current read − current, amperes, as polynomials in i = 2·I/full scale − 1: coefficients of i⁰, i¹, … Where |i|
+    /// exceeds 1 they have their values at the ends.
+    pub curves_a: [Vec<f64, MAX_CONVERTER>; 2],
+}
+
+/// Standard deviation of what a cell does beyond the model.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ModelError {
+    /// Of the photocurrent, relative.
+    pub relative: f64,
+    /// Of the position of the light on the detector, metres.
+    pub position_m: f64,
+    /// Of the current of each electrode, amperes: of light that takes other ways.
+    pub current_a: f64,
+}

@@ -1,0 +1,360 @@
+//! The spot of an imperfect cell: a slit turned by little, and a window on the detector.
+//!
+//! The plane through the emitter e and a slit edge from q along a meets the detector's mid-line, y = z = 0, at
+//! X = m·e/(m_x − e_y·a_z + e_z·a_y) with m = q × a. Between these points the spot counts as a rectangle: an edge
+//! turned by ε moves its side by ε·y, whose mean over the detector's width is zero. The power-weighted centroid errs
+//! by ε·(Ly²/12)·∂ln g/∂y, g the power per area: 0.15 µm for 1° in the shipped scenes.
+//!
+//! A window of thickness t and index n shifts light by t·(tan θ − tan θ_g), as if the detector were nearer to the slit
+//! by δ(θ) = t·(1 − tan θ_g/tan θ) = t·(1 − (n² + (n² − 1)·tan²θ)^(−½)) (Snell's law). δ is taken at the middle ray of
+//! the slit; its variation over the spot moves the centroid by less than 0.1 µm, most of which is added
+//! ([`Raise::bend`]).
+
+use glam::{DMat3, DVec3};
+
+use crate::effects::Window;
+use crate::pose::rotation_exp;
+use crate::rectangle::{Edge, Extent, Rectangle, RectangleLight, SideGradient, WALL_SLACK};
+use crate::response::Status;
+use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scene::Slit;
+
+use super::super::optics::{Light, Place};
+use crate::polygon::EmitterGradient;
+
+/// Sine of the greatest turn of a slit for which this geometry stands.
+const MOST_TURN: f64 = 0.18;
+
+/// A slit and a window, compiled.
+#[derive(Clone, Debug)]
+pub(super) struct Beam<S: Scalar> {
+    faces: [Face<S>; 2],
+    face_count: usize,
+    /// Directions along the width and the length of the slit, and half of both.
+    across: S::Vec3,
+    along: S::Vec3,
+    half_sizes: [S; 2],
+    centre: S::Vec3,
+    /// Normal of the mask, away from the detector, and half its thickness.
+    normal: S::Vec3,
+    half_thickness: S,
+    window: Option<Glass<S>>,
+}
+
+/// One face of the slit: q × a of its two long edges, and the middles of its short ones.
+#[derive(Clone, Copy, Debug)]
+struct Face<S: Scalar> {
+    moments: [S::Vec3; 2],
+    ends: [S::Vec3; 2],
+}
+
+/// A window: t, n², n² − 1.
+#[derive(Clone, Copy, Debug)]
+struct Glass<S> {
+    thickness: S,
+    index2: S,
+    excess: S,
+}
+
+impl<S: Scalar> Glass<S> {
+    /// δ, and its first three derivatives, at tan²θ.
+    #[inline(always)]
+    fn raise(&self, tangent2: S) -> (S, [S; 3]) {
+        let root = (self.index2 + self.excess * tangent2).inverse_root();
+        let ratio = self.excess * root * root;
+        let first = S::half() * self.thickness * ratio * root;
+        let second = -S::of(1.5) * first * ratio;
+        (self.thickness * (S::one() - root), [first, second, -S::of(2.5) * second * ratio])
+    }
+}
+
+/// How far the detector appears raised, at the middle ray of the beam.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Raise<S: Scalar> {
+    height: S,
+    by_position: S::Vec3,
+    /// tan θ along x and along y, and their derivatives by the emitter's position.
+    tangents: [S; 2],
+    tangent_by: [S::Vec3; 2],
+    /// First, second and third derivative of δ by tan²θ.
+    slopes: [S; 3],
+}
+
+impl<S: Scalar> Raise<S> {
+    fn none() -> Self {
+        let zero = S::zero();
+        Self {
+            height: zero,
+            by_position: S::Vec3::default(),
+            tangents: [zero; 2],
+            tangent_by: [S::Vec3::default(); 2],
+            slopes: [zero; 3],
+        }
+    }
+
+    /// What the variation of δ over a spot adds to its centroid, and its derivatives by the emitter's position.
+    ///
+    /// With the derivatives f, g, … of δ by tan²θ, rays spread by ε along x about tan θ = (τ, υ) add
+    /// −⟨ε²⟩·τ·(3f + 2τ²g), those spread along y −⟨ε²⟩·τ·(f + 2υ²g); ⟨ε²⟩ is a third of the square of half extent over
+    /// height.
+    fn bend(&self, spot: &Rectangle<S>, sides: &[S::Vec3; 4]) -> (S, S::Vec3) {
+        let ([f, g, g_slope], [along, across]) = (self.slopes, self.tangents);
+        let (two, three) = (S::two(), S::of(3.0));
+        let (along2, across2) = (along * along, across * across);
+        let per_height = spot.height.recip();
+        let [spread_x, spread_y] = [spot.x.half, spot.y.half].map(|half| {
+            let ratio = half * per_height;
+            ratio * ratio / three
+        });
+        let (of_x, of_y) = (three * f + two * along2 * g, f + two * across2 * g);
+        let sum = spread_x * of_x + spread_y * of_y;
+        // By tan²θ, τ and υ, and by the spreads.
+        let by_square = spread_x * (three * g + two * along2 * g_slope) + spread_y * (g + two * across2 * g_slope);
+        let by_along = sum + along * (two * along * by_square + S::of(4.0) * spread_x * along * g);
+        let by_across = along * (two * across * by_square + S::of(4.0) * spread_y * across * g);
+        let by_height = S::Vec3::new(S::zero(), S::zero(), S::one()) - self.by_position;
+        let widened =
+            |low: usize, half: S| (sides[low + 1] - sides[low]) * half.recip() - by_height * (two * per_height);
+        let by_position = self.tangent_by[0] * by_along
+            + self.tangent_by[1] * by_across
+            + (widened(0, spot.x.half) * (spread_x * of_x) + widened(2, spot.y.half) * (spread_y * of_y)) * along;
+        (-(along * sum), -by_position)
+    }
+}
+
+/// The spot as a rectangle in the plane of the raised detector, and how its sides move with the emitter.
+pub(super) struct Spot<S: Scalar> {
+    pub(super) rectangle: Rectangle<S>,
+    sides: [S::Vec3; 4],
+    raise: Raise<S>,
+    pub(super) slack_m: S,
+}
+
+/// A side of the spot: its place on the detector, and the face that bounds it; `None`: the detector does.
+#[derive(Clone, Copy)]
+struct Side<S: Scalar> {
+    at: S,
+    face: Option<usize>,
+}
+
+impl<S: Scalar> Beam<S> {
+    /// `None`: the slit is turned too far for this geometry.
+    pub(super) fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
+        let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
+        if axes.y_axis.y < libm::sqrt(1.0 - MOST_TURN * MOST_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
+            return None;
+        }
+        let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
+        let half_thickness = 0.5 * slit.thickness_m;
+        let (along, normal) = (axes.y_axis, axes.z_axis);
+        let face = |offset: f64| {
+            let middle = centre + normal * offset;
+            let moment = |side: f64| S::Vec3::of((middle + axes.x_axis * (side * 0.5 * slit.width_m)).cross(along));
+            let end = |side: f64| S::Vec3::of(middle + along * (side * 0.5 * slit.length_m));
+            Face { moments: [-1.0, 1.0].map(moment), ends: [-1.0, 1.0].map(end) }
+        };
+        let face_count = if half_thickness > 0.0 { 2 } else { 1 };
+        Some(Self {
+            faces: [face(-half_thickness), face(half_thickness)],
+            face_count,
+            across: S::Vec3::of(axes.x_axis),
+            along: S::Vec3::of(along),
+            half_sizes: [S::of(0.5 * slit.width_m), S::of(0.5 * slit.length_m)],
+            centre: S::Vec3::of(centre),
+            normal: S::Vec3::of(normal),
+            half_thickness: S::of(half_thickness),
+            window: window.filter(|window| window.thickness_m > 0.0).map(|window| {
+                let index2 = window.refractive_index * window.refractive_index;
+                Glass { thickness: S::of(window.thickness_m), index2: S::of(index2), excess: S::of(index2 - 1.0) }
+            }),
+        })
+    }
+
+    /// δ for an emitter at `e`.
+    fn raise(&self, e: S::Vec3) -> Raise<S> {
+        let Some(glass) = &self.window else {
+            return Raise::none();
+        };
+        let per_height = (e.z() - self.centre.z()).recip();
+        let along = (e.x() - self.centre.x()) * per_height;
+        let per_distance = e.z().recip();
+        let across = e.y() * per_distance;
+        let zero = S::zero();
+        let by_along = S::Vec3::new(per_height, zero, -along * per_height);
+        let by_across = S::Vec3::new(zero, per_distance, -across * per_distance);
+        let (height, slopes) = glass.raise(along * along + across * across);
+        Raise {
+            height,
+            by_position: (by_along * along + by_across * across) * (S::two() * slopes[0]),
+            tangents: [along, across],
+            tangent_by: [by_along, by_across],
+            slopes,
+        }
+    }
+
+    /// The side that the detector's edge at y = `edge` cuts off, and its derivatives by the emitter's position. Light
+    /// lands there at an angle of its own, where the detector appears raised by another height.
+    fn detector_side<const GRADIENT: bool>(&self, edge: S, e: S::Vec3, raise: &Raise<S>) -> (S, S::Vec3) {
+        let Some(glass) = &self.window else {
+            return (edge, S::Vec3::default());
+        };
+        let height = e.z() - raise.height;
+        let per_height = height.recip();
+        let away = edge - e.y();
+        let tangent = away * per_height;
+        let [along, _] = raise.tangents;
+        let (own_raise, [slope, ..]) = glass.raise(along * along + tangent * tangent);
+        let per_own = (e.z() - own_raise).recip();
+        let ratio = height * per_own;
+        let mut by_position = S::Vec3::default();
+        if GRADIENT {
+            let (zero, one, two) = (S::zero(), S::one(), S::two());
+            let by_height = S::Vec3::new(zero, zero, one) - raise.by_position;
+            let by_tangent = (S::Vec3::new(zero, one, zero) + by_height * tangent) * -per_height;
+            let by_own = (raise.tangent_by[0] * along + by_tangent * tangent) * (two * slope);
+            let by_own_height = S::Vec3::new(zero, zero, one) - by_own;
+            by_position =
+                S::Vec3::new(zero, one - ratio, zero) + (by_height - by_own_height * ratio) * (away * per_own);
+        }
+        (e.y() + away * ratio, by_position)
+    }
+
+    /// The moment of a long edge about the middle of the raised detector, and X = m·e/(m_x − e_y·a_z + e_z·a_y) of the
+    /// raised detector's emitter without its numerator.
+    fn raised_moment(&self, moment: S::Vec3, raised: S::Vec3, delta: S) -> (S::Vec3, S) {
+        let a = self.along;
+        let m = S::Vec3::new(moment.x() + delta * a.y(), moment.y() - delta * a.x(), moment.z());
+        (m, (m.x() - raised.y() * a.z() + raised.z() * a.y()).recip())
+    }
+
+    /// How the side at `at` that a long edge bounds moves with the emitter.
+    fn edge_slope(&self, moment: S::Vec3, at: S, e: S::Vec3, raised: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
+        let a = self.along;
+        let (m, per) = self.raised_moment(moment, raised, raise.height);
+        let by_raise = (a.y() * e.x() - a.x() * e.y() - m.z()) * per;
+        S::Vec3::new(m.x(), m.y() + at * a.z(), m.z() - at * a.y()) * per + raise.by_position * by_raise
+    }
+
+    /// How the side that the end q of the slit bounds moves with the emitter.
+    fn end_slope(q: S::Vec3, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
+        let per = (e.z() - q.z()).recip();
+        let (height, to_emitter) = (q.z() - raise.height, q.y() - e.y());
+        S::Vec3::new(S::zero(), -height * per, -to_emitter * height * per * per)
+            - raise.by_position * (to_emitter * per)
+    }
+
+    /// The spot of an emitter at `e`, on a detector of half extents `half`.
+    pub(super) fn spot<const GRADIENT: bool>(&self, e: S::Vec3, half: [S; 2]) -> Result<(Spot<S>, Status), Status> {
+        let from_centre = e - self.centre;
+        if from_centre.dot(self.normal) <= self.half_thickness {
+            return Err(Status::Behind);
+        }
+        let raise = self.raise(e);
+        let delta = raise.height;
+        let raised = S::Vec3::new(e.x(), e.y(), e.z() - delta);
+        let cut = [-half[1], half[1]].map(|edge| self.detector_side::<GRADIENT>(edge, e, &raise));
+        let detector = |at: S| Side { at, face: None };
+        let [mut x_low, mut x_high] = [-half[0], half[0]].map(detector);
+        let [mut y_low, mut y_high] = cut.map(|(at, _)| detector(at));
+        let mut slack = S::infinity();
+        let walls = [(self.across, self.half_sizes[0]), (self.along, self.half_sizes[1])].map(|(direction, half)| {
+            let place = from_centre.dot(direction);
+            [place + half, half - place].map(|distance| S::of(WALL_SLACK) * distance.abs())
+        });
+        for (number, face) in self.faces[..self.face_count].iter().enumerate() {
+            let sides = face.moments.map(|moment| {
+                let (m, per) = self.raised_moment(moment, raised, delta);
+                m.dot(raised) * per
+            });
+            let ends = face.ends.map(|q| q.y() + (q.y() - e.y()) * (q.z() - delta) * (e.z() - q.z()).recip());
+            let axes = [(&mut x_low, &mut x_high, sides, walls[0]), (&mut y_low, &mut y_high, ends, walls[1])];
+            for (low, high, [first, second], walls) in axes {
+                let apart = |side: &Side<S>, other: S, wall: S| {
+                    if side.face.is_none() { (side.at - other).abs() } else { wall }
+                };
+                slack = slack.min(apart(low, first, walls[0])).min(apart(high, second, walls[1]));
+                if first > low.at {
+                    *low = Side { at: first, face: Some(number) };
+                }
+                if second < high.at {
+                    *high = Side { at: second, face: Some(number) };
+                }
+            }
+        }
+        let extent = |low: Side<S>, high: Side<S>, e: S| {
+            let landing = S::half() * (low.at + high.at);
+            let edge = |side: Side<S>| Edge { position: side.at - e, magnification: S::one() };
+            Extent {
+                low: edge(low),
+                high: edge(high),
+                middle: landing - e,
+                landing,
+                half: S::half() * (high.at - low.at),
+            }
+        };
+        let (x, y) = (extent(x_low, x_high, e.x()), extent(y_low, y_high, e.y()));
+        // With a pose that is NaN both half extents are NaN, and the spot is dark.
+        if !(x.half > S::zero() && y.half > S::zero()) {
+            return Err(Status::Dark);
+        }
+        let status = if x_low.face.is_none() || x_high.face.is_none() { Status::Clipped } else { Status::Lit };
+        let rectangle = Rectangle { x, y, height: raised.z() };
+        let mut sides = [S::Vec3::default(); 4];
+        if GRADIENT {
+            for (end, side) in [x_low, x_high].into_iter().enumerate() {
+                if let Some(face) = side.face {
+                    sides[end] = self.edge_slope(self.faces[face].moments[end], side.at, e, raised, &raise);
+                }
+            }
+            for (end, side) in [y_low, y_high].into_iter().enumerate() {
+                sides[2 + end] = match side.face {
+                    Some(face) => Self::end_slope(self.faces[face].ends[end], e, &raise),
+                    None => cut[end].1,
+                };
+            }
+        }
+        Ok((Spot { rectangle, sides, raise, slack_m: slack }, status))
+    }
+}
+
+impl<S: Scalar> Spot<S> {
+    /// Power and position of the light in terms of the emitter, from those in terms of the sides.
+    pub(super) fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
+        let (bend, bend_by) = self.raise.bend(&self.rectangle, &self.sides);
+        let x_a = self.rectangle.x.landing + light.centroid.value + bend;
+        if !GRADIENT {
+            return Light {
+                power: EmitterGradient::of_value(light.power.value),
+                x_a: Place::Weighted(EmitterGradient::of_value(x_a)),
+            };
+        }
+        let (zero, one) = (S::zero(), S::one());
+        let (along, across) = (S::Vec3::new(one, zero, zero), S::Vec3::new(zero, one, zero));
+        let height = S::Vec3::new(zero, zero, one) - self.raise.by_position;
+        let chain = |quantity: &SideGradient<S>| {
+            let by = quantity.by_side;
+            (self.sides[0] - along) * by[0]
+                + (self.sides[1] - along) * by[1]
+                + (self.sides[2] - across) * by[2]
+                + (self.sides[3] - across) * by[3]
+                + height * quantity.by_height
+        };
+        Light {
+            power: EmitterGradient {
+                value: light.power.value,
+                by_position: chain(&light.power),
+                by_axis: light.power.by_axis,
+            },
+            x_a: Place::Weighted(EmitterGradient {
+                value: x_a,
+                by_position: chain(&light.centroid) + along + bend_by,
+                by_axis: light.centroid.by_axis,
+            }),
+        }
+    }
+
+    /// The raised plane's height above the detector, and its derivatives by the emitter's position.
+    pub(super) fn raise(&self) -> (S, S::Vec3) {
+        (self.raise.height, self.raise.by_position)
+    }
+}

@@ -1,0 +1,450 @@
+//! A cell with effects ([`crate::Effects`]): from light to currents.
+//!
+//! Cells without effects never come here. The light of every emitter that is lit adds its power and its moment, power
+//! times position, so that stray light, other emitters and the points of an extended source need no case of their own.
+
+mod beam;
+mod electrical;
+
+use heapless::Vec;
+
+use crate::effects::{AZIMUTHAL_TERMS, Effects};
+use crate::exact::{self, Orders, Rules};
+use crate::paper;
+use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
+use crate::pose::Transform;
+use crate::profile::{CompiledProfile, Emission};
+use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
+use crate::response::{Flags, Integration, Pair, Response, Status};
+use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scene::Cell;
+
+use self::beam::{Beam, Spot};
+use self::electrical::Electrical;
+use super::optics::{Light, Place, Seen, Source};
+use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
+
+/// The effects of one cell, compiled.
+#[derive(Clone, Debug)]
+pub(super) struct Imperfect<S: Scalar> {
+    beam: Beam<S>,
+    electrical: Electrical<S>,
+    source: ExtendedSource<S>,
+    /// Bit j: emitter j is lit, too.
+    lit_together: u16,
+}
+
+/// What an emitter has beyond its place, axis and profile.
+#[derive(Clone, Debug)]
+struct ExtendedSource<S: Scalar> {
+    /// Directions v and w across the axis, tool frame.
+    across: [S::Vec3; 2],
+    /// Coefficients of v² − w², 2vw, zv, zw; `None`: the profile has no azimuth.
+    azimuthal: Option<[S; AZIMUTHAL_TERMS]>,
+    /// Radius of the points of the source around its centre, metres; zero: a point.
+    radius: S,
+}
+
+/// Points around the centre of a disc, in units of √⅔ of its radius: with the weights ⅛ and ¼ for the centre the rule
+/// is exact to the fifth degree (Radon 1948).
+const RING: [[f64; 2]; 6] = [
+    [1.0, 0.0],
+    [0.5, 0.866_025_403_784_438_6],
+    [-0.5, 0.866_025_403_784_438_6],
+    [-1.0, 0.0],
+    [-0.5, -0.866_025_403_784_438_6],
+    [0.5, -0.866_025_403_784_438_6],
+];
+const RING_WEIGHT: f64 = 0.125;
+const CENTRE_WEIGHT: f64 = 0.25;
+
+/// Step of differences by the sides of a spot, in units of its half extent.
+const STEP: f64 = 1e-4;
+
+/// √⅔.
+const RING_RADIUS: f64 = 0.816_496_580_927_726;
+
+impl<S: Scalar> Imperfect<S> {
+    /// `None`: the slit is turned too far. The profile's radial part is in the cell's [`CompiledProfile`].
+    pub(super) fn compile(cell: &Cell, effects: &Effects) -> Option<Self> {
+        Some(Self {
+            beam: Beam::compile(&cell.slit, effects.window)?,
+            electrical: Electrical::compile(effects, 0.5 * cell.detector.length_m),
+            source: ExtendedSource::compile(cell.emitter.axis_tool, effects),
+            lit_together: effects.lit_together,
+        })
+    }
+
+    /// See [`Plan::lit_together`].
+    pub(super) fn lit_together(&self) -> u16 {
+        self.lit_together
+    }
+}
+
+impl<S: Scalar> ExtendedSource<S> {
+    fn compile(axis: glam::DVec3, effects: &Effects) -> Self {
+        let reference = if axis.z.abs() > core::f64::consts::FRAC_1_SQRT_2 { glam::DVec3::X } else { glam::DVec3::Z };
+        let v = (reference - axis * axis.dot(reference)).normalize_or_zero();
+        let azimuthal = effects.profile.azimuthal;
+        Self {
+            across: [v, axis.cross(v)].map(S::Vec3::of),
+            azimuthal: (azimuthal != [0.0; AZIMUTHAL_TERMS]).then(|| azimuthal.map(S::of)),
+            radius: S::of(0.5 * RING_RADIUS * effects.source_diameter_m),
+        }
+    }
+
+    /// The factor 1 + Σ azimuthal of the ray along the unit vector `ray` (base frame), and its derivatives by the
+    /// components of the ray along v, w and u, as one vector of the base frame.
+    fn factor(
+        &self,
+        coefficients: &[S; AZIMUTHAL_TERMS],
+        pose: &Transform<S>,
+        axis: S::Vec3,
+        ray: S::Vec3,
+    ) -> (S, S::Vec3) {
+        let [v_axis, w_axis] = self.across.map(|direction| pose.rotate(direction));
+        let (v, w) = (v_axis.dot(ray), w_axis.dot(ray));
+        let z = S::one() - axis.dot(ray);
+        let [squares, product, along_v, along_w] = *coefficients;
+        let two = S::two();
+        let value = S::one() + squares * (v * v - w * w) + product * two * v * w + z * (along_v * v + along_w * w);
+        let by_v = two * (squares * v + product * w) + z * along_v;
+        let by_w = two * (product * v - squares * w) + z * along_w;
+        let by_u = -(along_v * v + along_w * w);
+        (value, v_axis * by_v + w_axis * by_w + axis * by_u)
+    }
+}
+
+/// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose.
+#[derive(Clone, Copy)]
+struct Sums<S> {
+    total: S,
+    moment: S,
+    total_by: [S; 6],
+    moment_by: [S; 6],
+}
+
+impl<S: Scalar> Sums<S> {
+    fn none() -> Self {
+        let zero = S::zero();
+        Self { total: zero, moment: zero, total_by: [zero; 6], moment_by: [zero; 6] }
+    }
+}
+
+/// What is known besides of the spot of the cell's own emitter.
+struct Own<S: Scalar> {
+    status: Status,
+    slack_m: S,
+    photocurrent: S,
+    x_a: Option<S>,
+    integration: Option<Integration<S>>,
+}
+
+/// Light of `emission` through the beam's spot.
+fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    emitter: &CompiledEmitter<S>,
+    emission: &E,
+    seen: &Seen<S>,
+    spot: &Spot<S>,
+) -> (Option<Light<S>>, Option<Integration<S>>) {
+    let rectangle = &spot.rectangle;
+    let (Some(orders), Some(rules)) = (&emitter.orders, &plan.rules) else {
+        let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, seen.axis, emission);
+        return (Some(spot.of_sides::<GRADIENT>(&light)), None);
+    };
+    if exact::faces_away(rectangle, seen.axis) {
+        return (None, None);
+    }
+    if let Some((light, evaluations)) =
+        exact::rectangle_light::<S, E, GRADIENT>(rectangle, seen.axis, emission, orders, rules)
+    {
+        let integration = Integration { evaluations, relative_error: orders.tolerance() };
+        return (Some(spot.of_sides::<GRADIENT>(&light)), Some(integration));
+    }
+    divided::<S, E, GRADIENT>(spot, seen, emission, orders, rules)
+}
+
+/// The light of a spot that one tensor rule cannot integrate. Its derivatives by the sides are differences.
+#[cold]
+fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    spot: &Spot<S>,
+    seen: &Seen<S>,
+    emission: &E,
+    orders: &Orders<S>,
+    rules: &Rules<S>,
+) -> (Option<Light<S>>, Option<Integration<S>>) {
+    let of = |rectangle: &Rectangle<S>| {
+        let polygon = Polygon::of_rectangle(rectangle);
+        let (light, integration) = exact::polygon_light::<S, E, GRADIENT>(polygon, seen.axis, emission, orders, rules);
+        // The centroid from the emitter's foot to the middle of the spot.
+        let light = light.map(|(power, centroid)| {
+            (power, EmitterGradient { value: centroid.value - rectangle.x.middle, ..centroid })
+        });
+        (light, integration)
+    };
+    let (light, integration) = of(&spot.rectangle);
+    let Some((power, centroid)) = light else {
+        return (None, Some(integration));
+    };
+    let quantity = |of: &EmitterGradient<S>| SideGradient {
+        value: of.value,
+        by_side: [S::zero(); 4],
+        by_height: of.by_position.z(),
+        by_axis: of.by_axis,
+    };
+    let mut light = RectangleLight { power: quantity(&power), centroid: quantity(&centroid) };
+    if GRADIENT {
+        let step = S::of(STEP) * spot.rectangle.x.half.min(spot.rectangle.y.half);
+        let per_step = (S::two() * step).recip();
+        for side in 0..4 {
+            let [after, before] = [step, -step].map(|by| {
+                let moved = spot.rectangle.with_side_moved(side, by);
+                of(&moved).0.map(|(power, centroid)| [power.value, centroid.value + moved.x.middle])
+            });
+            if let (Some(after), Some(before)) = (after, before) {
+                light.power.by_side[side] = (after[0] - before[0]) * per_step;
+                light.centroid.by_side[side] = (after[1] - before[1]) * per_step;
+            }
+        }
+    }
+    (Some(spot.of_sides::<GRADIENT>(&light)), Some(integration))
+}
+
+/// Adds the light of one point of the emitter of cell `of` to `sums`, with a `weight`.
+#[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
+fn add_point<S: Scalar, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    emitter: &CompiledEmitter<S>,
+    source: &Source<S>,
+    extended: Option<&ExtendedSource<S>>,
+    pose: &Transform<S>,
+    weight: S,
+    sums: &mut Sums<S>,
+) -> Result<Own<S>, Status> {
+    let receiver = &cell.receiver;
+    let seen = receiver.see(source, pose);
+    let (spot, status) = imperfect.beam.spot::<GRADIENT>(seen.position, receiver.half)?;
+    let (light, integration) = match &emitter.profile {
+        CompiledProfile::Cosine(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
+        CompiledProfile::Table(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
+        CompiledProfile::ShapedCosine(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
+        CompiledProfile::ShapedTable(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
+    };
+    let slack_m = spot.slack_m;
+    let Some(light) = light else {
+        return Ok(Own { status, slack_m, photocurrent: S::zero(), x_a: None, integration });
+    };
+    let x_a = light.x_a.value();
+    let gain = receiver.responsivity * source.intensity;
+    let (mut power, mut power_by) = (gain * light.power.value, [S::zero(); 6]);
+    let mut x_by = [S::zero(); 6];
+    if GRADIENT {
+        power_by = receiver.of_pose(&light.power, &seen).map(|value| gain * value);
+        x_by = match &light.x_a {
+            Place::Weighted(gradient) => receiver.of_pose(gradient, &seen),
+            Place::Middle(..) => x_by,
+        };
+    }
+    if let Some((extended, coefficients)) = extended.and_then(|it| Some((it, it.azimuthal.as_ref()?))) {
+        // The ray to the spot's centre, base frame.
+        let e = seen.position;
+        let to_spot = S::Vec3::new(x_a - e.x(), -e.y(), spot.raise().0 - e.z());
+        let per_distance = to_spot.length().recip();
+        let ray = receiver.to_base(to_spot) * per_distance;
+        let (factor, by_ray) = extended.factor(coefficients, pose, seen.axis_base, ray);
+        if GRADIENT {
+            // The ray turns as its ends move, and the tool turns under it.
+            let across = (by_ray - ray * ray.dot(by_ray)) * per_distance;
+            let turn = by_ray.cross(ray);
+            let by_end = receiver.to_cell(across);
+            let by_position = spot.raise().1 * by_end.z() - by_end;
+            let by_emitter = EmitterGradient { value: factor, by_position, ..Default::default() };
+            let mut factor_by = receiver.of_pose(&by_emitter, &seen);
+            let by_x_a = by_end.x();
+            for i in 0..6 {
+                factor_by[i] += by_x_a * x_by[i];
+            }
+            for (i, component) in [turn.x(), turn.y(), turn.z()].into_iter().enumerate() {
+                factor_by[3 + i] += component;
+            }
+            for i in 0..6 {
+                power_by[i] = power_by[i] * factor + power * factor_by[i];
+            }
+        }
+        power *= factor;
+    }
+    let (x_m, slope) = imperfect.electrical.measured(x_a);
+    sums.total += weight * power;
+    sums.moment += weight * power * x_m;
+    if GRADIENT {
+        for i in 0..6 {
+            sums.total_by[i] += weight * power_by[i];
+            sums.moment_by[i] += weight * (power_by[i] * x_m + power * slope * x_by[i]);
+        }
+    }
+    Ok(Own { status, slack_m, photocurrent: power, x_a: Some(x_a), integration })
+}
+
+/// Adds the light of the emitter of cell `of`; what is known of the spot of its centre.
+fn add_emitter<S: Scalar, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    of: &CompiledCell<S>,
+    pose: &Transform<S>,
+    sums: &mut Sums<S>,
+) -> Result<Own<S>, Status> {
+    let emitter = &of.emitter;
+    let extended = plan.imperfect_of(of).map(|imperfect| &imperfect.source);
+    let mut add = |source: &Source<S>, weight: S| {
+        add_point::<S, GRADIENT>(plan, cell, imperfect, emitter, source, extended, pose, weight, sums)
+    };
+    let Some(disc) = extended.filter(|source| source.radius > S::zero()) else {
+        return add(&emitter.source, S::one());
+    };
+    for [v, w] in RING {
+        let offset = disc.across[0] * (disc.radius * S::of(v)) + disc.across[1] * (disc.radius * S::of(w));
+        let point = Source { position: emitter.source.position + offset, ..emitter.source.clone() };
+        // A point without a spot adds nothing.
+        let _ = add(&point, S::of(RING_WEIGHT));
+    }
+    add(&emitter.source, S::of(CENTRE_WEIGHT))
+}
+
+/// All light on the detector of `cell`.
+fn gather<S: Scalar, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    pose: &Transform<S>,
+) -> (Sums<S>, Result<Own<S>, Status>) {
+    let mut sums = Sums::none();
+    let own = add_emitter::<S, GRADIENT>(plan, cell, imperfect, cell, pose, &mut sums);
+    if imperfect.lit_together != 0 {
+        for (number, other) in plan.cells.iter().enumerate() {
+            if imperfect.lit_together >> number & 1 == 1 {
+                // Light that does not reach the slit adds nothing.
+                let _ = add_emitter::<S, GRADIENT>(plan, cell, imperfect, other, pose, &mut sums);
+            }
+        }
+    }
+    (sums, own)
+}
+
+#[cold]
+#[inline(never)]
+pub(super) fn photocurrents<S: Scalar>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    pose: &Transform<S>,
+) -> Pair<S> {
+    let (sums, _) = gather::<S, false>(plan, cell, imperfect, pose);
+    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(plan, cell, &sums, S::one(), pose);
+    Pair { i_x1_a, i_x2_a }
+}
+
+#[cold]
+#[inline(never)]
+pub(super) fn linearise<S: Scalar>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    pose: &Transform<S>,
+) -> CellTerms<S> {
+    let (sums, own) = gather::<S, true>(plan, cell, imperfect, pose);
+    let (pair, jacobian) = imperfect.electrical.currents::<true>(plan, cell, &sums, S::one(), pose);
+    match own {
+        Ok(Own { status, slack_m, .. }) => CellTerms { status, pair, jacobian, slack_m },
+        // Without direct light, what is left says next to nothing of the pose.
+        Err(status) => CellTerms { pair, ..CellTerms::dark(status) },
+    }
+}
+
+#[cold]
+#[inline(never)]
+pub(super) fn respond<S: Scalar>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    pose: &Transform<S>,
+) -> Response<S> {
+    let receiver = &cell.receiver;
+    let (sums, own) = gather::<S, false>(plan, cell, imperfect, pose);
+    let (pair, _) = imperfect.electrical.currents::<false>(plan, cell, &sums, S::one(), pose);
+    let half_dark = S::half() * receiver.dark;
+    let currents = Pair { i_x1_a: pair[0] + half_dark, i_x2_a: pair[1] + half_dark };
+    let i_o_a = currents.total_a();
+    let saturated = cell.saturation.is_some_and(|limit| i_o_a > limit);
+    let seen = receiver.see(&cell.emitter.source, pose);
+    let spot = imperfect.beam.spot::<false>(seen.position, receiver.half);
+    let (Ok(own), Ok((spot, _))) = (&own, &spot) else {
+        let status = own.err().unwrap_or(Status::Dark);
+        return Response {
+            status,
+            flags: Flags { saturated, faint: cell.faint > S::zero(), facing_away: false },
+            x_a_m: None,
+            gamma_rad: None,
+            solid_angle_sr: S::zero(),
+            i_o_a,
+            currents,
+            integration: None,
+        };
+    };
+    let beam = paper::rectangle_beam(&spot.rectangle, seen.axis);
+    Response {
+        status: own.status,
+        flags: Flags { saturated, faint: own.photocurrent < cell.faint, facing_away: beam.cosine <= S::zero() },
+        x_a_m: own.x_a,
+        gamma_rad: Some(beam.cosine.max(-S::one()).min(S::one()).arc_cosine()),
+        solid_angle_sr: match &plan.rules {
+            Some(_) => super::evaluate::rectangle_solid_angle(&spot.rectangle),
+            None => beam.solid_angle,
+        },
+        i_o_a,
+        currents,
+        integration: own.integration,
+    }
+}
+
+/// Corners of the spot on the detector.
+pub(super) fn outline<S: Scalar>(
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    pose: &Transform<S>,
+) -> Vec<[S; 2], MAX_CORNERS> {
+    let seen = cell.receiver.see(&cell.emitter.source, pose);
+    match imperfect.beam.spot::<false>(seen.position, cell.receiver.half) {
+        Ok((spot, _)) => {
+            let corners = spot.rectangle.corners().into_iter();
+            corners.map(|[x, y]| [x + seen.position.x(), y + seen.position.y()]).collect()
+        }
+        Err(_) => Vec::new(),
+    }
+}
+
+/// See [`Plan::photocurrents_of`]; of the emitter of each cell in `lit`, at its level.
+pub(super) fn photocurrents_of_emitters<'a, S: Scalar>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    lit: impl Iterator<Item = (&'a CompiledCell<S>, S)>,
+    pose: &Transform<S>,
+) -> Pair<S> {
+    let (mut sums, mut own_level) = (Sums::none(), S::zero());
+    for (of, level) in lit {
+        let mut light = Sums::none();
+        // Light that does not reach the slit adds nothing.
+        let _ = add_emitter::<S, false>(plan, cell, imperfect, of, pose, &mut light);
+        sums.total += level * light.total;
+        sums.moment += level * light.moment;
+        if core::ptr::eq(of, cell) {
+            own_level = level;
+        }
+    }
+    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(plan, cell, &sums, own_level, pose);
+    Pair { i_x1_a, i_x2_a }
+}
