@@ -120,6 +120,11 @@ impl<'a> Document<'a> {
         self.root.contains_key(section)
     }
 
+    /// Whether a section is in the file, or of its own in a cell.
+    pub(super) fn has_section_for(&self, cell: usize, section: &str) -> bool {
+        self.has_section(section) || self.find_own(cell, "cell", section).is_some()
+    }
+
     /// A text, if the key is there.
     pub(super) fn text(&self, path: KeyPath) -> Result<Option<String>, SceneFileError> {
         let Some(entry) = self.find(path) else {
@@ -148,6 +153,43 @@ impl<'a> Document<'a> {
         expected: &'static str,
     ) -> Result<Option<[f64; N]>, SceneFileError> {
         self.find(path).map(|entry| self.as_vector(path, entry, expected)).transpose()
+    }
+
+    /// `N` rows of `M` finite numbers, if the key is there.
+    pub(super) fn matrix<const N: usize, const M: usize>(
+        &self,
+        path: KeyPath,
+        expected: &'static str,
+    ) -> Result<Option<[[f64; M]; N]>, SceneFileError> {
+        let Some(entry) = self.find(path) else {
+            return Ok(None);
+        };
+        let rows = self.as_array(path, entry, expected)?;
+        if rows.len() != N {
+            return Err(self.wrong_type(path, entry, expected));
+        }
+        let mut matrix = [[0.0; M]; N];
+        for (row, entry) in matrix.iter_mut().zip(rows.iter()) {
+            *row = self.as_vector(path, entry, expected)?;
+        }
+        Ok(Some(matrix))
+    }
+
+    /// Up to `N` finite numbers; none if the key is not there.
+    pub(super) fn list<const N: usize>(
+        &self,
+        path: KeyPath,
+        expected: &'static str,
+    ) -> Result<heapless::Vec<f64, N>, SceneFileError> {
+        let mut list = heapless::Vec::new();
+        let Some(entry) = self.find(path) else {
+            return Ok(list);
+        };
+        for number in self.as_array(path, entry, expected)?.iter() {
+            let number = self.as_number(path, number)?;
+            list.push(number).map_err(|_| self.wrong_type(path, entry, expected))?;
+        }
+        Ok(list)
     }
 
     /// Reads an entry as an array.

@@ -185,14 +185,6 @@ pub enum ContentFault {
         /// The allowed numbers, in words.
         allowed: &'static str,
     },
-    /// An effect this version does not compute.
-    #[error("{path} = {text} is not supported by this version; remove it or set it to zero")]
-    NotSupported {
-        /// The key.
-        path: KeyPath,
-        /// The value as written.
-        text: String,
-    },
     /// More than one way to give the profile, or none.
     #[error(
         "cell {cell} has {count} emission profiles; give exactly one of half_angle_deg, profile_exponent, profile in [emitter]"

@@ -1,11 +1,12 @@
 //! The scene file: one TOML text that describes a sensor head.
 //!
 //! Read in this order: `document` parses the text and knows every key's place in it, `optics`
-//! builds the model's [`Scene`], `electronics`, `lighting` and `workspace` the rest, `shipped` holds
+//! and `effects` build the model's [`Scene`], `electronics`, `lighting` and `workspace` the rest, `shipped` holds
 //! the scenes compiled into the program.
 //! The file speaks millimetres and degrees; everything that leaves this module is SI.
 
 mod document;
+mod effects;
 mod electronics;
 mod error;
 mod lighting;
@@ -13,6 +14,7 @@ mod optics;
 mod schema;
 mod shipped;
 mod spelling;
+mod tolerance;
 mod workspace;
 
 use std::fs;
@@ -26,6 +28,7 @@ pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError}
 pub use lighting::Lighting;
 pub use shipped::{BASE, BENCH, SHIPPED, Shipped, WIDE};
 pub use spelling::nearest;
+pub use tolerance::Tolerance;
 pub use workspace::Workspace;
 
 use crate::foreign::printable;
@@ -46,6 +49,8 @@ pub struct SceneFile {
     pub scene: Scene,
     /// The electronics; `None`: ideal.
     pub front_end: Option<FrontEnd>,
+    /// How well parts are known before calibration; `None`: the file does not say.
+    pub tolerance: Option<Tolerance>,
     /// Which emitters are lit together, and in which order.
     pub lighting: Lighting,
     /// The box of poses the head is meant for.
@@ -80,7 +85,9 @@ impl SceneFile {
     /// Reads a scene from the text of a file; `origin` names it in messages.
     pub fn parse(origin: &str, text: &str) -> Result<Self, SceneFileError> {
         let document = Document::parse(origin, text)?;
-        let scene = optics::read(&document)?;
+        let mut scene = optics::read(&document)?;
+        let lighting = lighting::read(&document, scene.cells.len())?;
+        effects::light_together(&mut scene, &lighting);
         // Every rule about optical values stands in the model; compiling applies them all.
         Plan::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
         let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
@@ -92,7 +99,8 @@ impl SceneFile {
             source: text.to_owned(),
             hash: fnv1a_64(text.as_bytes()),
             front_end: electronics::read(&document)?,
-            lighting: lighting::read(&document, scene.cells.len())?,
+            tolerance: tolerance::read(&document)?,
+            lighting,
             workspace: workspace::read(&document)?,
             scene,
         })

@@ -11,10 +11,11 @@ use slitpose_model::{
 };
 
 use super::document::Document;
+use super::effects;
 use super::error::{ContentFault, KeyPath, SceneFileError};
 use super::schema::PROFILES;
 
-const M_FROM_MM: f64 = 1e-3;
+pub(super) const M_FROM_MM: f64 = 1e-3;
 
 /// The optics of the scene, not yet checked by the model.
 pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
@@ -38,12 +39,13 @@ pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
 }
 
 fn read_cell(document: &Document<'_>, number: usize) -> Result<Cell, SceneFileError> {
-    refuse_unsupported(document, number)?;
     for section in ["detector", "emitter"] {
         document.text(KeyPath::of_cell(number, section, "part"))?;
     }
+    let detector = read_detector(document, number)?;
     Ok(Cell {
-        detector: read_detector(document, number)?,
+        effects: effects::read(document, number, detector.length_m)?,
+        detector,
         slit: read_slit(document, number)?,
         emitter: read_emitter(document, number)?,
     })
@@ -157,31 +159,6 @@ fn read_uncertainty(document: &Document<'_>) -> Result<Uncertainty, SceneFileErr
         electrode_gain_relative: key("electrode_gain_relative")?,
         position_m: key("position_mm")? * M_FROM_MM,
     })
-}
-
-/// Keys of the format whose effect this version does not compute: accepted only at zero.
-fn refuse_unsupported(document: &Document<'_>, cell: usize) -> Result<(), SceneFileError> {
-    let path = KeyPath::of_cell(cell, "detector", "nonlinearity_mm");
-    let polynomial = document.vector::<3>(path, "three numbers, the coefficients of a polynomial")?;
-    let numbers = [
-        KeyPath::of_cell(cell, "emitter", "source_diameter_mm"),
-        KeyPath::of_cell(cell, "window", "thickness_mm"),
-        KeyPath::of_cell(cell, "stray", "current_a"),
-    ];
-    // Read so that a text in their place is still an error; without effect on their own.
-    document.number(KeyPath::of_cell(cell, "window", "refractive_index"))?;
-    document.number(KeyPath::of_cell(cell, "stray", "centre_mm"))?;
-    let mut on = polynomial.filter(|coefficients| *coefficients != [0.0; 3]).map(|_| path);
-    for path in numbers {
-        if document.number(path)?.is_some_and(|value| value != 0.0) {
-            on = on.or(Some(path));
-        }
-    }
-    let Some(path) = on else {
-        return Ok(());
-    };
-    let text = document.find(path).map(|entry| document.quote(entry.span())).unwrap_or_default();
-    Err(document.error(path, ContentFault::NotSupported { path, text }))
 }
 
 fn position(document: &Document<'_>, cell: usize, key: &'static str) -> Result<DVec3, SceneFileError> {

@@ -8,9 +8,11 @@ pub(super) const TOP: &[&str] = &[
     "emitter",
     "window",
     "stray",
+    "converter",
     "noise",
     "front_end",
     "uncertainty",
+    "tolerance",
     "lighting",
     "workspace",
     "cell",
@@ -28,10 +30,11 @@ pub(super) const CELL: &[&str] = &[
     "emitter",
     "window",
     "stray",
+    "converter",
 ];
 
 /// Sections whose keys a cell may override.
-pub(super) const PER_CELL: &[&str] = &["detector", "slit", "emitter", "window", "stray"];
+pub(super) const PER_CELL: &[&str] = &["detector", "slit", "emitter", "window", "stray", "converter"];
 
 /// The three ways to give an emitter's profile, exactly one of which is needed.
 pub(super) const PROFILES: [&str; 3] = ["half_angle_deg", "profile_exponent", "profile"];
@@ -50,15 +53,26 @@ const SECTIONS: &[(&str, &[&str])] = &[
             "saturation_a",
             "faint_a",
             "nonlinearity_mm",
+            "electrode_gain",
         ],
     ),
     ("slit", &["distance_mm", "width_mm", "length_mm", "offset_mm", "tilt_deg", "thickness_mm"]),
     (
         "emitter",
-        &["part", "radiant_intensity_w_per_sr", "source_diameter_mm", "half_angle_deg", "profile_exponent", "profile"],
+        &[
+            "part",
+            "radiant_intensity_w_per_sr",
+            "source_diameter_mm",
+            "half_angle_deg",
+            "profile_exponent",
+            "profile",
+            "profile_radial",
+            "profile_azimuthal",
+        ],
     ),
     ("window", &["thickness_mm", "refractive_index"]),
-    ("stray", &["current_a", "centre_mm"]),
+    ("stray", &["current_a", "centre_mm", "linear_a_per_mm", "quadratic_a_per_mm2"]),
+    ("converter", &["full_scale_a", "curve_1_a", "curve_2_a"]),
     ("noise", &["bandwidth_hz", "temperature_k", "adc_a"]),
     (
         "front_end",
@@ -74,6 +88,21 @@ const SECTIONS: &[(&str, &[&str])] = &[
         ],
     ),
     ("uncertainty", &["emitter_gain_relative", "electrode_gain_relative", "position_mm"]),
+    (
+        "tolerance",
+        &[
+            "position_mm",
+            "angle_deg",
+            "slit_width_mm",
+            "emitter_angle_deg",
+            "emitter_gain_relative",
+            "electrode_gain_relative",
+            "profile_relative",
+            "nonlinearity_mm",
+            "window_mm",
+            "stray_relative",
+        ],
+    ),
     ("lighting", &["slots"]),
     ("workspace", &["half_extent_mm", "half_extent_deg"]),
 ];

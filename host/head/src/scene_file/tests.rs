@@ -4,6 +4,8 @@ use slitpose_model::{Pose, Profile, Status};
 
 use super::*;
 
+mod effects;
+
 /// The least a scene needs; line numbers below count from its first line.
 const LEAST: &str = "\
 [detector]
@@ -102,29 +104,6 @@ fn a_cell_overrides_key_by_key_and_the_profile_as_one() {
 fn what_every_cell_gives_itself_needs_no_default() {
     let text = changed("width_mm = 0.6\n", "", "slit = { width_mm = 0.4 }\n");
     assert_eq!(parse(&text).unwrap().scene.cells[0].slit.width_m, 0.4 * 1e-3);
-}
-
-#[test]
-fn effects_that_are_not_built_are_accepted_only_at_zero() {
-    let off = changed(
-        "width_mm = 1.0",
-        "width_mm = 1.0\nnonlinearity_mm = [0.0, 0, 0.0]",
-        "emitter = { source_diameter_mm = 0.0 }\n[window]\nthickness_mm = 0\nrefractive_index = 1.52\n[stray]\ncurrent_a = 0.0\ncentre_mm = 1.0\n",
-    );
-    parse(&off).unwrap();
-    let refused = [
-        (
-            changed("width_mm = 1.0", "nonlinearity_mm = [0, 0.1, 0]\nwidth_mm = 1.0", ""),
-            "scene.toml:3:19",
-            "nonlinearity_mm = [0, 0.1, 0]",
-        ),
-        (format!("{LEAST}[window]\nthickness_mm = 0.7\n"), "scene.toml:19:16", "window.thickness_mm = 0.7"),
-        (format!("{LEAST}[stray]\ncurrent_a = 1e-9\n"), "scene.toml:19:13", "stray.current_a = 1e-9"),
-        (format!("{LEAST}emitter.source_diameter_mm = 0.3\n"), "scene.toml:18:30", "emitter.source_diameter_mm = 0.3"),
-    ];
-    for (text, place, value) in refused {
-        assert_refused(&text, &[place, value, "not supported by this version", "remove it"]);
-    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use super::electronics::Electronics;
 use super::hardware::SimulatedHardware;
+use super::light::Light;
 use super::trajectory::Trajectory;
 use crate::front_end::{self, TimingError};
 use crate::scene_file::SceneFile;
@@ -60,6 +61,20 @@ impl SimulatedBoard {
         tier: Tier,
         seed: u64,
     ) -> Result<Self, SimulatorError> {
+        Self::with_light(number, file, Box::new(Plan::compile(&file.scene, tier)?), trajectory, seed)
+    }
+
+    /// As [`numbered`](Self::numbered), with a head that `file` describes, but whose detectors get `light`.
+    ///
+    /// # Errors
+    /// If a board cannot run the scene.
+    pub fn with_light(
+        number: u8,
+        file: &SceneFile,
+        light: Box<dyn Light>,
+        trajectory: Trajectory,
+        seed: u64,
+    ) -> Result<Self, SimulatorError> {
         let configuration: Configuration = front_end::configuration(file)?;
         let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
         let electronics = Electronics::new(&file.scene, front_end);
@@ -76,8 +91,7 @@ impl SimulatedBoard {
             // Its storage is empty at every start.
             settings: SettingsSource::Defaults,
         };
-        let plan = Plan::compile(&file.scene, tier)?;
-        let hardware = SimulatedHardware::new(plan, trajectory, electronics, configuration.schedule.tick_hz, seed);
+        let hardware = SimulatedHardware::new(light, trajectory, electronics, configuration.schedule.tick_hz, seed);
         let frame_ticks = u64::from(configuration.schedule.frame_ticks);
         let memory = vec![0; QUEUE_BYTES].into_boxed_slice();
         let board = Board::new(hardware, identity, configuration, memory).map_err(SimulatorError::Refused)?;

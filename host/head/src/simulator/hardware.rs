@@ -2,14 +2,16 @@
 
 use std::collections::VecDeque;
 
+use heapless::Vec;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use slitpose_firmware::settings::Settings;
 use slitpose_firmware::{Acquisition, Health, Indicator, ScanError, Storage, StorageError, System};
-use slitpose_model::{Pair, Plan, Pose};
+use slitpose_model::{MAX_CELLS, Pair, Pose};
 use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule, Truth};
 
 use super::electronics::Electronics;
+use super::light::Light;
 use super::trajectory::Trajectory;
 
 /// The sensors of a simulated board.
@@ -19,7 +21,7 @@ const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_p
 /// [`SimulatedHardware::advance`].
 #[derive(Debug)]
 pub(crate) struct SimulatedHardware {
-    plan: Plan<f64>,
+    optics: Box<dyn Light>,
     trajectory: Trajectory,
     electronics: Electronics,
     rng: ChaCha8Rng,
@@ -39,14 +41,14 @@ struct Run {
 
 impl SimulatedHardware {
     pub(super) fn new(
-        plan: Plan<f64>,
+        optics: Box<dyn Light>,
         trajectory: Trajectory,
         electronics: Electronics,
         tick_hz: u32,
         seed: u64,
     ) -> Self {
         Self {
-            plan,
+            optics,
             trajectory,
             electronics,
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -75,15 +77,10 @@ impl SimulatedHardware {
     /// Photocurrents of `cell` at `ticks` from its own emitter in `slot` and from the other emitters of that
     /// slot through its slit.
     fn light(&self, configuration: &Configuration, cell: usize, slot: usize, ticks: f64) -> Pair<f64> {
-        let pose = self.pose_at(ticks);
-        let mut light = Pair::default();
-        for emitter in configuration.schedule.slots[slot].emitters() {
-            let level = configuration.levels[emitter].relative();
-            let pair = self.plan.crosstalk(cell, emitter, &pose);
-            light.i_x1_a += level * pair.i_x1_a;
-            light.i_x2_a += level * pair.i_x2_a;
-        }
-        light
+        let emitters = configuration.schedule.slots[slot].emitters();
+        let lit = emitters.map(|emitter| (emitter, configuration.levels[emitter].relative()));
+        let lit: Vec<_, MAX_CELLS> = lit.collect();
+        self.optics.photocurrents(cell, &lit, &self.pose_at(ticks))
     }
 
     /// Runs one frame through optics and electronics.
@@ -140,7 +137,7 @@ impl SimulatedHardware {
 
 impl Acquisition for SimulatedHardware {
     fn check(&self, configuration: &Configuration) -> Result<(), HardwareFault> {
-        let (cells, channels) = (configuration.schedule.cells, self.plan.cell_count() as u8);
+        let (cells, channels) = (configuration.schedule.cells, self.optics.cell_count() as u8);
         if cells == channels { Ok(()) } else { Err(HardwareFault::Channels { cells, channels }) }
     }
 

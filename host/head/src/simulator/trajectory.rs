@@ -101,7 +101,12 @@ impl Trajectory {
             }
             knots.push((time_s, columns.pose(&row)?));
         }
-        Ok(Self(Motion::Path(knots)))
+        Ok(Self::through(knots))
+    }
+
+    /// A path through `knots`, in the order of time in seconds, with a constant twist between them.
+    pub fn through(knots: Vec<(f64, Pose)>) -> Self {
+        Self(Motion::Path(knots))
     }
 
     /// Whether `time_s` is within the path; before and after it the tool rests.

@@ -12,7 +12,7 @@ mod solution_columns;
 mod writer;
 
 pub use current_columns::CurrentColumns;
-pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, refuse_twice};
+pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, is_capture, refuse_twice};
 pub use pose_columns::{POSE_COLUMNS, PoseColumns};
 pub use reader::{Column, Row, TableError, TableReader};
 pub use solution_columns::{SOLUTION_COLUMNS, SolutionRow};

@@ -225,7 +225,7 @@ impl Write for Output {
 }
 
 /// Whether a file begins as captures do.
-fn is_capture(path: &Path) -> bool {
+pub fn is_capture(path: &Path) -> bool {
     let mut begin = Vec::new();
     let read = File::open(path).and_then(|file| file.take(CAPTURE_MAGIC.len() as u64).read_to_end(&mut begin));
     read.is_ok() && begin == CAPTURE_MAGIC

@@ -222,7 +222,7 @@ impl<'a> Row<'a> {
     }
 
     /// The error of a number that the caller cannot use.
-    pub(crate) fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
+    pub fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
         TableError::OutOfRange {
             file: self.table.file.clone(),
             row: self.number_of_row(),

@@ -4,7 +4,7 @@
 use slitpose_model::{Outcome, Solution};
 
 /// Names of a solution's columns; see [`SolutionRow`].
-pub const SOLUTION_COLUMNS: [&str; 20] = [
+pub const SOLUTION_COLUMNS: [&str; 21] = [
     "status",
     "tx_mm",
     "ty_mm",
@@ -25,6 +25,7 @@ pub const SOLUTION_COLUMNS: [&str; 20] = [
     "free_directions",
     "excluded_cells",
     "verified",
+    "reason",
 ];
 
 /// A solution in the units of tables.
@@ -44,6 +45,8 @@ pub struct SolutionRow {
     pub excluded_cells: String,
     /// How well redundancy checked the pose: `well`, `weakly` or `not`.
     pub verified: &'static str,
+    /// Why a pose is degraded; of others empty.
+    pub reason: &'static str,
 }
 
 impl SolutionRow {
@@ -74,6 +77,10 @@ impl SolutionRow {
             free_directions,
             excluded_cells: solution.excluded.to_string(),
             verified: solution.verified().as_str(),
+            reason: match solution.outcome {
+                Outcome::Degraded(reason) => reason.as_str(),
+                _ => "",
+            },
         }
     }
 }
