@@ -13,9 +13,10 @@ const RIGHT: f64 = 24.0;
 const UPPER: f64 = 330.0;
 const LOWER: f64 = 120.0;
 
-const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
+pub(super) const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
 const NO_MEASUREMENT: &str = "Calculated points only: the paper's measured ones were published without numbers.";
-const SIMULATED: &str = "All currents are simulated: the paper's measured ones were published without numbers.";
+pub(super) const SIMULATED: &str =
+    "All currents are simulated: the paper's measured ones were published without numbers.";
 
 /// Every figure, as a file name and an SVG text.
 pub fn figures(study: &Study, cell: &Cell) -> Vec<(&'static str, String)> {
@@ -42,9 +43,8 @@ fn spot_position(study: &Study) -> String {
             curve("power-weighted centroid (exact tier)", 1, CurveStyle::Rings, exact),
         ],
         starting_at_zero: false,
-        lower_label: "exact tier − paper tier",
         lower_y: "difference / µm",
-        lower: difference,
+        lower: vec![difference_curve("exact tier − paper tier", difference)],
     }
     .draw()
 }
@@ -63,9 +63,8 @@ fn photocurrent(study: &Study) -> String {
             curve("integrated over the spot (exact tier)", 1, CurveStyle::Rings, exact),
         ],
         starting_at_zero: true,
-        lower_label: "exact tier, relative to paper tier",
         lower_y: "difference / %",
-        lower: difference,
+        lower: vec![difference_curve("exact tier, relative to paper tier", difference)],
     }
     .draw()
 }
@@ -86,9 +85,8 @@ fn photocurrent_with_profile(study: &Study) -> String {
             curve("simulated (exact tier)", 1, CurveStyle::Rings, exact),
         ],
         starting_at_zero: true,
-        lower_label: "calculated, relative to simulated",
         lower_y: "difference / %",
-        lower: difference,
+        lower: vec![difference_curve("calculated, relative to simulated", difference)],
     }
     .draw()
 }
@@ -115,9 +113,8 @@ fn profile(study: &Study, cell: &Cell) -> String {
             curve("identified from simulated currents (exact tier)", 1, CurveStyle::Rings, identified),
         ],
         starting_at_zero: true,
-        lower_label: "identified, relative to the scene's",
         lower_y: "difference / %",
-        lower: difference,
+        lower: vec![difference_curve("identified, relative to the scene's", difference)],
     }
     .draw()
 }
@@ -126,38 +123,39 @@ fn points(points: &[Point], value: impl Fn(&Point) -> Option<f64>) -> Vec<[f64; 
     points.iter().filter_map(|point| Some([point.amount, value(point)?])).collect()
 }
 
-fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
+pub(super) fn curve(label: &str, colour: usize, style: CurveStyle, points: Vec<[f64; 2]>) -> Curve {
     let colour: Colour = cell_colour(colour);
     Curve { label: label.to_owned(), colour, style, points }
 }
 
+fn difference_curve(label: &str, points: Vec<[f64; 2]>) -> Curve {
+    curve(label, 6, CurveStyle::Markers, points)
+}
+
 /// Curves above, their difference below, over the same horizontal axis.
-struct Figure<'a> {
-    title: &'a str,
-    note: &'a str,
-    x: &'a str,
-    y: &'a str,
-    curves: Vec<Curve>,
-    starting_at_zero: bool,
-    lower_label: &'a str,
-    lower_y: &'a str,
-    lower: Vec<[f64; 2]>,
+pub(super) struct Figure<'a> {
+    pub(super) title: &'a str,
+    pub(super) note: &'a str,
+    pub(super) x: &'a str,
+    pub(super) y: &'a str,
+    pub(super) curves: Vec<Curve>,
+    pub(super) starting_at_zero: bool,
+    pub(super) lower_y: &'a str,
+    pub(super) lower: Vec<Curve>,
 }
 
 impl Figure<'_> {
-    fn draw(self) -> String {
+    pub(super) fn draw(self) -> String {
         let all = || self.curves.iter().flat_map(|curve| &curve.points);
         let x = |label: &str| Axis::around(label, all().map(|point| point[0]));
         let y = Axis::around(self.y, all().map(|point| point[1]));
         let lower = Chart {
             x: x(self.x),
-            y: Axis::around(self.lower_y, self.lower.iter().map(|point| point[1]).chain([0.0])),
-            curves: vec![Curve {
-                label: self.lower_label.to_owned(),
-                colour: cell_colour(6),
-                style: CurveStyle::Markers,
-                points: self.lower,
-            }],
+            y: Axis::around(
+                self.lower_y,
+                self.lower.iter().flat_map(|curve| &curve.points).map(|point| point[1]).chain([0.0]),
+            ),
+            curves: self.lower,
             notes: Vec::new(),
         };
         let upper = Chart {

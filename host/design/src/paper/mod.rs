@@ -4,7 +4,9 @@
 //! axis. The paper publishes its measurements as figures, without numbers; nothing here is
 //! measured, and where a current stands in for a measured one it is called simulated.
 
+mod account;
 mod figures;
+mod imperfect;
 
 use glam::DVec3;
 use slitpose_model::{Plan, Pose, Profile, Response, SceneError, Tier};
@@ -12,7 +14,9 @@ use slitpose_model::{Plan, Pose, Profile, Response, SceneError, Tier};
 use crate::identification::{Identified, identify};
 use slitpose_head::scene_file::SceneFile;
 
+pub use account::{SEARCHES, account};
 pub use figures::figures;
+pub use imperfect::{Errors, Fault, Imperfect, PUBLISHED};
 
 /// Relative error of the exact tier's integrals: far below anything a figure shows.
 const TOLERANCE: f64 = 1e-10;

@@ -4,7 +4,7 @@ use super::section::{Report, Section, Table, Value};
 
 /// The whole report.
 pub(super) fn markdown(report: &Report) -> String {
-    let mut text = format!("# Error against run time: {}\n\n", report.scene);
+    let mut text = format!("# {}: {}\n\n", report.title, report.scene);
     for warning in &report.warnings {
         text += &format!("**{warning}**\n\n");
     }

@@ -7,10 +7,12 @@
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
 //!   `attainable` is the best accuracy of a pose at all;
 //! * `forward`, `solver`, `cycles`, `economy`, `motion` and `stiff` are the sections;
+//! * `calibration` is the report on a calibration;
 //! * `section` has their parts; `page`, `markdown`, `folder` write it.
 
 mod accuracy;
 mod attainable;
+mod calibration;
 mod conditions;
 mod cycles;
 mod economy;
@@ -32,9 +34,11 @@ mod stopwatch;
 
 use std::path::PathBuf;
 
+pub use calibration::calibration_report;
 pub use error::ReportError;
 pub use folder::Folder;
 pub use section::{Column, Report, Section, Table, Value};
+pub(crate) use section::{Picture, column};
 
 use head::Head;
 use slitpose_head::scene_file::SceneFile;
@@ -95,6 +99,7 @@ pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&st
     sections.push(measure(motion::TITLE, motion::section)?);
     sections.push(measure(stiff::TITLE, stiff::section)?);
     Ok(Report {
+        title: "Error against run time",
         scene: file.name.clone(),
         conditions: conditions::conditions(file, settings),
         warnings: conditions::warnings(),

@@ -4,6 +4,7 @@ use glam::DVec3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use slitpose_head::simulator::noisy_reading;
 use slitpose_model::{Cell, Pair, Photocurrents, Plan, Pose, Reading, Scene, Uncertainty};
 
 /// Draws the noise and the calibration errors of a scene.
@@ -20,10 +21,8 @@ impl NoiseSource {
         StandardNormal.sample(&mut self.rng)
     }
 
-    /// The `clean` light of `plan` at `pose` as `scene` would measure it. Shot noise of a point spot is common to
-    /// both electrodes and divides like the current; Johnson noise flows from one to the other; that of
-    /// the converter is each electrode's own. Gains and places of parts err anew each time, as the
-    /// covariance of a single solve has it.
+    /// The `clean` light of `plan` at `pose` as `scene` would measure it. Gains and places of parts err anew each
+    /// time, as the covariance of a single solve has it.
     pub(super) fn disturb(
         &mut self,
         scene: &Scene,
@@ -61,18 +60,13 @@ impl NoiseSource {
     }
 
     fn pair(&mut self, scene: &Scene, cell: &Cell, clean: Pair<f64>) -> Pair<f64> {
-        let (detector, total_a) = (&cell.detector, clean.total_a());
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, .. } = scene.uncertainty;
         let common = emitter_gain_relative * self.normal();
         let mut own = || electrode_gain_relative * self.normal();
         let mut pair =
             Pair { i_x1_a: clean.i_x1_a * (1.0 + common + own()), i_x2_a: clean.i_x2_a * (1.0 + common + own()) };
         if let Some(noise) = &scene.noise {
-            let of_shot = noise.shot_a() * total_a.abs() + noise.dark_shot_a2(detector);
-            let shot = if total_a == 0.0 { 0.0 } else { of_shot.sqrt() / total_a * self.normal() };
-            let johnson_a = noise.johnson_a2(detector).sqrt() * self.normal();
-            pair.i_x1_a += clean.i_x1_a * shot + johnson_a + noise.adc_a * self.normal();
-            pair.i_x2_a += clean.i_x2_a * shot - johnson_a + noise.adc_a * self.normal();
+            pair = noisy_reading(pair, &cell.detector, noise, || self.normal());
         }
         pair
     }

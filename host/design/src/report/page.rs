@@ -8,7 +8,7 @@ const STYLE: &str = include_str!("page.css");
 
 /// The whole page.
 pub(super) fn page(report: &Report) -> String {
-    let title = format!("Error against run time: {}", escape(&report.scene));
+    let title = format!("{}: {}", report.title, escape(&report.scene));
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
@@ -106,6 +106,7 @@ mod tests {
             tables: vec![],
         };
         let report = Report {
+            title: "t",
             scene: "s".into(),
             conditions: vec![("seed", "1".into())],
             warnings: vec![],

@@ -71,7 +71,7 @@ pub struct Column {
 }
 
 /// Shorthand for a [`Column`].
-pub(super) const fn column(name: &'static str, heading: &'static str) -> Column {
+pub(crate) const fn column(name: &'static str, heading: &'static str) -> Column {
     Column { name, heading }
 }
 
@@ -119,6 +119,8 @@ pub struct Section {
 /// A whole report.
 #[derive(Clone, Debug)]
 pub struct Report {
+    /// What it is about.
+    pub title: &'static str,
     /// The scene's name.
     pub scene: String,
     /// Conditions under which the numbers hold: names and values.

@@ -66,5 +66,5 @@ fn share_of_others(plan: &Plan<f64>, cell: usize, emitters: &[usize], pose: &Pos
     }
     let others = emitters.iter().filter(|emitter| **emitter != cell);
     let from_others: f64 = others.map(|emitter| plan.crosstalk(cell, *emitter, pose).total_a()).sum();
-    from_others / plan.photocurrents(cell, pose).total_a()
+    from_others / plan.crosstalk(cell, cell, pose).total_a()
 }

@@ -1,0 +1,24 @@
+//! A virtual bench: one head drawn from the tolerances of a scene, and what an instrument and a board measure on it.
+//!
+//! * [`DrawnHead`] is the head: parts off their places as `[tolerance]` says, and, if asked for, physics beyond the model;
+//! * [`Session`] measures on it: tables for `calibrate` and `solve`, with the truth apart;
+//! * [`write()`] makes a folder of them.
+//!
+//! Nothing here has been measured. A seed determines every byte.
+
+#![forbid(unsafe_code)]
+
+mod beyond;
+mod chance;
+mod drawn;
+mod error;
+mod folder;
+mod motion;
+mod session;
+mod truth;
+
+pub use beyond::Beyond;
+pub use drawn::{DrawnHead, Within};
+pub use error::BenchError;
+pub use folder::write;
+pub use session::{Session, Settings, Table};

@@ -1,0 +1,425 @@
+//! The adjustment: steps to the most probable parameters, outliers, and what the model leaves out.
+
+use nalgebra::{DMatrix, DVector};
+use slitpose_model::{ModelError, Scene, SceneError};
+
+use crate::Statistics;
+use crate::constraint;
+use crate::data::{Constraint, Data};
+use crate::normal::{Normal, forward, moved, row_terms};
+use crate::parameter::FAMILIES;
+use crate::reading_noise::{directions, whiten, whitener};
+use crate::sensitivity::{CellSensitivity, sensitivities};
+use crate::start::solved;
+use crate::state::{State, Weights};
+
+/// Squared normalised residual of a reading (two currents) beyond which it is an outlier: one in 3·10⁶ by chance.
+const READING_LIMIT: f64 = 30.0;
+
+/// The same of an instrument's pose (six coordinates): one in 10⁶ by chance.
+const POSE_LIMIT: f64 = 40.0;
+
+/// Model error of an uncalibrated cell, from which the adjustment starts.
+const FIRST_ERROR: ModelError = ModelError { relative: 0.03, position_m: 50e-6, current_a: 0.0 };
+
+/// The least model error: of the arithmetic.
+const LEAST_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0 };
+
+/// What the model leaves out of a usual head, and how many readings this knowledge is worth.
+const USUAL_ERROR: ModelError = ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0 };
+const USUAL_READINGS: f64 = 30.0;
+
+/// Rows that the redundancy is computed for.
+const SAMPLE: usize = 300;
+
+/// Decrease of χ² below which a minimum counts as reached.
+const CONVERGED: f64 = 0.1;
+
+/// What is to be adjusted.
+pub(crate) struct Adjustment<'a> {
+    pub(crate) nominal: &'a Scene,
+    pub(crate) data: &'a Data,
+    /// Information of the prior, by parameters in units of their prior σ.
+    pub(crate) prior: DMatrix<f64>,
+    /// Whether the data may tell the size of families of parameters.
+    learns_sizes: bool,
+}
+
+/// Squared residuals that grow like a logarithm beyond the limit: gross outliers count for next to nothing.
+fn bounded(square: f64, limit: f64) -> f64 {
+    if square <= limit { square } else { limit * (1.0 + (square / limit).ln()) }
+}
+
+/// Derivative of [`bounded`].
+fn weight(square: f64, limit: f64) -> f64 {
+    if square <= limit { 1.0 } else { limit / square }
+}
+
+/// Sum of squared residuals, bounded beyond the limits.
+fn cost(data: &Data, state: &State, cells: &[CellSensitivity], prior: &DMatrix<f64>) -> f64 {
+    let rows: f64 = (0..data.rows.len()).map(|row| row_cost(data, state, cells, row)).sum();
+    let shift = shift(state);
+    rows + shift.dot(&(prior * &shift))
+}
+
+fn row_cost(data: &Data, state: &State, cells: &[CellSensitivity], row: usize) -> f64 {
+    let squares = (0..cells.len()).filter_map(|cell| reading_square(data, state, cells, row, cell));
+    let readings: f64 = squares.map(|square| bounded(square, READING_LIMIT)).sum();
+    readings + bounded(constraint_square(data, state, row), POSE_LIMIT)
+}
+
+fn shift(state: &State) -> DVector<f64> {
+    let entries = &state.parameters.entries;
+    DVector::from_iterator(entries.len(), entries.iter().map(|entry| entry.shift()))
+}
+
+/// Squared normalised residual of a reading.
+fn reading_square(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<f64> {
+    let [a, b] = whitened(data, state, cells, row, cell)?;
+    Some(a * a + b * b)
+}
+
+fn whitened(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<[f64; 2]> {
+    let (reading, pair) = (data.rows[row].readings[cell]?, cells[cell].pairs[row]?);
+    let w = whitener(state.covariance(cell, reading, data.rows[row].frames));
+    Some(whiten(w, [reading[0] - pair[0], reading[1] - pair[1]]))
+}
+
+fn constraint_square(data: &Data, state: &State, row: usize) -> f64 {
+    let (number, group) = state.group_of(data, row);
+    let sigmas = state.sigmas(data, number);
+    let residuals = constraint::residuals(
+        group.constraint,
+        sigmas,
+        &data.rows[row].knowledge,
+        &state.unknowns[number],
+        &state.poses[row],
+    );
+    residuals.iter().map(|value| value * value).sum()
+}
+
+impl<'a> Adjustment<'a> {
+    pub(crate) fn new(nominal: &'a Scene, data: &'a Data, prior: DMatrix<f64>, learns_sizes: bool) -> Self {
+        Self { nominal, data, prior, learns_sizes }
+    }
+
+    pub(crate) fn sensitivities(&self, state: &State, derivatives: bool) -> Result<Vec<CellSensitivity>, SceneError> {
+        sensitivities(self.nominal, &state.parameters, &state.poses, derivatives)
+    }
+
+    /// Weights at the residuals of `state`.
+    fn weigh(&self, state: &State, cells: &[CellSensitivity]) -> Weights {
+        let mut weights = Weights::equal(self.data);
+        for row in 0..self.data.rows.len() {
+            for cell in 0..cells.len() {
+                let square = reading_square(self.data, state, cells, row, cell).unwrap_or(0.0);
+                weights.readings[row][cell] = weight(square, READING_LIMIT);
+            }
+            weights.poses[row] = weight(constraint_square(self.data, state, row), POSE_LIMIT);
+        }
+        weights
+    }
+
+    /// At most `steps` steps towards the minimum of χ².
+    pub(crate) fn minimise(&self, state: &mut State, steps: usize) -> Result<(Normal, Weights), SceneError> {
+        let mut damping = 1e-6;
+        let cells = self.sensitivities(state, true)?;
+        let mut before = cost(self.data, state, &cells, &self.prior);
+        let mut weights = self.weigh(state, &cells);
+        let mut normal = Normal::assemble(self.data, state, cells, &weights, &self.prior);
+        for _ in 0..steps {
+            let mut accepted = None;
+            while damping < 1e8 {
+                let Some(step) = normal.step(damping) else {
+                    damping *= 100.0;
+                    continue;
+                };
+                let mut candidate = state.clone();
+                candidate.advance(self.data, step.as_slice());
+                for (row, pose) in candidate.poses.iter_mut().enumerate() {
+                    if let Some(of_pose) = normal.pose_step(row, &step) {
+                        *pose = moved(pose, of_pose, state.length_scale_m);
+                    }
+                }
+                // A step far beyond the model compiles to no head.
+                if let Ok(found) = self.sensitivities(&candidate, false) {
+                    let after = cost(self.data, &candidate, &found, &self.prior);
+                    if after <= before {
+                        accepted = Some((candidate, after));
+                        break;
+                    }
+                }
+                damping = (damping * 20.0).max(1e-4);
+            }
+            let Some((candidate, after)) = accepted else { break };
+            *state = candidate;
+            damping = (damping * 0.05).max(1e-9);
+            let decrease = before - after;
+            let cells = self.sensitivities(state, true)?;
+            weights = self.weigh(state, &cells);
+            normal = Normal::assemble(self.data, state, cells, &weights, &self.prior);
+            before = after;
+            if decrease < CONVERGED {
+                break;
+            }
+        }
+        Ok((normal, weights))
+    }
+
+    /// Renews the model errors so that residuals are as large as expected; the largest relative change of a variance.
+    fn estimate_model_errors(&self, state: &mut State, normal: &Normal, weights: &Weights) -> f64 {
+        let Some(covariance) = normal.covariance() else { return 0.0 };
+        let cells = &normal.cells;
+        let count = cells.len();
+        // Of each cell: squares found, squares expected, variance by noise, for intensity and position; readings.
+        let mut sums = vec![[[0.0; 3]; 2]; count];
+        let mut readings = vec![0.0; count];
+        let every = self.data.rows.len().div_ceil(SAMPLE);
+        for row in (0..self.data.rows.len()).step_by(every) {
+            let Some(factor) = &normal.rows[row] else { continue };
+            let terms = row_terms(self.data, state, cells, weights, row, state.length_scale_m);
+            let reduced = Reduced::of(&terms.by_pose, &terms.by_unknown, &factor.factor, normal, row);
+            let spread = &covariance * &reduced.derivatives;
+            let mut place = 0;
+            for cell in 0..count {
+                if weights.readings[row][cell] == 0.0 {
+                    continue;
+                }
+                let measured = &self.data.rows[row];
+                let Some(found) = whitened(self.data, state, cells, row, cell) else { continue };
+                let here = place;
+                place += 2;
+                if weights.readings[row][cell] < 1.0 {
+                    continue;
+                }
+                let Some(reading) = measured.readings[cell] else { continue };
+                let mut hat = [[0.0; 2]; 2];
+                for (i, hat_row) in hat.iter_mut().enumerate() {
+                    for (j, value) in hat_row.iter_mut().enumerate() {
+                        *value = reduced.derivatives.column(here + i).dot(&spread.column(here + j))
+                            + (0..6).map(|k| reduced.by_pose[here + i][k] * reduced.by_pose[here + j][k]).sum::<f64>();
+                    }
+                }
+                let w = whitener(state.covariance(cell, reading, measured.frames));
+                let noise = state.noise[cell].covariance(reading, measured.frames, &LEAST_ERROR);
+                readings[cell] += 1.0;
+                for (sum, direction) in sums[cell].iter_mut().zip(directions(reading, self.half_length_m(cell))) {
+                    // e = c·W⁻¹·(whitened residual).
+                    let second = direction[1] / w[2];
+                    let d = [(direction[0] - second * w[1]) / w[0], second];
+                    let e = d[0] * found[0] + d[1] * found[1];
+                    let expected = d[0] * d[0] * (1.0 - hat[0][0]) + d[1] * d[1] * (1.0 - hat[1][1])
+                        - 2.0 * d[0] * d[1] * hat[0][1];
+                    let [c0, c1] = direction;
+                    sum[0] += e * e;
+                    sum[1] += expected;
+                    sum[2] += c0 * c0 * noise[0] + 2.0 * c0 * c1 * noise[1] + c1 * c1 * noise[2];
+                }
+            }
+        }
+        let mut change = 0.0_f64;
+        for (cell, error) in state.model_errors.iter_mut().enumerate() {
+            if readings[cell] < 3.0 {
+                continue;
+            }
+            let before = [error.relative, error.position_m];
+            let least = [LEAST_ERROR.relative, LEAST_ERROR.position_m];
+            let usual = [USUAL_ERROR.relative, USUAL_ERROR.position_m];
+            let after: [f64; 2] = std::array::from_fn(|k| {
+                let [found, expected, noise] = sums[cell][k];
+                let noise = noise / readings[cell];
+                let variance = before[k] * before[k] + noise;
+                let found = found + USUAL_READINGS * (usual[k] * usual[k] + noise);
+                let expected = expected.max(0.0) + USUAL_READINGS * variance;
+                let ratio = found / expected;
+                change = change.max((ratio * variance - variance).abs() / variance);
+                (ratio * variance - noise).max(least[k] * least[k]).sqrt()
+            });
+            *error = ModelError { relative: after[0], position_m: after[1], current_a: 0.0 };
+        }
+        change
+    }
+
+    fn half_length_m(&self, cell: usize) -> f64 {
+        0.5 * self.nominal.cells[cell].detector.length_m
+    }
+
+    /// Renews the size of the families of parameters of which tolerances say little: the mean square that the data give,
+    /// what they leave open included (expectation maximisation; Dempster, Laird, Rubin 1977).
+    fn estimate_sizes(&mut self, state: &State, normal: &Normal) {
+        let Some(covariance) = normal.covariance() else { return };
+        let mut sums = [[1.0, 1.0]; FAMILIES];
+        let families = state.parameters.entries.iter().map(|entry| entry.quantity.family());
+        for (k, family) in families.clone().enumerate() {
+            if let Some(family) = family {
+                let shift = state.parameters.entries[k].shift();
+                sums[family][0] += shift * shift + covariance[(k, k)];
+                sums[family][1] += 1.0;
+            }
+        }
+        for (k, family) in families.enumerate() {
+            if let Some(family) = family {
+                self.prior[(k, k)] = sums[family][1] / sums[family][0];
+            }
+        }
+    }
+
+    /// Towards the most probable parameters of cells that are not trusted far.
+    pub(crate) fn first(&self, state: &mut State) -> Result<(Normal, Weights), SceneError> {
+        state.model_errors.fill(FIRST_ERROR);
+        self.minimise(state, 4)
+    }
+
+    /// Renews model errors and sizes, and adjusts with them; the largest relative change of a variance.
+    pub(crate) fn round(
+        &mut self,
+        state: &mut State,
+        normal: &mut Normal,
+        weights: &mut Weights,
+    ) -> Result<f64, SceneError> {
+        let scales = self.constraint_scales(state, normal, weights);
+        let mut change = self.estimate_model_errors(state, normal, weights);
+        for (scale, ratio) in state.scales.as_flattened_mut().iter_mut().zip(scales.as_flattened()) {
+            // Nobody is asked to believe that an instrument is better than its maker says.
+            let renewed = (*scale * ratio).max(1.0);
+            change = change.max((renewed / *scale).powi(2) - 1.0);
+            *scale = renewed;
+        }
+        if self.learns_sizes {
+            self.estimate_sizes(state, normal);
+        }
+        self.release(state, weights)?;
+        (*normal, *weights) = self.minimise(state, 3)?;
+        Ok(change)
+    }
+
+    /// Lets poses go that most cells contradict: those that the readings alone lead to replace them, if that makes fewer
+    /// outliers. Steps alone would hold on to them.
+    fn release(&self, state: &mut State, weights: &Weights) -> Result<(), SceneError> {
+        let is_contradicted = |row: &usize| {
+            let of_row = &weights.readings[*row];
+            2 * of_row.iter().filter(|weight| **weight < 1.0).count() > of_row.len()
+        };
+        let rows: Vec<usize> = (0..self.data.rows.len()).filter(is_contradicted).collect();
+        if rows.is_empty() {
+            return Ok(());
+        }
+        let mut scene = state.parameters.scene(self.nominal);
+        for (cell, error) in scene.cells.iter_mut().zip(&state.model_errors) {
+            cell.effects.model_error = *error;
+        }
+        let readings: Vec<_> = rows.iter().map(|&row| self.data.rows[row].clone()).collect();
+        let mut candidate = state.clone();
+        for (&row, pose) in rows.iter().zip(solved(&scene, &readings)?) {
+            candidate.poses[row] = pose.unwrap_or(state.poses[row]);
+        }
+        let [before, after] = [&*state, &candidate].map(|state| self.sensitivities(state, false));
+        let (before, after) = (before?, after?);
+        for &row in &rows {
+            let costs =
+                [(&*state, &before), (&candidate, &after)].map(|(state, cells)| row_cost(self.data, state, cells, row));
+            if costs[1] < costs[0] {
+                state.poses[row] = candidate.poses[row];
+            }
+        }
+        Ok(())
+    }
+
+    /// χ² by its expectation.
+    pub(crate) fn fit(&self, state: &State, normal: &Normal, weights: &Weights) -> f64 {
+        let statistics = self.statistics(state, normal, weights);
+        statistics.chi2 / statistics.redundancy
+    }
+
+    /// How well the data fit.
+    pub(crate) fn statistics(&self, state: &State, normal: &Normal, weights: &Weights) -> Statistics {
+        let cells = &normal.cells;
+        let mut found = Statistics { rows: self.data.rows.len(), ..Statistics::default() };
+        let (mut residuals, mut unknowns) = (0, state.unknown_count() - state.parameters.entries.len());
+        for row in 0..self.data.rows.len() {
+            for cell in 0..cells.len() {
+                let Some(square) = reading_square(self.data, state, cells, row, cell) else { continue };
+                if weights.readings[row][cell] < 1.0 {
+                    found.readings_rejected += 1;
+                } else {
+                    (found.readings, residuals, found.chi2) = (found.readings + 1, residuals + 2, found.chi2 + square);
+                }
+            }
+            if weights.poses[row] < 1.0 {
+                found.poses_rejected += 1;
+            } else {
+                found.chi2 += constraint_square(self.data, state, row);
+                residuals += match state.group_of(self.data, row).1.constraint {
+                    Constraint::Free => 0,
+                    Constraint::Pivot => 3,
+                    _ => 6,
+                };
+            }
+            unknowns += 6;
+        }
+        let shift = shift(state);
+        found.chi2 += shift.dot(&(&self.prior * &shift));
+        found.redundancy = (residuals as f64 - unknowns as f64).max(1.0);
+        found
+    }
+
+    /// Of each group, the ratio of the errors of lengths and of angles to what they are taken for.
+    fn constraint_scales(&self, state: &State, normal: &Normal, weights: &Weights) -> Vec<[f64; 2]> {
+        let mut sums = vec![[[0.0; 2]; 2]; self.data.groups.len()];
+        let Some(covariance) = normal.covariance() else { return vec![[0.0; 2]; sums.len()] };
+        let cells = &normal.cells;
+        let every = self.data.rows.len().div_ceil(SAMPLE);
+        for row in (0..self.data.rows.len()).step_by(every) {
+            let Some(factor) = &normal.rows[row] else { continue };
+            let (number, _) = state.group_of(self.data, row);
+            if weights.poses[row] < 1.0 || !state.is_known(self.data, row) {
+                continue;
+            }
+            let terms = row_terms(self.data, state, cells, weights, row, state.length_scale_m);
+            let reduced = Reduced::of(&terms.by_pose, &terms.by_unknown, &factor.factor, normal, row);
+            let spread = &covariance * &reduced.derivatives;
+            // The last six are those of the instrument.
+            let first = terms.residuals.len() - 6;
+            for k in 0..6 {
+                let hat = reduced.derivatives.column(first + k).dot(&spread.column(first + k))
+                    + reduced.by_pose[first + k].iter().map(|value| value * value).sum::<f64>();
+                let sum = &mut sums[number][k / 3];
+                sum[0] += terms.residuals[first + k].powi(2);
+                sum[1] += 1.0 - hat;
+            }
+        }
+        let ratio =
+            |[found, expected]: [f64; 2]| ((found + USUAL_READINGS) / (expected.max(0.0) + USUAL_READINGS)).sqrt();
+        sums.into_iter().map(|of_group| of_group.map(ratio)).collect()
+    }
+}
+
+/// Derivatives by the unknowns of what the row's own pose cannot explain.
+struct Reduced {
+    derivatives: DMatrix<f64>,
+    /// L⁻¹ of the derivatives by the pose.
+    by_pose: Vec<[f64; 6]>,
+}
+
+impl Reduced {
+    fn of(
+        by_pose: &[[f64; 6]],
+        by_unknown: &[Vec<(usize, f64)>],
+        factor: &[[f64; 6]; 6],
+        normal: &Normal,
+        row: usize,
+    ) -> Self {
+        let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), by_pose.len());
+        let by_pose: Vec<_> = by_pose.iter().map(|of| forward(factor, *of)).collect();
+        for (k, (of_pose, of_unknown)) in by_pose.iter().zip(by_unknown).enumerate() {
+            let mut column = derivatives.column_mut(k);
+            for &(place, value) in of_unknown {
+                column[place] = value;
+            }
+            for (j, &by) in of_pose.iter().enumerate() {
+                column.axpy(-by, &normal.coupling.column(6 * row + j), 1.0);
+            }
+        }
+        Self { derivatives, by_pose }
+    }
+}

@@ -1,0 +1,23 @@
+//! A head drawn from the tolerances of its parts.
+
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::{Scene, SceneError};
+
+use crate::{Parameter, Quantity, prior};
+
+/// A head whose parts deviate from the scene of `file` by chance, as its tolerances say: its optics, and every parameter
+/// as it is, with a standard deviation of zero. `normal` gives standard normal numbers.
+///
+/// # Errors
+/// Those of [`slitpose_model::Plan::compile`].
+pub fn draw(file: &SceneFile, mut normal: impl FnMut() -> f64) -> Result<(Scene, Vec<Parameter>), SceneError> {
+    let mut parameters = prior::parameters(file)?;
+    for entry in &mut parameters.entries {
+        let deviation = normal();
+        // Light adds.
+        let deviation = if matches!(entry.quantity, Quantity::Stray(_)) { deviation.abs() } else { deviation };
+        entry.value = entry.prior + entry.prior_sigma * deviation;
+        entry.sigma = 0.0;
+    }
+    Ok((parameters.scene(&file.scene), parameters.entries))
+}

@@ -1,0 +1,314 @@
+//! From data to a calibration.
+
+use std::ops::ControlFlow;
+
+use nalgebra::DMatrix;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::TableError;
+use slitpose_model::{ModelError, Pose, Scene, SceneError};
+use thiserror::Error;
+
+use crate::adjust::Adjustment;
+use crate::data::{Constraint, Data, compose, inverse, pose_of};
+use crate::normal::Normal;
+use crate::parameters::Parameters;
+use crate::plausibility::{self, Implausible};
+use crate::pose_error::PoseError;
+use crate::start::{Beginning, solved};
+use crate::state::{State, Weights};
+use crate::weakness;
+use crate::{Calibration, CalibrationFileError, Frames, Residual, Statistics, prior, residuals};
+
+/// Rounds of adjustment and estimate of the model errors.
+const ROUNDS: usize = 12;
+
+/// Blocks of rows that are left out in turn.
+const BLOCKS: usize = 4;
+
+/// Fewest known poses for which errors of poses left out mean something.
+const LEAST_HELD_OUT: usize = 20;
+
+/// Why there is no calibration.
+#[derive(Debug, Error)]
+pub enum CalibrateError {
+    /// A scene that cannot be computed.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// An earlier calibration that cannot be continued.
+    #[error(transparent)]
+    Start(#[from] CalibrationFileError),
+    /// A table.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// Nothing to calibrate with.
+    #[error("there is no row of readings; give at least one of --known, --free, --pivot, --stage, --rest with data")]
+    NoRows,
+    /// No parameter to be found.
+    #[error("the scene's [tolerance] says that every part is known; raise the tolerances of the parts that are not")]
+    NothingOpen,
+    /// Poses that do not fix what they have in common.
+    #[error(
+        "{file}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
+    )]
+    LittleMotion {
+        /// The file.
+        file: String,
+    },
+    /// Data that contradict the scene, or each other.
+    #[error(transparent)]
+    Implausible(#[from] Implausible),
+    /// Normal equations that rounding made singular.
+    #[error("the normal equations are singular; give more rows, or smaller tolerances")]
+    Singular,
+}
+
+/// What to calibrate with what.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    /// The scene.
+    pub file: &'a SceneFile,
+    /// The measurements.
+    pub data: &'a Data,
+    /// An earlier result of the same scene, which stands in place of the tolerances.
+    pub start: Option<&'a Calibration>,
+    /// The day of the measurements.
+    pub date: Option<&'a str>,
+}
+
+/// How far an adjustment is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// Poses are estimated by the uncalibrated head.
+    Starting,
+    /// Round of so many; χ² per redundancy so far.
+    Adjusting(usize, usize, f64),
+    /// Block of so many that is left out.
+    LeavingOut(usize, usize),
+}
+
+/// A calibration, and what it rests on.
+#[derive(Debug)]
+pub struct Calibrated {
+    /// The result.
+    pub calibration: Calibration,
+    /// What is left between readings and model.
+    pub residuals: Vec<Residual>,
+    /// What was noticed on the way, with the next step.
+    pub remarks: Vec<String>,
+    /// Whether it was interrupted, and is the best so far.
+    pub is_interrupted: bool,
+}
+
+/// The most probable parameters of the head of `request`, given its data.
+///
+/// `progress` is told how far the work is; a break ends it with the best so far.
+///
+/// # Errors
+/// Data that contradict the scene.
+pub fn calibrate(
+    request: &Request<'_>,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+) -> Result<Calibrated, CalibrateError> {
+    let Request { file, data, start, .. } = *request;
+    if data.is_empty() {
+        return Err(CalibrateError::NoRows);
+    }
+    let (parameters, information) = before(file, start)?;
+    if parameters.entries.is_empty() {
+        return Err(CalibrateError::NothingOpen);
+    }
+    let _ = progress(Progress::Starting);
+    plausibility::check(file, data)?;
+    let errors = vec![ModelError::default(); file.scene.cells.len()];
+    let Beginning { poses, unknowns } = Beginning::of(file, data)?;
+    let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
+    let mut state = State::new(&nominal, parameters, data, poses, errors);
+    state.unknowns = unknowns;
+    let mut is_interrupted = false;
+    let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
+    let (mut normal, mut weights) = adjustment.first(&mut state)?;
+    for round in 1..=ROUNDS {
+        let told = progress(Progress::Adjusting(round, ROUNDS, adjustment.fit(&state, &normal, &weights)));
+        if told.is_break() {
+            is_interrupted = true;
+            break;
+        }
+        let change = adjustment.round(&mut state, &mut normal, &mut weights)?;
+        if change < 0.1 {
+            break;
+        }
+    }
+    let remarks = worse_instruments(data, &state);
+    let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
+    if !is_interrupted {
+        is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, progress)?;
+    }
+    calibration.write();
+    let residuals = residuals::of(&nominal, data, &state)?;
+    Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
+}
+
+/// Ratio of an instrument's errors to its stated σ that counts as worse.
+const WORSE: f64 = 1.5;
+
+fn worse_instruments(data: &Data, state: &State) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for (group, [lengths, angles]) in data.groups.iter().zip(&state.scales) {
+        for (sigma, scale, unit) in [(group.sigma_m, lengths, "µm"), (group.sigma_rad, angles, "µrad")] {
+            if *scale > WORSE {
+                let [stated, found] = [sigma * 1e6, sigma * scale * 1e6];
+                remarks.push(format!(
+                    "{}: poses err by {found:.1} {unit}, not by {stated:.1} {unit} as stated; counted as found",
+                    group.file
+                ));
+            }
+        }
+    }
+    remarks
+}
+
+/// Parameters, and the information of their prior in units of its σ.
+fn before(file: &SceneFile, start: Option<&Calibration>) -> Result<(Parameters, DMatrix<f64>), CalibrateError> {
+    let Some(start) = start else {
+        let parameters = prior::parameters(file)?;
+        let count = parameters.entries.len();
+        return Ok((parameters, DMatrix::identity(count, count)));
+    };
+    start.require_scene(file)?;
+    let mut parameters = start.parameters.clone();
+    let count = parameters.entries.len();
+    let sigma = |k: usize| parameters.entries[k].sigma / parameters.entries[k].prior_sigma;
+    let covariance = DMatrix::from_fn(count, count, |i, j| {
+        let correlation = match i.cmp(&j) {
+            // The digits of the file are worth that much.
+            std::cmp::Ordering::Equal => 1.0 + 1e-3,
+            std::cmp::Ordering::Greater => start.correlation[i][j],
+            std::cmp::Ordering::Less => start.correlation[j][i],
+        };
+        correlation * sigma(i) * sigma(j)
+    });
+    let information = covariance.cholesky().ok_or(CalibrateError::Singular)?.inverse();
+    for entry in &mut parameters.entries {
+        entry.prior = entry.value;
+    }
+    Ok((parameters, information))
+}
+
+fn conclude(
+    request: &Request<'_>,
+    adjustment: &Adjustment<'_>,
+    mut state: State,
+    normal: &Normal,
+    weights: &Weights,
+) -> Result<Calibration, CalibrateError> {
+    let Request { file, date, .. } = *request;
+    let data = adjustment.data;
+    let covariance = normal.covariance().ok_or(CalibrateError::Singular)?;
+    let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &covariance, &file.workspace)?;
+    let statistics = adjustment.statistics(&state, normal, weights);
+    for (error, rest) in state.model_errors.iter_mut().zip(rest) {
+        error.relative = error.relative.hypot(rest.relative);
+        error.position_m = error.position_m.hypot(rest.position_m);
+    }
+    let count = state.parameters.entries.len();
+    for (k, entry) in state.parameters.entries.iter_mut().enumerate() {
+        entry.sigma = covariance[(k, k)].sqrt() * entry.prior_sigma;
+    }
+    let correlation = (0..count)
+        .map(|i| (0..i).map(|j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt()).collect())
+        .collect();
+    let mut frames = Vec::new();
+    for (number, group) in data.groups.iter().enumerate() {
+        if group.constraint != Constraint::KnownInOwnFrames {
+            continue;
+        }
+        let part = |from: usize| std::array::from_fn(|k| state.unknowns[number][from + k]);
+        let sigma = |from: usize| {
+            std::array::from_fn(|k| {
+                let place = state.first_unknown(number) + from + k;
+                covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, from + k)
+            })
+        };
+        frames.push(Frames {
+            file: group.file.clone(),
+            base_from_reference: part(0),
+            base_from_reference_sigma: sigma(0),
+            tool_from_marker: part(6),
+            tool_from_marker_sigma: sigma(6),
+        });
+    }
+    let weak = weakness::of(&pose_error, &state.parameters.entries, &file.workspace, data);
+    let mut calibration = Calibration {
+        id: String::new(),
+        date: date.map(str::to_owned),
+        origin: "calibration".to_owned(),
+        source: String::new(),
+        hash: 0,
+        scene_name: file.name.clone(),
+        scene_source: file.source.clone(),
+        scene_hash: file.hash,
+        statistics,
+        weak,
+        frames,
+        parameters: state.parameters,
+        correlation,
+        model_errors: state.model_errors,
+        pose_error,
+    };
+    calibration.name_by_parameters();
+    Ok(calibration)
+}
+
+/// Errors of poses of rows that are left out in turn, against the instrument, its outliers excepted; whether it was interrupted.
+fn hold_out(
+    adjustment: &Adjustment<'_>,
+    state: &State,
+    weights: &Weights,
+    statistics: &mut Statistics,
+    progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
+) -> Result<bool, CalibrateError> {
+    let data = adjustment.data;
+    let known: Vec<usize> =
+        (0..data.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
+    if known.len() < LEAST_HELD_OUT {
+        return Ok(false);
+    }
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for block in 0..BLOCKS {
+        if progress(Progress::LeavingOut(block + 1, BLOCKS)).is_break() {
+            return Ok(true);
+        }
+        let left_out = &known[block * known.len() / BLOCKS..(block + 1) * known.len() / BLOCKS];
+        let mut rest = data.clone();
+        for &row in left_out {
+            rest.rows[row].readings.fill(None);
+        }
+        let without = Adjustment::new(adjustment.nominal, &rest, adjustment.prior.clone(), false);
+        let mut found = state.clone();
+        without.minimise(&mut found, 2)?;
+        let scene: Scene = found.parameters.scene(adjustment.nominal);
+        let rows: Vec<_> = left_out.iter().map(|&row| data.rows[row].clone()).collect();
+        for (&row, pose) in left_out.iter().zip(solved(&scene, &rows)?) {
+            let (Some(pose), Some(report)) = (pose, data.rows[row].reported()) else { continue };
+            let (t, r) = pose.displacement_from(&expected(&found, data, row, &report));
+            squares[0] += t.length_squared();
+            squares[1] += r.length_squared();
+            count += 1.0;
+        }
+    }
+    if count > 0.0 {
+        statistics.held_out_m = Some((squares[0] / count).sqrt());
+        statistics.held_out_rad = Some((squares[1] / count).sqrt());
+    }
+    Ok(false)
+}
+
+/// The pose of the tool in the base that an instrument's report means.
+fn expected(state: &State, data: &Data, row: usize, report: &Pose) -> Pose {
+    let (number, group) = state.group_of(data, row);
+    if group.constraint != Constraint::KnownInOwnFrames {
+        return *report;
+    }
+    let [x, y] = [0, 6].map(|k| pose_of(&state.unknowns[number][k..k + 6]));
+    compose(&compose(&x, report), &inverse(&y))
+}

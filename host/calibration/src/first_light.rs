@@ -1,0 +1,196 @@
+//! A head that nobody has calibrated yet: its most probable optics, and how far its currents may be from them.
+
+use glam::DVec3;
+use heapless::Vec as FixedVec;
+use slitpose_head::scene_file::{SceneFile, Workspace};
+use slitpose_model::{Cell, ModelError, Plan, Pose, Scene, SceneError, Status, Tier};
+
+use crate::parameter::Quantity;
+use crate::parameters::Parameters;
+use crate::prior;
+
+/// Poses at which the currents are looked at: the mean over them is good to a tenth.
+const POSES: usize = 40;
+
+/// Change of a parameter by which its effect is found, in its standard deviations.
+const STEP: f64 = 0.25;
+
+/// Share of an electrode in the standard deviation of stray light, which is of both together: light centred anywhere on
+/// the detector with equal probability divides into 1/2 ± c, and the mean of its square is a third.
+const OF_ELECTRODE: f64 = 0.577_350_269_189_625_8;
+
+/// The most probable head of parts within the tolerances of `file`; its model errors are what the tolerances do to the
+/// currents.
+///
+/// Its poses are off by the same amount at every visit: half a millimetre for milled parts.
+///
+/// # Errors
+/// Those of [`Plan::compile`].
+pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
+    let parameters = prior::parameters(file)?;
+    let mut scene = parameters.scene(&file.scene);
+    let poses = poses(&file.workspace, POSES);
+    for (number, cell) in scene.cells.iter_mut().enumerate() {
+        let given = cell.effects.model_error;
+        let open = open_by(&parameters, number, &file.scene, &poses)?;
+        cell.effects.model_error = ModelError {
+            relative: given.relative.hypot(open.relative),
+            position_m: given.position_m.hypot(open.position_m),
+            current_a: given.current_a.hypot(open.current_a),
+        };
+    }
+    Ok(scene)
+}
+
+/// What the standard deviations of all parameters of cell `number` do to its currents, root mean square over `poses`.
+fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pose]) -> Result<ModelError, SceneError> {
+    let cell = &nominal.cells[number];
+    let usual = Observer::of(parameters.cell(cell, number, None))?;
+    let lit: Vec<(&Pose, [f64; 2])> = poses.iter().filter_map(|pose| Some((pose, usual.see(pose)?))).collect();
+    let [mut relative, mut position, mut current] = [0.0; 3];
+    for place in parameters.acting_on(number) {
+        let parameter = &parameters.entries[place];
+        let adds_current = is_stray(parameter.quantity);
+        let sigma = if adds_current { OF_ELECTRODE * parameter.sigma } else { parameter.sigma };
+        let changed = Some((place, parameter.value + STEP * sigma));
+        let changed = Observer::of(parameters.cell(cell, number, changed))?;
+        for (pose, before) in &lit {
+            // A spot that the change moves off the detector is seen at other poses.
+            let Some(after) = changed.see(pose) else { continue };
+            let change = |of: fn([f64; 2]) -> f64| ((of(after) - of(*before)) / STEP).powi(2);
+            if adds_current {
+                current += 0.5 * (change(|[first, _]| first) + change(|[_, second]| second));
+            } else {
+                relative += change(|[first, second]| (first + second).ln());
+                position += change(|[first, second]| (second - first) / (first + second)) * usual.half_length_m.powi(2);
+            }
+        }
+    }
+    let [relative, position_m, current_a] =
+        [relative, position, current].map(|sum| (sum / lit.len().max(1) as f64).sqrt());
+    Ok(ModelError { relative, position_m, current_a })
+}
+
+fn is_stray(quantity: Quantity) -> bool {
+    matches!(quantity, Quantity::Stray(_) | Quantity::StrayLinear(..) | Quantity::StrayQuadratic(..))
+}
+
+/// One cell on its own.
+struct Observer {
+    plan: Plan<f64>,
+    half_length_m: f64,
+}
+
+impl Observer {
+    fn of(mut cell: Cell) -> Result<Self, SceneError> {
+        // The numbers of other emitters mean nothing here.
+        cell.effects.lit_together = 0;
+        let half_length_m = 0.5 * cell.detector.length_m;
+        let scene = Scene { cells: FixedVec::from_iter([cell]), ..Scene::default() };
+        Ok(Self { plan: Plan::compile(&scene, Tier::Paper)?, half_length_m })
+    }
+
+    /// The currents of a spot that lies on the detector.
+    fn see(&self, pose: &Pose) -> Option<[f64; 2]> {
+        let pair = self.plan.photocurrents(0, pose);
+        let is_seen = self.plan.respond(0, pose).status == Status::Lit && pair.total_a() > 0.0;
+        is_seen.then_some([pair.i_x1_a, pair.i_x2_a])
+    }
+}
+
+/// So many poses that fill `workspace` evenly (Halton 1960).
+pub(crate) fn poses(workspace: &Workspace, count: usize) -> Vec<Pose> {
+    let coordinate = |index: usize, base: usize| {
+        let (mut rest, mut share, mut sum) = (index, 1.0, 0.0);
+        while rest > 0 {
+            share /= base as f64;
+            sum += share * (rest % base) as f64;
+            rest /= base;
+        }
+        2.0 * sum - 1.0
+    };
+    (1..=count)
+        .map(|index| {
+            let [tx, ty, tz, rx, ry, rz] = [2, 3, 5, 7, 11, 13].map(|base| coordinate(index, base));
+            let translation_m = DVec3::new(tx, ty, tz) * workspace.half_extent_m;
+            Pose::from_vectors(translation_m, DVec3::new(rx, ry, rz) * workspace.half_extent_rad)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+    use slitpose_head::scene_file::WIDE;
+    use slitpose_model::{MotionPrior, Photocurrents, Solver, Start};
+
+    use super::*;
+
+    const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+    const SEED: u64 = 1;
+    const HEADS: usize = 100;
+    const ROWS: usize = 20;
+
+    /// Polynomials with coefficients from a prior make light of a cell vanish or explode where no profile does.
+    const USUAL: f64 = 4.0;
+
+    #[test]
+    fn heads_drawn_from_the_tolerances_have_a_pose_everywhere_with_an_honest_covariance() {
+        let file = WIDE.read().expect("the scene");
+        let scene = uncalibrated(&file).expect("a head");
+        let usual = Plan::<f64>::compile(&scene, TIER).expect("a head");
+        let solver = Solver::<f64>::new(&scene, TIER).expect("a head");
+        let parameters = prior::parameters(&file).expect("a prior");
+        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let (mut squares, mut errors) = ([0.0; 6], Vec::new());
+        let (mut poses, mut evaluations) = (0, 0);
+        for head in 0..HEADS {
+            let mut drawn = parameters.clone();
+            for entry in &mut drawn.entries {
+                let sigma = if is_stray(entry.quantity) { OF_ELECTRODE * entry.sigma } else { entry.sigma };
+                entry.value += sigma * rng.sample::<f64, _>(StandardNormal);
+            }
+            let truth = Plan::<f64>::compile(&drawn.scene(&file.scene), TIER).expect("a head");
+            for _ in 0..ROWS {
+                let mut within =
+                    |extent: DVec3| extent * DVec3::from_array([(); 3].map(|()| rng.random_range(-1.0..1.0)));
+                let translation_m = within(file.workspace.half_extent_m);
+                let pose = Pose::from_vectors(translation_m, within(file.workspace.half_extent_rad));
+                let pairs: Vec<_> = (0..truth.cell_count()).map(|cell| truth.photocurrents(cell, &pose)).collect();
+                let is_usual = pairs.iter().enumerate().all(|(cell, pair)| {
+                    let ratio = pair.total_a() / usual.photocurrents(cell, &pose).total_a();
+                    (USUAL.recip()..USUAL).contains(&ratio)
+                });
+                if !is_usual {
+                    continue;
+                }
+                let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
+                let outcome = solution.outcome;
+                let estimate = solution.estimate.unwrap_or_else(|| panic!("seed {SEED}, head {head}: {outcome:?}"));
+                let (dt, dr) = estimate.pose.displacement_from(&pose);
+                let sigma = estimate.sigma();
+                for (axis, error) in [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z].into_iter().enumerate() {
+                    squares[axis] += (error / sigma[axis]).powi(2);
+                }
+                errors.push(estimate.nees(&pose).expect("a covariance"));
+                poses += 1;
+                evaluations += solution.evaluations;
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let rms = squares.map(|sum| (sum / f64::from(poses)).sqrt());
+        let (median, mean) = (errors[errors.len() / 2], errors.iter().sum::<f64>() / f64::from(poses));
+        let work = evaluations as f64 / f64::from(poses);
+        println!(
+            "seed {SEED}: {poses} poses, error/sigma {rms:.2?}, NEES {mean:.1}, median {median:.1}, {work:.1} evaluations"
+        );
+        // One constant for each kind of error in place of what each pose and head would have: the errors may be half as
+        // large again as their σ, and not so small that σ says nothing.
+        assert!(rms.iter().all(|ratio| (0.5..1.5).contains(ratio)) && poses > 1900);
+        // The median of χ² with six degrees of freedom is 5.3.
+        assert!((2.7..10.7).contains(&median), "{median}");
+        assert!(work < 20.0, "{work}");
+    }
+}

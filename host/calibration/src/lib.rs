@@ -1,0 +1,195 @@
+//! From parts with tolerances to a head whose parameters are known, and how well.
+//!
+//! [`calibrate`] takes a scene and [`Data`] and gives a [`Calibration`]: what it makes of the scene, and what it leaves open
+//! in each pose. Read in this order:
+//! * `parameter`, `parameters`, `prior`: what a head may deviate in, and by how much before anything is measured;
+//! * `data`, `tables`, `constraint`: what was measured, and what is known of the poses;
+//! * `plausibility`, `start`, `frames`: wrong data are refused, first poses found;
+//! * `sensitivity`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
+//! * `engine`: all of it in order; `pose_error`, `weakness`, `spectrum`, `residuals`: what came of it;
+//! * `file`: how it is stored; `head`, `first_light`: what solves with it, or without any; `validity`: whether it still holds.
+//!
+//! Readings are currents above dark, SI units throughout. Parameters are deviations from the scene; inside the adjustment
+//! they are counted in standard deviations of their priors.
+
+#![forbid(unsafe_code)]
+
+mod adjust;
+mod constraint;
+mod data;
+mod draw;
+mod engine;
+mod file;
+mod first_light;
+mod frames;
+mod head;
+mod normal;
+mod parameter;
+mod parameters;
+mod plausibility;
+mod pose_error;
+mod prior;
+mod reading_noise;
+mod residuals;
+mod sensitivity;
+mod spectrum;
+mod start;
+mod state;
+pub mod tables;
+mod validity;
+mod weakness;
+
+use serde::Deserialize;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::{ModelError, Plan, Pose, Scene, Tier};
+
+pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
+pub use draw::draw;
+pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
+pub use file::{CalibrationFileError, Frames};
+pub use first_light::uncalibrated;
+pub use frames::align;
+pub use head::{Basis, Head};
+pub use parameter::Quantity;
+pub use parameters::Parameter;
+pub use plausibility::Implausible;
+pub use residuals::Residual;
+pub use spectrum::Direction;
+pub use validity::{CellValidity, Validity, validity};
+
+use parameters::Parameters;
+use pose_error::PoseError;
+
+/// The parameters of one head, from measurements on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    id: String,
+    date: Option<String>,
+    origin: String,
+    source: String,
+    hash: u64,
+    scene_name: String,
+    scene_source: String,
+    scene_hash: u64,
+    statistics: Statistics,
+    weak: Vec<String>,
+    frames: Vec<Frames>,
+    parameters: Parameters,
+    /// Below the diagonal, row by row.
+    correlation: Vec<Vec<f64>>,
+    model_errors: Vec<ModelError>,
+    pose_error: PoseError,
+}
+
+/// How well the data fit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+pub struct Statistics {
+    /// Rows of readings, of all files.
+    pub rows: usize,
+    /// Readings of single cells that entered.
+    pub readings: usize,
+    /// Readings that contradict all others.
+    pub readings_rejected: usize,
+    /// Poses of the instrument that contradict all others.
+    pub poses_rejected: usize,
+    /// Sum of the squared normalised residuals, of priors, too.
+    pub chi2: f64,
+    /// Its expectation.
+    pub redundancy: f64,
+    /// Root-mean-square distance from the instrument's translations, of rows left out in turn, metres.
+    pub held_out_m: Option<f64>,
+    /// The same of the rotation angle, radians.
+    pub held_out_rad: Option<f64>,
+}
+
+impl Calibration {
+    /// A word that tells calibrations apart.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// When the data were taken, if that is known.
+    pub fn date(&self) -> Option<&str> {
+        self.date.as_deref()
+    }
+
+    /// The file it was read from, for messages.
+    pub fn origin(&self) -> &str {
+        &self.origin
+    }
+
+    /// The text of the file.
+    pub fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// Hash of the file's text.
+    pub fn hash(&self) -> u64 {
+        self.hash
+    }
+
+    /// Hash of the scene it was made with; see [`SceneFile::hash`].
+    pub fn scene_hash(&self) -> u64 {
+        self.scene_hash
+    }
+
+    /// The scene it was made with.
+    ///
+    /// # Errors
+    /// A text that is no scene, of a file that was made up.
+    pub fn scene_file(&self) -> Result<SceneFile, slitpose_head::scene_file::SceneFileError> {
+        SceneFile::parse(&self.scene_name, &self.scene_source)
+    }
+
+    /// How well the data fit.
+    pub fn statistics(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// Names it by its numbers: eight hexadecimal digits.
+    fn name_by_parameters(&mut self) {
+        let values: Vec<u8> = self.parameters.entries.iter().flat_map(|entry| entry.value.to_le_bytes()).collect();
+        self.id = format!("{:08x}", slitpose_head::scene_file::fnv1a_64(&values) >> 32);
+    }
+
+    /// What the data left open, in words.
+    pub fn weak(&self) -> &[String] {
+        &self.weak
+    }
+
+    /// Where the frames of instruments lie.
+    pub fn frames(&self) -> &[Frames] {
+        &self.frames
+    }
+
+    /// What each cell does beyond the model.
+    pub fn model_errors(&self) -> &[ModelError] {
+        &self.model_errors
+    }
+
+    /// All parameters.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters.entries
+    }
+
+    /// The calibrated optics of the head that `file` describes.
+    ///
+    /// # Errors
+    /// A scene with another hash, and parameters that no head can have.
+    pub fn apply(&self, file: &SceneFile) -> Result<Scene, CalibrationFileError> {
+        self.require_scene(file)?;
+        let mut scene = self.parameters.scene(&file.scene);
+        for (cell, error) in scene.cells.iter_mut().zip(&self.model_errors) {
+            cell.effects.model_error = *error;
+        }
+        Plan::<f64>::compile(&scene, Tier::Paper)
+            .map_err(|source| CalibrationFileError::Impossible { file: self.origin.clone(), source })?;
+        Ok(scene)
+    }
+
+    /// Covariance of the error (δt, δθ) of a pose that the calibration left: m², m·rad, rad². It is the same at every
+    /// visit of a pose; noise and model error of the frame come on top, and are in the covariance of a solution.
+    pub fn pose_covariance(&self, pose: &Pose) -> [[f64; 6]; 6] {
+        self.pose_error.covariance(pose)
+    }
+}

@@ -1,0 +1,321 @@
+//! What calibration may change of a head: the parameters of its cells, and how a cell follows from them.
+
+use std::fmt;
+
+use glam::{DQuat, DVec2, DVec3};
+use slitpose_model::{Cell, Converters, MAX_CONVERTER, MAX_NONLINEARITY, Profile, Stray, Window, rotation_exp};
+
+/// Highest Legendre order of a detector's non-linearity.
+pub(crate) const NONLINEARITY_ORDERS: usize = MAX_NONLINEARITY - 1;
+
+/// Highest Legendre order of a converter's curve.
+pub(crate) const CONVERTER_ORDERS: usize = MAX_CONVERTER - 1;
+
+/// Refractive index of a cover that the scene does not mention: clear resin.
+pub(crate) const RESIN_INDEX: f64 = 1.52;
+
+/// A parameter of a cell, as a deviation from the scene, SI units.
+///
+/// Detectors and slits shift and turn in the scene's own cell frame; emitters in the tool frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// The detector, and with it the slit, along the cell's x, y or z: metres.
+    DetectorShift(u8),
+    /// Component of the detector's rotation vector, radians.
+    DetectorTurn(u8),
+    /// The slit along the detector's x, metres.
+    SlitOffset,
+    /// Distance of the slit from the detector, metres.
+    SlitDistance,
+    /// Width of the slit, metres.
+    SlitWidth,
+    /// Component of the slit's rotation vector, radians.
+    SlitTilt(u8),
+    /// Thickness of the mask, metres.
+    MaskThickness,
+    /// The emitter along the tool's x, y or z: metres.
+    EmitterShift(u8),
+    /// Rotation of the emitter's axis about one of two directions across it, radians.
+    EmitterTilt(u8),
+    /// Natural logarithm of the emitter's intensity.
+    LogIntensity,
+    /// Exponent of the emitter's profile.
+    ProfileExponent,
+    /// Term of [`slitpose_model::ProfileShape::radial`].
+    ProfileRadial(u8),
+    /// Term of [`slitpose_model::ProfileShape::azimuthal`].
+    ProfileAzimuthal(u8),
+    /// Thickness of the detector's cover, metres.
+    WindowThickness,
+    /// Legendre coefficient of the detector's non-linearity in ξ = 2·X_A/Lx, of this order: metres.
+    Nonlinearity(u8),
+    /// Stray current of an electrode with the tool at home, amperes.
+    Stray(u8),
+    /// Its derivative by the tool's translation: electrode, axis; amperes per metre.
+    StrayLinear(u8, u8),
+    /// Its second-order term: electrode, term of [`Stray::quadratic_a_per_m2`]; amperes per square metre.
+    StrayQuadratic(u8, u8),
+    /// Gain of electrode 2 over that of electrode 1, relative.
+    ElectrodeGain,
+    /// Legendre coefficient of the curve of the converters of all first or second electrodes, of this order: amperes.
+    Converter(u8, u8),
+}
+
+const AXIS: [&str; 3] = ["x", "y", "z"];
+const PRODUCTS: [&str; 6] = ["xx", "yy", "zz", "xy", "yz", "zx"];
+
+impl fmt::Display for Quantity {
+    /// The name in a calibration file.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let axis = |k: u8| AXIS[usize::from(k)];
+        match *self {
+            Self::DetectorShift(k) => write!(f, "detector_{}", axis(k)),
+            Self::DetectorTurn(k) => write!(f, "detector_turn_{}", axis(k)),
+            Self::SlitOffset => f.write_str("slit_x"),
+            Self::SlitDistance => f.write_str("slit_distance"),
+            Self::SlitWidth => f.write_str("slit_width"),
+            Self::SlitTilt(k) => write!(f, "slit_turn_{}", axis(k)),
+            Self::MaskThickness => f.write_str("mask_thickness"),
+            Self::EmitterShift(k) => write!(f, "emitter_{}", axis(k)),
+            Self::EmitterTilt(k) => write!(f, "emitter_tilt_{}", k + 1),
+            Self::LogIntensity => f.write_str("log_intensity"),
+            Self::ProfileExponent => f.write_str("profile_exponent"),
+            Self::ProfileRadial(k) => write!(f, "profile_radial_{}", k + 1),
+            Self::ProfileAzimuthal(k) => write!(f, "profile_azimuthal_{}", k + 1),
+            Self::WindowThickness => f.write_str("window_thickness"),
+            Self::Nonlinearity(k) => write!(f, "nonlinearity_{k}"),
+            Self::Stray(e) => write!(f, "stray_{}", e + 1),
+            Self::StrayLinear(e, k) => write!(f, "stray_{}_{}", e + 1, axis(k)),
+            Self::StrayQuadratic(e, k) => write!(f, "stray_{}_{}", e + 1, PRODUCTS[usize::from(k)]),
+            Self::ElectrodeGain => f.write_str("electrode_gain"),
+            Self::Converter(e, k) => write!(f, "converter_{}_{k}", e + 1),
+        }
+    }
+}
+
+impl Quantity {
+    /// All quantities of one cell, in the order of calibration files.
+    pub fn of_cell() -> impl Iterator<Item = Self> {
+        let axes = || 0..3_u8;
+        let electrodes = || 0..2_u8;
+        axes()
+            .map(Self::DetectorShift)
+            .chain(axes().map(Self::DetectorTurn))
+            .chain([Self::SlitOffset, Self::SlitDistance, Self::SlitWidth])
+            .chain(axes().map(Self::SlitTilt))
+            .chain([Self::MaskThickness])
+            .chain(axes().map(Self::EmitterShift))
+            .chain((0..2).map(Self::EmitterTilt))
+            .chain([Self::LogIntensity, Self::ProfileExponent])
+            .chain((0..4).map(Self::ProfileRadial))
+            .chain((0..4).map(Self::ProfileAzimuthal))
+            .chain([Self::WindowThickness])
+            .chain((1..=NONLINEARITY_ORDERS as u8).map(Self::Nonlinearity))
+            .chain(electrodes().map(Self::Stray))
+            .chain(electrodes().flat_map(move |e| axes().map(move |k| Self::StrayLinear(e, k))))
+            .chain(electrodes().flat_map(|e| (0..6).map(move |k| Self::StrayQuadratic(e, k))))
+            .chain([Self::ElectrodeGain])
+    }
+
+    /// All quantities that the cells of a head share. Orders 0 and 1 of a curve are stray current and gain.
+    pub fn of_head() -> impl Iterator<Item = Self> {
+        (0..2_u8).flat_map(|e| (2..=CONVERTER_ORDERS as u8).map(move |k| Self::Converter(e, k)))
+    }
+
+    /// Quantities of one kind whose common size the data may tell, though the tolerances do not; `None`: the tolerances
+    /// do.
+    pub(crate) fn family(&self) -> Option<usize> {
+        match self {
+            Self::ProfileRadial(_) => Some(0),
+            Self::ProfileAzimuthal(_) => Some(1),
+            Self::Nonlinearity(_) => Some(2),
+            Self::Stray(_) => Some(3),
+            Self::StrayLinear(..) => Some(4),
+            Self::StrayQuadratic(..) => Some(5),
+            Self::Converter(..) => Some(6),
+            _ => None,
+        }
+    }
+
+    /// The quantity of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::of_cell().chain(Self::of_head()).find(|quantity| quantity.to_string() == name)
+    }
+
+    /// The unit of its values.
+    pub fn unit(&self) -> &'static str {
+        match self {
+            Self::DetectorShift(_)
+            | Self::SlitOffset
+            | Self::SlitDistance
+            | Self::SlitWidth
+            | Self::MaskThickness
+            | Self::EmitterShift(_)
+            | Self::WindowThickness
+            | Self::Nonlinearity(_) => "m",
+            Self::DetectorTurn(_) | Self::SlitTilt(_) | Self::EmitterTilt(_) => "rad",
+            Self::LogIntensity
+            | Self::ProfileExponent
+            | Self::ProfileRadial(_)
+            | Self::ProfileAzimuthal(_)
+            | Self::ElectrodeGain => "1",
+            Self::Stray(_) | Self::Converter(..) => "A",
+            Self::StrayLinear(..) => "A/m",
+            Self::StrayQuadratic(..) => "A/m^2",
+        }
+    }
+}
+
+/// Number of families.
+pub(crate) const FAMILIES: usize = 7;
+
+/// Σ cₖ·Pₖ as a polynomial: coefficients of x⁰, x¹, …
+fn powers<const N: usize>(legendre: &[f64; N]) -> [f64; N] {
+    // (k+1)·P_{k+1} = (2k+1)·x·P_k − k·P_{k−1} (Bonnet).
+    let (mut before, mut current) = ([0.0; N], [0.0; N]);
+    current[0] = 1.0;
+    let mut sum = [0.0; N];
+    for (k, coefficient) in legendre.iter().enumerate() {
+        for (sum, power) in sum.iter_mut().zip(current) {
+            *sum += coefficient * power;
+        }
+        let order = k as f64;
+        let mut next = [0.0; N];
+        for i in 0..N {
+            let shifted = if i > 0 { current[i - 1] } else { 0.0 };
+            next[i] = ((2.0 * order + 1.0) * shifted - order * before[i]) / (order + 1.0);
+        }
+        (before, current) = (current, next);
+    }
+    sum
+}
+
+/// The least that positive dimensions shrink to on the way, metres.
+const LEAST_M: f64 = 1e-6;
+
+/// Deviations of one cell, gathered before they act on it.
+struct Deviations {
+    detector_shift: DVec3,
+    detector_turn: DVec3,
+    slit_tilt: DVec3,
+    emitter_tilt: [f64; 2],
+    nonlinearity: [f64; MAX_NONLINEARITY],
+    stray: Stray,
+    converter: [[f64; MAX_CONVERTER]; 2],
+    electrode_gain: f64,
+}
+
+/// The cell of the scene with `values` in force. Converters span 0 to `full_scale_a`.
+pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIterator<Item = (Quantity, f64)>) -> Cell {
+    let mut cell = nominal.clone();
+    let mut by = Deviations {
+        detector_shift: DVec3::ZERO,
+        detector_turn: DVec3::ZERO,
+        slit_tilt: DVec3::ZERO,
+        emitter_tilt: [0.0; 2],
+        nonlinearity: [0.0; MAX_NONLINEARITY],
+        stray: cell.effects.stray.unwrap_or_default(),
+        converter: [[0.0; MAX_CONVERTER]; 2],
+        electrode_gain: 0.0,
+    };
+    for (quantity, value) in values {
+        let index = |k: u8| usize::from(k);
+        match quantity {
+            Quantity::DetectorShift(k) => by.detector_shift[index(k)] += value,
+            Quantity::DetectorTurn(k) => by.detector_turn[index(k)] += value,
+            Quantity::SlitOffset => cell.slit.offset_m += DVec2::new(value, 0.0),
+            Quantity::SlitDistance => cell.slit.distance_m = (cell.slit.distance_m + value).max(LEAST_M),
+            Quantity::SlitWidth => cell.slit.width_m = (cell.slit.width_m + value).max(LEAST_M),
+            Quantity::SlitTilt(k) => by.slit_tilt[index(k)] += value,
+            Quantity::MaskThickness => cell.slit.thickness_m = (cell.slit.thickness_m + value).max(0.0),
+            Quantity::EmitterShift(k) => cell.emitter.position_tool_m[index(k)] += value,
+            Quantity::EmitterTilt(k) => by.emitter_tilt[index(k)] += value,
+            Quantity::LogIntensity => cell.emitter.radiant_intensity_w_per_sr *= value.exp(),
+            Quantity::ProfileExponent => {
+                if let Profile::Cosine { exponent } = &mut cell.emitter.profile {
+                    *exponent = (*exponent + value).max(0.0);
+                }
+            }
+            Quantity::ProfileRadial(k) => cell.effects.profile.radial[index(k)] += value,
+            Quantity::ProfileAzimuthal(k) => cell.effects.profile.azimuthal[index(k)] += value,
+            Quantity::WindowThickness => {
+                let given = cell.effects.window.unwrap_or(Window { thickness_m: 0.0, refractive_index: RESIN_INDEX });
+                cell.effects.window = Some(Window { thickness_m: (given.thickness_m + value).max(0.0), ..given });
+            }
+            Quantity::Nonlinearity(k) => by.nonlinearity[index(k)] += value,
+            Quantity::Stray(e) => by.stray.constant_a[index(e)] += value,
+            Quantity::StrayLinear(e, k) => by.stray.linear_a_per_m[index(e)][index(k)] += value,
+            Quantity::StrayQuadratic(e, k) => by.stray.quadratic_a_per_m2[index(e)][index(k)] += value,
+            Quantity::ElectrodeGain => by.electrode_gain += value,
+            Quantity::Converter(e, k) => by.converter[index(e)][index(k)] += value,
+        }
+    }
+    by.act_on(&mut cell, full_scale_a);
+    cell
+}
+
+impl Deviations {
+    fn act_on(self, cell: &mut Cell, full_scale_a: f64) {
+        let detector = &mut cell.detector;
+        let (x, z) = (detector.x_axis_base, detector.normal_base);
+        let to_base = |v: DVec3| x * v.x + z.cross(x) * v.y + z * v.z;
+        detector.centre_base_m += to_base(self.detector_shift);
+        let turn = rotation_exp(to_base(self.detector_turn));
+        detector.x_axis_base = (turn * x).normalize();
+        // Perpendicular to rounding, as the model demands.
+        detector.normal_base = (turn * z).normalize();
+        // The slit's own rotation acts after that of the scene.
+        let tilt: DQuat = rotation_exp(self.slit_tilt) * rotation_exp(cell.slit.tilt_rad);
+        cell.slit.tilt_rad = slitpose_model::rotation_log(tilt);
+        cell.slit.thickness_m = cell.slit.thickness_m.min(1.9 * cell.slit.distance_m);
+
+        let across = across(cell.emitter.axis_tool);
+        let tilt = across[0] * self.emitter_tilt[0] + across[1] * self.emitter_tilt[1];
+        cell.emitter.axis_tool = (rotation_exp(tilt) * cell.emitter.axis_tool).normalize();
+
+        let effects = &mut cell.effects;
+        if self.nonlinearity != [0.0; MAX_NONLINEARITY] {
+            let given = std::mem::take(&mut effects.nonlinearity_m);
+            let own = powers(&self.nonlinearity).into_iter().enumerate();
+            effects.nonlinearity_m = own.map(|(k, value)| value + given.get(k).copied().unwrap_or(0.0)).collect();
+        }
+        if self.stray != Stray::default() {
+            effects.stray = Some(self.stray);
+        }
+        effects.electrode_gain[0] *= 1.0 - 0.5 * self.electrode_gain;
+        effects.electrode_gain[1] *= 1.0 + 0.5 * self.electrode_gain;
+        if self.converter != [[0.0; MAX_CONVERTER]; 2] && effects.converters.is_none() {
+            let curves_a = self.converter.map(|curve| powers(&curve).into_iter().collect());
+            effects.converters = Some(Converters { full_scale_a, curves_a });
+        }
+    }
+}
+
+/// Two directions across `axis`.
+fn across(axis: DVec3) -> [DVec3; 2] {
+    let (a, b) = axis.any_orthonormal_pair();
+    [a, b]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_distinct_and_lead_back() {
+        for quantity in Quantity::of_cell().chain(Quantity::of_head()) {
+            assert_eq!(Quantity::named(&quantity.to_string()), Some(quantity));
+        }
+    }
+
+    #[test]
+    fn legendre_polynomials_are_those_of_the_table() {
+        // Abramowitz and Stegun 1972, table 22.9: P₅ = (63x⁵ − 70x³ + 15x)/8.
+        let mut only = [0.0; 6];
+        only[5] = 8.0;
+        let found = powers(&only);
+        for (found, expected) in found.into_iter().zip([0.0, 15.0, 0.0, -70.0, 0.0, 63.0]) {
+            assert!((found - expected).abs() < 1e-13, "{found} {expected}");
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! What the errors of the parameters do to poses.
+
+use nalgebra::{DMatrix, DMatrixView, DVector, SMatrix};
+use slitpose_head::scene_file::Workspace;
+use slitpose_model::{ModelError, Pose, Scene, SceneError};
+
+use crate::first_light::poses;
+use crate::normal::{backward, cholesky6, forward};
+use crate::reading_noise::{directions, whiten, whitener};
+use crate::sensitivity::{CellSensitivity, sensitivities};
+use crate::state::State;
+
+/// Functions of the pose that its error is made of: 1, the translation, the rotation vector.
+pub(crate) const FUNCTIONS: usize = 7;
+
+/// Coefficients of the error of all six coordinates.
+pub(crate) const COEFFICIENTS: usize = 6 * FUNCTIONS;
+
+/// The covariance of a pose's error that the parameters cause: one error for all poses of a head, a slowly varying
+/// function of the pose.
+///
+/// The error is Σₖ aₖ·φₖ(pose), aₖ a vector of six coordinates, φ = 1, t/s, θ, with normally distributed coefficients. What
+/// varies faster is part of the model errors of the cells: a solver knows better what these do to a pose.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct PoseError {
+    /// s, metres.
+    pub(crate) length_scale_m: f64,
+    /// Covariance of the coefficients, six for φ₀ first; row by row.
+    pub(crate) coefficients: Vec<f64>,
+}
+
+/// The functions at a pose.
+pub(crate) fn functions(pose: &Pose, length_scale_m: f64) -> [f64; FUNCTIONS] {
+    let (t, r) = (pose.translation_m / length_scale_m, pose.rotation_rad());
+    [1.0, t.x, t.y, t.z, r.x, r.y, r.z]
+}
+
+/// Poses at which the error is computed.
+const POSES: usize = 64;
+
+/// A pose of the workspace.
+struct Sample {
+    functions: [f64; FUNCTIONS],
+    /// Inverse of the mean variance of the pose by noise, in units of the length scale.
+    weight: f64,
+    /// −V⁻¹BᵀA: what the parameters do to the pose, lengths in units of the length scale.
+    error: DMatrix<f64>,
+}
+
+impl PoseError {
+    /// What the `covariance` of the parameters, in units of their prior σ, does to poses of a `workspace` that are solved
+    /// from single frames; and, as model errors of each cell, what it does besides.
+    pub(crate) fn of(
+        nominal: &Scene,
+        state: &State,
+        covariance: &DMatrix<f64>,
+        workspace: &Workspace,
+    ) -> Result<(Self, Vec<ModelError>), SceneError> {
+        let count = state.parameters.entries.len();
+        let poses = poses(workspace, POSES);
+        let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
+        let covariance = covariance.view((0, 0), (count, count));
+        let samples: Vec<Option<Sample>> =
+            poses.iter().enumerate().map(|(row, pose)| Sample::of(state, &cells, row, pose)).collect();
+        let mut gram = SMatrix::<f64, FUNCTIONS, FUNCTIONS>::zeros();
+        for Sample { functions, weight, .. } in samples.iter().flatten() {
+            for i in 0..FUNCTIONS {
+                for j in 0..FUNCTIONS {
+                    gram[(i, j)] += weight * functions[i] * functions[j];
+                }
+            }
+        }
+        // Least squares: the coefficients as functions of the parameters.
+        let mut coefficients = DMatrix::zeros(COEFFICIENTS, count);
+        if let Some(inverse) = gram.try_inverse().filter(|_| samples.iter().flatten().count() > 2 * FUNCTIONS) {
+            for Sample { functions, weight, error } in samples.iter().flatten() {
+                for k in 0..FUNCTIONS {
+                    let share: f64 = (0..FUNCTIONS).map(|l| inverse[(k, l)] * functions[l] * weight).sum();
+                    let mut rows = coefficients.rows_mut(6 * k, 6);
+                    rows += error * share;
+                }
+            }
+        }
+        let rest = Self::model_errors(nominal, state, &cells, &samples, &coefficients, &covariance);
+        let scale = |i: usize| if i % 6 < 3 { state.length_scale_m } else { 1.0 };
+        let spread = &coefficients * covariance * coefficients.transpose();
+        let places = (0..COEFFICIENTS).flat_map(|i| (0..COEFFICIENTS).map(move |j| (i, j)));
+        let found = places.map(|(i, j)| spread[(i, j)] * scale(i) * scale(j)).collect();
+        Ok((Self { length_scale_m: state.length_scale_m, coefficients: found }, rest))
+    }
+
+    /// Standard deviations of the intensity and position of each cell that no smooth error of the pose explains.
+    fn model_errors(
+        nominal: &Scene,
+        state: &State,
+        cells: &[CellSensitivity],
+        samples: &[Option<Sample>],
+        coefficients: &DMatrix<f64>,
+        covariance: &DMatrixView<'_, f64>,
+    ) -> Vec<ModelError> {
+        let count = coefficients.ncols();
+        let of_cell = |(number, cell): (usize, &CellSensitivity)| {
+            let half_length_m = 0.5 * nominal.cells[number].detector.length_m;
+            let (mut sums, mut weights) = ([0.0; 2], 0.0);
+            for (row, sample) in samples.iter().enumerate() {
+                let (Some(Sample { functions, weight, .. }), Some(pair)) = (sample, cell.pairs[row]) else { continue };
+                let mut smooth = DMatrix::<f64>::zeros(6, count);
+                for (k, function) in functions.iter().enumerate() {
+                    smooth += coefficients.rows(6 * k, 6) * *function;
+                }
+                weights += weight;
+                for (sum, direction) in sums.iter_mut().zip(directions(pair, half_length_m)) {
+                    let of = |pair: [f64; 2]| direction[0] * pair[0] + direction[1] * pair[1];
+                    let mut derivative = DVector::<f64>::zeros(count);
+                    let width = cell.acting.len();
+                    for (&place, by) in cell.acting.iter().zip(&cell.by_parameter[row * width..]) {
+                        derivative[place] = of(*by);
+                    }
+                    let jacobian = cell.by_pose[row];
+                    for axis in 0..6 {
+                        let scale = if axis < 3 { state.length_scale_m } else { 1.0 };
+                        let by = scale * of([jacobian[0][axis], jacobian[1][axis]]);
+                        derivative.axpy(by, &smooth.row(axis).transpose(), 1.0);
+                    }
+                    *sum += weight * derivative.dot(&(covariance * &derivative));
+                }
+            }
+            let [relative, position_m] = sums.map(|sum| if weights > 0.0 { (sum / weights).sqrt() } else { 0.0 });
+            ModelError { relative, position_m, current_a: 0.0 }
+        };
+        cells.iter().enumerate().map(of_cell).collect()
+    }
+
+    /// The covariance at `pose`, m², m·rad, rad².
+    pub(crate) fn covariance(&self, pose: &Pose) -> [[f64; 6]; 6] {
+        let functions = functions(pose, self.length_scale_m);
+        let mut covariance = [[0.0; 6]; 6];
+        for (k, &of_row) in functions.iter().enumerate() {
+            for (l, &of_column) in functions.iter().enumerate() {
+                let product = of_row * of_column;
+                for i in 0..6 {
+                    let row = &self.coefficients[(6 * k + i) * COEFFICIENTS + 6 * l..][..6];
+                    for j in 0..6 {
+                        covariance[i][j] += product * row[j];
+                    }
+                }
+            }
+        }
+        covariance
+    }
+}
+
+impl Sample {
+    /// `None`: too few cells see light there.
+    fn of(state: &State, cells: &[CellSensitivity], row: usize, pose: &Pose) -> Option<Self> {
+        let scale = |axis: usize| if axis < 3 { state.length_scale_m } else { 1.0 };
+        let (mut v, mut error) = ([[0.0; 6]; 6], DMatrix::<f64>::zeros(6, state.parameters.entries.len()));
+        for (number, cell) in cells.iter().enumerate() {
+            let Some(pair) = cell.pairs[row] else { continue };
+            let w = whitener(state.covariance(number, pair, 1.0));
+            let jacobian = cell.by_pose[row];
+            let by_pose: [[f64; 2]; 6] = std::array::from_fn(|axis| {
+                whiten(w, [jacobian[0][axis], jacobian[1][axis]].map(|value| value * scale(axis)))
+            });
+            for i in 0..6 {
+                for j in 0..6 {
+                    v[i][j] += by_pose[i][0] * by_pose[j][0] + by_pose[i][1] * by_pose[j][1];
+                }
+            }
+            let width = cell.acting.len();
+            for (&place, derivative) in cell.acting.iter().zip(&cell.by_parameter[row * width..]) {
+                let of = whiten(w, *derivative);
+                for (i, by) in by_pose.iter().enumerate() {
+                    error[(i, place)] -= by[0] * of[0] + by[1] * of[1];
+                }
+            }
+        }
+        let factor = cholesky6(&v)?;
+        let solve = |right| backward(&factor, forward(&factor, right));
+        for mut column in error.column_iter_mut() {
+            let solved = solve(std::array::from_fn(|i| column[i]));
+            column.copy_from_slice(&solved);
+        }
+        let variance: f64 = (0..6).map(|k| solve(std::array::from_fn(|i| f64::from(u8::from(i == k))))[k]).sum();
+        Some(Self { functions: functions(pose, state.length_scale_m), weight: variance.recip(), error })
+    }
+}

@@ -1,0 +1,104 @@
+//! What is known of a head before calibration: the scene, and the tolerances of its parts.
+
+use slitpose_head::scene_file::{SceneFile, Tolerance};
+use slitpose_model::{Cell, Plan, Pose, Profile, SceneError, Tier};
+
+use crate::parameter::{NONLINEARITY_ORDERS, Quantity};
+use crate::parameters::{Parameter, Parameters};
+
+/// Thickness of the mask of a scene that does not give it, and its standard deviation, metres: foil that holds a slit.
+const MASK_M: [f64; 2] = [0.15e-3, 0.03e-3];
+
+/// Thickness of the cover of a scene that does not give it, metres: the clear resin of an S3932 is 0.3 to 1 mm.
+const RESIN_M: f64 = 0.7e-3;
+
+/// 1 − cos γ of a ray to the edge of a usual workspace, and its sine: what the tolerance of the profile refers to.
+const EDGE: [f64; 2] = [0.3, 0.7];
+
+/// What of a profile's tolerance depends on the azimuth: chips are nearly square, and their tilt is a parameter of its own.
+const AZIMUTH: f64 = 0.2;
+
+/// Change of stray light from home to the edge of the workspace, relative: in proportion to the way, and to its square.
+/// Surfaces that reflect are about ten workspaces' extents of path away.
+const STRAY_CHANGE: [f64; 2] = [0.15, 0.05];
+
+/// Standard deviation of the coefficients of a converter's curve, in steps: data sheets state 1.5 steps at most.
+const CONVERTER_LSB: f64 = 0.8;
+
+/// A converter of a scene without front end: its full scale and its steps.
+const FULL_SCALE_A: f64 = 10e-6;
+const CODES: f64 = 4096.0;
+
+/// Every parameter that the tolerances of `file` leave open, at its most probable value.
+///
+/// # Errors
+/// Those of [`Plan::compile`].
+pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
+    let tolerance = file.tolerance.unwrap_or_default();
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 })?;
+    let extent_m = file.workspace.half_extent_m.max_element().max(1e-3);
+    let (full_scale_a, codes) = match &file.front_end {
+        Some(front_end) => (front_end.full_scale_a, f64::from(front_end.adc_bits).exp2()),
+        None => (FULL_SCALE_A, CODES),
+    };
+    let mut entries = Vec::new();
+    for (number, cell) in file.scene.cells.iter().enumerate() {
+        let stray_a = tolerance.stray_relative * plan.photocurrents(number, &Pose::HOME).total_a();
+        for quantity in Quantity::of_cell() {
+            if let Some([mean, sigma]) = of_cell(&tolerance, cell, quantity, stray_a, extent_m) {
+                entries.push(Parameter::at_prior(Some(number), quantity, mean, sigma));
+            }
+        }
+    }
+    if tolerance.nonlinearity_m > 0.0 {
+        for quantity in Quantity::of_head() {
+            let Quantity::Converter(_, order) = quantity else { continue };
+            let sigma = CONVERTER_LSB * full_scale_a / codes * 2.0 / f64::from(order);
+            entries.push(Parameter::at_prior(None, quantity, 0.0, sigma));
+        }
+    }
+    Ok(Parameters { entries, full_scale_a })
+}
+
+/// Mean and standard deviation; `None`: no parameter.
+fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64, extent_m: f64) -> Option<[f64; 2]> {
+    let [z, v] = EDGE;
+    let profile = tolerance.profile_relative;
+    let around_zero = |sigma: f64| [0.0, sigma];
+    let found = match quantity {
+        Quantity::DetectorShift(_) | Quantity::SlitOffset | Quantity::SlitDistance | Quantity::EmitterShift(_) => {
+            around_zero(tolerance.position_m)
+        }
+        Quantity::DetectorTurn(_) | Quantity::SlitTilt(_) => around_zero(tolerance.angle_rad),
+        Quantity::SlitWidth => around_zero(tolerance.slit_width_m),
+        Quantity::MaskThickness if tolerance.slit_width_m == 0.0 => return None,
+        Quantity::MaskThickness if cell.slit.thickness_m == 0.0 => MASK_M,
+        Quantity::MaskThickness => around_zero(MASK_M[1]),
+        Quantity::EmitterTilt(_) => around_zero(tolerance.emitter_angle_rad),
+        Quantity::LogIntensity => around_zero(tolerance.emitter_gain_relative),
+        Quantity::ProfileExponent => match cell.emitter.profile {
+            Profile::Cosine { .. } => around_zero(profile / -(1.0 - z).ln()),
+            Profile::Table(_) => return None,
+        },
+        Quantity::ProfileRadial(k) => {
+            let order = i32::from(k) + 1;
+            around_zero(profile / f64::from(order * order) / z.powi(order))
+        }
+        Quantity::ProfileAzimuthal(0 | 1) => around_zero(AZIMUTH * profile / (v * v)),
+        Quantity::ProfileAzimuthal(_) => around_zero(AZIMUTH * profile / (z * v)),
+        Quantity::WindowThickness if tolerance.window_m == 0.0 => return None,
+        Quantity::WindowThickness if cell.effects.window.is_none() => [RESIN_M, tolerance.window_m],
+        Quantity::WindowThickness => around_zero(tolerance.window_m),
+        Quantity::Nonlinearity(k) => {
+            // Even and smooth: what a data sheet states as a whole is spread over the low orders.
+            debug_assert!(usize::from(k) <= NONLINEARITY_ORDERS);
+            around_zero(tolerance.nonlinearity_m * 4.0 / (3.0 + f64::from(k)))
+        }
+        Quantity::Stray(_) => around_zero(stray_a),
+        Quantity::StrayLinear(..) => around_zero(STRAY_CHANGE[0] * stray_a / extent_m),
+        Quantity::StrayQuadratic(..) => around_zero(STRAY_CHANGE[1] * stray_a / (extent_m * extent_m)),
+        Quantity::ElectrodeGain => around_zero(tolerance.electrode_gain_relative * std::f64::consts::SQRT_2),
+        Quantity::Converter(..) => return None,
+    };
+    (found[1] > 0.0).then_some(found)
+}

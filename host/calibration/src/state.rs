@@ -1,0 +1,112 @@
+//! Everything that an adjustment changes.
+
+use slitpose_model::{ModelError, Pose, Scene};
+
+use crate::constraint;
+use crate::data::{Constraint, Data, Group};
+use crate::parameters::Parameters;
+use crate::reading_noise::{Covariance, ReadingNoise};
+
+/// Parameters, poses and unknowns of the groups.
+#[derive(Clone, Debug)]
+pub(crate) struct State {
+    pub(crate) parameters: Parameters,
+    /// Of each group.
+    pub(crate) unknowns: Vec<Vec<f64>>,
+    pub(crate) poses: Vec<Pose>,
+    pub(crate) noise: Vec<ReadingNoise>,
+    pub(crate) model_errors: Vec<ModelError>,
+    /// Of each group: errors of lengths and angles by what is stated.
+    pub(crate) scales: Vec<[f64; 2]>,
+    pub(crate) length_scale_m: f64,
+    /// Of each row.
+    groups: Vec<usize>,
+}
+
+/// Weights between 0 and 1: of outliers.
+#[derive(Clone, Debug)]
+pub(crate) struct Weights {
+    /// Of each row's cells.
+    pub(crate) readings: Vec<Vec<f64>>,
+    /// Of what is known of each row's pose.
+    pub(crate) poses: Vec<f64>,
+}
+
+impl Weights {
+    pub(crate) fn equal(data: &Data) -> Self {
+        Self {
+            readings: data.rows.iter().map(|row| vec![1.0; row.readings.len()]).collect(),
+            poses: vec![1.0; data.rows.len()],
+        }
+    }
+}
+
+impl State {
+    pub(crate) fn new(
+        nominal: &Scene,
+        parameters: Parameters,
+        data: &Data,
+        poses: Vec<Pose>,
+        model_errors: Vec<ModelError>,
+    ) -> Self {
+        let mut groups = vec![0; data.rows.len()];
+        for (number, group) in data.groups.iter().enumerate() {
+            groups[group.rows.clone()].fill(number);
+        }
+        Self {
+            parameters,
+            unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group.constraint)]).collect(),
+            poses,
+            noise: nominal.cells.iter().map(|cell| ReadingNoise::new(nominal.noise.as_ref(), cell)).collect(),
+            model_errors,
+            scales: vec![[1.0; 2]; data.groups.len()],
+            length_scale_m: nominal.length_scale_m(),
+            groups,
+        }
+    }
+
+    pub(crate) fn covariance(&self, cell: usize, reading: [f64; 2], frames: f64) -> Covariance {
+        self.noise[cell].covariance(reading, frames, &self.model_errors[cell])
+    }
+
+    /// The group of a row, with its number.
+    pub(crate) fn group_of<'a>(&self, data: &'a Data, row: usize) -> (usize, &'a Group) {
+        let number = self.groups[row];
+        (number, &data.groups[number])
+    }
+
+    /// Standard deviations of lengths and angles of a group, as the data have them.
+    pub(crate) fn sigmas(&self, data: &Data, group: usize) -> [f64; 2] {
+        let Group { sigma_m, sigma_rad, .. } = data.groups[group];
+        [sigma_m * self.scales[group][0], sigma_rad * self.scales[group][1]]
+    }
+
+    /// Whether an instrument knows the row's pose, in whatever frames.
+    pub(crate) fn is_known(&self, data: &Data, row: usize) -> bool {
+        matches!(self.group_of(data, row).1.constraint, Constraint::Known | Constraint::KnownInOwnFrames)
+    }
+
+    /// Place of the first unknown of a group.
+    pub(crate) fn first_unknown(&self, group: usize) -> usize {
+        self.parameters.entries.len() + self.unknowns[..group].iter().map(Vec::len).sum::<usize>()
+    }
+
+    /// Parameters, and unknowns of all groups.
+    pub(crate) fn unknown_count(&self) -> usize {
+        self.first_unknown(self.unknowns.len())
+    }
+
+    /// Moves parameters and groups by `step`, in prior σ and scales.
+    pub(crate) fn advance(&mut self, data: &Data, step: &[f64]) {
+        let count = self.parameters.entries.len();
+        for (entry, step) in self.parameters.entries.iter_mut().zip(step) {
+            entry.value += step * entry.prior_sigma;
+        }
+        let mut rest = step[count..].iter();
+        for (unknowns, group) in self.unknowns.iter_mut().zip(&data.groups) {
+            for ((k, unknown), step) in unknowns.iter_mut().enumerate().zip(&mut rest) {
+                *unknown += step * constraint::scale(group.constraint, k);
+            }
+        }
+    }
+}

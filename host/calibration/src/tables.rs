@@ -1,0 +1,134 @@
+//! Rows from CSV tables.
+
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{Column, CurrentColumns, PoseColumns, Row as TableRow, TableError, TableReader};
+
+use crate::data::{Constraint, Data, Knowledge, Row};
+use crate::{CalibrateError, Implausible};
+
+/// Rows of a table without poses that are taken at most; more tell next to nothing new.
+pub const MOST_ROWS: usize = 1500;
+
+/// Change of a cell's currents, relative to its total, up to which neighbouring readings are averaged: curvature over
+/// such a way is below 2e-5.
+const AVERAGED_CHANGE: f64 = 0.02;
+
+/// Most readings that are averaged.
+const MOST_AVERAGED: usize = 256;
+
+/// Reads a table into `data`.
+///
+/// # Errors
+/// A missing column, or a field that is no number.
+pub fn read(
+    file: &SceneFile,
+    table: &str,
+    constraint: Constraint,
+    sigmas: [f64; 2],
+    data: &mut Data,
+) -> Result<(), CalibrateError> {
+    let mut reader = TableReader::open(table)?;
+    let cells = file.scene.cells.len();
+    if reader.optional_column(&format!("i_x1_{cells}_a"))?.is_some() {
+        return Err(Implausible::MoreCells { file: table.to_owned(), cells }.into());
+    }
+    let currents = CurrentColumns::find(&reader, cells)?;
+    let frames = reader.optional_column("frames")?;
+    let mut rows = Vec::new();
+    match constraint {
+        Constraint::Known | Constraint::KnownInOwnFrames => {
+            let poses = PoseColumns::find(&reader)?;
+            while let Some(row) = reader.next_row()? {
+                let knowledge = Knowledge::Reported(poses.pose(&row)?);
+                rows.push(row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?);
+            }
+        }
+        Constraint::Stage => {
+            let (id, step) = (reader.column("id")?, reader.column("step_mm")?);
+            while let Some(row) = reader.next_row()? {
+                let knowledge = Knowledge::Step(row.number(step)? * 1e-3);
+                rows.push(row_of(file, &currents, frames, &row, row.text(id), knowledge)?);
+            }
+        }
+        Constraint::Free | Constraint::Pivot | Constraint::Rest => {
+            let id = reader.column("id")?;
+            while let Some(row) = reader.next_row()? {
+                rows.push(row_of(file, &currents, frames, &row, row.text(id), Knowledge::Nothing)?);
+            }
+        }
+    }
+    if constraint == Constraint::Free {
+        rows = thinned(rows);
+    }
+    data.add(table, constraint, sigmas, rows);
+    Ok(())
+}
+
+fn row_of(
+    file: &SceneFile,
+    currents: &CurrentColumns,
+    frames: Option<Column>,
+    row: &TableRow<'_>,
+    id: &str,
+    knowledge: Knowledge,
+) -> Result<Row, TableError> {
+    let frames = match frames {
+        None => 1.0,
+        Some(column) => match row.number(column)? {
+            frames if frames >= 1.0 => frames,
+            frames => return Err(row.out_of_range(column, frames, "the number of frames averaged, at least 1")),
+        },
+    };
+    let readings = file.scene.cells.iter().enumerate().map(|(cell, description)| {
+        let (detector, pair) = (&description.detector, currents.pair(row, cell)?);
+        let half_dark = 0.5 * detector.dark_current_a;
+        let is_usable = pair.total_a() - detector.dark_current_a > detector.faint_a
+            && detector.saturation_a.is_none_or(|limit| pair.total_a() <= limit);
+        Ok(is_usable.then_some([pair.i_x1_a - half_dark, pair.i_x2_a - half_dark]))
+    });
+    Ok(Row { id: id.to_owned(), readings: readings.collect::<Result<_, TableError>>()?, frames, knowledge })
+}
+
+/// Thins rows without poses: at most [`MOST_ROWS`] rows, spread evenly, each the mean of its neighbours as long as the tool hardly moves.
+pub fn thinned(rows: Vec<Row>) -> Vec<Row> {
+    if rows.len() <= MOST_ROWS {
+        return rows;
+    }
+    let mut groups: Vec<Row> = Vec::new();
+    let mut rows = rows.into_iter().peekable();
+    while let Some(first) = rows.next() {
+        let mut sum = first.clone();
+        let mut count = 1;
+        while count < MOST_AVERAGED && rows.peek().is_some_and(|next| is_near(&first, next)) {
+            let Some(next) = rows.next() else { break };
+            count += 1;
+            sum.frames += next.frames;
+            for (sum, next) in sum.readings.iter_mut().zip(&next.readings) {
+                if let (Some(sum), Some(next)) = (sum, next) {
+                    for k in 0..2 {
+                        sum[k] += next[k];
+                    }
+                }
+            }
+        }
+        for reading in sum.readings.iter_mut().flatten() {
+            *reading = reading.map(|value| value / count as f64);
+        }
+        groups.push(sum);
+    }
+    let count = groups.len();
+    let most = MOST_ROWS.min(count);
+    (0..most).map(|k| groups[k * count / most].clone()).collect()
+}
+
+fn is_near(first: &Row, next: &Row) -> bool {
+    first.frames == next.frames
+        && first.readings.iter().zip(&next.readings).all(|pair| match pair {
+            (Some(a), Some(b)) => {
+                let change = AVERAGED_CHANGE * (a[0] + a[1]);
+                (a[0] - b[0]).abs() < change && (a[1] - b[1]).abs() < change
+            }
+            (None, None) => true,
+            _ => false,
+        })
+}

@@ -1,0 +1,303 @@
+//! A page on one calibration: residuals, what the data showed, and what a user may quote.
+
+use slitpose_calibration::{Calibrated, Calibration, Residual};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::Pose;
+
+use super::section::{Report, Section, Table, Value, column};
+use super::sheet::{Sheet, curve};
+use crate::plot::{Axis, Chart, CurveStyle};
+
+/// Readings drawn of each cell, at most: more hide each other.
+const DRAWN: usize = 400;
+
+/// Bars of a histogram, each half a σ wide.
+const BARS: usize = 24;
+
+/// The report on `calibrated`, made with the scene `file` at most `date`.
+pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
+    let calibration = &calibrated.calibration;
+    let statistics = calibration.statistics();
+    let mut conditions = vec![
+        ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
+        ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash)),
+        ("calibration", format!("{}, hash {:016x}", calibration.id(), calibration.hash())),
+        ("data", format!("{} rows, {} readings of single cells", statistics.rows, statistics.readings)),
+        (
+            "left out",
+            format!("{} readings and {} poses as outliers", statistics.readings_rejected, statistics.poses_rejected),
+        ),
+    ];
+    if let Some(date) = calibration.date() {
+        conditions.insert(2, ("date", date.to_owned()));
+    }
+    Report {
+        title: "Calibration",
+        scene: file.name.clone(),
+        conditions,
+        warnings: calibrated.remarks.clone(),
+        sections: vec![observability(calibration), fit(calibrated), open(file, calibration), parameters(calibration)],
+    }
+}
+
+/// Residuals by cell.
+fn fit(calibrated: &Calibrated) -> Section {
+    let (calibration, residuals) = (&calibrated.calibration, &calibrated.residuals);
+    let statistics = calibration.statistics();
+    let cells = calibration.model_errors().len();
+    let mut summary = vec![format!(
+        "χ² is {:.2} of its expectation, model errors and priors counted.",
+        statistics.chi2 / statistics.redundancy
+    )];
+    if let (Some(metres), Some(radians)) = (statistics.held_out_m, statistics.held_out_rad) {
+        summary.insert(
+            0,
+            format!(
+                "Poses that were left out in turn, in four blocks, miss those of the instrument by {:.1} µm and {:.3} mrad \
+                 (rms), errors of the instrument included: the number to quote.",
+                metres * 1e6,
+                radians * 1e3
+            ),
+        );
+    }
+    let rms = |cell: usize, of: &dyn Fn(&Residual) -> f64| {
+        let values: Vec<f64> = residuals.iter().filter(|residual| residual.cell == cell).map(of).collect();
+        (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
+    };
+    let row = |cell: usize| {
+        let error = calibration.model_errors()[cell];
+        vec![
+            cell.into(),
+            (1e2 * rms(cell, &|residual| residual.before[0])).into(),
+            (1e2 * rms(cell, &|residual| residual.after[0])).into(),
+            (1e6 * rms(cell, &|residual| residual.before[1])).into(),
+            (1e6 * rms(cell, &|residual| residual.after[1])).into(),
+            (1e2 * error.relative).into(),
+            (1e6 * error.position_m).into(),
+        ]
+    };
+    let over = |name, title: &str, caption: &str, label: &str, x: &dyn Fn(&Residual) -> f64| {
+        let panel = |heading: &str, y: &dyn Fn(&Residual) -> f64| {
+            let of_cell = |cell: usize| {
+                let own: Vec<_> = residuals.iter().filter(|residual| residual.cell == cell).collect();
+                let every = own.len().div_ceil(DRAWN).max(1);
+                let points = own.iter().step_by(every).map(|residual| [x(residual), y(residual)]).collect();
+                curve(&format!("cell {cell}"), cell, CurveStyle::Markers, points)
+            };
+            let curves: Vec<_> = (0..cells).map(of_cell).collect();
+            let all = |axis: usize| curves.iter().flat_map(move |curve| curve.points.iter().map(move |at| at[axis]));
+            let chart = Chart {
+                x: Axis::around(label, all(0)),
+                y: Axis::around("position / µm", all(1)),
+                curves: curves.clone(),
+                notes: Vec::new(),
+            };
+            (heading.to_owned(), chart)
+        };
+        Sheet {
+            title: title.to_owned(),
+            note: "Position of the light on each detector, measured minus model; mind the scales.".to_owned(),
+            panels: vec![
+                panel("before", &|residual| residual.before[1] * 1e6),
+                panel("after", &|residual| residual.after[1] * 1e6),
+            ],
+        }
+        .draw(name, caption)
+    };
+    Section {
+        name: "fit",
+        title: "How well the model fits",
+        summary,
+        paragraphs: vec![
+            "Before: against the most probable head of the tolerances. After: against the calibrated one. A pattern that \
+             is left after calibration is what the model cannot describe; its size is the model error of the cell, \
+             which is part of the uncertainty of every pose."
+                .to_owned(),
+        ],
+        pictures: vec![
+            over("over_position", "Residuals over the position on the detector", "Residuals over position, before and after.", "position on the detector / mm", &|residual| {
+                residual.position_m * 1e3
+            }),
+            over("over_angle", "Residuals over the angle of the beam", "Residuals over the angle at the emitter, before and after.", "angle γ / °", &|residual| {
+                residual.angle_rad.to_degrees()
+            }),
+            histogram(residuals),
+        ],
+        tables: vec![Table {
+            name: "cells",
+            caption: "Residuals of each cell, rms, and the model error that its poses are told".to_owned(),
+            columns: vec![
+                column("cell", "cell"),
+                column("light_before_percent", "light before / %"),
+                column("light_after_percent", "after / %"),
+                column("position_before_um", "position before / µm"),
+                column("position_after_um", "after / µm"),
+                column("model_error_percent", "model error / %"),
+                column("model_error_um", "/ µm"),
+            ],
+            rows: (0..cells).map(row).collect(),
+        }],
+    }
+}
+
+fn histogram(residuals: &[Residual]) -> super::section::Picture {
+    let values: Vec<f64> = residuals.iter().flat_map(|residual| residual.normalised).collect();
+    let width = 12.0 / BARS as f64;
+    let density = |bar: usize| {
+        let from = -6.0 + width * bar as f64;
+        let count = values.iter().filter(|value| **value >= from && **value < from + width).count();
+        count as f64 / (values.len().max(1) as f64 * width)
+    };
+    let steps = (0..BARS).flat_map(|bar| {
+        let from = -6.0 + width * bar as f64;
+        [[from, density(bar)], [from + width, density(bar)]]
+    });
+    let normal = (0..=120).map(|k| {
+        let x = 0.1 * f64::from(k) - 6.0;
+        [x, (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt()]
+    });
+    let curves = vec![
+        curve("residuals", 0, CurveStyle::Line, steps.collect()),
+        curve("normal distribution", 1, CurveStyle::Dashed, normal.collect()),
+    ];
+    let heights: Vec<f64> = curves.iter().flat_map(|curve| curve.points.iter().map(|at| at[1])).collect();
+    let chart = Chart {
+        x: Axis::around("residual / σ", [-6.0, 6.0]),
+        y: Axis::around("density", heights).starting_at_zero(),
+        curves,
+        notes: Vec::new(),
+    };
+    Sheet {
+        title: "Residuals in units of their σ".to_owned(),
+        note: "Noise and model error together; parameters and poses take up a part.".to_owned(),
+        panels: vec![(String::new(), chart)],
+    }
+    .draw("histogram", "Distribution of the normalised residuals after calibration.")
+}
+
+/// Principal directions.
+fn observability(calibration: &Calibration) -> Section {
+    let directions = calibration.directions();
+    let points: Vec<[f64; 2]> =
+        directions.iter().enumerate().map(|(k, direction)| [(k + 1) as f64, direction.sigma.max(1e-6)]).collect();
+    let chart = Chart {
+        x: Axis::around("direction, the weakest first", points.iter().map(|at| at[0])),
+        y: Axis::logarithmic("σ after by σ before", points.iter().map(|at| at[1])),
+        curves: vec![curve("", 0, CurveStyle::Line, points)],
+        notes: Vec::new(),
+    };
+    let picture = Sheet {
+        title: "What the data showed".to_owned(),
+        note: "Singular values of what is left open, in units of the tolerances: 1 is as unknown as before.".to_owned(),
+        panels: vec![(String::new(), chart)],
+    }
+    .draw("spectrum", "Uncertainty along the principal directions of the parameters.");
+    let row = |(number, direction): (usize, &slitpose_calibration::Direction<'_>)| {
+        let shares: Vec<String> =
+            direction.shares.iter().map(|(entry, share)| format!("{:+.2} {}", share, entry.name())).collect();
+        vec![(number + 1).into(), direction.sigma.into(), shares.join(", ").into()]
+    };
+    Section {
+        name: "observability",
+        title: "What the data showed, and what not",
+        summary: calibration.weak().iter().map(|weak| format!("Open: {weak}.")).collect(),
+        paragraphs: vec![
+            "Each direction is a mixture of parameters that changes the readings as one. A weak direction harms poses only \
+             if it changes them; the next chapter shows how much all of them do together."
+                .to_owned(),
+        ],
+        pictures: vec![picture],
+        tables: vec![Table {
+            name: "weak_directions",
+            caption: "The weakest directions, and the parameters with the largest shares, in units of their tolerances".to_owned(),
+            columns: vec![column("number", "no."), column("sigma_ratio", "σ after by before"), column("shares", "shares")],
+            rows: directions.iter().take(5).enumerate().map(row).collect(),
+        }],
+    }
+}
+
+/// What is left open in poses.
+fn open(file: &SceneFile, calibration: &Calibration) -> Section {
+    const STEPS: i32 = 20;
+    let panel = |heading: &str, unit: f64, axes: std::ops::Range<usize>, label: &str| {
+        let along = |axis: usize| {
+            let points = (-STEPS..=STEPS).map(|step| {
+                let share = f64::from(step) / f64::from(STEPS);
+                let mut translation = glam::DVec3::ZERO;
+                translation[axis] = share * file.workspace.half_extent_m[axis];
+                let pose = Pose { translation_m: translation, ..Pose::HOME };
+                let covariance = calibration.pose_covariance(&pose);
+                let variance: f64 = axes.clone().map(|k| covariance[k][k]).sum();
+                [translation[axis] * 1e3, variance.sqrt() * unit]
+            });
+            curve(["along x", "along y", "along z"][axis], axis, CurveStyle::Line, points.collect())
+        };
+        let curves: Vec<_> = (0..3).map(along).collect();
+        let all = |axis: usize| {
+            curves.iter().flat_map(move |curve| curve.points.iter().map(move |at| at[axis])).collect::<Vec<_>>()
+        };
+        let (x, y) = (Axis::around("translation / mm", all(0)), Axis::around(label, all(1)).starting_at_zero());
+        (heading.to_owned(), Chart { x, y, curves, notes: Vec::new() })
+    };
+    let home = calibration.pose_covariance(&Pose::HOME);
+    let root = |axes: std::ops::Range<usize>| axes.map(|k| home[k][k]).sum::<f64>().sqrt();
+    let picture = Sheet {
+        title: "What calibration leaves open in poses".to_owned(),
+        note: "The same error at every visit of a pose; noise and model error of a frame come on top.".to_owned(),
+        panels: vec![panel("translation", 1e6, 0..3, "σ / µm"), panel("rotation", 1e3, 3..6, "σ / mrad")],
+    }
+    .draw("open", "Standard deviation of poses by the parameters, over the workspace.");
+    Section {
+        name: "open",
+        title: "What it means for poses",
+        summary: vec![format!(
+            "With the tool at home the parameters leave {:.2} µm and {:.3} mrad open.",
+            root(0..3) * 1e6,
+            root(3..6) * 1e3
+        )],
+        paragraphs: Vec::new(),
+        pictures: vec![picture],
+        tables: Vec::new(),
+    }
+}
+
+fn parameters(calibration: &Calibration) -> Section {
+    let row = |entry: &slitpose_calibration::Parameter| {
+        vec![
+            Value::from(entry.name()),
+            entry.quantity.unit().into(),
+            entry.value.into(),
+            entry.sigma.into(),
+            entry.prior.into(),
+            entry.prior_sigma.into(),
+            entry.shift().into(),
+            (entry.sigma / entry.prior_sigma).into(),
+        ]
+    };
+    Section {
+        name: "parameters",
+        title: "Parameters",
+        summary: Vec::new(),
+        paragraphs: vec![
+            "Each as its deviation from the scene. The shift is counted in σ of the tolerance: far beyond 3, the part is \
+             not what the scene says, or the tolerance is too narrow."
+                .to_owned(),
+        ],
+        pictures: Vec::new(),
+        tables: vec![Table {
+            name: "parameters",
+            caption: "All parameters".to_owned(),
+            columns: vec![
+                column("parameter", "parameter"),
+                column("unit", "unit"),
+                column("value", "value"),
+                column("sigma", "σ"),
+                column("prior", "before"),
+                column("prior_sigma", "σ before"),
+                column("shift", "shift / σ before"),
+                column("sigma_ratio", "σ after by before"),
+            ],
+            rows: calibration.parameters().iter().map(row).collect(),
+        }],
+    }
+}
