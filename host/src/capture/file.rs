@@ -2,7 +2,7 @@
 //!
 //! Scenes, metadata and hellos are repeated, so that damage affects only the chunk it is in: metadata before
 //! each chunk, the last hello of each board at the beginning of each chunk, scenes before every
-//! [`SCENE_EVERY`]th chunk, and scenes and metadata at the end of the file.
+//! [`SCENE_EVERY`]th chunk, and scenes, calibrations and metadata at the end of the file.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -67,6 +67,8 @@ pub(super) struct CaptureFile<M: Medium> {
     transforms: u16,
     /// Texts of scenes by name of attachment.
     scenes: BTreeMap<String, String>,
+    /// Texts of calibrations likewise. They are long: only the end of the file has copies.
+    calibrations: BTreeMap<String, Arc<str>>,
     boards: BTreeMap<DeviceId, Board>,
     /// Chunks begun.
     chunks: u64,
@@ -103,6 +105,7 @@ impl<M: Medium> CaptureFile<M> {
             report,
             transforms,
             scenes: BTreeMap::new(),
+            calibrations: BTreeMap::new(),
             boards: BTreeMap::new(),
             chunks: 0,
             log_ns: 0,
@@ -119,7 +122,12 @@ impl<M: Medium> CaptureFile<M> {
         let source = &setup.scene.source;
         let attachment = setup.attachment(|name| self.scenes.get(name).is_some_and(|taken| taken != source));
         if self.scenes.insert(attachment.clone(), source.clone()).is_none() {
-            attach_scene(&mut self.writer, &attachment, source, log_ns)?;
+            attach_toml(&mut self.writer, &attachment, source, log_ns)?;
+        }
+        if let Some((name, source)) = setup.calibration()
+            && self.calibrations.insert(name.to_owned(), Arc::clone(source)).is_none()
+        {
+            attach_toml(&mut self.writer, name, source, log_ns)?;
         }
         let writer = &mut self.writer;
         let mut channel = |of: RosType, name: &str, about: &[(&str, &str)]| {
@@ -246,7 +254,7 @@ impl<M: Medium> CaptureFile<M> {
     fn write_copies(&mut self, with_scenes: bool, log_ns: u64) -> Result<(), McapError> {
         let Self { writer, scenes, boards, .. } = self;
         if with_scenes {
-            scenes.iter().try_for_each(|(name, source)| attach_scene(writer, name, source, log_ns))?;
+            scenes.iter().try_for_each(|(name, source)| attach_toml(writer, name, source, log_ns))?;
         }
         boards.values().try_for_each(|board| writer.write_metadata(&board.metadata))
     }
@@ -278,6 +286,8 @@ impl<M: Medium> CaptureFile<M> {
     pub(super) fn finish(&mut self) -> Result<(), McapError> {
         // The records are safe before the summary is written.
         self.flush()?;
+        let Self { writer, calibrations, log_ns, .. } = self;
+        calibrations.iter().try_for_each(|(name, source)| attach_toml(writer, name, source, *log_ns))?;
         self.write_copies(true, self.log_ns)?;
         self.writer.finish()?;
         Ok(())
@@ -289,7 +299,7 @@ impl<M: Medium> CaptureFile<M> {
     }
 }
 
-fn attach_scene<M: Medium>(
+fn attach_toml<M: Medium>(
     writer: &mut Writer<Sink<M>>,
     name: &str,
     source: &str,

@@ -1,4 +1,4 @@
-//! The interpretation of records: the board to which a channel or a scene belongs.
+//! The interpretation of records: the board to which a channel, a scene or a calibration belongs.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,25 +7,29 @@ use mcap::records::{Record, op};
 use super::entry::Entry;
 use super::link_bytes;
 use super::records::attachment;
-use super::setup::{METADATA, Setup, SetupError};
+use super::setup::{METADATA, Setup, SetupError, Texts};
 use crate::link::{DeviceId, Segment};
 use slitpose_head::scene_file::fnv1a_64;
 
-/// Longest scene accepted: scenes are some kilobytes of text, longer attachments are foreign.
-const MAX_SCENE_BYTES: usize = 1 << 20;
+/// Longest text accepted: scenes have some kilobytes, calibrations up to 10 MB, longer attachments are foreign.
+const MAX_TEXT_BYTES: usize = 1 << 24;
+
+/// Most bytes of texts that are kept.
+const MAX_KEPT_BYTES: usize = 1 << 28;
 
 /// Most boards accepted, more than one host can follow.
 const MAX_BOARDS: usize = 256;
 
-/// Most scenes accepted: each board may have had several in turn.
-const MAX_SCENES: usize = 2 * MAX_BOARDS;
+/// Most texts accepted: each board may have had several in turn.
+const MAX_TEXTS: usize = 4 * MAX_BOARDS;
 
 /// Channels, scenes and boards, which give records their meaning.
 #[derive(Default)]
 pub(super) struct Index {
     channels: BTreeMap<u16, Channel>,
-    /// Texts of scenes by their hashes.
-    scenes: BTreeMap<u64, String>,
+    texts: Texts,
+    /// Bytes in them.
+    kept_bytes: usize,
     /// Boards with their last settings.
     setups: BTreeMap<DeviceId, Setup>,
     /// Boards whose last hello has been read: copies of it are skipped.
@@ -99,12 +103,14 @@ impl Index {
 
     fn take_attachment(&mut self, record: &[u8]) -> Option<()> {
         let (_, media_type, data) = attachment(record)?;
-        if media_type != "application/toml" || data.len() > MAX_SCENE_BYTES {
+        if media_type != "application/toml" || data.len() > MAX_TEXT_BYTES {
             return Some(());
         }
         let hash = fnv1a_64(data);
-        if self.scenes.len() < MAX_SCENES && !self.scenes.contains_key(&hash) {
-            self.scenes.insert(hash, std::str::from_utf8(data).ok()?.to_owned());
+        let is_kept = self.texts.len() < MAX_TEXTS && self.kept_bytes + data.len() <= MAX_KEPT_BYTES;
+        if is_kept && !self.texts.contains_key(&hash) {
+            self.texts.insert(hash, std::str::from_utf8(data).ok()?.into());
+            self.kept_bytes += data.len();
         }
         Some(())
     }
@@ -117,8 +123,8 @@ impl Index {
                 self.misses_settings = true;
                 None
             }
-            // The scene was damaged and has been counted; there may be another copy.
-            Err(SetupError::Scene { .. }) => {
+            // The text was damaged and has been counted; there may be another copy.
+            Err(SetupError::Scene { .. } | SetupError::Calibration { .. }) => {
                 self.misses_settings = true;
                 Some(None)
             }
@@ -131,7 +137,7 @@ impl Index {
 
     /// Reads the settings of a board; returns an entry if they are new.
     fn settle(&mut self, entries: &BTreeMap<String, String>) -> Result<Option<Entry>, SetupError> {
-        let (setup, channels) = Setup::from_metadata(entries, &self.scenes)?;
+        let (setup, channels) = Setup::from_metadata(entries, &self.texts)?;
         let device = setup.device;
         if self.setups.len() >= MAX_BOARDS && !self.setups.contains_key(&device) {
             return Err(SetupError::TooMany { limit: MAX_BOARDS });

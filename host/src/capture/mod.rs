@@ -26,6 +26,7 @@ mod naming;
 mod packets;
 mod place;
 mod reader;
+mod readings;
 mod records;
 mod schemas;
 mod series;
@@ -38,8 +39,9 @@ pub(crate) use entry::Entry;
 pub(crate) use error::CaptureError;
 pub(crate) use naming::Existing;
 pub(crate) use reader::{CaptureReader, End};
+pub(crate) use readings::{Readings, ReadingsError, read as readings};
 pub(crate) use series::{CaptureSeries, Limits};
-pub(crate) use setup::{Settings, Setup, SetupError};
+pub(crate) use setup::{CapturedBasis, Settings, Setup, SetupError};
 
 /// Information in a capture about the program that writes it.
 #[derive(Clone, Debug, Default)]

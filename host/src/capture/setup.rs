@@ -1,8 +1,10 @@
-//! The setup of a board in a capture: its scene, and how it was solved.
+//! The setup of a board in a capture: its scene, what its head was known by, and how it was solved.
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
+use slitpose_calibration::{Basis, Calibration, CalibrationFileError, Head};
 use slitpose_model::Tier;
 use thiserror::Error;
 
@@ -46,6 +48,38 @@ impl CapturedScene {
     }
 }
 
+/// A calibration, as it was read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct CapturedCalibration {
+    /// Name of the attachment.
+    name: String,
+    /// FNV-1a, 64 bits, of the text.
+    hash: u64,
+    /// The text of the file.
+    source: Arc<str>,
+}
+
+impl CapturedCalibration {
+    /// Reads the text.
+    ///
+    /// # Errors
+    /// If this version of the program does not support it.
+    pub(crate) fn parse(&self) -> Result<Calibration, CalibrationFileError> {
+        Calibration::from_bytes(&self.name, self.source.as_bytes())
+    }
+}
+
+/// What a head was known by.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum CapturedBasis {
+    /// Its scene.
+    Scene,
+    /// A calibration.
+    Calibration(CapturedCalibration),
+    /// The tolerances of its parts.
+    Tolerances,
+}
+
 /// A board in a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Setup {
@@ -53,6 +87,8 @@ pub(crate) struct Setup {
     pub device: DeviceId,
     /// The board's head.
     pub scene: CapturedScene,
+    /// What that was known by.
+    pub basis: CapturedBasis,
     /// How its scans were solved.
     pub settings: Settings,
     /// Version of the program that recorded.
@@ -67,15 +103,33 @@ pub(super) struct LinkChannels {
 }
 
 impl Setup {
-    /// A board with the head of `file`, recorded by this program.
-    pub(crate) fn new(device: DeviceId, file: &SceneFile, settings: Settings) -> Self {
+    /// A board with `head`, recorded by this program.
+    pub(crate) fn new(device: DeviceId, head: &Head, settings: Settings) -> Self {
+        let file = &head.file;
+        let basis = match head.basis() {
+            Basis::Scene => CapturedBasis::Scene,
+            Basis::Tolerances => CapturedBasis::Tolerances,
+            Basis::Calibration(calibration) => CapturedBasis::Calibration(CapturedCalibration {
+                name: format!("calibration-{:016x}.toml", calibration.hash()),
+                hash: fnv1a_64(calibration.source().as_bytes()),
+                source: calibration.source().into(),
+            }),
+        };
         let scene = CapturedScene {
             name: file.name.clone(),
             origin: file.origin.clone(),
             hash: file.hash,
             source: file.source.clone(),
         };
-        Self { device, scene, settings, program: env!("CARGO_PKG_VERSION").to_owned() }
+        Self { device, scene, basis, settings, program: env!("CARGO_PKG_VERSION").to_owned() }
+    }
+
+    /// The calibration as an attachment: name and text.
+    pub(super) fn calibration(&self) -> Option<(&str, &Arc<str>)> {
+        match &self.basis {
+            CapturedBasis::Calibration(calibration) => Some((&calibration.name, &calibration.source)),
+            CapturedBasis::Scene | CapturedBasis::Tolerances => None,
+        }
     }
 
     /// Name of the attachment with the scene: that of its file, with its hash if the name is taken. It is
@@ -99,6 +153,14 @@ impl Setup {
         put("scene_name", self.scene.name.clone());
         put("scene_origin", self.scene.origin.clone());
         put("scene_hash", format!("{:016x}", self.scene.hash));
+        match &self.basis {
+            CapturedBasis::Scene => {}
+            CapturedBasis::Tolerances => drop(put("uncalibrated", "true".to_owned())),
+            CapturedBasis::Calibration(calibration) => {
+                put("calibration", calibration.name.clone());
+                put("calibration_hash", format!("{:016x}", calibration.hash));
+            }
+        }
         match tier {
             Tier::Paper => put("tier", "paper".to_owned()),
             Tier::Exact { tolerance } => {
@@ -117,10 +179,10 @@ impl Setup {
         map
     }
 
-    /// From the entries of a metadata record and the scenes of the file by their hashes.
+    /// From the entries of a metadata record, and the scenes and calibrations of the file by their hashes.
     pub(super) fn from_metadata(
         map: &BTreeMap<String, String>,
-        scenes: &BTreeMap<u64, String>,
+        texts: &Texts,
     ) -> Result<(Self, LinkChannels), SetupError> {
         check_hash(map)?;
         let get = |key: &'static str| map.get(key).ok_or(SetupError::Damaged);
@@ -150,15 +212,31 @@ impl Setup {
             get("without_clipped")?.parse().map_err(|_| value("without_clipped", "`true` or `false`"))?;
         let device = get("device")?.parse().map_err(|_| value("device", "24 hexadecimal digits"))?;
         let hash =
-            u64::from_str_radix(get("scene_hash")?, 16).map_err(|_| value("scene_hash", "16 hexadecimal digits"))?;
-        let source = scenes.get(&hash).cloned().ok_or(SetupError::Scene { hash })?;
+            |key: &'static str| u64::from_str_radix(get(key)?, 16).map_err(|_| value(key, "16 hexadecimal digits"));
+        let basis = match map.get("calibration") {
+            Some(name) => {
+                let hash = hash("calibration_hash")?;
+                let source = texts.get(&hash).cloned().ok_or(SetupError::Calibration { hash })?;
+                CapturedBasis::Calibration(CapturedCalibration { name: name.clone(), hash, source })
+            }
+            None => match map.get("uncalibrated").map(String::as_str) {
+                None | Some("false") => CapturedBasis::Scene,
+                Some("true") => CapturedBasis::Tolerances,
+                Some(_) => return Err(value("uncalibrated", "`true` or `false`")),
+            },
+        };
+        let hash = hash("scene_hash")?;
+        let source = texts.get(&hash).ok_or(SetupError::Scene { hash })?.to_string();
         let scene =
             CapturedScene { name: get("scene_name")?.clone(), origin: get("scene_origin")?.clone(), hash, source };
         let settings = Settings { tier, following: Following { filter_s, without_clipped } };
-        let setup = Self { device, scene, settings, program: get("program")?.clone() };
+        let setup = Self { device, scene, basis, settings, program: get("program")?.clone() };
         Ok((setup, LinkChannels { link: channel("link_channel")?, hello: channel("hello_channel")? }))
     }
 }
+
+/// Texts of scenes and calibrations by their hashes.
+pub(super) type Texts = BTreeMap<u64, Arc<str>>;
 
 /// Key of the hash over all other entries.
 const HASH: &str = "settings_hash";
@@ -227,6 +305,12 @@ pub(crate) enum SetupError {
         /// [`SceneFile::hash`].
         hash: u64,
     },
+    /// The calibration of the settings is missing.
+    #[error("the calibration of hash {hash:016x} is missing or damaged")]
+    Calibration {
+        /// FNV-1a, 64 bits, of its text.
+        hash: u64,
+    },
     /// More boards than one host can follow.
     #[error("the capture holds more than {limit} boards; the others are passed over")]
     TooMany {
@@ -248,24 +332,24 @@ mod tests {
             [(Tier::Paper, None, true), (Tier::Exact { tolerance: 1.0 / 3.0e6 }, Some(0.1 + 0.2), false)]
         {
             let settings = Settings { tier, following: Following { filter_s, without_clipped } };
-            let setup = Setup::new(DeviceId(*b"0123456789ab"), &file, settings);
+            let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
             let name = setup.attachment(|_| false);
             assert_eq!(name, "wide.toml");
             let map = setup.to_metadata(&name, channels);
-            let scenes = BTreeMap::from([(file.hash, file.source.clone())]);
+            let scenes = BTreeMap::from([(file.hash, file.source.clone().into())]);
             assert_eq!(Setup::from_metadata(&map, &scenes), Ok((setup, channels)));
             let missing = Setup::from_metadata(&map, &BTreeMap::new());
             assert_eq!(missing, Err(SetupError::Scene { hash: file.hash }));
         }
     }
 
-    fn entries() -> (BTreeMap<String, String>, BTreeMap<u64, String>) {
+    fn entries() -> (BTreeMap<String, String>, Texts) {
         let file = WIDE.read().unwrap();
         let following = Following { filter_s: Some(0.005), without_clipped: false };
         let settings = Settings { tier: Tier::Exact { tolerance: 1e-6 }, following };
-        let setup = Setup::new(DeviceId(*b"0123456789ab"), &file, settings);
+        let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
         let map = setup.to_metadata("wide.toml", LinkChannels { link: 1, hello: 7 });
-        (map, BTreeMap::from([(file.hash, file.source)]))
+        (map, BTreeMap::from([(file.hash, file.source.into())]))
     }
 
     /// Any bit of any entry, as long as it is text.
@@ -330,7 +414,7 @@ mod tests {
         let mut file = WIDE.read().unwrap();
         file.origin = "../scenes/a b.toml".to_owned();
         let settings = Settings { tier: Tier::Paper, following: Following::default() };
-        let setup = Setup::new(DeviceId::default(), &file, settings);
+        let setup = Setup::new(DeviceId::default(), &file.clone().into(), settings);
         assert_eq!(setup.attachment(|_| false), "a_b.toml");
         assert_eq!(setup.attachment(|name| name == "a_b.toml"), format!("a_b-{:016x}.toml", file.hash));
     }

@@ -5,8 +5,14 @@ use clap::Command;
 
 const STREAM: [(&str, &str); 3] = [("tier", "exact"), ("tolerance", "1e-6"), ("filter", "off")];
 
-const RECORDED: [(&str, &str); 3] =
-    [("tier", "as recorded, else exact"), ("tolerance", "as recorded, else 1e-6"), ("filter", "as recorded, else off")];
+const RECORDED: [(&str, &str); 4] = [
+    ("tier", "as recorded, else exact"),
+    ("tolerance", "as recorded, else 1e-6"),
+    ("filter", "as recorded, else off"),
+    ("calibration", "as recorded, else the tolerances of the scene"),
+];
+
+const TOLERANCES: (&str, &str) = ("calibration", "the tolerances of the scene, if it has any");
 
 const LOOKED_AT: (&str, &str) = ("format", "summary on a terminal, else ndjson");
 
@@ -18,16 +24,17 @@ fn of_verb(verb: &str) -> Vec<(&'static str, &'static str)> {
         "run" => [&STREAM[..], &TOOL, &[LOOKED_AT, ("speed", "1")], &RUN].concat(),
         "replay" => [&RECORDED[..], &[LOOKED_AT]].concat(),
         "export" => [&RECORDED[..], &[("format", "by the ending of --output")]].concat(),
-        "simulate" => [&STREAM[..2], &TOOL].concat(),
-        "model" => vec![("tier", "exact"), ("tolerance", "1e-10")],
-        "solve" => STREAM[..2].to_vec(),
+        "simulate" => [&STREAM[..2], &TOOL, &[TOLERANCES]].concat(),
+        "model" => vec![("tier", "exact"), ("tolerance", "1e-10"), ("calibration", "none")],
+        "solve" => [&STREAM[..2], &[TOLERANCES]].concat(),
         "report" => vec![("poses", "1000, quick: 100")],
         "doctor" => vec![("scene", "the one the board belongs to")],
         _ => Vec::new(),
     }
 }
 
-const RUN: [(&str, &str); 2] = [
+const RUN: [(&str, &str); 3] = [
+    ("calibration", "the tolerances of the scene, or usual ones; of a simulated board none"),
     ("patience", "forever; with --duration not at all"),
     ("config", "~/.config/slitpose/config.toml or /etc/slitpose/config.toml, if there is one"),
 ];

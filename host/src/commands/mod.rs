@@ -3,6 +3,8 @@
 //! A verb has its arguments (`Args`) and a function `run`, which returns how it ended. To add
 //! one, add its file, its line in `Verb` and its line in `run`.
 
+mod bench;
+mod calibrate;
 mod capture_files;
 mod completions;
 mod config;
@@ -44,12 +46,14 @@ pub(crate) use config::ConfigError;
 pub(crate) use identify::CellProfileError;
 pub(crate) use playback::PlaybackError;
 
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, ReadingsError};
 use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
 use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
+use slitpose_bench::BenchError;
+use slitpose_calibration::{CalibrateError, CalibrationFileError};
 use slitpose_design::plot::PlotError;
 use slitpose_design::report::ReportError;
 use slitpose_head::front_end::TimingError;
@@ -82,6 +86,8 @@ enum Verb {
     Model(model::Args),
     Solve(solve::Args),
     Identify(identify::Args),
+    Calibrate(calibrate::Args),
+    Bench(bench::Args),
     Paper(paper::Args),
     Report(report::Args),
     Scene(scene::Args),
@@ -119,6 +125,9 @@ pub(crate) enum CommandError {
     /// The optics of a scene that was put together by a command.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// A calibration.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationFileError),
     /// A picture.
     #[error(transparent)]
     Plot(#[from] PlotError),
@@ -136,6 +145,15 @@ pub(crate) enum CommandError {
     /// Currents from which no profile follows.
     #[error(transparent)]
     Profile(#[from] CellProfileError),
+    /// A capture without readings.
+    #[error(transparent)]
+    Readings(#[from] ReadingsError),
+    /// A virtual bench.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    /// Data that give no calibration.
+    #[error(transparent)]
+    Calibrate(#[from] CalibrateError),
     /// The schedule of a scene.
     #[error(transparent)]
     Timing(#[from] TimingError),
@@ -158,6 +176,16 @@ pub(crate) enum CommandError {
     Scenes {
         /// Scenes given.
         scenes: usize,
+        /// Boards given.
+        devices: usize,
+    },
+    /// Calibrations, and not one for each board.
+    #[error(
+        "{calibrations} calibrations for {devices} boards; give one for each, in the same order, or `none` for one"
+    )]
+    Calibrations {
+        /// Calibrations given.
+        calibrations: usize,
         /// Boards given.
         devices: usize,
     },
@@ -230,6 +258,7 @@ impl CommandError {
         match self {
             Self::OnlySimulated { .. }
             | Self::Scenes { .. }
+            | Self::Calibrations { .. }
             | Self::Config(_)
             | Self::Extension { .. }
             | Self::Output(OutputError::Twice { .. })
@@ -285,6 +314,8 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Model(args) => model::run(&args),
         Verb::Solve(args) => solve::run(&args),
         Verb::Identify(args) => identify::run(&args),
+        Verb::Calibrate(args) => calibrate::run(&args),
+        Verb::Bench(args) => bench::run(&args),
         Verb::Paper(args) => paper::run(&args),
         Verb::Report(args) => report::run(&args),
         Verb::Scene(args) => scene::run(&args),

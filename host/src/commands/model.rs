@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use slitpose_model::{Plan, Response, Tier};
 
-use super::options::TierOptions;
+use super::options::{CalibrationOption, TierOptions};
 use super::talk::talk;
 use super::{CommandError, Outcome, names};
 use slitpose_head::scene_file::SceneFile;
@@ -28,6 +28,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "CSV")]
     poses: String,
     #[command(flatten)]
+    calibration: CalibrationOption,
+    #[command(flatten)]
     tier: TierOptions,
     /// Write to this file instead of standard output
     #[arg(long, value_name = "FILE")]
@@ -35,7 +37,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let scene = SceneFile::open(&args.scene)?.scene;
+    let scene = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file.scene.clone();
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
     let plan = Plan::<f64>::compile(&scene, tier)?;
     let (mut inexact_rows, mut worst) = (0, 0.0_f64);

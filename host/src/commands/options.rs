@@ -1,8 +1,14 @@
 //! Options that several verbs share.
 
+use std::path::{Path, PathBuf};
+
 use clap::{Args, ValueEnum};
 use glam::DVec3;
+use slitpose_calibration::Head;
+use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Pose, Tier};
+
+use super::CommandError;
 
 /// Streams are solved to a tolerance below their noise.
 pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
@@ -19,6 +25,56 @@ pub(super) struct TierOptions {
     /// Relative error of the exact tier's integrals; given alone it means the exact tier
     #[arg(long, value_name = "T", value_parser = parse_tolerance)]
     tolerance: Option<f64>,
+}
+
+/// What the head is known by.
+#[derive(Args, Clone, Debug)]
+pub(super) struct CalibrationOption {
+    /// Calibration of the head, as `slitpose calibrate` wrote it; or none: the head is as its scene says
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+}
+
+impl CalibrationOption {
+    /// The file, if one was given.
+    pub(super) fn file(&self) -> Option<&Path> {
+        self.calibration.as_deref().filter(|path| *path != NOT_CALIBRATED)
+    }
+
+    /// Whether a file or none was given.
+    pub(super) fn is_given(&self) -> bool {
+        self.calibration.is_some()
+    }
+
+    /// The head of `file` by the calibration given, else by `usual`.
+    pub(super) fn head<E: Into<CommandError>>(
+        &self,
+        file: SceneFile,
+        usual: impl FnOnce(SceneFile) -> Result<Head, E>,
+    ) -> Result<Head, CommandError> {
+        head_by(self.calibration.as_deref(), file, usual)
+    }
+
+    /// The head of `file` by the calibration given, else as its scene says, whatever its tolerances.
+    pub(super) fn head_as_drawn(&self, file: SceneFile) -> Result<Head, CommandError> {
+        self.head(file, |file| Ok::<_, CommandError>(file.into()))
+    }
+}
+
+/// In place of a calibration: the head is as its scene says.
+const NOT_CALIBRATED: &str = "none";
+
+/// The head of `file` by `calibration` if given, else by `usual`.
+pub(super) fn head_by<E: Into<CommandError>>(
+    calibration: Option<&Path>,
+    file: SceneFile,
+    usual: impl FnOnce(SceneFile) -> Result<Head, E>,
+) -> Result<Head, CommandError> {
+    match calibration {
+        None => usual(file).map_err(Into::into),
+        Some(path) if path == NOT_CALIBRATED => Ok(file.into()),
+        Some(path) => Ok(Head::open_calibrated(file, path)?),
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

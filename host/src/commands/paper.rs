@@ -1,11 +1,11 @@
 //! `slitpose paper`: the source paper's experiments, calculated.
 
-use std::fs;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use super::{CommandError, Outcome};
-use slitpose_design::paper::{Experiment, Point, Study, figures};
+use super::{CommandError, Outcome, talk};
+use crate::terminal::{Amount, Progress};
+use slitpose_design::paper::{Experiment, Point, SEARCHES, Study, account, figures};
+use slitpose_design::report::Folder;
 use slitpose_head::scene_file::BENCH;
 use slitpose_head::table::{Output, OutputError, TableWriter};
 
@@ -14,6 +14,10 @@ use slitpose_head::table::{Output, OutputError, TableWriter};
 /// Experiment 1 moves the emitter along the detector, experiment 2 turns it. Both are given as
 /// equations (1) to (6) are printed (paper tier) and integrated over the spot (exact tier). The
 /// paper's measured points were published without numbers and do not appear.
+///
+/// With --output the folder also gets a page (index.html, report.md) that accounts for the four numbers that
+/// the paper does publish of its errors: faults of a simulated bench that give them, what that proves and what it
+/// does not, and I_O before and after identification by equation (6).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose paper > experiments.csv\n  slitpose paper --output paper-figures")]
 pub(super) struct Args {
@@ -29,21 +33,22 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         write_table(&study, Output::open(None)?)?;
         return Ok(Outcome::Done);
     };
-    fs::create_dir_all(folder).map_err(|source| OutputError::Create { path: folder.clone(), source })?;
+    let page = Folder::create(folder)?;
     let table = folder.join("experiments.csv");
     write_table(&study, Output::file(&table)?)?;
-    report(&table);
+    talk(format_args!("wrote {}", table.display()));
     for (name, svg) in figures(&study, &bench.scene.cells[0]) {
         let path = folder.join(name);
         Output::file(&path)?.write_text(&svg)?;
-        report(&path);
+        talk(format_args!("wrote {}", path.display()));
+    }
+    let mut progress = Progress::new("paper", SEARCHES as u64, Amount::Of("searches"));
+    let report = account(&bench, |done| progress.step(done as u64, "faults of a bench"))?;
+    drop(progress);
+    for path in page.write(&report)? {
+        talk(format_args!("wrote {}", path.display()));
     }
     Ok(Outcome::Done)
-}
-
-/// A closed standard error is no reason to stop.
-fn report(path: &Path) {
-    let _ = writeln!(std::io::stderr(), "wrote {}", path.display());
 }
 
 fn write_table(study: &Study, output: Output) -> Result<(), OutputError> {

@@ -7,13 +7,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use slitpose_calibration::Head;
 use thiserror::Error;
 
 use super::capture_files::{first_log_ns, scene_hash, tell_of_end, tell_of_scene};
 use super::host_clock::HostClock;
+use super::options::CalibrationOption;
 use super::poses::{PoseOptions, parse_duration};
 use super::{CommandError, Outcome, interrupt, losses, names, talk};
-use crate::capture::{CaptureReader, Entry, Setup};
+use crate::capture::{CaptureReader, CapturedBasis, Entry, Setup};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::link::{DeviceId, Segment};
@@ -34,6 +36,8 @@ pub(super) struct PlayOptions {
     /// Scene file, or the name of a shipped scene, also if it is not the one of the capture
     #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
     scene: Option<String>,
+    #[command(flatten)]
+    calibration: CalibrationOption,
     /// Begin this long after the beginning; the first poses are then found from nothing
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     from: Option<f64>,
@@ -49,7 +53,7 @@ pub(super) struct PlayOptions {
 impl PlayOptions {
     /// Files that are read besides captures.
     pub(super) fn sources(&self) -> impl Iterator<Item = &Path> {
-        self.scene.iter().chain(&self.compare).map(Path::new)
+        self.scene.iter().chain(&self.compare).map(Path::new).chain(self.calibration.file())
     }
 }
 
@@ -99,6 +103,19 @@ pub(super) struct Printing<'a> {
     pub(super) format: Format,
     /// Whether that is a terminal.
     pub(super) is_terminal: bool,
+}
+
+/// The head of `file` as it was known in the recording. With another scene than the recorded one, its calibration says
+/// nothing.
+fn head_of(file: SceneFile, setup: &Setup, is_scene_given: bool) -> Result<Head, CommandError> {
+    Ok(match &setup.basis {
+        CapturedBasis::Calibration(calibration) if file.hash == setup.scene.hash => {
+            Head::calibrated(file, calibration.parse()?)?
+        }
+        CapturedBasis::Tolerances => Head::uncalibrated(file)?,
+        CapturedBasis::Scene if !is_scene_given => file.into(),
+        CapturedBasis::Scene | CapturedBasis::Calibration(_) => Head::as_scene_says(file)?,
+    })
 }
 
 /// Captures being solved.
@@ -241,10 +258,13 @@ impl<'a> Playback<'a> {
         }
         let (file, scene_match) = match &self.play.scene {
             Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
+            // Also by another calibration than the board belongs to.
+            None if self.play.calibration.is_given() => (setup.scene.parse()?, SceneMatch::Waived),
             None => (setup.scene.parse()?, SceneMatch::Required),
         };
         tell_of_scene(&file, Some(setup.scene.hash), scene_match);
-        let pipeline = self.pipeline(file, scene_match, Some(&setup));
+        let head = self.play.calibration.head(file, |file| head_of(file, &setup, self.play.scene.is_some()))?;
+        let pipeline = self.pipeline(head, scene_match, Some(&setup));
         let device = Some(setup.device);
         let board = Board::new(device, Some(setup), pipeline);
         match known {
@@ -254,9 +274,9 @@ impl<'a> Playback<'a> {
         Ok(())
     }
 
-    fn pipeline(&self, file: SceneFile, scene_match: SceneMatch, setup: Option<&Setup>) -> Pipeline {
+    fn pipeline(&self, head: Head, scene_match: SceneMatch, setup: Option<&Setup>) -> Pipeline {
         let settings = setup.map(|setup| setup.settings);
-        let pipeline = Pipeline::new(file, self.poses.tier_or(settings.map(|settings| settings.tier)), scene_match)
+        let pipeline = Pipeline::new(head, self.poses.tier_or(settings.map(|settings| settings.tier)), scene_match)
             .until(self.poses.duration)
             .following(self.poses.following_or(settings.map(|settings| settings.following)));
         // Only people look at the cells.
@@ -273,7 +293,8 @@ impl<'a> Playback<'a> {
             // Bytes of a port, whose nothing says; or of a board, of which no more is known.
             None => {
                 let (file, scene_match) = self.scene_of_bytes(path)?;
-                let pipeline = self.pipeline(file, scene_match, None);
+                let head = self.play.calibration.head(file, Head::uncalibrated)?;
+                let pipeline = self.pipeline(head, scene_match, None);
                 self.boards.push(Board::new(device, None, pipeline));
                 self.boards.len() - 1
             }

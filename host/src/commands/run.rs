@@ -6,8 +6,10 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
+use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Hello;
 
+use super::options::head_by;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::tool::ToolOptions;
@@ -53,6 +55,10 @@ pub(super) struct Args {
     /// Scene file, or the name of a shipped scene; one for all boards, or one for each
     #[arg(long, value_name = "SCENE", value_delimiter = ',', default_value = "wide", value_parser = names::scenes(), hide_possible_values = true)]
     scene: Vec<String>,
+    /// Calibration of the head, as `slitpose calibrate` wrote it, one for each board; or none: the head is as
+    /// its scene says
+    #[arg(long, value_name = "FILE", value_delimiter = ',')]
+    calibration: Vec<PathBuf>,
     #[command(flatten)]
     poses: PoseOptions,
     #[command(flatten)]
@@ -203,6 +209,12 @@ impl Args {
         if scenes.len() != 1 && scenes.len() != self.device.len() {
             return Err(CommandError::Scenes { scenes: scenes.len(), devices: self.device.len() });
         }
+        if ![0, self.device.len()].contains(&self.calibration.len()) {
+            return Err(CommandError::Calibrations {
+                calibrations: self.calibration.len(),
+                devices: self.device.len(),
+            });
+        }
         let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
         let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
         boards.map(|(number, (device, scene))| self.board(number, device, scene, &search)).collect()
@@ -218,12 +230,16 @@ impl Args {
         let tier = self.poses.tier();
         let configuration = front_end::configuration(file)?;
         let selector: Selector = device.parse()?;
+        // A head is within its tolerances, given or usual.
+        let head = head_by(self.calibration.get(number).map(PathBuf::as_path), file.clone(), |file| {
+            if selector == Selector::Sim { Head::as_scene_says(file) } else { Head::uncalibrated(file) }
+        })?;
         let (opener, keeps_time): (Box<dyn Opener>, _) = if selector == Selector::Sim {
             let duration_s = self.poses.duration.unwrap_or(f64::INFINITY);
             let speed = self.speed.unwrap_or(Speed::Times(1.0));
             // More boards than numbers share the last one.
-            let number = u8::try_from(number).unwrap_or(u8::MAX);
-            let device = self.tool.device(number, file, tier, duration_s, speed)?;
+            let number_of_board = u8::try_from(number).unwrap_or(u8::MAX);
+            let device = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
             (Box::new(SimulatedOpener::new(device)), speed == Speed::Times(1.0))
         } else {
             if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
@@ -238,8 +254,8 @@ impl Args {
         };
         Ok(BoardPlan {
             opener,
-            admit: Admission { file: file.clone(), name: device.to_owned(), told: Mutex::new(None) }.into_closure(),
-            file: file.clone(),
+            admit: Admission { head: head.clone(), name: device.to_owned(), told: Mutex::new(None) }.into_closure(),
+            head,
             configuration,
             tier,
             following: self.poses.following(),
@@ -253,7 +269,7 @@ impl Args {
 
 /// Whether a board may be followed, and what its user should know.
 struct Admission {
-    file: SceneFile,
+    head: Head,
     name: String,
     /// The board that was reported last.
     told: Mutex<Option<DeviceId>>,
@@ -265,15 +281,17 @@ impl Admission {
     }
 
     fn admit(&self, hello: &Hello<'_>) -> Result<(), PipelineError> {
-        pipeline::check(&self.file, SceneMatch::Required, hello)?;
+        let file = &self.head.file;
+        pipeline::check(file, SceneMatch::Required, hello)?;
+        pipeline::check_calibration(&self.head, SceneMatch::Required, hello)?;
         let device = DeviceId(hello.device_id);
         let told = lock(&self.told).replace(device);
         if told == Some(device) {
             return Ok(());
         }
-        let (name, scene) = (&self.name, &self.file.name);
+        let (name, scene) = (&self.name, &file.name);
         let board_a = hello.scaling.full_scale_a();
-        if let Some(front_end) = &self.file.front_end
+        if let Some(front_end) = &file.front_end
             && !front_end::is_full_scale_of(board_a, front_end.full_scale_a)
         {
             talk(format_args!(
@@ -287,7 +305,21 @@ impl Admission {
             talk(format_args!(
                 "the board on {name} has no scene stored; taking `{scene}` for the scene of its head: give another \
                  with --scene, or store this one with `slitpose device set --scene {}`",
-                self.file.origin
+                file.origin
+            ));
+        }
+        let is_uncalibrated = matches!(pipeline::head_of(&self.head, hello).basis(), Basis::Tolerances);
+        if let (true, Some(hash)) = (is_uncalibrated, hello.hashes.calibration) {
+            talk(format_args!(
+                "the board on {name} belongs to the calibration with hash {hash:016x}, and none is given: poses are those \
+                 of parts within their tolerances; give its file with --calibration"
+            ));
+        } else if is_uncalibrated {
+            talk(format_args!(
+                "the head on {name} has no calibration: its poses are those of parts within their tolerances, with the \
+                 errors that these allow; next, `slitpose calibrate {} --known poses.csv --output calibration.toml`, and \
+                 give that with --calibration",
+                file.origin
             ));
         }
         Ok(())

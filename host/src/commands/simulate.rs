@@ -4,15 +4,16 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use slitpose_calibration::Head;
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
-use super::options::{DEFAULT_TOLERANCE, TierOptions};
+use super::options::{CalibrationOption, DEFAULT_TOLERANCE, TierOptions};
 use super::poses::parse_duration;
 use super::tool::ToolOptions;
 use super::{CommandError, Outcome, interrupt, names};
 use crate::capture::{About, CaptureError, CaptureSeries, Settings, Setup};
-use crate::device::{Conversation, DeviceError, Keep};
+use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Following;
 use crate::telemetry::report_schema;
@@ -33,6 +34,8 @@ pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
     #[arg(long, value_name = "SCENE", default_value = "wide", value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
     /// Device time to simulate, such as 10s
     #[arg(long, value_name = "TIME", value_parser = parse_duration, default_value = "10s")]
     duration: f64,
@@ -55,40 +58,25 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(&args.scene)?;
-    let configuration = front_end::configuration(&file)?;
-    let schedule = configuration.schedule.clone();
+    let head = args.calibration.head(SceneFile::open(&args.scene)?, Head::as_scene_says)?;
+    let schedule = front_end::configuration(&head.file)?.schedule;
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
-    let device = args.tool.device(0, &file, tier, args.duration, Speed::Max)?;
-    let mut board = Conversation::open(Box::new(device))?;
-    let mut device = DeviceId::default();
-    board.greet(|hello| {
-        device = DeviceId(hello.device_id);
-        Ok::<_, DeviceError>(())
-    })?;
+    let device = args.tool.device(0, head.simulated(), tier, args.duration, Speed::Max)?;
     let sources = [args.scene.as_str(), args.tool.table().unwrap_or_default()].map(Path::new);
-    refuse_twice(&args.output, sources)?;
+    let sources = sources.into_iter().chain(args.calibration.file());
+    refuse_twice(&args.output, sources.clone())?;
     if let Some(truth) = &args.truth {
-        refuse_twice(truth, sources.into_iter().chain([&*args.output]))?;
+        refuse_twice(truth, sources.chain([&*args.output]))?;
     }
     let stop = interrupt()?;
     let truth = args.truth.as_deref().map(Output::file).transpose()?;
-    let mut record = Recording::begin(args, device, &file, tier, &schedule)?;
-
-    board.configure(configuration)?;
-    board.start()?;
-    record.write(&mut board)?;
-    while board.listen()? {
-        record.write(&mut board)?;
-        if stop.load(Ordering::Relaxed) {
-            return Err(OutputError::Interrupted { target: record.output.target().to_owned() }.into());
-        }
-    }
-    board.stop(Keep::All)?;
-    record.write(&mut board)?;
-    record.finish()?;
-
+    let target = Target {
+        path: &args.output,
+        replace: if args.overwrite { Replace::Anything } else { Replace::Nothing },
+        raw: args.raw,
+    };
+    record(device, &head, tier, &target, |_| stop.load(Ordering::Relaxed))?;
     if let Some(truth) = truth {
         let instants = (0..frames).map(|frame| {
             (frame as f64 * f64::from(schedule.frame_ticks) + schedule.reference_ticks()) / f64::from(schedule.tick_hz)
@@ -96,6 +84,47 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         write_truth(truth, &args.tool.trajectory(0, args.duration)?, instants, &stop)?;
     }
     Ok(Outcome::Done)
+}
+
+/// Where a recording goes.
+pub(super) struct Target<'a> {
+    /// The file.
+    pub(super) path: &'a Path,
+    /// Which file it may replace.
+    pub(super) replace: Replace,
+    /// Bytes alone, no capture.
+    pub(super) raw: bool,
+}
+
+/// Records all that `device` sends, as a board on `head` would be recorded, unless `is_interrupted`, which is told the
+/// device time so far in nanoseconds.
+pub(super) fn record(
+    device: SimulatedDevice,
+    head: &Head,
+    tier: Tier,
+    target: &Target<'_>,
+    mut is_interrupted: impl FnMut(u64) -> bool,
+) -> Result<(), CommandError> {
+    let configuration = front_end::configuration(&head.file)?;
+    let mut board = Conversation::open(Box::new(device))?;
+    let mut device = DeviceId::default();
+    board.greet(|hello| {
+        device = DeviceId(hello.device_id);
+        Ok::<_, DeviceError>(())
+    })?;
+    let mut record = Recording::begin(target, device, head, tier, &configuration.schedule)?;
+    board.configure(configuration)?;
+    board.start()?;
+    record.write(&mut board)?;
+    while board.listen()? {
+        record.write(&mut board)?;
+        if is_interrupted(record.device_ns) {
+            return Err(OutputError::Interrupted { target: record.output.target().to_owned() }.into());
+        }
+    }
+    board.stop(Keep::All)?;
+    record.write(&mut board)?;
+    record.finish()
 }
 
 /// What is written as it comes.
@@ -113,22 +142,21 @@ struct Recording {
 
 impl Recording {
     fn begin(
-        args: &Args,
+        target: &Target<'_>,
         device: DeviceId,
-        file: &SceneFile,
+        head: &Head,
         tier: Tier,
         schedule: &Schedule,
     ) -> Result<Self, CommandError> {
-        let replace = if args.overwrite { Replace::Anything } else { Replace::Nothing };
-        let output = Output::replacing(&args.output, replace)?;
-        let capture = if args.raw {
+        let output = Output::replacing(target.path, target.replace)?;
+        let capture = if target.raw {
             None
         } else {
             let file_of_capture = output.as_file().map_err(|source| output.error(source))?;
             let mut series =
-                CaptureSeries::in_file(file_of_capture, &args.output, About { report_schema: report_schema() })?;
+                CaptureSeries::in_file(file_of_capture, target.path, About { report_schema: report_schema() })?;
             let settings = Settings { tier, following: Following::default() };
-            series.add_device(Setup::new(device, file, settings), None, 0).map_err(|error| writing(&output, error))?;
+            series.add_device(Setup::new(device, head, settings), None, 0).map_err(|error| writing(&output, error))?;
             Some((Box::new(series), device))
         };
         let tick_hz = f64::from(schedule.tick_hz);

@@ -6,6 +6,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::bounded;
+use slitpose_calibration::Head;
 use slitpose_model::Tier;
 use slitpose_protocol::Configuration;
 
@@ -29,7 +30,6 @@ use crate::datagram::DatagramServer;
 use crate::link::Segment;
 use crate::pipeline::{Counts, Following, Pipeline, SceneMatch};
 use crate::telemetry::BoardStatistics;
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::join;
 
 /// Most reads on their way to the solver: a quarter of a second at one read per millisecond.
@@ -46,7 +46,7 @@ pub(crate) struct BoardPlan {
     /// Opens the board.
     pub opener: Box<dyn Opener>,
     /// The board's head.
-    pub file: SceneFile,
+    pub head: Head,
     /// The board's configuration.
     pub configuration: Configuration,
     /// Decides whether a board may be followed.
@@ -103,7 +103,7 @@ impl BoardThreads {
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = shared.prints_each || plan.until_s.is_some();
         let capture_queue = |(chunks, every_s)| CaptureQueue::new(number, chunks, overflow, every_s);
-        let pipeline = Pipeline::new(plan.file, plan.tier, SceneMatch::Required)
+        let pipeline = Pipeline::new(plan.head, plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
             .watched();

@@ -5,6 +5,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
 use super::buffer_pool::{Consumer, Empty, Producer, buffer_pool};
@@ -15,7 +16,6 @@ use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::threads::{join, lock};
 
 /// Most chunks on their way to the disk: 5 s of one board.
@@ -46,7 +46,7 @@ pub(super) struct RecorderThread {
 
 /// The board of a number.
 struct Source {
-    file: SceneFile,
+    head: Head,
     settings: Settings,
     keeps_time: bool,
     device: Option<DeviceId>,
@@ -72,7 +72,7 @@ impl RecorderThread {
         let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), CaptureChunk::with_capacity);
         let (tell, accounts) = bounded(ACCOUNTS);
         let source = |board: &BoardPlan| Source {
-            file: board.file.clone(),
+            head: board.head.clone(),
             settings: Settings { tier: board.tier, following: board.following },
             keeps_time: board.keeps_time,
             device: None,
@@ -180,7 +180,7 @@ impl Recorder {
             && (source.device != Some(device) || hello.is_some())
         {
             source.device = Some(device);
-            let added = self.series.add_device(Setup::new(device, &source.file, source.settings), hello, log_ns);
+            let added = self.series.add_device(Setup::new(device, &source.head, source.settings), hello, log_ns);
             if added.is_err() {
                 self.bytes_missing += chunk.segment.bytes.len() as u64;
                 return added;

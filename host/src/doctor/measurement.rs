@@ -2,7 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use slitpose_model::Tier;
+use slitpose_calibration::Head;
+use slitpose_model::{SceneError, Tier};
 use slitpose_protocol::{Severity, Status};
 use thiserror::Error;
 
@@ -46,6 +47,9 @@ const EVENTS: usize = 5;
 /// Why the measurement failed.
 #[derive(Debug, Error)]
 pub(super) enum MeasurementError {
+    /// The scene's optics.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// The scene's schedule.
     #[error(transparent)]
     Timing(#[from] TimingError),
@@ -82,7 +86,8 @@ pub(super) fn measure(
 ) -> Result<Measurement, MeasurementError> {
     let configuration = front_end::configuration(scene)?;
     let frame_rate_hz = configuration.schedule.frame_rate_hz();
-    let mut pipeline = Pipeline::new(scene.clone(), TIER, SceneMatch::Waived).until(Some(duration_s));
+    let mut pipeline =
+        Pipeline::new(Head::uncalibrated(scene.clone())?, TIER, SceneMatch::Waived).until(Some(duration_s));
     let mut events = Vec::new();
     let mut segment = Segment::default();
     let mut uncertainty_ns = None;

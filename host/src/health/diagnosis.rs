@@ -132,6 +132,15 @@ pub enum Fault {
     Exchange(Exchange),
     /// Most scans contradict the scene, and no single cell and no exchange explains them.
     Unexplained,
+    /// The head has changed since it was calibrated.
+    CalibrationStale {
+        /// The cell that deviates most.
+        cell: usize,
+        /// Mean deviation of its light, metres.
+        shift_m: f64,
+        /// χ² by its expectation.
+        chi2: f64,
+    },
 }
 
 /// A fault, for programs, and its finding, for people.

@@ -212,7 +212,7 @@ impl Search {
                 return false;
             };
             undone.clone_from(&measured);
-            if !self.remove_cross_light(exchange, &estimate.pose, &mut undone) {
+            if !self.exchange_cross_light(exchange, &estimate.pose, &mut undone) {
                 return false;
             }
         }
@@ -220,18 +220,25 @@ impl Search {
     }
 
     /// Subtracts the light that cells receive at `pose` from emitters that `exchange` lights together with
-    /// their own; `false` if there is none.
-    fn remove_cross_light(&self, exchange: Exchange, pose: &Pose, photocurrents: &mut Photocurrents) -> bool {
+    /// their own, and adds that which the solver expects from emitters lit with them without it; `false` if there is
+    /// neither.
+    fn exchange_cross_light(&self, exchange: Exchange, pose: &Pose, photocurrents: &mut Photocurrents) -> bool {
+        let plan = self.thorough.plan();
         let mut found = false;
         for cell in 0..self.together.len() {
-            let set = self.together[exchange.other(cell)];
+            let (plugs, expected) = (self.together[exchange.other(cell)], plan.lit_together(cell));
             let Reading::Light(pair) = &mut photocurrents.cells[cell] else {
                 continue;
             };
-            for plug in (0..self.together.len()).filter(|plug| set & (1 << plug) != 0) {
-                let light = self.thorough.plan().crosstalk(cell, exchange.other(plug), pose);
-                pair.i_x1_a -= light.i_x1_a;
-                pair.i_x2_a -= light.i_x2_a;
+            for emitter in 0..self.together.len() {
+                let [lit, expected] = [plugs >> exchange.other(emitter), expected >> emitter].map(|set| set & 1);
+                if lit == expected {
+                    continue;
+                }
+                let light = plan.crosstalk(cell, emitter, pose);
+                let sign = f64::from(expected) - f64::from(lit);
+                pair.i_x1_a += sign * light.i_x1_a;
+                pair.i_x2_a += sign * light.i_x2_a;
                 found |= light.total_a() > 0.0;
             }
         }

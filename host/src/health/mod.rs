@@ -56,6 +56,8 @@ pub struct Health {
     before: Option<RawScan>,
     taken: u64,
     search: Search,
+    /// Whether the head is known by a calibration.
+    is_calibrated: bool,
 }
 
 /// Properties of a cell from its scene.
@@ -69,6 +71,7 @@ struct Cell {
     promised_noise_a: Option<f64>,
     /// Greatest share of the cell's own light that the front end can leave in the dark slot.
     afterglow: f64,
+    half_length_m: f64,
 }
 
 impl Health {
@@ -99,6 +102,7 @@ impl Health {
                 promised_noise_a: front_end::dark_word_noise_a(file, cell, scaling),
                 afterglow: Settling::of_cell(schedule, cell, time_constant_s)
                     .map_or(0.0, |settling| (1.0 - settling.gain).max(0.0)),
+                half_length_m: 0.5 * description.detector.length_m,
             })
             .collect();
         let bucket_ticks =
@@ -116,7 +120,14 @@ impl Health {
             start: None,
             before: None,
             taken: 0,
+            is_calibrated: false,
         })
+    }
+
+    /// Of a head that is known by a calibration, which may go stale.
+    #[must_use]
+    pub fn calibrated(self) -> Self {
+        Self { is_calibrated: true, ..self }
     }
 
     /// Adds the next scan, its photocurrents and its solution.
@@ -130,6 +141,10 @@ impl Health {
         let bucket = self.window.current();
         bucket.scans += 1;
         bucket.troubled += u32::from(troubled);
+        if look && solution.redundancy > 0 && solution.chi2.is_finite() {
+            bucket.chi2 += solution.chi2;
+            bucket.redundancy += solution.redundancy as f64;
+        }
         let before = self.before.replace(*scan);
         let readings = photocurrents.cells.iter().zip(&self.cells).zip(&mut self.totals);
         for (cell, (((reading, known), total), sums)) in readings.zip(&mut bucket.cells).enumerate() {
@@ -181,6 +196,11 @@ impl Health {
                     sums.compared_a += light_a;
                     sums.expected_a += expected_a;
                     sums.expected += 1;
+                    if let Reading::Light(pair) = reading {
+                        let share = |[first, second]: [f64; 2]| (second - first) / (first + second);
+                        let expected = share([response.currents.i_x1_a, response.currents.i_x2_a]);
+                        sums.shift_m += known.half_length_m * (share([pair.i_x1_a, pair.i_x2_a]) - expected);
+                    }
                 }
             }
         }

@@ -60,12 +60,24 @@ fn watched(
     count: usize,
     edit: impl Fn(&mut RawScan),
 ) -> HeadHealth {
+    watched_as(board, file, kind, count, edit, |health| health)
+}
+
+/// The same, with a monitor that `with` prepares.
+fn watched_as(
+    board: &SceneFile,
+    file: &SceneFile,
+    kind: TrajectoryKind,
+    count: usize,
+    edit: impl Fn(&mut RawScan),
+    with: impl Fn(Health) -> Health,
+) -> HeadHealth {
     let (scans, schedule, scaling) = scans(board, kind, count);
     let stage = Stage::new(file, &schedule, &scaling);
     let scene = Stage::weighted_scene(file, &schedule, &scaling);
     let solver = Solver::new(&scene, Tier::Paper).unwrap().with_exposures(&stage.exposures_s());
     let mut tracker: Tracker<f64> = Tracker::new(solver, schedule.frame_rate_hz().recip());
-    let mut health = Health::new(file, Tier::Paper, &schedule, &scaling).unwrap();
+    let mut health = with(Health::new(file, Tier::Paper, &schedule, &scaling).unwrap());
     for mut scan in scans {
         edit(&mut scan);
         let photocurrents = stage.photocurrents(&scan);
@@ -91,6 +103,25 @@ fn dark_current_is_no_light() {
         let stray_a = cell.stray_a.unwrap();
         assert!(stray_a.abs() < 3e-9, "cell {}: {stray_a}", cell.cell);
     }
+}
+
+#[test]
+fn a_slit_that_has_moved_makes_a_calibration_stale() {
+    let calibrated = wide();
+    let see =
+        |board: &SceneFile| watched_as(board, &calibrated, TrajectoryKind::Smooth, SCANS, |_| {}, Health::calibrated);
+    let healthy = see(&calibrated);
+    assert!(healthy.findings.is_empty(), "{:?}", healthy.findings);
+    let mut knocked = wide();
+    knocked.scene.cells[2].slit.offset_m.x += 20e-6;
+    let health = see(&knocked);
+    let [Diagnosis { fault: Fault::CalibrationStale { cell: 2, shift_m, chi2 }, finding }] = &health.findings[..]
+    else {
+        panic!("{:?}", health.findings)
+    };
+    // The others hold the pose: most of the shift stays visible, and is enlarged by slit and emitter as a pinhole does.
+    assert!((5e-6..60e-6).contains(&shift_m.abs()) && *chi2 > 2.5, "{shift_m} {chi2}");
+    assert!(finding.to_string().contains("calibration_stale") && finding.to_string().contains("cell 2"), "{finding}");
 }
 
 #[test]

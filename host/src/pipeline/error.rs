@@ -68,6 +68,23 @@ pub enum PipelineError {
         /// Hash of the scene in use.
         scene_hash: u64,
     },
+    /// The board belongs to another calibration.
+    #[error(
+        "board `{}` belongs to the calibration with hash {board_hash:016x}, but {} has {calibration_hash:016x}; give the \
+         calibration it belongs to with --calibration, or store this one with `slitpose device set --scene … --calibration …`",
+        printable(board),
+        printable(calibration)
+    )]
+    CalibrationHash {
+        /// The board.
+        board: String,
+        /// Hash of the calibration stored on the board.
+        board_hash: u64,
+        /// File of the calibration in use.
+        calibration: String,
+        /// Hash of the calibration in use.
+        calibration_hash: u64,
+    },
     /// The scene cannot be compiled.
     #[error(transparent)]
     Scene(#[from] SceneError),

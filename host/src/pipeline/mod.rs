@@ -20,6 +20,7 @@ mod waiting;
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
+use slitpose_calibration::Head;
 use slitpose_model::{Filtered, Pose, Solution, Tier, Tracked, TwistEstimate};
 use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
@@ -29,7 +30,7 @@ pub use counts::Counts;
 pub use error::PipelineError;
 pub use oddity::Oddity;
 pub use outcomes::Outcomes;
-pub use session::check;
+pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 
 use crate::clock::{HostInstant, HostTime};
@@ -38,7 +39,6 @@ use crate::link::{DeviceId, Segment};
 use board_clock::BoardClock;
 use oddity::ClockWatch;
 use session::Session;
-use slitpose_head::scene_file::SceneFile;
 use span::Span;
 use waiting::Waiting;
 
@@ -129,7 +129,7 @@ pub struct Pipeline {
 /// All stages after the decoder.
 #[derive(Debug)]
 struct Flow {
-    file: SceneFile,
+    head: Head,
     tier: Tier,
     scene_match: SceneMatch,
     following: Following,
@@ -158,12 +158,12 @@ enum Solve {
 }
 
 impl Pipeline {
-    /// A pipeline for boards with the head of `file`, solved in `tier`.
-    pub fn new(file: SceneFile, tier: Tier, scene_match: SceneMatch) -> Self {
+    /// A pipeline for boards with `head`, solved in `tier`. That of a scene alone is taken to be as the scene says.
+    pub fn new(head: impl Into<Head>, tier: Tier, scene_match: SceneMatch) -> Self {
         Self {
             decoder: Decoder::new(),
             flow: Flow {
-                file,
+                head: head.into(),
                 tier,
                 scene_match,
                 following: Following::default(),
@@ -427,7 +427,7 @@ impl Flow {
         self.has_false_truth = false;
         let number = self.sessions;
         let session =
-            Session::open(&self.file, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
+            Session::open(&self.head, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
         self.sessions += 1;
         self.clock.meet(session.device(), hello.schedule.tick_hz);
         let before = self.session.replace(Box::new(session));

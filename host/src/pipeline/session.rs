@@ -1,5 +1,6 @@
 //! One board under one configuration: from a scan to a solution.
 
+use slitpose_calibration::{Basis, Head};
 use slitpose_model::{Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
@@ -21,6 +22,7 @@ pub(super) struct Session {
     reference_ticks: f64,
     last_sample_ticks: u64,
     stage: Stage,
+    head: Head,
     tracker: Tracker<f64>,
     /// Tracks the newest scans while older ones wait.
     ahead: Option<Box<Tracker<f64>>>,
@@ -46,10 +48,35 @@ pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Re
     Ok(())
 }
 
+/// Checks that the board of `hello` belongs to the calibration of `head`, if both have one.
+///
+/// # Errors
+/// If it belongs to another.
+pub fn check_calibration(head: &Head, scene_match: SceneMatch, hello: &Hello<'_>) -> Result<(), PipelineError> {
+    match (head.calibration(), hello.hashes.calibration) {
+        (Some(calibration), Some(board_hash))
+            if scene_match == SceneMatch::Required && calibration.hash() != board_hash =>
+        {
+            Err(PipelineError::CalibrationHash {
+                board: hello.board.to_owned(),
+                board_hash,
+                calibration: calibration.origin().to_owned(),
+                calibration_hash: calibration.hash(),
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// `head` in front of the board of `hello`.
+pub fn head_of(head: &Head, hello: &Hello<'_>) -> Head {
+    if hello.kind == BoardKind::Simulated { head.in_simulation() } else { head.clone() }
+}
+
 impl Session {
     /// Checks `hello` against the scene and computes everything that is constant over the session.
     pub(super) fn open(
-        file: &SceneFile,
+        head: &Head,
         tier: Tier,
         scene_match: SceneMatch,
         following: Following,
@@ -57,7 +84,10 @@ impl Session {
         hello: &Hello<'_>,
         number: u64,
     ) -> Result<Self, PipelineError> {
+        let head = head_of(head, hello);
+        let file = &head.file;
         check(file, scene_match, hello)?;
+        check_calibration(&head, scene_match, hello)?;
         let board = || hello.board.to_owned();
         hello.schedule.validate().map_err(|source| PipelineError::Schedule { board: board(), source })?;
         let board_cells = usize::from(hello.schedule.cells);
@@ -65,7 +95,14 @@ impl Session {
         if board_cells != scene_cells {
             return Err(PipelineError::Cells { board: board(), board_cells, scene: file.name.clone(), scene_cells });
         }
-        let health = if watched { Some(Health::new(file, tier, &hello.schedule, &hello.scaling)?) } else { None };
+        let health = if watched {
+            {
+                let health = Health::new(file, tier, &hello.schedule, &hello.scaling)?;
+                Some(if matches!(head.basis(), Basis::Calibration(_)) { health.calibrated() } else { health })
+            }
+        } else {
+            None
+        };
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
@@ -82,6 +119,7 @@ impl Session {
             configuration: hello.configuration,
             reference_ticks: hello.schedule.reference_ticks(),
             last_sample_ticks: hello.schedule.last_sample_ticks(),
+            head,
             tracker,
             ahead: None,
             health,
@@ -149,7 +187,8 @@ impl Session {
     /// Solves the next scan in turn; `watched`: it counts for the health of the head.
     pub(super) fn solve(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         let photocurrents = self.stage.photocurrents(scan);
-        let tracked = self.tracker.track(scan.sequence, &photocurrents);
+        let mut tracked = self.tracker.track(scan.sequence, &photocurrents);
+        self.head.complete_tracked(&mut tracked);
         if let Some(health) = self.health.as_mut().filter(|_| watched) {
             health.update(scan, &photocurrents, &tracked.solution);
         }
@@ -167,7 +206,8 @@ impl Session {
             }
             ahead => ahead.get_or_insert_with(|| Box::new(self.tracker.clone())),
         };
-        let tracked = ahead.track(scan.sequence, &photocurrents);
+        let mut tracked = ahead.track(scan.sequence, &photocurrents);
+        self.head.complete_tracked(&mut tracked);
         if let Some(health) = &mut self.health {
             health.update(scan, &photocurrents, &tracked.solution);
         }

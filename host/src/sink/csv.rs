@@ -62,6 +62,7 @@ impl<W: Write> Csv<W> {
         self.writer.write_field(row.free_directions)?;
         self.writer.write_field(row.excluded_cells)?;
         self.writer.write_field(row.verified)?;
+        self.writer.write_field(row.reason)?;
         self.writer.write_field(if record.simulated { "true" } else { "false" })?;
         self.text(record.device)?;
         let time = record.host_time;

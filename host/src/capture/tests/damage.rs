@@ -110,7 +110,9 @@ impl Chunked {
         let file = BENCH.read().unwrap();
         let frames = stream(&WIDE.read().unwrap(), 8 * chunks, false);
         let mut capture = CaptureFile::create(Disk { bytes: Vec::new(), room: usize::MAX }, &About::default()).unwrap();
-        let setups = BTreeMap::from([FIRST, SECOND].map(|device| (device, Setup::new(device, &file, settings()))));
+        let setups = BTreeMap::from(
+            [FIRST, SECOND].map(|device| (device, Setup::new(device, &file.clone().into(), settings()))),
+        );
         let boards: Vec<Channels> = setups.values().map(|setup| capture.add_device(setup, &[], 0).unwrap()).collect();
         capture.flush().unwrap();
         let (mut ends, mut rows) = (vec![capture.bytes() as usize], BTreeMap::new());

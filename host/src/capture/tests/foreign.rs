@@ -26,7 +26,7 @@ fn written(compression: Option<Compression>, boards: &[DeviceId]) -> Vec<u8> {
         .iter()
         .map(|device| {
             let link = writer.add_channel(0, &format!("/slitpose/{device}/link"), "cdr", &BTreeMap::new()).unwrap();
-            let setup = Setup::new(*device, &file, settings());
+            let setup = Setup::new(*device, &file.clone().into(), settings());
             let metadata = setup.to_metadata("bench.toml", LinkChannels { link, hello: u16::MAX });
             writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata }).unwrap();
             link

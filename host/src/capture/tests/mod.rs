@@ -45,7 +45,7 @@ fn settings() -> Settings {
 }
 
 fn setup(device: DeviceId) -> Setup {
-    Setup::new(device, &WIDE.read().unwrap(), settings())
+    Setup::new(device, &WIDE.read().unwrap().into(), settings())
 }
 
 /// What a simulated board with the head of `file` sends in each of `scans` frames, with or without

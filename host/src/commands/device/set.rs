@@ -1,7 +1,9 @@
 //! `slitpose device set`: which head a board belongs to, kept on the board.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
+use slitpose_calibration::{Calibration, Head};
 use slitpose_protocol::Hashes;
 
 use super::{BoardOptions, Connection};
@@ -14,12 +16,13 @@ use slitpose_head::table::Output;
 /// A board that has just replied answers at once.
 const HELLO_WITHIN: Duration = Duration::from_secs(1);
 
-/// Has a board keep the schedule and the hash of its head's scene, also without supply.
+/// Has a board keep the schedule and the hashes of its head's scene and calibration, also without supply.
 ///
-/// From then on it starts with that schedule, and `run` refuses to read it by the scene of another head. What is
-/// stored is read back. A calibration stays stored only if the scene stays the same.
+/// From then on it starts with that schedule, and `run` refuses to read it by the scene or the calibration of another
+/// head. What is stored is read back. Unless one is given, a calibration stays stored only if the scene stays the same.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose device set --scene head.toml\n  \
+                  slitpose device set --scene head.toml --calibration calibration.toml\n  \
                   slitpose device set --device 0036002900544850025a0320 --clear")]
 pub(super) struct Args {
     #[command(flatten)]
@@ -27,6 +30,9 @@ pub(super) struct Args {
     /// The scene of its head: a file, or the name of a shipped scene
     #[arg(long, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true, required_unless_present = "clear", conflicts_with = "clear")]
     scene: Option<String>,
+    /// The calibration of its head, which `slitpose calibrate` wrote
+    #[arg(long, value_name = "FILE", requires = "scene")]
+    calibration: Option<PathBuf>,
     /// Forget what is stored; the board starts with its defaults from then on
     #[arg(long)]
     clear: bool,
@@ -38,10 +44,13 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Some(scene) => {
             let file = SceneFile::open(scene)?;
             let configuration = front_end::configuration(&file)?;
+            let given =
+                args.calibration.as_deref().map(|path| Head::open_calibrated(file.clone(), path)).transpose()?;
+            let given = given.as_ref().and_then(Head::calibration).map(Calibration::hash);
             let mut connection = args.board.connect(&file)?.understood()?;
             let before = connection.info.hashes;
             let same = before.scene == Some(file.hash);
-            let hashes = Hashes { scene: Some(file.hash), calibration: before.calibration.filter(|_| same) };
+            let hashes = Hashes { scene: Some(file.hash), calibration: given.or(before.calibration.filter(|_| same)) };
             let schedule = configuration.schedule.clone();
             connection.board.configure(configuration)?;
             connection.board.store(hashes)?;
@@ -49,9 +58,13 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             if after.hashes != hashes || after.schedule != schedule {
                 return Err(DeviceError::NotStored { name: connection.board.name() }.into());
             }
-            let forgotten = if before.calibration.is_some() && !same { "; the calibration is forgotten" } else { "" };
+            let calibration = match hashes.calibration {
+                Some(hash) => format!(", and the calibration with hash {hash:016x}"),
+                None if before.calibration.is_some() => "; the calibration is forgotten".to_owned(),
+                None => String::new(),
+            };
             format!(
-                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s{forgotten}\n",
+                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s{calibration}\n",
                 connection.name(),
                 file.name,
                 file.hash,

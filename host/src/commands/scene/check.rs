@@ -6,6 +6,7 @@ use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
+use crate::commands::options::CalibrationOption;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::survey::Survey;
 use slitpose_head::scene_file::SceneFile;
@@ -21,6 +22,8 @@ pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
     #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
     /// For people, or for programs (SI units)
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
@@ -39,7 +42,7 @@ enum Format {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(&args.scene)?;
+    let file = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file;
     let output = Output::open(args.output.as_deref())?;
     let samples = args.samples as usize;
     let mut progress = Progress::new("check", Survey::poses_of(samples) as u64, Amount::Of("poses"));

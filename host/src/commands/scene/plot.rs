@@ -6,7 +6,7 @@ use slitpose_model::{Plan, Pose, Tier};
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::commands::options::parse_pose;
+use crate::commands::options::{CalibrationOption, parse_pose};
 use slitpose_design::plot::{cell_picture, scene_picture};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
@@ -22,6 +22,8 @@ pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
     #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
     /// Pose of the tool: translation in mm, rotation vector in degrees
     #[arg(long, value_name = "TX,TY,TZ,RX,RY,RZ", allow_hyphen_values = true, value_parser = parse_pose)]
     pose: Option<Pose>,
@@ -34,7 +36,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(&args.scene)?;
+    let file = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file;
     let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE })?;
     let pose = args.pose.unwrap_or(Pose::HOME);
     let picture = match args.cell {

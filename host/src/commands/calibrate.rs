@@ -1,0 +1,259 @@
+//! `slitpose calibrate`: from measurements on a head to its parameters.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+use clap::ValueEnum;
+use slitpose_calibration::{
+    Calibration, CellValidity, Constraint, Data, Progress as Step, Request, Validity, calibrate, tables, validity,
+};
+
+use super::{CommandError, Outcome, interrupt, names, talk};
+use crate::capture::{Readings, readings};
+use crate::terminal::{Amount, Progress};
+use slitpose_design::report::{Folder, calibration_report};
+use slitpose_head::front_end::{Stage, configuration};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::Electronics;
+use slitpose_head::table::{Output, is_capture};
+
+/// How well the tip of a tool stays in a cone, and a tool returns to a stop: metres and radians.
+const CONTACT: [f64; 2] = [3e-6, 100e-6];
+
+/// How true the steps of a stage are, and how little its carriage turns: metres and radians.
+const STAGE: [f64; 2] = [1e-6, 20e-6];
+
+/// Finds the parameters of a real head from measurements on it.
+///
+/// The scene says what the designer wanted, its [tolerance] how far the parts may be from that. Give poses that
+/// another instrument measured with --known, readings of free motion with --free, or motions that need no
+/// instrument: --pivot, the tip of the tool in a cone; --stage, known steps along a line; --rest, returns to one
+/// stop. Any mix of them is adjusted together. Columns in: those of `solve`, for --known also those of a pose, for
+/// --stage step_mm; frames, the number of frames averaged in a row, may be among them.
+///
+/// The result is a file for --calibration of other commands. What the data leave open is named on standard error.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  slitpose calibrate head.toml --known poses.csv --output head-7.toml\n  slitpose solve head.toml --currents readings.csv --calibration head-7.toml"
+)]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene; with --check, a calibration
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    scene: String,
+    /// Find out from these readings whether the calibration still holds: a capture, or a table as for --free
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "free", "pivot", "stage", "rest", "start", "output", "report"])]
+    check: Option<String>,
+    /// Readings at poses that another instrument measured
+    #[arg(long, value_name = "CSV")]
+    known: Vec<String>,
+    /// Readings of free motion
+    #[arg(long, value_name = "FILE")]
+    free: Vec<String>,
+    /// Readings while one point of the tool rests in a cone and the tool turns about it
+    #[arg(long, value_name = "FILE")]
+    pivot: Vec<String>,
+    /// Readings at known steps along a line, the tool not turning
+    #[arg(long, value_name = "CSV")]
+    stage: Vec<String>,
+    /// Readings of several returns to one pose
+    #[arg(long, value_name = "FILE")]
+    rest: Vec<String>,
+    /// Frames of the instrument's poses: those of the scene, or its own at unknown fixed places
+    #[arg(long, value_enum, default_value_t = FramesOf::Scene)]
+    frames: FramesOf,
+    /// Standard deviation of the instrument's positions, each axis
+    #[arg(long, value_name = "UM", default_value_t = 2.0, value_parser = parse_sigma)]
+    known_sigma_um: f64,
+    /// Standard deviation of the instrument's rotations, each axis
+    #[arg(long, value_name = "URAD", default_value_t = 20.0, value_parser = parse_sigma)]
+    known_sigma_urad: f64,
+    /// Write the calibration to this file
+    #[arg(long, value_name = "FILE", required_unless_present = "check")]
+    output: Option<PathBuf>,
+    /// Make this folder with a page on the calibration
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Day of the measurements, to be kept in the result
+    #[arg(long, value_name = "DATE")]
+    date: Option<String>,
+    /// Go on from an earlier result of the same scene
+    #[arg(long, value_name = "FILE")]
+    start: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FramesOf {
+    Scene,
+    Own,
+}
+
+fn parse_sigma(text: &str) -> Result<f64, &'static str> {
+    match text.parse::<f64>() {
+        Ok(sigma) if sigma > 0.0 && sigma < 1e6 => Ok(sigma),
+        _ => Err("give a number above zero, such as 2"),
+    }
+}
+
+impl Args {
+    fn data(&self, file: &SceneFile) -> Result<Data, CommandError> {
+        let known = match self.frames {
+            FramesOf::Scene => Constraint::Known,
+            FramesOf::Own => Constraint::KnownInOwnFrames,
+        };
+        let instrument = [self.known_sigma_um * 1e-6, self.known_sigma_urad * 1e-6];
+        let mut data = Data::default();
+        for (files, constraint, sigmas) in [
+            (&self.known, known, instrument),
+            (&self.free, Constraint::Free, CONTACT),
+            (&self.pivot, Constraint::Pivot, CONTACT),
+            (&self.stage, Constraint::Stage, STAGE),
+            (&self.rest, Constraint::Rest, CONTACT),
+        ] {
+            for name in files {
+                read(file, name, constraint, sigmas, &mut data)?;
+            }
+        }
+        with_noise(file, &mut data)?;
+        Ok(data)
+    }
+}
+
+/// Adds a table, or a capture where no poses are needed.
+fn read(
+    file: &SceneFile,
+    name: &str,
+    constraint: Constraint,
+    sigmas: [f64; 2],
+    data: &mut Data,
+) -> Result<(), CommandError> {
+    let has_poses = matches!(constraint, Constraint::Known | Constraint::KnownInOwnFrames | Constraint::Stage);
+    if has_poses || !is_capture(Path::new(name)) {
+        return Ok(tables::read(file, name, constraint, sigmas, data)?);
+    }
+    let Readings { rows, noise } = readings(Path::new(name), file)?;
+    data.noise = noise;
+    data.add(name, constraint, sigmas, tables::thinned(rows));
+    Ok(())
+}
+
+/// Tables of a scene that has no [noise] have the noise of the board that it asks for.
+fn with_noise(file: &SceneFile, data: &mut Data) -> Result<(), CommandError> {
+    if data.noise.is_none()
+        && file.scene.noise.is_none()
+        && let Some(front_end) = file.front_end
+    {
+        let configuration = configuration(file)?;
+        let scaling = Electronics::new(&file.scene, &front_end).scaling();
+        data.noise = Stage::weighted_scene(file, &configuration.schedule, &scaling).noise;
+    }
+    Ok(())
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    match (&args.check, &args.output) {
+        (Some(check), _) => still_holds(check, Path::new(&args.scene)),
+        (None, Some(output)) => adjust(args, output),
+        // The command line asks for one of them.
+        (None, None) => Ok(Outcome::Failed),
+    }
+}
+
+/// Whether the calibration at `path` still describes the head that gave `readings`.
+fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
+    let calibration = Calibration::open(path)?;
+    let file = calibration.scene_file()?;
+    let scene = calibration.apply(&file)?;
+    let mut data = Data::default();
+    read(&file, readings, Constraint::Free, CONTACT, &mut data)?;
+    with_noise(&file, &mut data)?;
+    let found = validity(&scene, data.noise.or(scene.noise), data.rows())?;
+    let mut text = format!("{:>4} {:>10} {:>12} {:>12} {:>14}\n", "cell", "light", "position", "rms", "chi2 without");
+    for (number, cell) in found.cells.iter().enumerate() {
+        let (light, position, rms) = (cell.relative * 100.0, cell.position_m * 1e6, cell.rms_position_m * 1e6);
+        text += &format!("{number:>4} {light:>+8.3} % {position:>+9.2} µm {rms:>9.2} µm {:>14.2}\n", cell.without);
+    }
+    let (verdict, outcome) = match (found.is_valid, found.changed) {
+        (None, _) => ("too few rows have a pose to tell; give 20 or more".to_owned(), Outcome::Failed),
+        (Some(true), _) => ("it still holds".to_owned(), Outcome::Done),
+        (Some(false), Some(cell)) => {
+            let CellValidity { relative, position_m, .. } = found.cells[cell];
+            let (light, position) = (relative * 100.0, position_m * 1e6);
+            let what =
+                format!("cell {cell} has changed by {position:+.1} µm on its detector and {light:+.2} % in light");
+            (format!("stale: {what}; look after that cell, then calibrate again"), Outcome::Failed)
+        }
+        (Some(false), None) => ("stale: more than one cell has changed; calibrate again".to_owned(), Outcome::Failed),
+    };
+    let Validity { rows, chi2, .. } = found;
+    text +=
+        &format!("calibration {}: chi2 of {rows} rows is {chi2:.2} of its expectation; {verdict}\n", calibration.id());
+    Output::open(None)?.write_text(&text)?;
+    Ok(outcome)
+}
+
+fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
+    let file = SceneFile::open(&args.scene)?;
+    let start = args.start.as_deref().map(Calibration::open).transpose()?;
+    let data = args.data(&file)?;
+    let output = Output::open(Some(path))?;
+    let folder = args.report.as_deref().map(Folder::create).transpose()?;
+    let stop = interrupt()?;
+    let mut progress = Progress::new("calibrate", 100, Amount::Of("%"));
+    let mut tell = |step: Step| {
+        let (done, text) = match step {
+            Step::Starting => (0, "first poses".to_owned()),
+            Step::Adjusting(round, of, fit) => {
+                (5 + 65 * (round as u64 - 1) / of as u64, format!("adjusting, chi2 {fit:.2} of its expectation"))
+            }
+            Step::LeavingOut(block, of) => {
+                (70 + 30 * (block as u64 - 1) / of as u64, "rows left out in turn".to_owned())
+            }
+        };
+        progress.step(done, &text);
+        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    let request = Request { file: &file, data: &data, start: start.as_ref(), date: args.date.as_deref() };
+    let found = calibrate(&request, &mut tell);
+    drop(progress);
+    let found = found?;
+    output.write_text(found.calibration.source())?;
+    report(&found.calibration, path);
+    if let (Some(folder), Some(directory)) = (&folder, &args.report) {
+        folder.write(&calibration_report(&file, &found))?;
+        talk(format_args!("wrote {}", directory.join("index.html").display()));
+    }
+    for remark in &found.remarks {
+        talk(format_args!("{remark}"));
+    }
+    if found.is_interrupted {
+        talk(format_args!("interrupted: this is the best so far; go on from it with --start {}", path.display()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// What a user wants to know at once.
+fn report(calibration: &Calibration, path: &Path) {
+    let statistics = calibration.statistics();
+    talk(format_args!(
+        "calibration {} of {} parameters from {} rows; chi2 {:.2} of its expectation, {} readings and {} poses left out \
+         as outliers",
+        calibration.id(),
+        calibration.parameters().len(),
+        statistics.rows,
+        statistics.chi2 / statistics.redundancy,
+        statistics.readings_rejected,
+        statistics.poses_rejected,
+    ));
+    if let (Some(metres), Some(radians)) = (statistics.held_out_m, statistics.held_out_rad) {
+        talk(format_args!(
+            "poses left out in turn miss the instrument's by {:.1} µm and {:.3} mrad rms, errors of the instrument included",
+            metres * 1e6,
+            radians * 1e3
+        ));
+    }
+    for weak in calibration.weak() {
+        talk(format_args!("open: {weak}"));
+    }
+    talk(format_args!("wrote {}", path.display()));
+}
