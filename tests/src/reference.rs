@@ -55,6 +55,7 @@ pub fn single_cell_scene(row: &Row<'_>) -> Scene {
             radiant_intensity_w_per_sr: row.number("radiant_intensity_w_per_sr"),
             profile: Profile::Cosine { exponent: row.number("profile_exponent") },
         },
+        effects: slitpose_model::Effects::default(),
     };
     Scene { cells: [cell].into_iter().collect(), noise: None, uncertainty: Uncertainty::default() }
 }

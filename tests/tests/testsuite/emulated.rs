@@ -35,9 +35,9 @@ impl Emulator {
         Self { child, stdin, stdout, path }
     }
 
-    /// `slitpose run` on its board.
+    /// `slitpose run` on its board, whose head is as its scene says.
     pub(super) fn run(&self, arguments: &[&str]) -> Finished {
-        slitpose!().run(["run", "--device", &self.path].iter().chain(arguments))
+        slitpose!().run(["run", "--device", &self.path, "--calibration", "none"].iter().chain(arguments))
     }
 
     /// Closes its standard input; gives what it said to standard error until its end. It must not

@@ -219,6 +219,11 @@ fn the_bench_engineer_finds_the_faults() {
 }
 
 #[test]
+fn a_raw_head_becomes_a_calibrated_one() {
+    works("calibration.md");
+}
+
+#[test]
 fn the_lab_user_gets_recordings_and_tables() {
     works("lab.md");
 }
@@ -231,6 +236,11 @@ fn the_application_writer_closes_a_loop() {
 #[test]
 fn the_analyst_judges_poses() {
     works("analyst.md");
+}
+
+#[test]
+fn an_uncalibrated_head_has_its_first_light() {
+    works("first_light.md");
 }
 
 #[test]
@@ -251,7 +261,7 @@ fn every_chapter_is_in_the_index_and_is_run() {
 
 #[test]
 fn commands_that_are_not_run_exist() {
-    for name in ["designer.md", "bench.md", "lab.md", "application.md", "analyst.md"] {
+    for name in ["designer.md", "bench.md", "first_light.md", "lab.md", "application.md", "analyst.md"] {
         for block in blocks(&page(name)).iter().filter(|block| block.language == "console") {
             for (line, text) in (block.line + 1..).zip(&block.text) {
                 let Some(command) = text.strip_prefix("$ slitpose ") else { continue };

@@ -2,6 +2,9 @@
 
 mod bad_scenes_and_tables;
 mod bring_up;
+mod calibrate;
+mod calibrate_wrong;
+mod calibrated_heads;
 mod completions_and_man_pages;
 mod configuration;
 mod damaged_captures;
@@ -9,6 +12,7 @@ mod damaged_files;
 mod device_commands;
 mod doctor;
 mod documents;
+mod effects;
 mod emulated;
 mod foreign_text;
 mod full_disk;

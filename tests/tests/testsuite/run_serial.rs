@@ -362,14 +362,18 @@ fn the_scene_of_the_board_is_looked_after() {
     let (finished, _, path) = run(real(None), &["--duration", "100ms"]);
     assert_eq!(finished.code, 0, "{}", finished.stderr);
     assert!(finished.stderr.contains(&path) && finished.stderr.contains("no scene stored"), "{}", finished.stderr);
-    let text = String::from_utf8(finished.stdout).expect("UTF-8");
+    let (text, said) = (String::from_utf8(finished.stdout).expect("UTF-8"), finished.stderr);
     assert_eq!(text.lines().count(), 400);
     for line in text.lines() {
         assert!(line.contains(r#""simulated":false"#) && !line.contains("truth"), "{line}");
+        // A real head without calibration is one of parts within usual tolerances.
+        assert!(line.contains(r#""status":"degraded","reason":"uncalibrated""#), "{line}");
     }
+    assert_eq!(said.matches("slitpose calibrate wide").count(), 1, "{said}");
     let own = WIDE.read().expect("shipped").hash;
-    let (finished, _, _) = run(real(Some(own)), &["--duration", "100ms"]);
+    let (finished, _, _) = run(real(Some(own)), &["--duration", "100ms", "--calibration", "none"]);
     assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    assert!(!finished.done().contains("uncalibrated"));
 
     let (finished, log, _) = run(real(Some(!own)), &["--duration", "100ms"]);
     finished.assert_refused(1, &[&format!("{own:016x}"), &format!("{:016x}", !own), "--scene"]);

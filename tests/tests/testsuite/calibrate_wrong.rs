@@ -1,0 +1,148 @@
+//! Calibration with data that are not what they are said to be.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use slitpose_model::{rotation_exp, rotation_log};
+use slitpose_tests::slitpose;
+use tempfile::TempDir;
+
+use super::calibrate::data;
+
+/// A table of known poses that can be spoilt: pose, and both currents of each cell.
+#[derive(Clone)]
+struct Known {
+    rows: Vec<([f64; 6], [[f64; 2]; 6])>,
+}
+
+impl Known {
+    fn read() -> Self {
+        let text = std::fs::read_to_string(data("head_1_known.csv")).expect("a table");
+        let row = |line: &str| {
+            let numbers: Vec<f64> = line.split(',').map(|field| field.parse().expect("a number")).collect();
+            let pose = std::array::from_fn(|k| numbers[1 + k]);
+            (pose, std::array::from_fn(|cell| [numbers[7 + 2 * cell], numbers[8 + 2 * cell]]))
+        };
+        // Half of them is enough, and half as slow.
+        Self { rows: text.lines().skip(1).step_by(2).map(row).collect() }
+    }
+
+    fn spoilt(mut self, spoil: impl FnMut(&mut ([f64; 6], [[f64; 2]; 6]))) -> Self {
+        self.rows.iter_mut().for_each(spoil);
+        self
+    }
+
+    fn write(&self, folder: &TempDir) -> PathBuf {
+        let mut text = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad".to_owned();
+        for cell in 0..6 {
+            let _ = write!(text, ",i_x1_{cell}_a,i_x2_{cell}_a");
+        }
+        text += ",frames\n";
+        for (id, (pose, cells)) in self.rows.iter().enumerate() {
+            let _ = write!(text, "{id}");
+            pose.iter().chain(cells.as_flattened()).for_each(|value| {
+                let _ = write!(text, ",{value:e}");
+            });
+            text += ",16\n";
+        }
+        let path = folder.path().join("wrong.csv");
+        std::fs::write(&path, text).expect("written");
+        path
+    }
+
+    /// Exit code and standard error.
+    fn calibrate(&self, scene: &str, arguments: &[&str]) -> (i32, String) {
+        let folder = TempDir::new().expect("a folder");
+        let (table, output) = (self.write(&folder), folder.path().join("head.toml"));
+        let [table, output] = [&table, &output].map(|path| path.to_str().expect("UTF-8"));
+        let fixed = ["calibrate", scene, "--known", table, "--output", output];
+        let finished = slitpose!().run(fixed.iter().chain(arguments));
+        assert_eq!(finished.code == 0, std::path::Path::new(output).exists(), "a file exactly if something was learnt");
+        (finished.code, finished.stderr)
+    }
+}
+
+#[test]
+fn wrong_data_are_recognised_and_named() {
+    let known = Known::read();
+    let few_millimetres = |row: &mut ([f64; 6], _)| row.0 = row.0.map(|value| 0.01 * value);
+    let inverted = |row: &mut ([f64; 6], _)| {
+        let rotation = rotation_exp(DVec3::new(row.0[3], row.0[4], row.0[5])).conjugate();
+        let (t, r) = (-(rotation * DVec3::new(row.0[0], row.0[1], row.0[2])), rotation_log(rotation));
+        row.0 = [t.x, t.y, t.z, r.x, r.y, r.z];
+    };
+    let mut late = known.clone();
+    let poses: Vec<_> = late.rows.iter().map(|(pose, _)| *pose).collect();
+    late.rows.iter_mut().zip(poses.iter().cycle().skip(1)).for_each(|(row, pose)| row.0 = *pose);
+    let scaled = |from: usize, factor: f64| {
+        known.clone().spoilt(|row| row.0[from..from + 3].iter_mut().for_each(|value| *value *= factor))
+    };
+    let cases: [(&str, Known, &[&str]); 9] = [
+        ("little motion", known.clone().spoilt(few_millimetres), &["too little to tell parts apart"]),
+        ("a dead cell", known.clone().spoilt(|row| row.1[3] = [1e-9; 2]), &["cell 3 sees no light in 100 of 100 rows"]),
+        ("electrodes", known.clone().spoilt(|row| row.1[2].swap(0, 1)), &["electrodes of cell 2", "i_x1_2_a"]),
+        ("cells", known.clone().spoilt(|row| row.1.swap(1, 2)), &["cell 1 look like those of cell 2"]),
+        ("a shift", late, &["shifted against the currents by -1 rows"]),
+        ("metres", scaled(0, 1e-3), &["times as far as its currents say", "are these metres?"]),
+        ("micrometres", scaled(0, 1e3), &["are these micrometres?"]),
+        ("degrees", scaled(3, 1f64.to_degrees()), &["are these degrees?"]),
+        ("inversion", known.clone().spoilt(inverted), &["look inverted", "base_from_tool"]),
+    ];
+    for (case, table, parts) in cases {
+        let (code, said) = table.calibrate(&data("nominal.toml"), &[]);
+        assert_eq!(code, 1, "{case}: {said}");
+        for part in parts {
+            assert!(said.contains(part), "{case}: `{part}` is not in: {said}");
+        }
+    }
+}
+
+#[test]
+fn another_scene_is_recognised() {
+    let (code, said) = Known::read().calibrate("base", &[]);
+    assert!(code == 1 && said.contains("do not belong to this scene") && said.contains("tolerances explain"), "{said}");
+    let (code, said) = Known::read().calibrate("bench", &[]);
+    assert!(code == 1 && said.contains("currents of a cell 1, the scene has the cells 0 to 0"), "{said}");
+}
+
+#[test]
+fn an_instrument_ten_times_worse_than_stated_is_weighed_as_it_is() {
+    let (code, said) =
+        Known::read().calibrate(&data("nominal.toml"), &["--known-sigma-um", "0.2", "--known-sigma-urad", "2"]);
+    assert_eq!(code, 0, "{said}");
+    let found: f64 = said
+        .split("poses err by ")
+        .nth(1)
+        .and_then(|rest| rest.split(' ').next())
+        .and_then(|number| number.parse().ok())
+        .unwrap_or_else(|| panic!("no error of the instrument in: {said}"));
+    // Two micrometres, from 300 coordinates: within 10 %, and a little more for what the parameters take up.
+    assert!((1.6..2.4).contains(&found), "{found}: {said}");
+}
+
+#[test]
+fn outliers_of_the_instrument_and_of_cells_are_left_out() {
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let spoilt = Known::read().spoilt(|row| {
+        if random.random_bool(0.05) {
+            row.0[random.random_range(0..3)] += random.random_range(0.2..1.0);
+        }
+        if random.random_bool(0.1) {
+            row.1[random.random_range(0..6)][0] *= random.random_range(1.05..2.0);
+        }
+    });
+    let (code, said) = spoilt.calibrate(&data("nominal.toml"), &[]);
+    assert_eq!(code, 0, "{said}");
+    let left_out = |what: &str| -> usize {
+        let before = said.split(what).next().unwrap_or_default();
+        before.rsplit(' ').find_map(|word| word.parse().ok()).unwrap_or_else(|| panic!("{said}"))
+    };
+    // Seed 2 spoils 4 poses and 11 readings.
+    assert!((1..=8).contains(&left_out(" poses left out")) && (6..=20).contains(&left_out(" readings and")), "{said}");
+    let miss: f64 =
+        said.split("instrument's by ").nth(1).and_then(|rest| rest.split(' ').next()?.parse().ok()).expect("µm");
+    assert!(miss < 8.0, "{said}");
+}

@@ -1,0 +1,220 @@
+//! Heads by a calibration, and by the tolerances of their parts, through the command.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use slitpose_head::scene_file::{WIDE, fnv1a_64};
+use slitpose_protocol::{Command, Hashes};
+use slitpose_tests::poses;
+use slitpose_tests::process::Finished;
+use slitpose_tests::slitpose;
+use slitpose_tests::table::Table;
+use slitpose_tests::terminal::{Board, Terminal};
+use tempfile::TempDir;
+
+const HEADS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data/heads");
+
+const POSE: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
+const SIGMA: [&str; 6] = ["sigma_tx_mm", "sigma_ty_mm", "sigma_tz_mm", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"];
+
+/// What the calibration below leaves open of each translation, metres.
+const OPEN_M: f64 = 10e-6;
+
+/// A calibration of the shipped scene: cell 0 shifted by 0.2 mm along its x, and dimmer by a tenth.
+fn calibration(folder: &TempDir, name: &str, scene_hash: u64) -> PathBuf {
+    let mut text = format!(
+        "format = 1\nid = \"test\"\nweak = []\n[scene]\nname = \"wide\"\n\
+         hash = \"{scene_hash:016x}\"\ntext = \"\"\n[statistics]\nrows = 1\nreadings = 6\nreadings_rejected = 0\n\
+         poses_rejected = 0\nchi2 = 1.0\nredundancy = 1.0\n"
+    );
+    for cell in 0..6 {
+        let entries = if cell == 0 {
+            r#"["slit_x", 2e-4, 1e-6, 0e0, 6e-5, "m"], ["log_intensity", -1e-1, 1e-4, 0e0, 3e-1, "1"]"#
+        } else {
+            ""
+        };
+        // Writing to a String cannot fail.
+        let _ = write!(text, "[[cell]]\nmodel_error_relative = 0.0\nmodel_error_m = 0.0\nparameters = [{entries}]\n");
+    }
+    text +=
+        "[converter]\nfull_scale_a = 1e-5\nparameters = []\n[pose_error]\nlength_scale_m = 1e-2\ncoefficients = [\n";
+    for row in 0..42 {
+        // The first three belong to translations that are off by the same everywhere.
+        let values: Vec<f64> = (0..=row).map(|k| if k == row && k < 3 { OPEN_M * OPEN_M } else { 0.0 }).collect();
+        let _ = writeln!(text, "{values:?},");
+    }
+    text += "]\n[correlation]\nrows = [[], [0.0]]\n";
+    let path = folder.path().join(name);
+    let hashed = format!("hash = \"{:016x}\"\n{text}", fnv1a_64(text.as_bytes()));
+    fs::write(&path, hashed).expect("written");
+    path
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+fn silent(finished: &Finished) -> &[u8] {
+    assert_eq!((finished.code, finished.stderr.as_str()), (0, ""));
+    &finished.stdout
+}
+
+#[test]
+fn a_scene_with_tolerances_has_a_pose_for_each_row() {
+    let solve = |arguments: &[&str]| {
+        let currents = format!("{HEADS}/head_1_test.csv");
+        let scene = format!("{HEADS}/nominal.toml");
+        Table::parse(&slitpose!().run(["solve", &scene, "--currents", &currents].iter().chain(arguments)).done())
+    };
+    let truths = Table::parse(&fs::read_to_string(format!("{HEADS}/head_1_test.csv")).expect("rows"));
+    let table = solve(&[]);
+    let mut squares = 0.0;
+    for (row, truth) in table.rows().zip(truths.rows()) {
+        assert_eq!((row.text("status"), row.text("reason")), ("degraded", "uncalibrated"));
+        let (pose, sigma, truth) = (row.numbers(POSE), row.numbers(SIGMA), truth.numbers(POSE));
+        squares += (0..6).map(|k| ((pose[k] - truth[k]) / sigma[k]).powi(2)).sum::<f64>() / 6.0;
+    }
+    // The bounds are those of `first_light` in the crate of calibrations.
+    let rms = (squares / table.rows().len() as f64).sqrt();
+    assert!((0.2..2.0).contains(&rms) && table.rows().len() == 100, "{rms}");
+    // Taken for what the scene says the head contradicts itself.
+    assert!(solve(&["--calibration", "none"]).rows().filter(|row| row.text("reason") == "uncalibrated").count() == 0);
+}
+
+#[test]
+fn the_mean_of_sixteen_frames_has_a_quarter_of_the_noise() {
+    let truths = poses::in_box(&mut poses::generator(5), 4.0, 15.0, 20);
+    let currents = slitpose!().run_with_input(["model", "wide", "--poses", "-"], &poses::table("p", &truths)).done();
+    let solve = |frames: &str| {
+        let with_frames = currents.lines().enumerate();
+        let with_frames = with_frames.map(|(i, line)| format!("{line},{}\n", if i == 0 { "frames" } else { frames }));
+        slitpose!().run_with_input(["solve", "wide", "--currents", "-"], &with_frames.collect::<String>())
+    };
+    let [one, sixteen] = ["1", "16"].map(|frames| Table::parse(&solve(frames).done()));
+    for (one, sixteen) in one.rows().zip(sixteen.rows()) {
+        for column in SIGMA {
+            let ratio = one.number(column) / sixteen.number(column);
+            // Integrals are good to 1e-6, which no mean improves: a hundredth of the noise.
+            assert!((ratio - 4.0).abs() < 0.01, "{column}: {ratio}");
+        }
+    }
+    let none = solve("0.5");
+    let named = ["row 1", "`frames`", "0.5", "1 or more"].iter().all(|part| none.stderr.contains(part));
+    assert!(none.code == 1 && named, "{}", none.stderr);
+}
+
+#[test]
+fn a_calibrated_head_is_solved_with_what_its_calibration_leaves_open() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = calibration(&folder, "head.toml", WIDE.read().expect("shipped").hash);
+    let of_head = ["--calibration", text(&path)];
+    let truths = poses::in_box(&mut poses::generator(6), 3.0, 10.0, 20);
+    let model = ["model", "wide", "--poses", "-"];
+    let currents = slitpose!().run_with_input(model.iter().chain(&of_head), &poses::table("p", &truths)).done();
+    let solve = |arguments: &[&str]| {
+        let solve = ["solve", "wide", "--currents", "-"];
+        Table::parse(&slitpose!().run_with_input(solve.iter().chain(arguments), &currents).done())
+    };
+    let (calibrated, drawn) = (solve(&of_head), solve(&[]));
+    for ((row, drawn), truth) in calibrated.rows().zip(drawn.rows()).zip(&truths) {
+        assert_eq!(row.text("status"), "converged");
+        let (pose, sigma) = (row.numbers(POSE), row.numbers(SIGMA));
+        for axis in 0..6 {
+            // Noise-free currents to 1e-10, solved with integrals to 1e-6: 0.015 σ, as in `solve_process`.
+            assert!((pose[axis] - truth[axis]).abs() < 0.015 * sigma[axis], "{}", row.text("id"));
+            // Noise has 0.5 to 2 µm.
+            let open = sigma[axis] * 1e-3 / OPEN_M;
+            assert!(axis >= 3 || (1.0..1.1).contains(&open), "{open}");
+        }
+        assert_ne!(drawn.text("status"), "converged", "{}", row.text("id"));
+    }
+    let check = slitpose!().run(["scene", "check", "wide", "--samples", "100"].iter().chain(&of_head)).done();
+    assert!(check != slitpose!().run(["scene", "check", "wide", "--samples", "100"]).done());
+}
+
+#[test]
+fn a_calibration_of_another_scene_is_refused_with_both_hashes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = calibration(&folder, "head.toml", 0x1234_5678_9abc_def0);
+    let hash = format!("{:016x}", WIDE.read().expect("shipped").hash);
+    let (table, output) = (format!("{HEADS}/head_1_test.csv"), folder.path().join("output"));
+    let output = text(&output);
+    for verb in [
+        &["solve", "wide", "--currents", &table][..],
+        &["model", "wide", "--poses", &table],
+        &["simulate", "--output", output],
+        &["run", "--device", "sim", "--duration", "1ms"],
+        &["scene", "check", "wide"],
+        &["scene", "plot", "wide", "--output", output],
+    ] {
+        let finished = slitpose!().run(verb.iter().chain(&["--calibration", text(&path)]));
+        finished.assert_refused(1, &["123456789abcdef0", &hash, "calibrate this one"]);
+    }
+    let two = slitpose!().run(["run", "--device", "sim,sim", "--calibration", text(&path)]);
+    two.assert_refused(2, &["1 calibrations for 2 boards"]);
+}
+
+#[test]
+fn captures_replay_with_the_calibration_they_were_made_with() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = calibration(&folder, "head.toml", WIDE.read().expect("shipped").hash);
+    let [recorded, simulated] = ["recorded.mcap", "simulated.mcap"].map(|name| folder.path().join(name));
+    let common = ["--duration", "300ms", "--seed", "3", "--calibration", text(&path)];
+    let run = ["run", "--device", "sim", "--speed", "max", "--format", "ndjson", "--record", text(&recorded)];
+    let ran = slitpose!().run(run.iter().chain(&common));
+    let ran = silent(&ran);
+    silent(&slitpose!().run(["simulate", "--output", text(&simulated)].iter().chain(&common)));
+    fs::remove_file(&path).expect("removed");
+    for capture in [&recorded, &simulated] {
+        let replayed = slitpose!().run(["replay", text(capture), "--format", "ndjson"]);
+        assert!(silent(&replayed) == ran, "replay differs from run");
+        assert!(!replayed.done().contains("degraded"));
+        let drawn = slitpose!().run(["replay", text(capture), "--format", "ndjson", "--calibration", "none"]);
+        assert!(silent(&drawn) != ran);
+    }
+}
+
+#[test]
+fn an_uncalibrated_run_says_so_and_replays_as_it_ran() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [scene, capture] = ["head.toml", "run.mcap"].map(|name| folder.path().join(name));
+    fs::write(&scene, format!("{}\n[tolerance]\n", WIDE.text)).expect("written");
+    let run = ["run", "--device", "sim", "--speed", "max", "--format", "ndjson", "--scene", text(&scene)];
+    let ran =
+        slitpose!().run(run.iter().chain(&["--duration", "200ms", "--filter", "5ms", "--record", text(&capture)]));
+    assert!(ran.code == 0 && ran.stderr.contains("slitpose calibrate"), "{}", ran.stderr);
+    let printed = ran.stdout.clone();
+    for line in ran.done().lines().filter(|line| line.contains("\"seq\"")) {
+        assert!(line.contains(r#""status":"degraded","reason":"uncalibrated""#), "{line}");
+    }
+    let replayed = slitpose!().run(["replay", text(&capture), "--format", "ndjson"]);
+    assert!(silent(&replayed) == printed, "replay differs from run");
+}
+
+#[test]
+fn a_board_keeps_the_hash_of_its_calibration_and_refuses_another() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = WIDE.read().expect("shipped").hash;
+    let path = calibration(&folder, "head.toml", scene);
+    let first = fs::read_to_string(&path).expect("written");
+    let hash = first.lines().next().and_then(|line| line.strip_prefix("hash = \"")).expect("a hash")[..16].to_owned();
+    let number = u64::from_str_radix(&hash, 16).expect("a hash");
+
+    let terminal = Terminal::serve(Board::wide(91));
+    let set = ["device", "set", "--device", &terminal.path, "--scene", "wide", "--calibration", text(&path)];
+    assert!(slitpose!().run(set).done().contains(&format!("the calibration with hash {hash}")));
+    let stored = Hashes { scene: Some(scene), calibration: Some(number) };
+    assert!(terminal.closed().commands().contains(&Command::Store(stored)));
+
+    let run = |calibration: u64, arguments: &[&str]| {
+        let mut board = Board::wide(92);
+        board.command(Command::Store(Hashes { scene: Some(scene), calibration: Some(calibration) }));
+        let terminal = Terminal::serve(board);
+        let run = ["run", "--device", &terminal.path, "--duration", "50ms", "--format", "ndjson"];
+        slitpose!().run(run.iter().chain(arguments))
+    };
+    silent(&run(number, &["--calibration", text(&path)]));
+    let other = run(!number, &["--calibration", text(&path)]);
+    other.assert_refused(1, &[&hash, &format!("{:016x}", !number), "--calibration", "device set"]);
+}
