@@ -128,15 +128,13 @@ impl<S: Scalar> Solver<S> {
         if let Some(solution) = self.compiled.too_few(&sorted) {
             return solution;
         }
-        let mut solution = match (start, self.max_steps) {
+        match (start, self.max_steps) {
             (Start::PlanesOnly, _) => self.unfinished(&sorted, motion, self.compiled.on_planes(&sorted), 0),
             (Start::Cold, Some(steps)) => self.unfinished(&sorted, motion, self.compiled.on_planes(&sorted), steps),
             (Start::Near(pose), Some(steps)) => self.unfinished(&sorted, motion, Transform::of(pose), steps),
             (Start::Cold, None) => self.cold(&sorted, motion),
             (Start::Near(pose), None) => self.near(&sorted, pose, motion),
-        };
-        solution.own_up();
-        solution
+        }
     }
 
     /// At most `max_iterations` steps from `start`, without asking whether the data fit.
@@ -159,11 +157,14 @@ impl<S: Scalar> Solver<S> {
         solution
     }
 
+    /// The only source of misfits: what [`Self::near`] finds to be one is searched for here, too.
     #[inline(never)]
     fn cold(&self, sorted: &Sorted<S>, motion: &MotionPrior) -> Solution<S> {
         let workspace = &mut Workspace::with_work(COLD_WORK);
-        let solution = self.compiled.search(sorted, motion, &mut Search::at_once(), workspace);
-        Solution { evaluations: workspace.evaluations, ..solution }
+        let mut solution = self.compiled.search(sorted, motion, &mut Search::at_once(), workspace);
+        solution.evaluations = workspace.evaluations;
+        solution.own_up();
+        solution
     }
 
     fn near(&self, sorted: &Sorted<S>, pose: &Pose, motion: &MotionPrior) -> Solution<S> {
