@@ -134,6 +134,11 @@ impl<S: Scalar> Plan<S> {
         }
     }
 
+    /// From the tool's origin to the emitter of cell `cell`, base frame, metres.
+    pub(crate) fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3 {
+        base_from_tool.rotate(self.cells[cell].emitter.source.position)
+    }
+
     /// Number of cells.
     pub fn cell_count(&self) -> usize {
         self.cells.len()

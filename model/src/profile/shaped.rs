@@ -15,6 +15,20 @@ pub(super) type Shape<S> = Vec<S, { MAX_DEGREE + RADIAL_TERMS + 1 }>;
 /// Shares of the tolerance for terms neglected within a spot, and for the rule that integrates the others.
 const SHARES: [f64; 2] = [0.05, 0.25];
 
+/// Coefficients that most spots need.
+const FEW: usize = 5;
+
+/// Bound of the terms of power `from` and beyond in the expansion of a polynomial around any z of 0…1, in units of
+/// δ to the power `from`, for δ ≤ ½.
+fn bound_beyond(shape: &[f64], from: usize) -> f64 {
+    let of_power = |power: usize| {
+        // |binomial(j, power)|·zʲ⁻ᵖᵒʷᵉʳ is greatest at z = 1.
+        let binomial = |j: usize| (0..power).fold(1.0, |product, i| product * (j - i) as f64 / (i + 1) as f64);
+        (power..shape.len()).map(|j| binomial(j) * shape[j].abs()).sum::<f64>()
+    };
+    (from..shape.len()).map(|power| of_power(power) * libm::pow(0.5, (power - from) as f64)).sum()
+}
+
 /// The product of two polynomials.
 pub(super) fn product(a: &[f64], b: &[f64]) -> Shape<f64> {
     let of = |k: usize| (0..=k).filter_map(|i| Some(a.get(i)? * b.get(k - i)?)).sum();
@@ -27,6 +41,8 @@ pub(crate) struct Shaped<S, E> {
     shape: Shape<S>,
     /// Relative errors allowed to neglected terms, and to a rule.
     allowed: [S; 2],
+    /// Bounds of the factor's terms of power N and beyond, in units of spreadᴺ, for N of [`FEW`] and of all coefficients.
+    beyond: [S; 2],
 }
 
 impl<S: Scalar, E> Shaped<S, E> {
@@ -37,6 +53,7 @@ impl<S: Scalar, E> Shaped<S, E> {
             ideal,
             shape: shape[..=used].iter().map(|&coefficient| S::of(coefficient)).collect(),
             allowed: SHARES.map(|share| S::of(share * tolerance)),
+            beyond: [FEW, MAX_TERMS + 1].map(|from| S::of(bound_beyond(&shape[..=used], from))),
         }
     }
 
@@ -50,6 +67,69 @@ impl<S: Scalar, E> Shaped<S, E> {
             value = value * z + coefficient;
         }
         if value > S::zero() { (value, -slope) } else { (S::zero(), S::zero()) }
+    }
+
+    /// The product of `series` and of the factor's expansion in δ, z = z₀ − c₀·δ, with N coefficients; `None` if terms
+    /// beyond them matter. `beyond`: which of [`Self::beyond`] is of N coefficients.
+    #[inline(always)]
+    fn product<const N: usize>(&self, series: &Series<S>, centre: S, spread: S, beyond: usize) -> Option<Series<S>> {
+        if series.terms >= N {
+            return None;
+        }
+        // Around z₀ by Horner's synthetic divisions, all in one pass, then in powers of −c₀·δ.
+        let z = S::one() - centre;
+        let mut factor = [S::zero(); N];
+        for &coefficient in self.shape.iter().rev() {
+            for k in (1..N).rev() {
+                factor[k] = factor[k] * z + factor[k - 1];
+            }
+            factor[0] = factor[0] * z + coefficient;
+        }
+        if factor[0] <= S::zero() {
+            return None;
+        }
+        let mut coefficients = [S::zero(); MAX_TERMS + 1];
+        // The greatest sizes of each term of factor, series and product within the spot.
+        let (mut of_factor, mut of_series, mut sizes) = ([S::zero(); N], [S::zero(); N], [S::zero(); N]);
+        let (mut scale, mut size) = (S::one(), S::one());
+        for k in 0..N {
+            factor[k] *= scale;
+            scale = -(scale * centre);
+            for i in 0..N - k {
+                coefficients[k + i] += factor[k] * series.coefficients[i];
+            }
+        }
+        for k in 0..N {
+            of_factor[k] = factor[k].abs() * size;
+            of_series[k] = series.coefficients[k].abs() * size;
+            sizes[k] = coefficients[k].abs() * size;
+            size *= spread;
+        }
+        let [left_out, by_rule] = self.allowed.map(|share| share * sizes[0]);
+        // Terms of the N-th power and beyond.
+        let (mut tail, mut highest) = (S::zero(), S::zero());
+        for k in (1..N).rev() {
+            highest += of_series[k];
+            tail += of_factor[N - k] * highest;
+        }
+        tail += self.beyond[beyond] * size * (highest + of_series[0]);
+        if tail > left_out {
+            return None;
+        }
+        let mut terms = N - 1;
+        while terms > 1 && tail + sizes[terms] <= left_out {
+            tail += sizes[terms];
+            terms -= 1;
+        }
+        let nodes = series.nodes.max(rule_nodes(&sizes[..=terms], by_rule));
+        Some(Series { coefficients, terms, nodes, ..*series })
+    }
+
+    /// [`Self::product`] for spots so wide that few have them.
+    #[cold]
+    #[inline(never)]
+    fn product_of_many(&self, series: &Series<S>, centre: S, spread: S) -> Option<Series<S>> {
+        self.product::<{ MAX_TERMS + 1 }>(series, centre, spread, 1)
     }
 
     /// A bound of the factor.
@@ -79,53 +159,11 @@ impl<S: Scalar, E: Emission<S>> Emission<S> for Shaped<S, E> {
         self.ideal.at_horizon() * self.factor(S::zero()).0
     }
 
-    /// The product of the ideal profile's series and of the factor's expansion in δ, z = z₀ − c₀·δ; `None` if it has too
-    /// many terms.
+    /// The product of the ideal profile's series and of the factor's expansion in δ; `None` if it has too many terms.
     #[inline(always)]
     fn near(&self, centre: S, spread: S) -> Option<Series<S>> {
         let series = self.ideal.near(centre, spread)?;
-        let z = S::one() - centre;
-        // Around z₀ by Horner's synthetic divisions, then in powers of −c₀·δ.
-        let last = self.shape.len() - 1;
-        let mut factor = [S::zero(); MAX_DEGREE + RADIAL_TERMS + 1];
-        factor[..=last].copy_from_slice(&self.shape);
-        for i in 0..last {
-            for j in (i..last).rev() {
-                factor[j] += z * factor[j + 1];
-            }
-        }
-        if factor[0] <= S::zero() {
-            return None;
-        }
-        let mut scale = S::one();
-        for coefficient in &mut factor[..=last] {
-            *coefficient *= scale;
-            scale = -(scale * centre);
-        }
-        let highest = (series.terms + last).min(MAX_TERMS);
-        let mut coefficients = [S::zero(); MAX_TERMS + 1];
-        for (i, &of_factor) in factor[..=last].iter().enumerate().take(MAX_TERMS + 1) {
-            for (coefficient, &of_series) in coefficients[i..].iter_mut().zip(&series.coefficients[..=series.terms]) {
-                *coefficient += of_factor * of_series;
-            }
-        }
-        // The greatest size of each term within the spot.
-        let (mut sizes, mut size) = ([S::zero(); MAX_TERMS + 1], S::one());
-        for (of_term, coefficient) in sizes.iter_mut().zip(&coefficients[..=highest]) {
-            *of_term = (*coefficient * size).abs();
-            size *= spread;
-        }
-        let [left_out, by_rule] = self.allowed.map(|share| share * sizes[0]);
-        if highest < series.terms + last && sizes[highest] > left_out {
-            return None;
-        }
-        let (mut terms, mut tail) = (highest, S::zero());
-        while terms > 1 && tail + sizes[terms] <= left_out {
-            tail += sizes[terms];
-            terms -= 1;
-        }
-        let nodes = series.nodes.max(rule_nodes(&sizes[..=terms], by_rule));
-        Some(Series { coefficients, terms, nodes, ..series })
+        self.product::<FEW>(&series, centre, spread, 0).or_else(|| self.product_of_many(&series, centre, spread))
     }
 
     fn greatest(&self, lower: S, upper: S) -> S {
@@ -142,5 +180,46 @@ impl<S: Scalar, E: Emission<S>> Emission<S> for Shaped<S, E> {
 
     fn rescaling(&self, _: impl FnOnce() -> S, _: S) -> (S, S) {
         (S::one(), S::one())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use std::println;
+
+    use super::*;
+    use crate::profile::Cosine;
+
+    #[test]
+    fn a_series_stands_for_the_product_to_the_tolerance() {
+        let shapes: [&[f64]; 3] =
+            [&[1.0, 0.1, -0.2, 0.1, 0.05], &[0.9, -0.6], &[1.0, 1.0, -2.0, 1.0, 0.5, -0.5, 0.2, 0.1]];
+        // Of spots of each width; the widest need more than a few coefficients.
+        let mut found = [0; 4];
+        for shape in shapes {
+            let shape: Shape<f64> = shape.iter().copied().collect();
+            for tolerance in [1e-4, 1e-6, 1e-9] {
+                let shaped = Shaped::new(Cosine::<f64>::compile(1.247, tolerance), &shape, tolerance);
+                for centre in [0.3, 0.5, 0.7, 0.9, 0.97] {
+                    for (number, spread) in [1e-4, 3e-3, 0.03, 0.2].into_iter().enumerate() {
+                        let Some(series) = shaped.near(centre, spread) else { continue };
+                        found[number] += 1;
+                        for i in -5..=5 {
+                            let c = centre * (1.0 + spread * f64::from(i) / 5.0);
+                            let (exact, near) = (shaped.relative(c), series.relative(c));
+                            let greatest = shaped.relative(centre * (1.0 + spread)).max(shaped.relative(centre));
+                            assert!(
+                                (exact - near).abs() <= tolerance * greatest,
+                                "{tolerance:e} {centre} {spread} {c}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+        println!("series for {found:?} spots");
+        assert!(found[..3].iter().all(|&count| count == 45) && found[3] >= 20, "{found:?}");
     }
 }

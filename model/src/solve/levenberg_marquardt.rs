@@ -85,6 +85,8 @@ pub(super) struct Minimum<S: Scalar> {
 /// How far a step leads.
 #[derive(Clone, Copy)]
 struct Reach<S> {
+    /// Whether no derivative jumps along it.
+    is_smooth: bool,
     /// Norm of the scaled step.
     length: S,
     /// Bound on the relative change of the Jacobian along the step.
@@ -135,7 +137,7 @@ impl<S: Scalar> Problem<'_, S> {
             if step.is_by_qr {
                 workspace.work = workspace.work.saturating_sub(QR_WORK);
             }
-            let reach = self.reach(step, &at, iterations, stopping, workspace);
+            let reach = self.reach(step, (&pose, &at), iterations, stopping, workspace);
             let trial = self.moved(&pose, &step.step);
             let is_hardly_damped = damping <= S::of(FIRST_DAMPING);
             if reach.is_last && is_hardly_damped {
@@ -146,7 +148,7 @@ impl<S: Scalar> Problem<'_, S> {
                 (pose, at.chi2, converged) = (trial, chi2, true);
                 break;
             }
-            if is_hardly_damped && iterations < stopping.max_iterations && self.is_reusable(step, reach, workspace) {
+            if is_hardly_damped && iterations < stopping.max_iterations && is_reusable(step, reach) {
                 iterations += 1;
                 match self.reuse_jacobian(step, reach, (&trial, &at), whiteners, stopping, workspace) {
                     Reused::Minimum(end, chi2) if damping == S::zero() => {
@@ -211,12 +213,12 @@ impl<S: Scalar> Problem<'_, S> {
         minimum
     }
 
-    /// How far the step number `iterations` leads from where the normal equations are `at`.
+    /// How far the step number `iterations` leads from `pose`, where the normal equations are `at`.
     #[inline(always)]
     fn reach(
         &self,
         step: &Step<S>,
-        at: &NormalEquations<S>,
+        (pose, at): (&Transform<S>, &NormalEquations<S>),
         iterations: usize,
         stopping: Stopping<S>,
         workspace: &Workspace<S>,
@@ -228,14 +230,9 @@ impl<S: Scalar> Problem<'_, S> {
         let is_in_valley = iterations > PATIENCE && step.predicted_reduction <= S::of(NEGLIGIBLE_REDUCTION);
         let change = if is_in_valley { step.predicted_reduction.root() } else { length * at.steepness() };
         let is_tiny = jacobian_change * jacobian_change <= self.jacobian_change_rate * S::epsilon();
-        let is_within = jacobian_change * change <= stopping.tolerance_sigmas && self.is_smooth(length, workspace);
-        Reach { length, jacobian_change, is_last: is_tiny || is_within }
-    }
-
-    /// Whether the Jacobian hardly changes along the step.
-    #[inline(always)]
-    fn is_reusable(&self, step: &Step<S>, reach: Reach<S>, workspace: &Workspace<S>) -> bool {
-        !step.is_by_qr && reach.jacobian_change <= S::of(REUSABLE_CHANGE) && self.is_smooth(reach.length, workspace)
+        let is_smooth = self.is_smooth(length, workspace) || self.is_smooth_in_each_cell(&step.step, pose, workspace);
+        let is_within = jacobian_change * change <= stopping.tolerance_sigmas && is_smooth;
+        Reach { length, jacobian_change, is_smooth, is_last: is_tiny || is_within }
     }
 
     /// A second step from `trial`, the end of the first, with the Jacobian from its start, `at`.
@@ -294,6 +291,12 @@ impl<S: Scalar> Step<S> {
         self.predicted_reduction <= S::of(64.0) * S::epsilon() * chi2
             || self.step.iter().all(|value| value.abs() < S::of(8.0) * S::epsilon())
     }
+}
+
+/// Whether the Jacobian hardly changes along the step.
+#[inline(always)]
+fn is_reusable<S: Scalar>(step: &Step<S>, reach: Reach<S>) -> bool {
+    !step.is_by_qr && reach.jacobian_change <= S::of(REUSABLE_CHANGE) && reach.is_smooth
 }
 
 /// The damping after a step that failed.

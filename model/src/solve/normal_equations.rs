@@ -58,6 +58,8 @@ pub(super) struct Workspace<S: Scalar> {
     displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
     /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
     pub(super) slack_m: S,
+    /// All of them.
+    pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
     /// M₁ and M₂ of [`super::twist`], if the twist is not known.
     twist_moments: [Matrix6<S>; 2],
     elimination: Option<Elimination<S>>,
@@ -86,6 +88,7 @@ impl<S: Scalar> Workspace<S> {
             plane_rows: ArrayVec::new(),
             displaced: ArrayVec::new(),
             slack_m: S::zero(),
+            slacks_m: ArrayVec::new(),
             twist_moments: [[[S::zero(); 6]; 6]; 2],
             elimination: None,
         }
@@ -185,8 +188,9 @@ impl<S: Scalar> Problem<'_, S> {
         workspace: &mut Workspace<S>,
     ) -> NormalEquations<S> {
         workspace.count();
-        let Workspace { rows: all_rows, plane_rows, displaced, slack_m, twist_moments, .. } = workspace;
+        let Workspace { rows: all_rows, plane_rows, displaced, slack_m, slacks_m, twist_moments, .. } = workspace;
         *slack_m = S::infinity();
+        slacks_m.clear();
         displaced.clear();
         all_rows.clear();
         plane_rows.clear();
@@ -205,6 +209,7 @@ impl<S: Scalar> Problem<'_, S> {
                     return;
                 };
                 *slack_m = slack_m.min(terms.slack_m);
+                slacks_m.push(terms.slack_m);
                 let variance = self.noise[cell].displacement;
                 let looser;
                 let whitener = if variance > S::zero() {

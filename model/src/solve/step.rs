@@ -4,8 +4,9 @@
 //! number of J. Where that would cost more than half of the digits, J itself is factorised, by QR (Björck 1996,
 //! section 2.4).
 
-use crate::rectangle::MOST_MAGNIFICATION;
-use crate::scalar::Scalar;
+use crate::pose::Transform;
+use crate::rectangle::{MOST_MAGNIFICATION, MOST_SIDE_MAGNIFICATION};
+use crate::scalar::{Linear3, Scalar};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
@@ -83,6 +84,24 @@ impl<S: Scalar> Problem<'_, S> {
     /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
     pub(super) fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
         workspace.slack_m > S::of(MOST_MAGNIFICATION) * length * self.length_scale_m
+    }
+
+    /// [`Self::is_smooth`] of a `step` from `pose`, the last linearisation's, by how far it moves the emitter of each
+    /// cell.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn is_smooth_in_each_cell(
+        &self,
+        step: &Vector6<S>,
+        pose: &Transform<S>,
+        workspace: &Workspace<S>,
+    ) -> bool {
+        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
+        let turn = S::Vec3::new(step[3], step[4], step[5]);
+        self.readings.iter().zip(&workspace.slacks_m).all(|(reading, &slack_m)| {
+            let moved_m = (shift + turn.cross(self.plan.arm(reading.cell, pose))).length();
+            slack_m > S::of(MOST_SIDE_MAGNIFICATION) * moved_m
+        })
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over all

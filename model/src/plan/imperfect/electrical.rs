@@ -13,7 +13,7 @@ use super::Sums;
 #[derive(Clone, Debug)]
 pub(super) struct Electrical<S> {
     per_half_length: S,
-    nonlinearity: Vec<S, MAX_NONLINEARITY>,
+    nonlinearity: Option<[S; MAX_NONLINEARITY]>,
     stray: Option<CompiledStray<S>>,
     gain: [S; 2],
     converters: Option<CompiledConverters<S>>,
@@ -29,25 +29,35 @@ struct CompiledStray<S> {
 #[derive(Clone, Debug)]
 struct CompiledConverters<S> {
     per_half_scale: S,
-    curves: [Vec<S, MAX_CONVERTER>; 2],
+    curves: [[S; MAX_CONVERTER]; 2],
 }
 
-/// Σ coefficientᵏ·xᵏ and its derivative.
+/// Σ coefficient·xᵏ and its derivative, N even: even and odd powers apart, for each multiplication waits for the one
+/// before.
 #[inline(always)]
-fn polynomial<S: Scalar>(coefficients: &[S], x: S) -> (S, S) {
-    let (mut value, mut slope) = (S::zero(), S::zero());
-    for &coefficient in coefficients.iter().rev() {
-        slope = slope * x + value;
-        value = value * x + coefficient;
-    }
-    (value, slope)
+fn polynomial<S: Scalar, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) {
+    let (square, twice) = (x * x, S::two() * x);
+    let [even, odd] = [0, 1].map(|first| {
+        let (mut value, mut slope) = (S::zero(), S::zero());
+        for pair in (0..N / 2).rev() {
+            slope = slope * square + value;
+            value = value * square + coefficients[2 * pair + first];
+        }
+        (value, slope)
+    });
+    (even.0 + x * odd.0, twice * (even.1 + x * odd.1) + odd.0)
+}
+
+/// Coefficients, and zeros up to the most that there may be.
+fn filled<S: Scalar, const N: usize>(coefficients: &Vec<f64, N>) -> [S; N] {
+    core::array::from_fn(|k| S::of(coefficients.get(k).copied().unwrap_or(0.0)))
 }
 
 impl<S: Scalar> Electrical<S> {
     pub(super) fn compile(effects: &Effects, half_length_m: f64) -> Self {
         Self {
             per_half_length: S::of(half_length_m).recip(),
-            nonlinearity: effects.nonlinearity_m.iter().map(|&value| S::of(value)).collect(),
+            nonlinearity: (!effects.nonlinearity_m.is_empty()).then(|| filled(&effects.nonlinearity_m)),
             stray: effects.stray.map(|stray: Stray| CompiledStray {
                 constant: stray.constant_a.map(S::of),
                 linear: stray.linear_a_per_m.map(|row| row.map(S::of)),
@@ -56,7 +66,7 @@ impl<S: Scalar> Electrical<S> {
             gain: effects.electrode_gain.map(S::of),
             converters: effects.converters.as_ref().map(|converters| CompiledConverters {
                 per_half_scale: S::of(2.0 / converters.full_scale_a),
-                curves: [0, 1].map(|k| converters.curves_a[k].iter().map(|&value| S::of(value)).collect()),
+                curves: [0, 1].map(|k| filled(&converters.curves_a[k])),
             }),
         }
     }
@@ -64,10 +74,10 @@ impl<S: Scalar> Electrical<S> {
     /// The position that the detector shows for light at `x_a`, and its derivative.
     #[inline(always)]
     pub(super) fn measured(&self, x_a: S) -> (S, S) {
-        if self.nonlinearity.is_empty() {
+        let Some(nonlinearity) = &self.nonlinearity else {
             return (x_a, S::one());
-        }
-        let (shift, slope) = polynomial(&self.nonlinearity, x_a * self.per_half_length);
+        };
+        let (shift, slope) = polynomial(nonlinearity, x_a * self.per_half_length);
         (x_a + shift, S::one() + slope * self.per_half_length)
     }
 

@@ -239,15 +239,8 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
     };
     let x_a = light.x_a.value();
     let gain = receiver.responsivity * source.intensity;
-    let (mut power, mut power_by) = (gain * light.power.value, [S::zero(); 6]);
-    let mut x_by = [S::zero(); 6];
-    if GRADIENT {
-        power_by = receiver.of_pose(&light.power, &seen).map(|value| gain * value);
-        x_by = match &light.x_a {
-            Place::Weighted(gradient) => receiver.of_pose(gradient, &seen),
-            Place::Middle(..) => x_by,
-        };
-    }
+    let (mut power, mut of_power) = (gain * light.power.value, light.power);
+    let (mut turned_by, mut x_by) = (S::Vec3::default(), [S::zero(); 6]);
     if let Some((extended, coefficients)) = extended.and_then(|it| Some((it, it.azimuthal.as_ref()?))) {
         // The ray to the spot's centre, base frame.
         let e = seen.position;
@@ -257,24 +250,27 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
         let (factor, by_ray) = extended.factor(coefficients, pose, seen.axis_base, ray);
         if GRADIENT {
             // The ray turns as its ends move, and the tool turns under it.
-            let across = (by_ray - ray * ray.dot(by_ray)) * per_distance;
-            let turn = by_ray.cross(ray);
-            let by_end = receiver.to_cell(across);
-            let by_position = spot.raise().1 * by_end.z() - by_end;
-            let by_emitter = EmitterGradient { value: factor, by_position, ..Default::default() };
-            let mut factor_by = receiver.of_pose(&by_emitter, &seen);
-            let by_x_a = by_end.x();
-            for i in 0..6 {
-                factor_by[i] += by_x_a * x_by[i];
+            let by_end = receiver.to_cell(by_ray - ray * ray.dot(by_ray)) * per_distance;
+            let (mut by_position, mut by_axis) = (spot.raise().1 * by_end.z() - by_end, S::Vec3::default());
+            if let Place::Weighted(x_a) = &light.x_a {
+                by_position += x_a.by_position * by_end.x();
+                by_axis = x_a.by_axis * by_end.x();
             }
-            for (i, component) in [turn.x(), turn.y(), turn.z()].into_iter().enumerate() {
-                factor_by[3 + i] += component;
-            }
-            for i in 0..6 {
-                power_by[i] = power_by[i] * factor + power * factor_by[i];
-            }
+            of_power.by_position = of_power.by_position * factor + by_position * light.power.value;
+            of_power.by_axis = of_power.by_axis * factor + by_axis * light.power.value;
+            turned_by = by_ray.cross(ray) * power;
         }
         power *= factor;
+    }
+    let mut power_by = x_by;
+    if GRADIENT {
+        power_by = receiver.of_pose(&of_power, &seen).map(|value| gain * value);
+        for (i, component) in [turned_by.x(), turned_by.y(), turned_by.z()].into_iter().enumerate() {
+            power_by[3 + i] += component;
+        }
+        if let Place::Weighted(x_a) = &light.x_a {
+            x_by = receiver.of_pose(x_a, &seen);
+        }
     }
     let (x_m, slope) = imperfect.electrical.measured(x_a);
     sums.total += weight * power;
