@@ -37,6 +37,9 @@ pub fn write(folder: &Path, head: &DrawnHead, session: &Session) -> Result<Vec<P
         write_readings(table, head.nominal.scene.cells.len(), file(folder.join(&name))?)?;
         write_poses(table, file(apart.join(&name))?)?;
     }
+    if head.nominal.front_end.is_some() {
+        write_tracked(&session.tracked, file(folder.join("tracked.csv"))?)?;
+    }
     file(apart.join("truth.toml"))?.write_text(&truth::text(head, session))?;
     Ok(written)
 }
@@ -68,6 +71,17 @@ fn write_poses(table: &Table, output: Output) -> Result<(), OutputError> {
     for (id, Row { truth, .. }) in table.rows.iter().enumerate() {
         writer.text(&id.to_string())?;
         write_pose(&mut writer, truth)?;
+        writer.end_row()?;
+    }
+    writer.finish()
+}
+
+/// The poses that belong to the capture of the free motion.
+fn write_tracked(tracked: &[(f64, Pose)], output: Output) -> Result<(), OutputError> {
+    let mut writer = TableWriter::new(output, ["time_s"].into_iter().chain(POSE_COLUMNS))?;
+    for (time_s, pose) in tracked {
+        writer.number(*time_s)?;
+        write_pose(&mut writer, pose)?;
         writer.end_row()?;
     }
     writer.finish()

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use slitpose_calibration::{compose, inverse};
+use slitpose_head::simulator::Trajectory;
 use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Pair, Pose};
 
@@ -36,6 +37,13 @@ const STAGE: [f64; 2] = [1e-6, 20e-6];
 
 /// Rows of free motion per second.
 const FREE_HZ: f64 = 200.0;
+
+/// Poses per second of an instrument that tracks the free motion.
+const TRACKED_HZ: f64 = 240.0;
+
+/// How far its clock may be ahead of the board's, seconds, and how much faster it may be, as a share.
+const AHEAD_S: f64 = 1000.0;
+const FASTER: f64 = 50e-6;
 
 /// Poses that are tried for a row before the head is given up.
 const TRIES: usize = 1000;
@@ -107,6 +115,10 @@ pub struct Session {
     pub tables: Vec<Table>,
     /// The free motion: instants in seconds, and poses.
     pub path: Vec<(f64, Pose)>,
+    /// The same motion by an instrument with frames, a marker and a clock of its own.
+    pub(crate) tracked: Vec<(f64, Pose)>,
+    /// By how many seconds that clock is ahead in the middle of the motion, and how much faster it is, as a share.
+    pub(crate) clock: [f64; 2],
     pub(crate) settings: Settings,
     pub(crate) base_from_reference: Pose,
     pub(crate) tool_from_marker: Pose,
@@ -128,6 +140,7 @@ enum Stream {
     Rest,
     Free,
     Frames,
+    Tracked,
 }
 
 /// Makes rows of one table.
@@ -232,6 +245,18 @@ impl Session {
         let instants = (0..=(settings.free_s * FREE_HZ) as u64).map(|k| k as f64 / FREE_HZ);
         let path: Vec<_> = instants.map(|time_s| (time_s, motion.pose(time_s))).collect();
         let free = path.iter().filter_map(|&(time_s, truth)| freely.row_at(truth, Says::TimeS(time_s), 1)).collect();
+        let mut tracking = maker("tracked", Stream::Tracked).chance;
+        let clock = [AHEAD_S, FASTER].map(|most| tracking.in_box(DVec3::splat(most)).x);
+        let moved = Trajectory::through(path.clone());
+        let tracked = (0..=(settings.free_s * TRACKED_HZ) as u64).map(|k| {
+            let time_s = k as f64 / TRACKED_HZ;
+            // Along the path as the board goes it.
+            let truth = moved.pose(time_s);
+            let marker = compose(&compose(&inverse(&base_from_reference), &truth), &tool_from_marker);
+            let ahead_s = clock[0] + clock[1] * (time_s - 0.5 * settings.free_s);
+            (time_s + ahead_s, tracking.near(&marker, instrument))
+        });
+        let tracked = tracked.collect();
         let table = |name, about, columns, rows| Table { name, about, columns, rows };
         Ok(Self {
             tables: vec![
@@ -250,6 +275,8 @@ impl Session {
                 table("free", "free motion, no poses, single frames", &["time_s"], free),
             ],
             path,
+            tracked,
+            clock,
             settings: *settings,
             base_from_reference,
             tool_from_marker,

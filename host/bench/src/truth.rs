@@ -26,6 +26,8 @@ fn write_text(out: &mut String, head: &DrawnHead, session: &Session) -> std::fmt
     writeln!(out, "\n[instrument]\nsigma_m = {sigma_m:e}\nsigma_rad = {sigma_rad:e}")?;
     writeln!(out, "base_from_reference = {:?}", values(&session.base_from_reference))?;
     writeln!(out, "tool_from_marker = {:?}", values(&session.tool_from_marker))?;
+    let [ahead_s, faster] = session.clock;
+    writeln!(out, "clock_ahead_s = {ahead_s:.9}\nclock_faster = {faster:e}")?;
     writeln!(out, "\n[pivot]\nin_tool_m = {:?}", session.pivot.in_tool_m.to_array())?;
     writeln!(out, "in_base_m = {:?}", session.pivot.in_base_m.to_array())?;
     writeln!(out, "\n[stage]\nstart = {:?}", values(&session.stage_start))?;

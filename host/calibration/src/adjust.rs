@@ -88,13 +88,8 @@ fn whitened(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, c
 fn constraint_square(data: &Data, state: &State, row: usize) -> f64 {
     let (number, group) = state.group_of(data, row);
     let sigmas = state.sigmas(data, number);
-    let residuals = constraint::residuals(
-        group.constraint,
-        sigmas,
-        &data.rows[row].knowledge,
-        &state.unknowns[number],
-        &state.poses[row],
-    );
+    let residuals =
+        constraint::residuals(group.constraint, sigmas, &data.rows[row], &state.unknowns[number], &state.poses[row]);
     residuals.iter().map(|value| value * value).sum()
 }
 

@@ -4,18 +4,25 @@
 //! * an instrument with frames of its own: base_from_reference and tool_from_marker, as translation and rotation vector;
 //! * a pivot: the point in the tool and in the base;
 //! * a stage: the pose at step zero, and the vector of travel per metre of step;
-//! * a rest: the pose.
+//! * a rest: the pose;
+//! * an instrument with a clock of its own, besides: by how much more than was found at first it is ahead, and how much
+//!   faster it is.
 
 use glam::DVec3;
 use slitpose_model::Pose;
 
-use crate::data::{Constraint, Knowledge, compose, inverse, pose_of};
+use crate::data::{Constraint, Group, Knowledge, Row, compose, inverse, pose_of};
 
 /// Most residuals of a row.
 pub(crate) const RESIDUALS: usize = 7;
 
 /// Unknowns of a group, in SI units.
-pub(crate) fn unknowns(constraint: Constraint) -> usize {
+pub(crate) fn unknowns(group: &Group) -> usize {
+    clock_place(group.constraint) + if group.clock.is_some() { 2 } else { 0 }
+}
+
+/// Place of the clock among the unknowns, after those of the constraint.
+pub(crate) fn clock_place(constraint: Constraint) -> usize {
     match constraint {
         Constraint::Known | Constraint::Free => 0,
         Constraint::KnownInOwnFrames => 12,
@@ -27,6 +34,7 @@ pub(crate) fn unknowns(constraint: Constraint) -> usize {
 /// Scale of an unknown of a group: what makes the normal equations well conditioned, metres or radians.
 pub(crate) fn scale(constraint: Constraint, unknown: usize) -> f64 {
     match constraint {
+        Constraint::Known | Constraint::KnownInOwnFrames if unknown >= clock_place(constraint) => 1e-4,
         Constraint::Stage if unknown >= 6 => 1e-2,
         Constraint::Pivot => 1e-4,
         _ if unknown % 6 < 3 => 1e-4,
@@ -41,7 +49,7 @@ pub(crate) const VAGUE: f64 = 1e6;
 pub(crate) fn residuals(
     constraint: Constraint,
     [length, angle]: [f64; 2],
-    knowledge: &Knowledge,
+    row: &Row,
     unknowns: &[f64],
     pose: &Pose,
 ) -> [f64; RESIDUALS] {
@@ -49,38 +57,45 @@ pub(crate) fn residuals(
     let mut put = |from: usize, vector: DVec3, sigma: f64| {
         out[from..from + 3].copy_from_slice(&(vector / sigma).to_array());
     };
-    match (constraint, knowledge) {
-        (Constraint::Known, Knowledge::Reported(report)) => {
-            let (t, r) = pose.displacement_from(report);
+    let reported = || {
+        let clock = unknowns.get(clock_place(constraint)..).and_then(|clock| clock.try_into().ok());
+        row.reported_at(clock.unwrap_or_default())
+    };
+    match constraint {
+        Constraint::Known => {
+            let Some(report) = reported() else { return out };
+            let (t, r) = pose.displacement_from(&report);
             put(0, t, length);
             put(3, r, angle);
         }
-        (Constraint::KnownInOwnFrames, Knowledge::Reported(report)) => {
-            let [base_from_reference, tool_from_marker] = [pose_of(&unknowns[..6]), pose_of(&unknowns[6..])];
+        Constraint::KnownInOwnFrames => {
+            let Some(report) = reported() else { return out };
+            let [base_from_reference, tool_from_marker] = [pose_of(&unknowns[..6]), pose_of(&unknowns[6..12])];
             let expected = compose(&compose(&inverse(&base_from_reference), pose), &tool_from_marker);
-            let (t, r) = expected.displacement_from(report);
+            let (t, r) = expected.displacement_from(&report);
             put(0, t, length);
             put(3, r, angle);
         }
-        (Constraint::Pivot, _) => {
+        Constraint::Pivot => {
             let [in_tool, in_base] = [0, 3].map(|k| DVec3::from_slice(&unknowns[k..k + 3]));
             put(0, pose.rotation * in_tool + pose.translation_m - in_base, length);
         }
-        (Constraint::Stage, Knowledge::Step(step_m)) => {
+        Constraint::Stage => {
+            let Knowledge::Step(step_m) = row.knowledge else { return out };
             let start = pose_of(&unknowns[..6]);
             let direction = DVec3::from_slice(&unknowns[6..9]);
             let (t, r) = pose.displacement_from(&start);
-            put(0, t - direction * *step_m, length);
+            put(0, t - direction * step_m, length);
             put(3, r, angle);
             // The steps are true to scale; ten times better than anything else that is known of them.
             out[6] = (direction.length() - 1.0) / 1e-5;
         }
-        (Constraint::Rest, _) => {
+        Constraint::Rest => {
             let (t, r) = pose.displacement_from(&pose_of(&unknowns[..6]));
             put(0, t, length);
             put(3, r, angle);
         }
-        _ => {}
+        Constraint::Free => {}
     }
     out
 }
@@ -89,7 +104,7 @@ pub(crate) fn residuals(
 pub(crate) fn derivatives(
     constraint: Constraint,
     sigmas: [f64; 2],
-    knowledge: &Knowledge,
+    row: &Row,
     unknowns: &[f64],
     pose: &Pose,
 ) -> ([[f64; 6]; RESIDUALS], Vec<[f64; RESIDUALS]>) {
@@ -103,17 +118,17 @@ pub(crate) fn derivatives(
         let moved = |step: f64| {
             let mut by = [DVec3::ZERO; 2];
             by[axis / 3][axis % 3] = step;
-            residuals(constraint, sigmas, knowledge, unknowns, &pose.perturbed(by[0], by[1]))
+            residuals(constraint, sigmas, row, unknowns, &pose.perturbed(by[0], by[1]))
         };
-        for (row, value) in by_pose.iter_mut().zip(slope(moved(STEP), moved(-STEP))) {
-            row[axis] = value;
+        for (of_pose, value) in by_pose.iter_mut().zip(slope(moved(STEP), moved(-STEP))) {
+            of_pose[axis] = value;
         }
     }
     let by_unknowns = (0..unknowns.len()).map(|k| {
         let moved = |step: f64| {
             let mut changed = unknowns.to_vec();
             changed[k] += step;
-            residuals(constraint, sigmas, knowledge, &changed, pose)
+            residuals(constraint, sigmas, row, &changed, pose)
         };
         slope(moved(STEP), moved(-STEP))
     });

@@ -1,7 +1,11 @@
 //! Measurements on one head: rows of readings, and what is known of the pose of each row.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 use slitpose_model::{Noise, Pose, rotation_exp};
+
+use crate::clock::Track;
 
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]
@@ -21,16 +25,28 @@ pub struct Row {
     pub readings: Vec<Option<[f64; 2]>>,
     /// Frames averaged in the row.
     pub frames: f64,
+    /// First and last instant of those frames by the board's clock, seconds, if they are known.
+    pub time_s: Option<[f64; 2]>,
     /// What is known of its pose.
     pub knowledge: Knowledge,
 }
 
 impl Row {
-    /// The pose that the instrument reports.
+    /// The pose that the instrument reports, its clock as it was found at first.
     pub(crate) fn reported(&self) -> Option<Pose> {
+        self.reported_at([0.0; 2])
+    }
+
+    /// The pose that the instrument reports if its clock is ahead by so many seconds more than was found at first, and
+    /// faster by such a share.
+    pub(crate) fn reported_at(&self, clock: [f64; 2]) -> Option<Pose> {
         match self.knowledge {
             Knowledge::Reported(pose) => Some(pose),
-            _ => None,
+            Knowledge::Tracked { pose, twist: [linear, angular], since_s } => {
+                let ahead_s = clock[0] + clock[1] * since_s;
+                Some(pose.perturbed(linear * ahead_s, angular * ahead_s))
+            }
+            Knowledge::Step(_) | Knowledge::Nothing => None,
         }
     }
 }
@@ -40,6 +56,16 @@ impl Row {
 pub enum Knowledge {
     /// The instrument's pose of its marker.
     Reported(Pose),
+    /// The instrument's pose of its marker by a clock of its own: the pose, velocities in metres and radians per second,
+    /// and seconds since the middle of its record.
+    Tracked {
+        /// At the instant of the row.
+        pose: Pose,
+        /// Its change.
+        twist: [DVec3; 2],
+        /// Since the middle of the record.
+        since_s: f64,
+    },
     /// The distance moved along the line of a stage, metres.
     Step(f64),
     /// No more than that it belongs to its group.
@@ -63,6 +89,30 @@ pub enum Constraint {
     Rest,
 }
 
+/// An instrument's record by a clock of its own, and how that differs from the board's as far as it has been found.
+#[derive(Clone, Debug)]
+pub(crate) struct FoundClock {
+    /// How far it is ahead at `centre_s` of the board's clock, seconds.
+    pub(crate) ahead_s: f64,
+    /// How much faster it is, as a share.
+    pub(crate) faster: f64,
+    /// Middle of the capture.
+    pub(crate) centre_s: f64,
+    pub(crate) track: Arc<Track>,
+}
+
+impl FoundClock {
+    /// Gives `row` the pose that the instrument measured meanwhile; `false`: it measured none.
+    pub(crate) fn tell(&self, row: &mut Row) -> bool {
+        let Some(time_s) = row.time_s else { return false };
+        let since_s = 0.5 * (time_s[0] + time_s[1]) - self.centre_s;
+        let at = time_s.map(|time_s| time_s + self.ahead_s + self.faster * since_s);
+        let Some((pose, twist)) = self.track.mean(at) else { return false };
+        row.knowledge = Knowledge::Tracked { pose, twist, since_s };
+        true
+    }
+}
+
 /// One file.
 #[derive(Clone, Debug)]
 pub struct Group {
@@ -74,6 +124,8 @@ pub struct Group {
     pub sigma_m: f64,
     /// Standard deviation of an angle, radians.
     pub sigma_rad: f64,
+    /// The instrument's clock, if it is not the board's.
+    pub(crate) clock: Option<FoundClock>,
     pub(crate) rows: std::ops::Range<usize>,
 }
 
@@ -83,7 +135,36 @@ impl Data {
         let start = self.rows.len();
         self.rows.extend(rows);
         let rows = start..self.rows.len();
-        self.groups.push(Group { file: file.to_owned(), constraint, sigma_m, sigma_rad, rows });
+        self.groups.push(Group { file: file.to_owned(), constraint, sigma_m, sigma_rad, clock: None, rows });
+    }
+
+    /// Adds the rows of a capture whose poses an instrument with a clock of its own recorded.
+    pub(crate) fn add_tracked(
+        &mut self,
+        file: &str,
+        constraint: Constraint,
+        sigmas: [f64; 2],
+        clock: FoundClock,
+        rows: Vec<Row>,
+    ) {
+        self.add(file, constraint, sigmas, rows);
+        if let Some(group) = self.groups.last_mut() {
+            group.clock = Some(clock);
+        }
+    }
+
+    /// Puts the clocks of instruments forward by what an adjustment found beyond what was known of them: seconds, and a
+    /// share, of each group that has one.
+    pub(crate) fn put_forward(&mut self, found: impl Iterator<Item = Option<[f64; 2]>>) {
+        for (group, found) in self.groups.iter_mut().zip(found) {
+            let (Some(clock), Some([ahead_s, faster])) = (&mut group.clock, found) else { continue };
+            clock.ahead_s += ahead_s;
+            clock.faster += faster;
+            for row in &mut self.rows[group.rows.clone()] {
+                // A row at the very end of a record keeps the pose that it had.
+                clock.tell(row);
+            }
+        }
     }
 
     /// All rows.

@@ -17,7 +17,7 @@ use crate::pose_error::PoseError;
 use crate::start::{Beginning, solved};
 use crate::state::{State, Weights};
 use crate::weakness;
-use crate::{Calibration, CalibrationFileError, Frames, Residual, Statistics, prior, residuals};
+use crate::{Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, prior, residuals};
 
 /// Rounds of adjustment and estimate of the model errors.
 const ROUNDS: usize = 12;
@@ -27,6 +27,10 @@ const BLOCKS: usize = 4;
 
 /// Fewest known poses for which errors of poses left out mean something.
 const LEAST_HELD_OUT: usize = 20;
+
+/// Most adjustments for the clocks of instruments alone, and the change of a clock below which none follows, seconds.
+const CLOCK_ROUNDS: usize = 3;
+const CLOCK_SETTLED_S: f64 = 0.2e-3;
 
 /// Why there is no calibration.
 #[derive(Debug, Error)]
@@ -54,6 +58,9 @@ pub enum CalibrateError {
         /// The file.
         file: String,
     },
+    /// An instrument's record that does not fit a capture.
+    #[error(transparent)]
+    Clock(#[from] ClockError),
     /// Data that contradict the scene, or each other.
     #[error(transparent)]
     Implausible(#[from] Implausible),
@@ -119,11 +126,31 @@ pub fn calibrate(
     }
     let _ = progress(Progress::Starting);
     plausibility::check(file, data)?;
-    let errors = vec![ModelError::default(); file.scene.cells.len()];
-    let Beginning { poses, unknowns } = Beginning::of(file, data)?;
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
-    let mut state = State::new(&nominal, parameters, data, poses, errors);
-    state.unknowns = unknowns;
+    let begin = |data: &Data, parameters: &Parameters| {
+        let errors = vec![ModelError::default(); file.scene.cells.len()];
+        let Beginning { poses, unknowns } = Beginning::of(file, data)?;
+        let mut state = State::new(&nominal, parameters.clone(), data, poses, errors);
+        state.unknowns = unknowns;
+        Ok::<_, CalibrateError>(state)
+    };
+    let mut on_time;
+    let mut data = data;
+    if data.groups.iter().any(|group| group.clock.is_some()) {
+        on_time = data.clone();
+        for _ in 0..CLOCK_ROUNDS {
+            let mut state = begin(&on_time, &parameters)?;
+            Adjustment::new(&nominal, &on_time, information.clone(), false).first(&mut state)?;
+            let found: Vec<_> = (0..on_time.groups.len()).map(|group| state.clock(&on_time, group)).collect();
+            let most_s = found.iter().flatten().fold(0.0_f64, |most, clock| most.max(clock[0].abs()));
+            on_time.put_forward(found.into_iter());
+            if most_s < CLOCK_SETTLED_S {
+                break;
+            }
+        }
+        data = &on_time;
+    }
+    let mut state = begin(data, &parameters)?;
     let mut is_interrupted = false;
     let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
     let (mut normal, mut weights) = adjustment.first(&mut state)?;
@@ -217,18 +244,24 @@ fn conclude(
     let correlation = (0..count)
         .map(|i| (0..i).map(|j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt()).collect())
         .collect();
-    let mut frames = Vec::new();
+    let (mut frames, mut clocks) = (Vec::new(), Vec::new());
     for (number, group) in data.groups.iter().enumerate() {
+        let of_unknown = |k: usize| {
+            let place = state.first_unknown(number) + k;
+            let sigma = covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, k);
+            (state.unknowns[number][k], sigma)
+        };
+        if let Some(found) = &group.clock {
+            let at = crate::constraint::clock_place(group.constraint);
+            let ((ahead_s, ahead_sigma_s), (faster, faster_sigma)) = (of_unknown(at), of_unknown(at + 1));
+            let (ahead_s, faster) = (found.ahead_s + ahead_s, found.faster + faster);
+            clocks.push(Clock { file: group.file.clone(), ahead_s, ahead_sigma_s, faster, faster_sigma });
+        }
         if group.constraint != Constraint::KnownInOwnFrames {
             continue;
         }
-        let part = |from: usize| std::array::from_fn(|k| state.unknowns[number][from + k]);
-        let sigma = |from: usize| {
-            std::array::from_fn(|k| {
-                let place = state.first_unknown(number) + from + k;
-                covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, from + k)
-            })
-        };
+        let part = |from: usize| std::array::from_fn(|k| of_unknown(from + k).0);
+        let sigma = |from: usize| std::array::from_fn(|k| of_unknown(from + k).1);
         frames.push(Frames {
             file: group.file.clone(),
             base_from_reference: part(0),
@@ -250,6 +283,7 @@ fn conclude(
         statistics,
         weak,
         frames,
+        clocks,
         parameters: state.parameters,
         correlation,
         model_errors: state.model_errors,
@@ -289,7 +323,7 @@ fn hold_out(
         let scene: Scene = found.parameters.scene(adjustment.nominal);
         let rows: Vec<_> = left_out.iter().map(|&row| data.rows[row].clone()).collect();
         for (&row, pose) in left_out.iter().zip(solved(&scene, &rows)?) {
-            let (Some(pose), Some(report)) = (pose, data.rows[row].reported()) else { continue };
+            let (Some(pose), Some(report)) = (pose, found.reported(data, row)) else { continue };
             let (t, r) = pose.displacement_from(&expected(&found, data, row, &report));
             squares[0] += t.length_squared();
             squares[1] += r.length_squared();

@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::parameter::Quantity;
 use crate::parameters::{Parameter, Parameters};
 use crate::pose_error::{COEFFICIENTS, PoseError};
-use crate::{Calibration, Statistics};
+use crate::{Calibration, Clock, Statistics};
 
 /// Version of the format.
 const FORMAT: u32 = 1;
@@ -117,6 +117,8 @@ struct Text {
     weak: Vec<String>,
     #[serde(default)]
     frames: Vec<Frames>,
+    #[serde(default)]
+    clock: Vec<Clock>,
     converter: ConverterText,
     cell: Vec<CellText>,
     pose_error: PoseErrorText,
@@ -255,6 +257,7 @@ impl Calibration {
             statistics: parsed.statistics,
             weak: parsed.weak,
             frames: parsed.frames,
+            clocks: parsed.clock,
             parameters: Parameters { entries, full_scale_a: parsed.converter.full_scale_a },
             correlation: parsed.correlation.rows,
             model_errors: parsed
@@ -321,6 +324,11 @@ impl Calibration {
             ] {
                 writeln!(out, "{key} = {values:?}")?;
             }
+        }
+        for Clock { file, ahead_s, ahead_sigma_s, faster, faster_sigma } in &self.clocks {
+            writeln!(out, "\n[[clock]]\nfile = {}", toml::Value::from(file.as_str()))?;
+            writeln!(out, "ahead_s = {ahead_s:.7}\nahead_sigma_s = {ahead_sigma_s:.1e}")?;
+            writeln!(out, "faster = {faster:.2e}\nfaster_sigma = {faster_sigma:.1e}")?;
         }
         writeln!(out, "\n# Parameters: name, deviation from the scene, its sigma, the same before, unit.")?;
         for (number, error) in self.model_errors.iter().enumerate() {

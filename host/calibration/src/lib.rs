@@ -3,7 +3,7 @@
 //! [`calibrate`] takes a scene and [`Data`] and gives a [`Calibration`]: what it makes of the scene, and what it leaves open
 //! in each pose. Read in this order:
 //! * `parameter`, `parameters`, `prior`: what a head may deviate in, and by how much before anything is measured;
-//! * `data`, `tables`, `constraint`: what was measured, and what is known of the poses;
+//! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`, `frames`: wrong data are refused, first poses found;
 //! * `sensitivity`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
 //! * `engine`: all of it in order; `pose_error`, `weakness`, `spectrum`, `residuals`: what came of it;
@@ -15,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 mod adjust;
+mod clock;
 mod constraint;
 mod data;
 mod draw;
@@ -43,6 +44,7 @@ use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{ModelError, Plan, Pose, Scene, Tier};
 
+pub use clock::{Clock, ClockError, read_tracked};
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
 pub use draw::draw;
 pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
@@ -74,6 +76,7 @@ pub struct Calibration {
     statistics: Statistics,
     weak: Vec<String>,
     frames: Vec<Frames>,
+    clocks: Vec<Clock>,
     parameters: Parameters,
     /// Below the diagonal, row by row.
     correlation: Vec<Vec<f64>>,
@@ -160,6 +163,11 @@ impl Calibration {
     /// Where the frames of instruments lie.
     pub fn frames(&self) -> &[Frames] {
         &self.frames
+    }
+
+    /// How the clocks of instruments differ from the board's.
+    pub fn clocks(&self) -> &[Clock] {
+        &self.clocks
     }
 
     /// What each cell does beyond the model.

@@ -90,10 +90,10 @@ pub(crate) fn row_terms(
     let unknowns = &state.unknowns[number];
     let root = weights.poses[row].sqrt();
     let sigmas = state.sigmas(data, number);
-    let residuals = constraint::residuals(group.constraint, sigmas, &measured.knowledge, unknowns, &state.poses[row]);
+    let residuals = constraint::residuals(group.constraint, sigmas, measured, unknowns, &state.poses[row]);
     if !unknowns.is_empty() || state.is_known(data, row) {
         let (by_pose, by_unknowns) =
-            constraint::derivatives(group.constraint, sigmas, &measured.knowledge, unknowns, &state.poses[row]);
+            constraint::derivatives(group.constraint, sigmas, measured, unknowns, &state.poses[row]);
         for k in 0..RESIDUALS {
             let of_pose: [f64; 6] = std::array::from_fn(|axis| by_pose[k][axis] * scale[axis] * root);
             let places = by_unknowns.iter().enumerate();

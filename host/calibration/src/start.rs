@@ -4,6 +4,7 @@ use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start};
 
+use crate::constraint;
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
 use crate::frames;
 use crate::sensitivity::TIER;
@@ -44,14 +45,17 @@ impl Beginning {
                 for (place, row) in places.iter_mut().zip(rows) {
                     *place = row.reported().unwrap_or(Pose::HOME);
                 }
-                unknowns.push(Vec::new());
+                unknowns.push(vec![0.0; constraint::unknowns(group)]);
                 continue;
             }
             let found = solved(&scene, rows)?;
             for (place, pose) in places.iter_mut().zip(&found) {
                 *place = pose.unwrap_or(Pose::HOME);
             }
-            unknowns.push(of_group(group, rows, &found, places)?);
+            let mut of_group = of_group(group, rows, &found, places)?;
+            // The clock starts as it was found.
+            of_group.resize(constraint::unknowns(group), 0.0);
+            unknowns.push(of_group);
         }
         Ok(Self { poses, unknowns })
     }

@@ -55,7 +55,7 @@ impl State {
         }
         Self {
             parameters,
-            unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group.constraint)]).collect(),
+            unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group)]).collect(),
             poses,
             noise: nominal.cells.iter().map(|cell| ReadingNoise::new(nominal.noise.as_ref(), cell)).collect(),
             model_errors,
@@ -79,6 +79,19 @@ impl State {
     pub(crate) fn sigmas(&self, data: &Data, group: usize) -> [f64; 2] {
         let Group { sigma_m, sigma_rad, .. } = data.groups[group];
         [sigma_m * self.scales[group][0], sigma_rad * self.scales[group][1]]
+    }
+
+    /// What has been found of the clock of a group beyond what was known of it: seconds ahead, and the share by which it is
+    /// faster.
+    pub(crate) fn clock(&self, data: &Data, group: usize) -> Option<[f64; 2]> {
+        let place = constraint::clock_place(data.groups[group].constraint);
+        self.unknowns[group].get(place..)?.try_into().ok()
+    }
+
+    /// The pose of an instrument's marker that row `row` reports, by the clock as it is known now.
+    pub(crate) fn reported(&self, data: &Data, row: usize) -> Option<Pose> {
+        let (number, _) = self.group_of(data, row);
+        data.rows[row].reported_at(self.clock(data, number).unwrap_or_default())
     }
 
     /// Whether an instrument knows the row's pose, in whatever frames.

@@ -86,7 +86,8 @@ fn row_of(
             && detector.saturation_a.is_none_or(|limit| pair.total_a() <= limit);
         Ok(is_usable.then_some([pair.i_x1_a - half_dark, pair.i_x2_a - half_dark]))
     });
-    Ok(Row { id: id.to_owned(), readings: readings.collect::<Result<_, TableError>>()?, frames, knowledge })
+    let readings = readings.collect::<Result<_, TableError>>()?;
+    Ok(Row { id: id.to_owned(), readings, frames, time_s: None, knowledge })
 }
 
 /// Thins rows without poses: at most [`MOST_ROWS`] rows, spread evenly, each the mean of its neighbours as long as the tool hardly moves.
@@ -103,6 +104,9 @@ pub fn thinned(rows: Vec<Row>) -> Vec<Row> {
             let Some(next) = rows.next() else { break };
             count += 1;
             sum.frames += next.frames;
+            if let (Some([_, last]), Some([_, of_next])) = (&mut sum.time_s, next.time_s) {
+                *last = of_next;
+            }
             for (sum, next) in sum.readings.iter_mut().zip(&next.readings) {
                 if let (Some(sum), Some(next)) = (sum, next) {
                     for k in 0..2 {

@@ -50,6 +50,7 @@ pub(crate) struct Readings {
 /// Photocurrents of one scan, not yet at one instant.
 struct Scan {
     sequence: u64,
+    time_s: f64,
     pairs: Vec<Option<[f64; 2]>>,
 }
 
@@ -138,7 +139,9 @@ impl<'a> Board<'a> {
             _ => None,
         };
         let pairs = currents.cells.iter().zip(&self.file.scene.cells).map(of_cell).collect();
-        let scan = Scan { sequence: scan.sequence, pairs };
+        let ticks = scan.tick as f64 + self.schedule.reference_ticks();
+        let time_s = ticks / f64::from(self.schedule.tick_hz);
+        let scan = Scan { sequence: scan.sequence, time_s, pairs };
         if self.before.last().is_some_and(|last| last.sequence + 1 != scan.sequence) {
             self.before.clear();
         }
@@ -164,6 +167,7 @@ fn at_reference(before: &Scan, at: &Scan, after: &Scan, offsets: &[f64]) -> Row 
         id: at.sequence.to_string(),
         readings: (0..offsets.len()).map(reading).collect(),
         frames: 1.0,
+        time_s: Some([at.time_s; 2]),
         knowledge: Knowledge::Nothing,
     }
 }

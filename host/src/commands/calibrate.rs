@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 
 use clap::ValueEnum;
 use slitpose_calibration::{
-    Calibration, CellValidity, Constraint, Data, Progress as Step, Request, Validity, calibrate, tables, validity,
+    Calibration, CellValidity, Constraint, Data, Progress as Step, Request, Validity, calibrate, read_tracked, tables,
+    validity,
 };
 
 use super::{CommandError, Outcome, interrupt, names, talk};
@@ -30,7 +31,9 @@ const STAGE: [f64; 2] = [1e-6, 20e-6];
 /// another instrument measured with --known, readings of free motion with --free, or motions that need no
 /// instrument: --pivot, the tip of the tool in a cone; --stage, known steps along a line; --rest, returns to one
 /// stop. Any mix of them is adjusted together. Columns in: those of `solve`, for --known also those of a pose, for
-/// --stage step_mm; frames, the number of frames averaged in a row, may be among them.
+/// --stage step_mm; frames, the number of frames averaged in a row, may be among them. An instrument that tracks a
+/// motion by a clock of its own gives time_s and poses alone, and --known-capture the readings: how the clocks differ is
+/// found with the rest.
 ///
 /// The result is a file for --calibration of other commands. What the data leave open is named on standard error.
 #[derive(Debug, clap::Args)]
@@ -42,11 +45,14 @@ pub(super) struct Args {
     #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// Find out from these readings whether the calibration still holds: a capture, or a table as for --free
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "free", "pivot", "stage", "rest", "start", "output", "report"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["known", "known_capture", "free", "pivot", "stage", "rest", "start", "output", "report"])]
     check: Option<String>,
     /// Readings at poses that another instrument measured
     #[arg(long, value_name = "CSV")]
     known: Vec<String>,
+    /// Readings of poses that --known lists by a clock of its own: a capture of the same minutes, for each --known in order
+    #[arg(long, value_name = "CAPTURE", requires = "known")]
+    known_capture: Vec<String>,
     /// Readings of free motion
     #[arg(long, value_name = "FILE")]
     free: Vec<String>,
@@ -103,8 +109,14 @@ impl Args {
         };
         let instrument = [self.known_sigma_um * 1e-6, self.known_sigma_urad * 1e-6];
         let mut data = Data::default();
+        let (tracked, listed) = self.known.split_at(self.known_capture.len().min(self.known.len()));
+        for (table, capture) in tracked.iter().zip(&self.known_capture) {
+            let Readings { rows, noise } = readings(Path::new(capture), file)?;
+            data.noise = noise;
+            read_tracked(file, [table, capture], rows, known, instrument, &mut data)?;
+        }
         for (files, constraint, sigmas) in [
-            (&self.known, known, instrument),
+            (listed, known, instrument),
             (&self.free, Constraint::Free, CONTACT),
             (&self.pivot, Constraint::Pivot, CONTACT),
             (&self.stage, Constraint::Stage, STAGE),
@@ -250,6 +262,16 @@ fn report(calibration: &Calibration, path: &Path) {
             "poses left out in turn miss the instrument's by {:.1} µm and {:.3} mrad rms, errors of the instrument included",
             metres * 1e6,
             radians * 1e3
+        ));
+    }
+    for clock in calibration.clocks() {
+        talk(format_args!(
+            "{}: its clock is {:.6} s ahead of the capture's (sigma {:.6} s) and {:.1} ppm faster (sigma {:.1} ppm)",
+            clock.file,
+            clock.ahead_s,
+            clock.ahead_sigma_s,
+            clock.faster * 1e6,
+            clock.faster_sigma * 1e6
         ));
     }
     for weak in calibration.weak() {

@@ -1,0 +1,436 @@
+//! An instrument that recorded poses by a clock of its own, while the board recorded readings.
+//!
+//! How far its clock is ahead follows from the motion alone: angles between the tool's orientations at two instants are
+//! the same in all frames. A search over all shifts at which the records overlap finds those at which the motions turn
+//! alike; of these, the one at which the poses agree best is right to some milliseconds. The adjustment finds the rest,
+//! with the clock's rate: a short one first, for over milliseconds a motion is no straight line.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use serde::Deserialize;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{PoseColumns, TableReader};
+use slitpose_model::Pose;
+use thiserror::Error;
+
+use crate::data::{Constraint, Data, FoundClock, Row, compose, inverse};
+use crate::frames::align;
+use crate::start::solved;
+use crate::tables::thinned;
+use crate::{CalibrateError, uncalibrated};
+
+/// Rows between two orientations that are compared.
+const APART: usize = 5;
+
+/// Pairs of orientations, and poses, that the search compares.
+const TRIED: usize = 150;
+
+/// Shifts at which the motions turn alike whose poses are compared.
+const CANDIDATES: usize = 6;
+
+/// Steps of the search, seconds: motions of a hand take tenths of seconds.
+const STEP_S: f64 = 0.01;
+
+/// Golden sections of the steps around a shift: to some microseconds.
+const SECTIONS: usize = 18;
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+
+/// Fewest pairs within the instrument's record, as a share of all.
+const LEAST_OVERLAP: f64 = 0.5;
+
+/// Root-mean-square angle between the orientations below which the tool hardly turns, radians.
+const LEAST_TURN: f64 = 0.01;
+
+/// Share of the variance of the angles that the right shift leaves at most. Heads as they come leave some hundredths.
+const MOST_LEFT: f64 = 0.3;
+
+/// Factor by which the mean square distance of the poses has to be greater at any other shift, and how far off that is
+/// another one, seconds.
+const DISTINCT: f64 = 3.0;
+const ELSEWHERE_S: f64 = 0.2;
+
+/// Intervals of the instrument beyond which poses are not interpolated, in units of its usual one.
+const LONGEST_GAP: f64 = 3.5;
+
+/// Intervals of the instrument between two rows: its poses between two samples err by what both do.
+const INDEPENDENT: f64 = 2.0;
+
+/// Instants at which the instrument's pose is averaged over the frames of a row.
+const INSTANTS: usize = 9;
+
+/// Why an instrument's record does not fit a capture.
+#[derive(Debug, Error)]
+pub enum ClockError {
+    /// Times that do not ascend.
+    #[error("{file}: time_s does not ascend in row {row}; sort the rows by time, each once")]
+    Order {
+        /// The table.
+        file: String,
+        /// Number of the row, from one.
+        row: usize,
+    },
+    /// Fewer poses than interpolation needs.
+    #[error("{file} has {rows} poses; an instrument that tracks a motion gives a hundred and more")]
+    Short {
+        /// The table.
+        file: String,
+        /// Its rows.
+        rows: usize,
+    },
+    /// A tool that hardly turns.
+    #[error(
+        "{file}: the tool hardly turns, so that nothing tells how the two clocks differ; turn it by some degrees, to and fro and unevenly"
+    )]
+    Still {
+        /// The table.
+        file: String,
+    },
+    /// No shift at which the motions agree.
+    #[error(
+        "{file}: its motion is not that of {capture}: at best {} % of the tool's turning agrees; \
+         give records of the same minutes, rotations in radians", (100.0 * (1.0 - left)).max(0.0).round()
+    )]
+    NoMatch {
+        /// The table.
+        file: String,
+        /// The capture.
+        capture: String,
+        /// Share of the angles' variance that is left.
+        left: f64,
+    },
+    /// A motion that repeats itself.
+    #[error(
+        "{file}: its clock may be {first_s:.2} s or {second_s:.2} s ahead, for the motion is short or \
+         repeats itself; move the tool unevenly for ten seconds or more"
+    )]
+    Repeats {
+        /// The table.
+        file: String,
+        /// The best shift.
+        first_s: f64,
+        /// Another as good.
+        second_s: f64,
+    },
+}
+
+/// An instrument's clock beside the board's.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Clock {
+    /// The instrument's table.
+    pub file: String,
+    /// How far it is ahead of the board's clock in the middle of the capture, seconds.
+    pub ahead_s: f64,
+    /// Its standard deviation.
+    pub ahead_sigma_s: f64,
+    /// How much faster it is, as a share.
+    pub faster: f64,
+    /// Its standard deviation.
+    pub faster_sigma: f64,
+}
+
+/// The poses of a marker over time.
+#[derive(Debug)]
+pub(crate) struct Track {
+    times_s: Vec<f64>,
+    poses: Vec<Pose>,
+    /// Usual interval, seconds.
+    usual_s: f64,
+}
+
+impl Track {
+    fn open(table: &str) -> Result<Self, CalibrateError> {
+        let mut reader = TableReader::open(table)?;
+        let columns = PoseColumns::keyed(&reader, "time_s")?;
+        let time = reader.column("time_s")?;
+        let (mut times_s, mut poses): (Vec<f64>, Vec<Pose>) = (Vec::new(), Vec::new());
+        while let Some(row) = reader.next_row()? {
+            let time_s = row.number(time)?;
+            if times_s.last().is_some_and(|&last| time_s <= last) {
+                return Err(ClockError::Order { file: table.to_owned(), row: times_s.len() + 1 }.into());
+            }
+            times_s.push(time_s);
+            poses.push(columns.pose(&row)?);
+        }
+        let mut intervals: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        intervals.sort_by(f64::total_cmp);
+        match intervals.get(intervals.len() / 2) {
+            Some(&usual_s) if times_s.len() >= 20 => Ok(Self { usual_s, times_s, poses }),
+            _ => Err(ClockError::Short { file: table.to_owned(), rows: times_s.len() }.into()),
+        }
+    }
+
+    fn span_s(&self) -> [f64; 2] {
+        [self.times_s[0], self.times_s[self.times_s.len() - 1]]
+    }
+
+    /// How the marker moves around pose `i`: metres and radians per second.
+    fn twist(&self, i: usize) -> [DVec3; 2] {
+        let (before, after) = (i.saturating_sub(1), (i + 1).min(self.poses.len() - 1));
+        let (t, r) = self.poses[after].displacement_from(&self.poses[before]);
+        let per_s = (self.times_s[after] - self.times_s[before]).recip();
+        [t * per_s, r * per_s]
+    }
+
+    /// Pose and twist at `time_s`, by a cubic between its neighbours; `None` outside the record, and in its gaps.
+    fn at(&self, time_s: f64) -> Option<(Pose, [DVec3; 2])> {
+        let after = self.times_s.partition_point(|&at| at <= time_s);
+        let before = after.checked_sub(1)?;
+        let step_s = self.times_s.get(after)? - self.times_s[before];
+        if step_s > LONGEST_GAP * self.usual_s {
+            return None;
+        }
+        let (t, r) = self.poses[after].displacement_from(&self.poses[before]);
+        let ends = [self.twist(before), self.twist(after)];
+        let s = (time_s - self.times_s[before]) / step_s;
+        // Hermite's basis for the displacement from the pose before, and its derivative.
+        let weights = [s * s * (3.0 - 2.0 * s), s * (1.0 - s) * (1.0 - s), s * s * (s - 1.0)];
+        let slopes = [6.0 * s * (1.0 - s), (1.0 - s) * (1.0 - 3.0 * s), s * (3.0 * s - 2.0)];
+        let blend =
+            |way: DVec3, k: usize, by: [f64; 3]| way * by[0] + (ends[0][k] * by[1] + ends[1][k] * by[2]) * step_s;
+        let moved = self.poses[before].perturbed(blend(t, 0, weights), blend(r, 1, weights));
+        Some((moved, [blend(t, 0, slopes) / step_s, blend(r, 1, slopes) / step_s]))
+    }
+
+    /// The mean pose from `first_s` to `last_s`, and the twist in the middle.
+    pub(crate) fn mean(&self, [first_s, last_s]: [f64; 2]) -> Option<(Pose, [DVec3; 2])> {
+        let (middle, twist) = self.at(0.5 * (first_s + last_s))?;
+        let (mut shift, mut turn) = (DVec3::ZERO, DVec3::ZERO);
+        for k in 0..INSTANTS {
+            let share = (k as f64 + 0.5) / INSTANTS as f64;
+            let (t, r) = self.at(first_s + share * (last_s - first_s))?.0.displacement_from(&middle);
+            (shift, turn) = (shift + t, turn + r);
+        }
+        let per_instant = (INSTANTS as f64).recip();
+        Some((middle.perturbed(shift * per_instant, turn * per_instant), twist))
+    }
+}
+
+/// Two instants by the board's clock, and by how much the tool turned between them.
+#[derive(Clone, Copy)]
+struct Turn {
+    times_s: [f64; 2],
+    angle: f64,
+}
+
+/// Share of the variance of `turns` that a line through those of `track` leaves if its clock is `ahead_s`; `None` if too few
+/// lie within. A line: the angles of an uncalibrated head are off by some percent.
+fn left(track: &Track, turns: &[Turn], ahead_s: f64) -> Option<f64> {
+    let (mut count, mut sums, mut squares, mut product) = (0.0, [0.0; 2], [0.0; 2], 0.0);
+    for turn in turns {
+        let [Some((first, _)), Some((second, _))] = turn.times_s.map(|time_s| track.at(time_s + ahead_s)) else {
+            continue;
+        };
+        let angles = [turn.angle, second.displacement_from(&first).1.length()];
+        count += 1.0;
+        product += angles[0] * angles[1];
+        for k in 0..2 {
+            sums[k] += angles[k];
+            squares[k] += angles[k] * angles[k];
+        }
+    }
+    let variances = [0, 1].map(|k| squares[k] - sums[k] * sums[k] / count);
+    let covariance = product - sums[0] * sums[1] / count;
+    let is_enough = count >= LEAST_OVERLAP * turns.len() as f64 && variances.iter().all(|&variance| variance > 0.0);
+    is_enough
+        .then(|| if covariance > 0.0 { 1.0 - covariance * covariance / (variances[0] * variances[1]) } else { 1.0 })
+}
+
+/// A motion as the board saw it, by a head that is not calibrated.
+struct Motion<'a> {
+    /// Instants by the board's clock, and poses.
+    poses: Vec<(f64, Pose)>,
+    /// The frames of the instrument.
+    constraint: Constraint,
+    /// Its table and the capture.
+    files: [&'a str; 2],
+}
+
+/// `most` of `all`, spread evenly.
+fn some<T: Copy>(all: &[T], most: usize) -> Vec<T> {
+    let count = most.min(all.len());
+    (0..count).map(|k| all[k * all.len() / count]).collect()
+}
+
+impl Motion<'_> {
+    /// How far the instrument's clock is ahead of the board's, seconds.
+    fn ahead_s(&self, track: &Track) -> Result<f64, ClockError> {
+        let [file, capture] = self.files.map(str::to_owned);
+        let pairs = self.poses.windows(APART + 1).map(|of| (of[0], of[APART]));
+        let turns: Vec<Turn> = pairs
+            .map(|((first_s, first), (last_s, last))| Turn {
+                times_s: [first_s, last_s],
+                angle: last.displacement_from(&first).1.length(),
+            })
+            .collect();
+        let mean_square = turns.iter().map(|turn| turn.angle * turn.angle).sum::<f64>() / turns.len().max(1) as f64;
+        let (Some(first), Some(last), true) = (turns.first(), turns.last(), mean_square.sqrt() > LEAST_TURN) else {
+            return Err(ClockError::Still { file });
+        };
+        let turns_tried = some(&turns, TRIED);
+        let [track_from_s, track_to_s] = track.span_s();
+        let from_s = track_from_s - last.times_s[1];
+        let steps = ((track_to_s - first.times_s[0] - from_s) / STEP_S) as usize;
+        let shares: Vec<f64> =
+            (0..=steps).map(|k| left(track, &turns_tried, from_s + k as f64 * STEP_S).unwrap_or(1.0)).collect();
+        let is_low = |k: usize| {
+            let around = &shares[k.saturating_sub(1)..(k + 2).min(shares.len())];
+            around.iter().all(|&share| shares[k] <= share)
+        };
+        let mut low: Vec<(f64, f64)> =
+            (0..shares.len()).filter(|&k| is_low(k)).map(|k| (shares[k], from_s + k as f64 * STEP_S)).collect();
+        low.sort_by(|a, b| a.0.total_cmp(&b.0));
+        match low.first() {
+            Some((share, _)) if *share < MOST_LEFT => {}
+            other => return Err(ClockError::NoMatch { file, capture, left: other.map_or(1.0, |other| other.0) }),
+        }
+        // The frames tell the rest: a motion that turns alike at two times is hardly at the same places then.
+        let poses = some(&self.poses, TRIED);
+        let mut found: Vec<(f64, f64)> =
+            low.iter().take(CANDIDATES).map(|&(_, rough_s)| self.settled(track, &poses, rough_s)).collect();
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        match *found {
+            [(best, first_s), (second, second_s), ..]
+                if second < DISTINCT * best && (first_s - second_s).abs() > ELSEWHERE_S =>
+            {
+                Err(ClockError::Repeats { file, first_s, second_s })
+            }
+            _ => Ok(found[0].1),
+        }
+    }
+
+    /// The least misfit of the poses near `rough_s`, and where, by golden sections.
+    fn settled(&self, track: &Track, poses: &[(f64, Pose)], rough_s: f64) -> (f64, f64) {
+        let (mut low, mut high) = (rough_s - 2.0 * STEP_S, rough_s + 2.0 * STEP_S);
+        for _ in 0..SECTIONS {
+            let width = GOLDEN * (high - low);
+            let is_lower = self.misfit(track, poses, high - width) < self.misfit(track, poses, low + width);
+            if is_lower { high = low + width } else { low = high - width }
+        }
+        let found_s = 0.5 * (low + high);
+        (self.misfit(track, poses, found_s), found_s)
+    }
+
+    /// Mean square distance of the poses from the instrument's, metres squared.
+    fn misfit(&self, track: &Track, poses: &[(f64, Pose)], ahead_s: f64) -> f64 {
+        let pairs: Vec<(Pose, Pose)> =
+            poses.iter().filter_map(|(time_s, pose)| Some((*pose, track.at(time_s + ahead_s)?.0))).collect();
+        let frames = match self.constraint {
+            Constraint::KnownInOwnFrames => align(&pairs),
+            _ => Some([Pose::HOME; 2]),
+        };
+        let Some([x, y]) = frames.filter(|_| !pairs.is_empty()) else { return f64::INFINITY };
+        let square = |(pose, marker): &(Pose, Pose)| {
+            compose(&compose(&x, marker), &inverse(&y)).displacement_from(pose).0.length_squared()
+        };
+        pairs.iter().map(square).sum::<f64>() / pairs.len() as f64
+    }
+}
+
+/// Adds the frames of a capture, whose poses the instrument of `table` recorded by its own clock, to `data`.
+///
+/// # Errors
+/// A table without times and poses, and a motion that does not tell how the clocks differ.
+pub fn read_tracked(
+    file: &SceneFile,
+    [table, capture]: [&str; 2],
+    frames: Vec<Row>,
+    constraint: Constraint,
+    sigmas: [f64; 2],
+    data: &mut Data,
+) -> Result<(), CalibrateError> {
+    let track = Track::open(table)?;
+    let mut rows = thinned(frames);
+    rows.retain(|row| row.time_s.is_some());
+    let middle = |row: &Row| row.time_s.map_or(0.0, |[first, last]| 0.5 * (first + last));
+    let poses = solved(&uncalibrated(file)?, &rows)?;
+    let seen = rows.iter().zip(poses).filter_map(|(row, pose)| Some((middle(row), pose?)));
+    let ahead_s = Motion { poses: seen.collect(), constraint, files: [table, capture] }.ahead_s(&track)?;
+    let centre_s = rows.first().zip(rows.last()).map_or(0.0, |(first, last)| 0.5 * (middle(first) + middle(last)));
+    let clock = FoundClock { ahead_s, faster: 0.0, centre_s, track: Arc::new(track) };
+    let mut next_s = f64::NEG_INFINITY;
+    rows.retain_mut(|row| {
+        if middle(row) < next_s {
+            return false;
+        }
+        next_s = middle(row) + INDEPENDENT * clock.track.usual_s;
+        clock.tell(row)
+    });
+    data.add_tracked(table, constraint, sigmas, clock, rows);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AHEAD_S: f64 = 123.456;
+
+    /// A tool in a hand; with `is_even`, twice the same.
+    fn motion(time_s: f64, is_even: bool) -> Pose {
+        let rates = if is_even { [1.0, 2.0, 3.0] } else { [1.0, 2.37, 3.11] };
+        let of = |k: usize, size: f64| size * (rates[k] * std::f64::consts::PI * time_s / 3.0 + k as f64).sin();
+        Pose::from_vectors(
+            DVec3::new(of(0, 4e-3), of(1, 3e-3), of(2, 4e-3)),
+            DVec3::new(of(1, 0.2), of(2, 0.1), of(0, 0.2)),
+        )
+    }
+
+    fn track(of: impl Fn(f64) -> Pose) -> Track {
+        let [x, y] = [
+            Pose::from_vectors(DVec3::new(0.1, -0.2, 0.3), DVec3::new(0.5, 1.0, -0.4)),
+            Pose::from_vectors(DVec3::X * 0.01, DVec3::Y),
+        ];
+        let times_s: Vec<f64> = (0..2400).map(|k| f64::from(k) * 5e-3).collect();
+        let poses = times_s.iter().map(|time_s| compose(&compose(&inverse(&x), &of(*time_s)), &y)).collect();
+        Track { times_s: times_s.iter().map(|time_s| time_s + AHEAD_S).collect(), poses, usual_s: 5e-3 }
+    }
+
+    fn seen(of: impl Fn(f64) -> Pose) -> Motion<'static> {
+        let times_s = (0..900).map(|k| 1.0 + f64::from(k) * 0.011);
+        // An uncalibrated head is off by some percent.
+        let off = |pose: Pose| Pose::from_vectors(pose.translation_m * 1.03, pose.rotation_rad() * 0.96);
+        let poses = times_s.map(|time_s| (time_s, off(of(time_s)))).collect();
+        Motion { poses, constraint: Constraint::KnownInOwnFrames, files: ["poses.csv", "free.mcap"] }
+    }
+
+    #[test]
+    fn a_clock_is_found_from_the_motion_in_whatever_frames() {
+        let found_s = seen(|time_s| motion(time_s, false)).ahead_s(&track(|time_s| motion(time_s, false))).unwrap();
+        // The search has a step of 10 ms; what is left is small against the 50 ms between two poses compared.
+        assert!((found_s - AHEAD_S).abs() < 1e-3, "{found_s}");
+    }
+
+    #[test]
+    fn motions_that_tell_nothing_are_named() {
+        let error =
+            |of: &dyn Fn(f64) -> Pose, by: &dyn Fn(f64) -> Pose| seen(of).ahead_s(&track(by)).unwrap_err().to_string();
+        let even = |time_s: f64| motion(time_s, true);
+        let uneven = |time_s: f64| motion(time_s, false);
+        assert!(error(&even, &even).contains("the motion is short or repeats itself"));
+        assert!(error(&|_| Pose::HOME, &uneven).contains("the tool hardly turns"));
+        // Another motion: the same backward.
+        let backward = error(&uneven, &|time_s| motion(0.7 * (50.0 - time_s), false));
+        assert!(backward.contains("its motion is not that of free.mcap"), "{backward}");
+    }
+
+    #[test]
+    fn poses_between_the_instruments_are_those_of_the_motion() {
+        let of = |time_s: f64| motion(time_s, false);
+        let track = Track {
+            times_s: (0..200).map(|k| f64::from(k) * 5e-3).collect(),
+            poses: (0..200).map(|k| of(f64::from(k) * 5e-3)).collect(),
+            usual_s: 5e-3,
+        };
+        for k in 1..180 {
+            let time_s = f64::from(k) * 5.4e-3;
+            let (pose, [linear, angular]) = track.at(time_s).unwrap();
+            let (t, r) = pose.displacement_from(&of(time_s));
+            // A cubic with slopes by differences: h³/16 of the third derivative, 1 m/s³ and 40 rad/s³.
+            assert!(t.length() < 2e-8 && r.length() < 6e-7, "{t} {r}");
+            let (t, r) = of(time_s + 1e-6).displacement_from(&of(time_s - 1e-6));
+            assert!((t / 2e-6 - linear).length() < 2e-5 && (r / 2e-6 - angular).length() < 1e-3, "{linear} {angular}");
+        }
+        assert!(track.at(-1e-9).is_none() && track.at(0.9951).is_none());
+    }
+}
