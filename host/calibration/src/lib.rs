@@ -55,6 +55,7 @@ pub use head::{Basis, Head};
 pub use parameter::Quantity;
 pub use parameters::Parameter;
 pub use plausibility::Implausible;
+pub use reading_noise::measured_noise;
 pub use residuals::Residual;
 pub use spectrum::Direction;
 pub use validity::{CellValidity, Validity, validity};

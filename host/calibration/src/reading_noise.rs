@@ -1,6 +1,8 @@
 //! Covariance of one reading of a cell.
 
-use slitpose_model::{Cell, ModelError, Noise};
+use slitpose_model::{Cell, ModelError, Noise, Scene};
+
+use crate::data::Row;
 
 /// Covariance of the currents of one cell, A²: three numbers, [1,1], [1,2] and [2,2].
 pub(crate) type Covariance = [f64; 3];
@@ -50,6 +52,45 @@ impl ReadingNoise {
     }
 }
 
+/// Fourth differences, and the sum of their squares: motions of a hand leave next to nothing of them at 100 Hz and more.
+const DIFFERENCES: [f64; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
+const SQUARES: f64 = 70.0;
+
+/// Fewest differences that tell the noise, to some percent.
+const LEAST_DIFFERENCES: usize = 1000;
+
+/// Median of χ² with two degrees of freedom: 2·ln 2.
+const MEDIAN: f64 = 2.0 * std::f64::consts::LN_2;
+
+/// Noise of single frames in a row, as a multiple of what `noise` says of the detectors of `scene`; `None`: too few frames
+/// follow each other. Motion and single outliers hardly count.
+pub fn measured_noise(rows: &[Row], scene: &Scene, noise: &Noise) -> Option<f64> {
+    let stated: Vec<ReadingNoise> = scene.cells.iter().map(|cell| ReadingNoise::new(Some(noise), cell)).collect();
+    let mut squares = Vec::new();
+    for five in rows.windows(DIFFERENCES.len()) {
+        let starts: Option<Vec<f64>> = five.iter().map(|row| Some(row.time_s?[0])).collect();
+        let Some(starts) = starts else { continue };
+        let step_s = (starts[4] - starts[0]) / 4.0;
+        let is_even = starts.windows(2).all(|pair| (pair[1] - pair[0] - step_s).abs() < 0.01 * step_s);
+        if !is_even || five.iter().any(|row| row.frames != 1.0) {
+            continue;
+        }
+        for (cell, stated) in stated.iter().enumerate() {
+            let pairs: Option<Vec<[f64; 2]>> = five.iter().map(|row| row.readings[cell]).collect();
+            let Some(pairs) = pairs else { continue };
+            let difference = [0, 1].map(|k| pairs.iter().zip(DIFFERENCES).map(|(pair, by)| by * pair[k]).sum::<f64>());
+            let [a, b] = whiten(whitener(stated.covariance(pairs[2], 1.0, &ModelError::default())), difference);
+            squares.push((a * a + b * b) / SQUARES);
+        }
+    }
+    if squares.len() < LEAST_DIFFERENCES {
+        return None;
+    }
+    let middle = squares.len() / 2;
+    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+    Some((*median / MEDIAN).sqrt())
+}
+
 /// The inverse of the lower Cholesky factor of a covariance: [1,1], [2,1], [2,2].
 pub(crate) fn whitener([a, b, c]: Covariance) -> [f64; 3] {
     let first = a.sqrt();
@@ -69,4 +110,49 @@ pub(crate) fn directions(pair: [f64; 2], half_length_m: f64) -> [[f64; 2]; 2] {
     let share = (pair[1] - pair[0]) / total;
     let across = half_length_m / total;
     [[total.recip(); 2], [across * (-1.0 - share), across * (1.0 - share)]]
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+    use slitpose_head::scene_file::WIDE;
+
+    use super::*;
+    use crate::data::Knowledge;
+
+    #[test]
+    fn noise_is_measured_whatever_the_motion_and_single_outliers() {
+        const SEED: u64 = 3;
+        println!("seed {SEED}");
+        let scene = WIDE.read().unwrap().scene;
+        let noise = Noise { shot_bandwidth_hz: 1.0, johnson_bandwidth_hz: 1.0, temperature_k: 300.0, adc_a: 1.8e-9 };
+        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        for ratio in [1.0, 2.5] {
+            let scatter = Normal::new(0.0, ratio * 1.8e-9).unwrap();
+            let rows: Vec<Row> = (0..2000)
+                .map(|k| {
+                    let time_s = f64::from(k) * 2.5e-4;
+                    let readings = (0..6).map(|cell| {
+                        let swing = 0.5e-6 * (7.0 * time_s + f64::from(cell)).sin();
+                        let glitch = if k % 50 == 3 { 1e-6 } else { 0.0 };
+                        Some([1.5e-6 + swing + glitch, 1.5e-6 - swing].map(|pure| pure + scatter.sample(&mut rng)))
+                    });
+                    let readings = readings.collect();
+                    Row {
+                        id: k.to_string(),
+                        readings,
+                        frames: 1.0,
+                        time_s: Some([time_s; 2]),
+                        knowledge: Knowledge::Nothing,
+                    }
+                })
+                .collect();
+            let found = measured_noise(&rows, &scene, &noise).unwrap();
+            // The median of 12 000 correlated numbers, a tenth of them with a glitch.
+            assert!((0.95..1.15).contains(&(found / ratio)), "{found} of {ratio}");
+            assert!(measured_noise(&rows[..100], &scene, &noise).is_none());
+        }
+    }
 }

@@ -6,8 +6,8 @@ use std::sync::atomic::Ordering;
 
 use clap::ValueEnum;
 use slitpose_calibration::{
-    Calibration, CellValidity, Constraint, Data, Progress as Step, Request, Validity, calibrate, read_tracked, tables,
-    validity,
+    Calibration, CellValidity, Constraint, Data, Progress as Step, Request, Row, Validity, calibrate, measured_noise,
+    read_tracked, tables, validity,
 };
 
 use super::{CommandError, Outcome, interrupt, names, talk};
@@ -111,8 +111,7 @@ impl Args {
         let mut data = Data::default();
         let (tracked, listed) = self.known.split_at(self.known_capture.len().min(self.known.len()));
         for (table, capture) in tracked.iter().zip(&self.known_capture) {
-            let Readings { rows, noise } = readings(Path::new(capture), file)?;
-            data.noise = noise;
+            let rows = read_capture(file, capture, &mut data)?;
             read_tracked(file, [table, capture], rows, known, instrument, &mut data)?;
         }
         for (files, constraint, sigmas) in [
@@ -143,10 +142,27 @@ fn read(
     if has_poses || !is_capture(Path::new(name)) {
         return Ok(tables::read(file, name, constraint, sigmas, data)?);
     }
-    let Readings { rows, noise } = readings(Path::new(name), file)?;
-    data.noise = noise;
+    let rows = read_capture(file, name, data)?;
     data.add(name, constraint, sigmas, tables::thinned(rows));
     Ok(())
+}
+
+/// Ratio of measured to stated noise, or its inverse, from which it is said.
+const OTHER_NOISE: f64 = 1.3;
+
+/// The frames of a capture, whose noise is then that of the data.
+fn read_capture(file: &SceneFile, name: &str, data: &mut Data) -> Result<Vec<Row>, CommandError> {
+    let Readings { rows, noise } = readings(Path::new(name), file)?;
+    data.noise = noise.map(|stated| match measured_noise(&rows, &file.scene, &stated) {
+        None => stated,
+        Some(ratio) => {
+            if !(OTHER_NOISE.recip()..OTHER_NOISE).contains(&ratio) {
+                talk(format_args!("{name}: its noise is {ratio:.1} times what the scene says; counted as it is"));
+            }
+            stated.averaged(ratio.powi(-2))
+        }
+    });
+    Ok(rows)
 }
 
 /// Tables of a scene that has no [noise] have the noise of the board that it asks for.

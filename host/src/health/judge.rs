@@ -1,6 +1,7 @@
 //! Verdicts from the sums of a window.
 
 use super::diagnosis::{CellHealth, Diagnosis, Fault, HeadHealth, Shares, Verdict};
+use super::places::Residuals;
 use super::window::{Bucket, CellSums};
 use super::{Cell, Exchange, Health};
 use slitpose_head::finding::Finding;
@@ -26,12 +27,9 @@ const NOISY_FROM: f64 = 2.0;
 /// Noise of a word, in its steps, from which on the word cannot stay constant for a second.
 const LIVELY_STEPS: f64 = 0.5;
 
-/// χ² by its expectation from which a calibration counts as stale. Model errors are part of the expectation, so that it is
-/// near 1 wherever the tool rests; a cell that has moved by 15 µm makes it 3.
+/// χ² by its expectation from which a calibration counts as stale. Model errors are part of the expectation, so that its
+/// mean over [`super::places`] is near 1; a cell that has moved by 15 µm makes it 3.
 const STALE: f64 = 2.5;
-
-/// Redundancy of a second that a verdict on a calibration needs: its χ² is then known to 15 %.
-const LEAST_REDUNDANCY: f64 = 100.0;
 
 /// Share that stands for all scans, as the first one after a gap does not count.
 const ALWAYS: f64 = 0.99;
@@ -69,27 +67,27 @@ impl Health {
             findings.push(Diagnosis { fault: Fault::Unexplained, finding: Finding::failed("head", text, next_step) });
         }
         if judged && findings.is_empty() {
-            findings.extend(self.stale(&sum));
+            findings.extend(self.stale());
         }
         HeadHealth { unexplained, cells, findings }
     }
 
     /// A calibration whose residuals have grown.
-    fn stale(&self, sum: &Bucket) -> Option<Diagnosis> {
-        let chi2 = sum.chi2 / sum.redundancy;
-        if !self.is_calibrated || sum.redundancy < LEAST_REDUNDANCY || chi2 < STALE {
+    fn stale(&self) -> Option<Diagnosis> {
+        let Residuals { chi2, shifts_m } = self.places.as_ref()?.residuals(self.now_s)?;
+        if chi2 < STALE {
             return None;
         }
-        let shift_m = |cell: usize| sum.cells[cell].shift_m / f64::from(sum.cells[cell].expected.max(1));
-        let cell = (0..self.cells.len()).max_by(|&a, &b| shift_m(a).abs().total_cmp(&shift_m(b).abs()))?;
+        let size = |cell: usize| shifts_m[cell].abs();
+        let cell = (0..self.cells.len()).max_by(|&a, &b| size(a).total_cmp(&size(b)))?;
         let text = format!(
             "calibration_stale: residuals are {:.1} times as large as the calibration allows; cell {cell} deviates most, by \
              {:+.0} µm on its detector",
             chi2.sqrt(),
-            shift_m(cell) * 1e6
+            shifts_m[cell] * 1e6
         );
         let next_step = "record some motion and give it to `slitpose calibrate --check`";
-        let fault = Fault::CalibrationStale { cell, shift_m: shift_m(cell), chi2 };
+        let fault = Fault::CalibrationStale { cell, shift_m: shifts_m[cell], chi2 };
         Some(Diagnosis { fault, finding: Finding::failed("head", text, next_step) })
     }
 

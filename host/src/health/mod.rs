@@ -11,6 +11,7 @@
 mod diagnosis;
 mod exchange;
 mod judge;
+mod places;
 #[cfg(test)]
 mod tests;
 mod window;
@@ -22,6 +23,7 @@ pub use diagnosis::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares
 pub use exchange::Exchange;
 
 use exchange::Search;
+use places::Places;
 use slitpose_head::front_end::{self, Settling, Stage};
 use slitpose_head::scene_file::SceneFile;
 use window::{Bucket, Turn, Window};
@@ -57,7 +59,10 @@ pub struct Health {
     taken: u64,
     search: Search,
     /// Whether the head is known by a calibration.
-    is_calibrated: bool,
+    /// Of a head that is known by a calibration.
+    places: Option<Places>,
+    tick_s: f64,
+    now_s: f64,
 }
 
 /// Properties of a cell from its scene.
@@ -120,14 +125,16 @@ impl Health {
             start: None,
             before: None,
             taken: 0,
-            is_calibrated: false,
+            places: None,
+            tick_s: f64::from(schedule.tick_hz).recip(),
+            now_s: 0.0,
         })
     }
 
     /// Of a head that is known by a calibration, which may go stale.
     #[must_use]
     pub fn calibrated(self) -> Self {
-        Self { is_calibrated: true, ..self }
+        Self { places: Some(Places::default()), ..self }
     }
 
     /// Adds the next scan, its photocurrents and its solution.
@@ -141,9 +148,10 @@ impl Health {
         let bucket = self.window.current();
         bucket.scans += 1;
         bucket.troubled += u32::from(troubled);
-        if look && solution.redundancy > 0 && solution.chi2.is_finite() {
-            bucket.chi2 += solution.chi2;
-            bucket.redundancy += solution.redundancy as f64;
+        self.now_s = scan.tick as f64 * self.tick_s;
+        let mut places = self.places.as_mut().filter(|_| look && solution.redundancy > 0 && solution.chi2.is_finite());
+        if let (Some(places), Some(estimate)) = (&mut places, &solution.estimate) {
+            places.add(self.now_s, &estimate.pose, solution.chi2, solution.redundancy as f64);
         }
         let before = self.before.replace(*scan);
         let readings = photocurrents.cells.iter().zip(&self.cells).zip(&mut self.totals);
@@ -196,10 +204,11 @@ impl Health {
                     sums.compared_a += light_a;
                     sums.expected_a += expected_a;
                     sums.expected += 1;
-                    if let Reading::Light(pair) = reading {
+                    if let (Some(places), Reading::Light(pair)) = (&mut places, reading) {
                         let share = |[first, second]: [f64; 2]| (second - first) / (first + second);
                         let expected = share([response.currents.i_x1_a, response.currents.i_x2_a]);
-                        sums.shift_m += known.half_length_m * (share([pair.i_x1_a, pair.i_x2_a]) - expected);
+                        let moved = share([pair.i_x1_a, pair.i_x2_a]) - expected;
+                        places.add_shift(cell, known.half_length_m * moved);
                     }
                 }
             }

@@ -26,8 +26,6 @@ pub(super) struct CellSums {
     /// Measured and expected photocurrents where light was expected.
     pub(super) compared_a: f64,
     pub(super) expected_a: f64,
-    /// Sum of the deviations of the position of the light from where it was expected, metres.
-    pub(super) shift_m: f64,
     pub(super) dark: DarkSums,
 }
 
@@ -84,9 +82,6 @@ pub(super) struct Bucket {
     pub(super) scans: u32,
     /// Scans that the scene does not explain.
     pub(super) troubled: u32,
-    /// χ² of the scans that were looked at, and its expectation.
-    pub(super) chi2: f64,
-    pub(super) redundancy: f64,
     pub(super) cells: [CellSums; MAX_CELLS],
 }
 
@@ -94,8 +89,6 @@ impl Bucket {
     fn add(&mut self, other: &Self) {
         self.scans += other.scans;
         self.troubled += other.troubled;
-        self.chi2 += other.chi2;
-        self.redundancy += other.redundancy;
         for (sums, more) in self.cells.iter_mut().zip(&other.cells) {
             sums.saturated += more.saturated;
             sums.faint += more.faint;
@@ -110,7 +103,6 @@ impl Bucket {
             sums.missed += more.missed;
             sums.compared_a += more.compared_a;
             sums.expected_a += more.expected_a;
-            sums.shift_m += more.shift_m;
             sums.dark.add(&more.dark);
         }
     }
