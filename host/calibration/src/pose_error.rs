@@ -134,19 +134,20 @@ impl PoseError {
     /// The covariance at `pose`, m², m·rad, rad².
     pub(crate) fn covariance(&self, pose: &Pose) -> [[f64; 6]; 6] {
         let functions = functions(pose, self.length_scale_m);
-        let mut covariance = [[0.0; 6]; 6];
+        // The coefficients are symmetric: half of the blocks are the transposes of others.
+        let mut half = [[0.0; 6]; 6];
         for (k, &of_row) in functions.iter().enumerate() {
-            for (l, &of_column) in functions.iter().enumerate() {
-                let product = of_row * of_column;
+            for (l, &of_column) in functions.iter().enumerate().take(k + 1) {
+                let product = if l < k { of_row * of_column } else { 0.5 * of_row * of_column };
                 for i in 0..6 {
                     let row = &self.coefficients[(6 * k + i) * COEFFICIENTS + 6 * l..][..6];
                     for j in 0..6 {
-                        covariance[i][j] += product * row[j];
+                        half[i][j] += product * row[j];
                     }
                 }
             }
         }
-        covariance
+        std::array::from_fn(|i| std::array::from_fn(|j| half[i][j] + half[j][i]))
     }
 }
 

@@ -97,6 +97,7 @@ impl<S: Scalar> Raise<S> {
     /// With the derivatives f, g, … of δ by tan²θ, rays spread by ε along x about tan θ = (τ, υ) add
     /// −⟨ε²⟩·τ·(3f + 2τ²g), those spread along y −⟨ε²⟩·τ·(f + 2υ²g); ⟨ε²⟩ is a third of the square of half extent over
     /// height.
+    #[inline(always)]
     fn bend(&self, spot: &Rectangle<S>, sides: &[S::Vec3; 4]) -> (S, S::Vec3) {
         let ([f, g, g_slope], [along, across]) = (self.slopes, self.tangents);
         let (two, three) = (S::two(), S::of(3.0));
@@ -128,6 +129,15 @@ pub(super) struct Spot<S: Scalar> {
     sides: [S::Vec3; 4],
     raise: Raise<S>,
     pub(super) slack_m: S,
+}
+
+/// A long edge, projected: the side X = m·e/(m_x − e_y·a_z + e_z·a_y) of the spot, m about the middle of the raised
+/// detector, and one over the denominator.
+#[derive(Clone, Copy)]
+struct Projected<S: Scalar> {
+    at: S,
+    moment: S::Vec3,
+    per: S,
 }
 
 /// A side of the spot: its place on the detector, and the face that bounds it; `None`: the detector does.
@@ -219,18 +229,19 @@ impl<S: Scalar> Beam<S> {
         (e.y() + away * ratio, by_position)
     }
 
-    /// The moment of a long edge about the middle of the raised detector, and X = m·e/(m_x − e_y·a_z + e_z·a_y) of the
-    /// raised detector's emitter without its numerator.
-    fn raised_moment(&self, moment: S::Vec3, raised: S::Vec3, delta: S) -> (S::Vec3, S) {
+    /// The side of the spot that the long edge with this moment bounds, for the `raised` detector's emitter.
+    #[inline(always)]
+    fn projected(&self, moment: S::Vec3, raised: S::Vec3, delta: S) -> Projected<S> {
         let a = self.along;
-        let m = S::Vec3::new(moment.x() + delta * a.y(), moment.y() - delta * a.x(), moment.z());
-        (m, (m.x() - raised.y() * a.z() + raised.z() * a.y()).recip())
+        let moment = S::Vec3::new(moment.x() + delta * a.y(), moment.y() - delta * a.x(), moment.z());
+        let per = (moment.x() - raised.y() * a.z() + raised.z() * a.y()).recip();
+        Projected { at: moment.dot(raised) * per, moment, per }
     }
 
-    /// How the side at `at` that a long edge bounds moves with the emitter.
-    fn edge_slope(&self, moment: S::Vec3, at: S, e: S::Vec3, raised: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
+    /// How that side moves with the emitter at `e`.
+    #[inline(always)]
+    fn edge_slope(&self, Projected { at, moment: m, per }: Projected<S>, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
         let a = self.along;
-        let (m, per) = self.raised_moment(moment, raised, raise.height);
         let by_raise = (a.y() * e.x() - a.x() * e.y() - m.z()) * per;
         S::Vec3::new(m.x(), m.y() + at * a.z(), m.z() - at * a.y()) * per + raise.by_position * by_raise
     }
@@ -261,11 +272,11 @@ impl<S: Scalar> Beam<S> {
             let place = from_centre.dot(direction);
             [place + half, half - place].map(|distance| S::of(WALL_SLACK) * distance.abs())
         });
+        let nowhere = Projected { at: S::zero(), moment: raised, per: S::zero() };
+        let mut edges = [[nowhere; 2]; 2];
         for (number, face) in self.faces[..self.face_count].iter().enumerate() {
-            let sides = face.moments.map(|moment| {
-                let (m, per) = self.raised_moment(moment, raised, delta);
-                m.dot(raised) * per
-            });
+            edges[number] = face.moments.map(|moment| self.projected(moment, raised, delta));
+            let sides = edges[number].map(|edge| edge.at);
             let ends = face.ends.map(|q| q.y() + (q.y() - e.y()) * (q.z() - delta) * (e.z() - q.z()).recip());
             let axes = [(&mut x_low, &mut x_high, sides, walls[0]), (&mut y_low, &mut y_high, ends, walls[1])];
             for (low, high, [first, second], walls) in axes {
@@ -303,7 +314,7 @@ impl<S: Scalar> Beam<S> {
         if GRADIENT {
             for (end, side) in [x_low, x_high].into_iter().enumerate() {
                 if let Some(face) = side.face {
-                    sides[end] = self.edge_slope(self.faces[face].moments[end], side.at, e, raised, &raise);
+                    sides[end] = self.edge_slope(edges[face][end], e, &raise);
                 }
             }
             for (end, side) in [y_low, y_high].into_iter().enumerate() {
