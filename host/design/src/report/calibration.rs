@@ -36,7 +36,11 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
         scene: file.name.clone(),
         conditions,
         warnings: calibrated.remarks.clone(),
-        sections: vec![observability(calibration), fit(calibrated), open(file, calibration), parameters(calibration)],
+        sections: [observability(calibration), fit(calibrated), open(file, calibration)]
+            .into_iter()
+            .chain(instruments(calibration))
+            .chain([parameters(calibration)])
+            .collect(),
     }
 }
 
@@ -259,6 +263,58 @@ fn open(file: &SceneFile, calibration: &Calibration) -> Section {
         pictures: vec![picture],
         tables: Vec::new(),
     }
+}
+
+/// Frames and clocks of the instruments, if they have their own.
+fn instruments(calibration: &Calibration) -> Option<Section> {
+    let of_frames = calibration.frames().iter().flat_map(|frames| {
+        let transforms = [
+            ("base_from_reference", frames.base_from_reference, frames.base_from_reference_sigma),
+            ("tool_from_marker", frames.tool_from_marker, frames.tool_from_marker_sigma),
+        ];
+        transforms.into_iter().flat_map(move |(name, values, sigmas)| {
+            (0..6).map(move |k| {
+                let (kind, scale, unit) = if k < 3 { ("t", 1e3, "mm") } else { ("r", 1e3, "mrad") };
+                let what = format!("{name}, {kind}{}", ["x", "y", "z"][k % 3]);
+                vec![
+                    frames.file.as_str().into(),
+                    what.into(),
+                    unit.into(),
+                    (values[k] * scale).into(),
+                    (sigmas[k] * scale).into(),
+                ]
+            })
+        })
+    });
+    let of_clocks = calibration.clocks().iter().flat_map(|clock| {
+        [
+            ("clock ahead of the board's", "ms", 1e3, clock.ahead_s, clock.ahead_sigma_s),
+            ("clock faster than the board's", "ppm", 1e6, clock.faster, clock.faster_sigma),
+        ]
+        .map(|(what, unit, scale, value, sigma)| {
+            vec![clock.file.as_str().into(), what.into(), unit.into(), (value * scale).into(), (sigma * scale).into()]
+        })
+    });
+    let rows: Vec<Vec<Value>> = of_frames.chain(of_clocks).collect();
+    (!rows.is_empty()).then(|| Section {
+        name: "instruments",
+        title: "Instruments",
+        summary: Vec::new(),
+        paragraphs: vec!["Where an instrument's frame and marker lie, and how its clock goes, as found.".to_owned()],
+        pictures: Vec::new(),
+        tables: vec![Table {
+            name: "instruments",
+            caption: "Frames and clocks of the instruments".to_owned(),
+            columns: vec![
+                column("file", "file"),
+                column("quantity", "quantity"),
+                column("unit", "unit"),
+                column("value", "value"),
+                column("sigma", "σ"),
+            ],
+            rows,
+        }],
+    })
 }
 
 fn parameters(calibration: &Calibration) -> Section {
