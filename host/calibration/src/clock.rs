@@ -32,6 +32,9 @@ const CANDIDATES: usize = 6;
 /// Steps of the search, seconds: motions of a hand take tenths of seconds.
 const STEP_S: f64 = 0.01;
 
+/// Longest search, in steps: three hours.
+const MOST_STEPS: f64 = 1.1e6;
+
 /// Golden sections of the steps around a shift: to some microseconds.
 const SECTIONS: usize = 18;
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
@@ -77,6 +80,20 @@ pub enum ClockError {
         file: String,
         /// Its rows.
         rows: usize,
+    },
+    /// A record much longer than any capture.
+    #[error(
+        "{file} is {span_s:.0} s long, and {capture} {capture_s:.0} s: is its time_s in seconds? Else cut it to the same minutes"
+    )]
+    Long {
+        /// The table.
+        file: String,
+        /// Its duration.
+        span_s: f64,
+        /// The capture.
+        capture: String,
+        /// Its duration.
+        capture_s: f64,
     },
     /// A tool that hardly turns.
     #[error(
@@ -270,7 +287,12 @@ impl Motion<'_> {
         let turns_tried = some(&turns, TRIED);
         let [track_from_s, track_to_s] = track.span_s();
         let from_s = track_from_s - last.times_s[1];
-        let steps = ((track_to_s - first.times_s[0] - from_s) / STEP_S) as usize;
+        let steps = (track_to_s - first.times_s[0] - from_s) / STEP_S;
+        if steps > MOST_STEPS {
+            let [span_s, capture_s] = [track_to_s - track_from_s, last.times_s[1] - first.times_s[0]];
+            return Err(ClockError::Long { file, span_s, capture, capture_s });
+        }
+        let steps = steps as usize;
         let shares: Vec<f64> =
             (0..=steps).map(|k| left(track, &turns_tried, from_s + k as f64 * STEP_S).unwrap_or(1.0)).collect();
         let is_low = |k: usize| {
@@ -408,6 +430,10 @@ mod tests {
         let even = |time_s: f64| motion(time_s, true);
         let uneven = |time_s: f64| motion(time_s, false);
         assert!(error(&even, &even).contains("the motion is short or repeats itself"));
+        let milliseconds =
+            Track { times_s: (0..2400).map(|k| f64::from(k) * 5.0).collect(), usual_s: 5.0, ..track(uneven) };
+        let long = seen(uneven).ahead_s(&milliseconds).unwrap_err().to_string();
+        assert!(long.contains("poses.csv is 11995 s long, and free.mcap 10 s: is its time_s in seconds?"), "{long}");
         assert!(error(&|_| Pose::HOME, &uneven).contains("the tool hardly turns"));
         // Another motion: the same backward.
         let backward = error(&uneven, &|time_s| motion(0.7 * (50.0 - time_s), false));

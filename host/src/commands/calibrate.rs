@@ -109,7 +109,10 @@ impl Args {
         };
         let instrument = [self.known_sigma_um * 1e-6, self.known_sigma_urad * 1e-6];
         let mut data = Data::default();
-        let (tracked, listed) = self.known.split_at(self.known_capture.len().min(self.known.len()));
+        if let Some(capture) = self.known_capture.get(self.known.len()) {
+            return Err(CommandError::NoPosesOfCapture { capture: capture.clone() });
+        }
+        let (tracked, listed) = self.known.split_at(self.known_capture.len());
         for (table, capture) in tracked.iter().zip(&self.known_capture) {
             let rows = read_capture(file, capture, &mut data)?;
             read_tracked(file, [table, capture], rows, known, instrument, &mut data)?;

@@ -154,6 +154,14 @@ pub(crate) enum CommandError {
     /// Data that give no calibration.
     #[error(transparent)]
     Calibrate(#[from] CalibrateError),
+    /// A capture without the poses that belong to it.
+    #[error(
+        "--known-capture {capture} is one more than the tables of --known; give --known with the instrument's poses of each capture"
+    )]
+    NoPosesOfCapture {
+        /// The capture.
+        capture: String,
+    },
     /// The schedule of a scene.
     #[error(transparent)]
     Timing(#[from] TimingError),

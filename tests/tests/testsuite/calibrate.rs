@@ -233,6 +233,8 @@ fn an_instrument_that_follows_a_motion_by_its_own_clock_calibrates_a_head() {
     }
     let held_out_um = found["statistics"]["held_out_m"].as_float().expect("a number") * 1e6;
     assert!((1.0..8.0).contains(&held_out_um), "{held_out_um} µm");
+    let more = slitpose!().run(inputs.into_iter().chain(["--known-capture", &capture, "--output", &at("none.toml")]));
+    assert!(more.code == 1 && more.stderr.contains("one more than the tables of --known"), "{}", more.stderr);
     // The record of another motion is not taken.
     let other = ["bench", "wide", "--duration", "4s", "--poses", "1", "--seed", "4", "--output", &at("other")];
     assert_eq!(slitpose!().run(other).code, 0);
