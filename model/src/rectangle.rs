@@ -35,16 +35,13 @@ pub(crate) struct Rectangle<S> {
     pub(crate) height: S,
 }
 
-/// Bound on how far the side of a spot moves per motion of its emitter.
-pub(crate) const MOST_SIDE_MAGNIFICATION: f64 = 2.425;
-
 /// Slack per distance of the emitter from a wall of a thick mask, where the other face begins to bound the beam. Nothing
-/// magnifies the emitter's motion there, while [`MOST_SIDE_MAGNIFICATION`] is allowed for elsewhere.
-pub(crate) const WALL_SLACK: f64 = MOST_SIDE_MAGNIFICATION;
+/// magnifies the emitter's motion there, while [`MOST_MAGNIFICATION`] is allowed for elsewhere; √17 is that of an
+/// emitter on the longest arm that one of sixteen can have, four length scales.
+pub(crate) const WALL_SLACK: f64 = MOST_MAGNIFICATION / 4.124;
 
-/// Bound on how far the side of a spot moves per length of a step: an emitter on the longest arm that one of sixteen can
-/// have, four length scales, moves by √17 of it.
-pub(crate) const MOST_MAGNIFICATION: f64 = 4.1232 * MOST_SIDE_MAGNIFICATION;
+/// Bound on how far the side of a spot moves per motion of its emitter, including rotations of long tools.
+pub(crate) const MOST_MAGNIFICATION: f64 = 10.0;
 
 /// Origin of a side that is an edge of the detector; else the index of its face.
 const DETECTOR: f64 = -1.0;

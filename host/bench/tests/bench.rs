@@ -102,7 +102,7 @@ fn a_seed_determines_every_byte() {
             .filter(|path| path.is_file())
             .collect();
         names.sort();
-        assert_eq!(names.len(), 18, "scene, truth, and eight tables twice");
+        assert_eq!(names.len(), 19, "scene, truth, eight tables twice, and what tracked the motion");
         let read = |path: &PathBuf| {
             (path.strip_prefix(folder.path()).expect("inside").to_owned(), fs::read(path).expect("bytes"))
         };

@@ -121,7 +121,7 @@ impl<S: Scalar, E> Shaped<S, E> {
             tail += sizes[terms];
             terms -= 1;
         }
-        let nodes = series.nodes.max(rule_nodes(&sizes[..=terms], by_rule));
+        let nodes = series.nodes.max(rule_nodes(&sizes, by_rule));
         Some(Series { coefficients, terms, nodes, ..*series })
     }
 

@@ -126,23 +126,22 @@ impl<S: Scalar> Windows<S> {
     }
 }
 
-/// Gauss–Legendre nodes that integrate a polynomial, with terms of these greatest sizes, to within `allowed`.
+/// Gauss–Legendre nodes that integrate a polynomial and its first moment, with terms of these greatest sizes, to within
+/// `allowed`. Of fixed length: the loops are unrolled.
 #[inline(always)]
-pub(super) fn rule_nodes<S: Scalar>(sizes: &[S], allowed: S) -> usize {
-    let size = |k: usize| sizes.get(k).copied().unwrap_or_default();
-    // Exact for the polynomial and its first moment.
-    let mut nodes = (sizes.len() / 2 + 1).min(REMAINDERS.len());
-    let mut rest = size(2 * nodes);
-    while nodes > 1 {
-        // The first moment adds a part of the next lower power.
-        let fewer = nodes - 1;
-        rest += size(2 * fewer) + size(2 * fewer + 1);
-        if S::of(REMAINDERS[fewer - 1]) * (rest + S::of(0.25) * size(2 * fewer - 1)) > allowed {
-            break;
-        }
-        nodes = fewer;
+pub(super) fn rule_nodes<S: Scalar, const N: usize>(sizes: &[S; N], allowed: S) -> usize {
+    // Of each term and all after it.
+    let mut sums = *sizes;
+    for k in (0..N - 1).rev() {
+        sums[k] += sums[k + 1];
     }
-    nodes
+    let is_enough = |nodes: usize| {
+        let rest = if 2 * nodes < N { sums[2 * nodes] } else { S::zero() };
+        // The first moment adds a part of the next lower power.
+        let moment = if 2 * nodes <= N { S::of(0.25) * sizes[2 * nodes - 1] } else { S::zero() };
+        S::of(REMAINDERS[nodes - 1]) * (rest + moment) <= allowed
+    };
+    (1..REMAINDERS.len()).find(|&nodes| is_enough(nodes)).unwrap_or(REMAINDERS.len())
 }
 
 /// A polynomial of degree [`DEGREE`] fitted to the table around one cosine.

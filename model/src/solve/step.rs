@@ -5,7 +5,7 @@
 //! section 2.4).
 
 use crate::pose::Transform;
-use crate::rectangle::{MOST_MAGNIFICATION, MOST_SIDE_MAGNIFICATION};
+use crate::rectangle::MOST_MAGNIFICATION;
 use crate::scalar::{Linear3, Scalar};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
@@ -87,7 +87,7 @@ impl<S: Scalar> Problem<'_, S> {
     }
 
     /// [`Self::is_smooth`] of a `step` from `pose`, the last linearisation's, by how far it moves the emitter of each
-    /// cell.
+    /// cell: on its arm that may be less than the length of the step allows.
     #[cold]
     #[inline(never)]
     pub(super) fn is_smooth_in_each_cell(
@@ -98,9 +98,13 @@ impl<S: Scalar> Problem<'_, S> {
     ) -> bool {
         let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
         let turn = S::Vec3::new(step[3], step[4], step[5]);
+        let scale2 = self.length_scale_m * self.length_scale_m;
         self.readings.iter().zip(&workspace.slacks_m).all(|(reading, &slack_m)| {
-            let moved_m = (shift + turn.cross(self.plan.arm(reading.cell, pose))).length();
-            slack_m > S::of(MOST_SIDE_MAGNIFICATION) * moved_m
+            let arm = self.plan.arm(reading.cell, pose);
+            let moved_m = (shift + turn.cross(arm)).length();
+            // The most that a step of that length moves this emitter, by its length.
+            let most = (S::one() + arm.dot(arm) / scale2).root();
+            slack_m * most > S::of(MOST_MAGNIFICATION) * moved_m
         })
     }
 
