@@ -5,6 +5,7 @@
 //! same bits. [`Output`] writes the result of every command.
 
 mod current_columns;
+mod line_ends;
 mod output;
 mod pose_columns;
 mod reader;

@@ -6,6 +6,7 @@ use std::io::{self, Read};
 use csv::{StringRecord, Trim};
 use thiserror::Error;
 
+use super::line_ends::LineFeeds;
 use crate::foreign::printable;
 
 /// Why a table cannot be used.
@@ -152,7 +153,8 @@ impl TableReader {
 
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
     pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
-        let mut reader = csv::ReaderBuilder::new().trim(Trim::All).from_reader(Box::new(source) as Box<dyn Read>);
+        let mut reader =
+            csv::ReaderBuilder::new().trim(Trim::All).from_reader(Box::new(LineFeeds::of(source)) as Box<dyn Read>);
         let header = reader.headers().cloned().map_err(|error| damaged(file, 0, error))?;
         if header.is_empty() {
             return Err(TableError::Empty { file: file.to_owned() });
@@ -305,6 +307,7 @@ mod tests {
             ("id,c\n1,2\n", "b", &["line 1", "`b`", "id, c", "add"]),
             ("b,b\n1,2\n", "b", &["line 1", "`b`", "twice", "rename"]),
             ("id,b\n1,2\n2,2 mm\n", "b", &["row 2 (line 3)", "`b`", "`2 mm`", "give one like"]),
+            ("id,b\r\n1,2\r\n2,2 mm\r\n", "b", &["row 2 (line 3)", "`2 mm`"]),
             ("id,b\n1,\n", "b", &["row 1 (line 2)", "``", "give one like"]),
             ("id,b\n1,nan\n", "b", &["row 1", "`nan`", "finite"]),
             ("id,b\n1,1e999\n", "b", &["row 1", "`1e999`", "finite"]),
