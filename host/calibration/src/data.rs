@@ -1,11 +1,9 @@
 //! Measurements on one head: rows of readings, and what is known of the pose of each row.
 
-use std::sync::Arc;
-
 use glam::DVec3;
 use slitpose_model::{Noise, Pose, rotation_exp};
 
-use crate::clock::Track;
+use crate::track::FoundClock;
 
 /// Measurements from any number of files.
 #[derive(Clone, Debug, Default)]
@@ -89,30 +87,6 @@ pub enum Constraint {
     Rest,
 }
 
-/// An instrument's record by a clock of its own, and how that differs from the board's as far as it has been found.
-#[derive(Clone, Debug)]
-pub(crate) struct FoundClock {
-    /// How far it is ahead at `centre_s` of the board's clock, seconds.
-    pub(crate) ahead_s: f64,
-    /// How much faster it is, as a share.
-    pub(crate) faster: f64,
-    /// Middle of the capture.
-    pub(crate) centre_s: f64,
-    pub(crate) track: Arc<Track>,
-}
-
-impl FoundClock {
-    /// Gives `row` the pose that the instrument measured meanwhile; `false`: it measured none.
-    pub(crate) fn tell(&self, row: &mut Row) -> bool {
-        let Some(time_s) = row.time_s else { return false };
-        let since_s = 0.5 * (time_s[0] + time_s[1]) - self.centre_s;
-        let at = time_s.map(|time_s| time_s + self.ahead_s + self.faster * since_s);
-        let Some((pose, twist)) = self.track.mean(at) else { return false };
-        row.knowledge = Knowledge::Tracked { pose, twist, since_s };
-        true
-    }
-}
-
 /// One file.
 #[derive(Clone, Debug)]
 pub struct Group {
@@ -155,7 +129,7 @@ impl Data {
 
     /// Puts the clocks of instruments forward by what an adjustment found beyond what was known of them: seconds, and a
     /// share, of each group that has one.
-    pub(crate) fn put_forward(&mut self, found: impl Iterator<Item = Option<[f64; 2]>>) {
+    pub(crate) fn put_forward(&mut self, found: &[Option<[f64; 2]>]) {
         for (group, found) in self.groups.iter_mut().zip(found) {
             let (Some(clock), Some([ahead_s, faster])) = (&mut group.clock, found) else { continue };
             clock.ahead_s += ahead_s;

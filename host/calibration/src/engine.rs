@@ -127,30 +127,16 @@ pub fn calibrate(
     let _ = progress(Progress::Starting);
     plausibility::check(file, data)?;
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
-    let begin = |data: &Data, parameters: &Parameters| {
-        let errors = vec![ModelError::default(); file.scene.cells.len()];
-        let Beginning { poses, unknowns } = Beginning::of(file, data)?;
-        let mut state = State::new(&nominal, parameters.clone(), data, poses, errors);
-        state.unknowns = unknowns;
-        Ok::<_, CalibrateError>(state)
-    };
-    let mut on_time;
+    let errors = vec![ModelError::default(); file.scene.cells.len()];
+    let Beginning { poses, unknowns } = Beginning::of(file, data)?;
+    let mut state = State::new(&nominal, parameters, data, poses, errors);
+    state.unknowns = unknowns;
+    let on_time;
     let mut data = data;
     if data.groups.iter().any(|group| group.clock.is_some()) {
-        on_time = data.clone();
-        for _ in 0..CLOCK_ROUNDS {
-            let mut state = begin(&on_time, &parameters)?;
-            Adjustment::new(&nominal, &on_time, information.clone(), false).first(&mut state)?;
-            let found: Vec<_> = (0..on_time.groups.len()).map(|group| state.clock(&on_time, group)).collect();
-            let most_s = found.iter().flatten().fold(0.0_f64, |most, clock| most.max(clock[0].abs()));
-            on_time.put_forward(found.into_iter());
-            if most_s < CLOCK_SETTLED_S {
-                break;
-            }
-        }
+        on_time = put_on_time(&nominal, data, &information, &mut state)?;
         data = &on_time;
     }
-    let mut state = begin(data, &parameters)?;
     let mut is_interrupted = false;
     let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
     let (mut normal, mut weights) = adjustment.first(&mut state)?;
@@ -173,6 +159,26 @@ pub fn calibrate(
     calibration.write();
     let residuals = residuals::of(&nominal, data, &state)?;
     Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
+}
+
+/// The data with the clocks of instruments as short adjustments of everything find them; `state` goes with them.
+fn put_on_time(
+    nominal: &Scene,
+    data: &Data,
+    information: &DMatrix<f64>,
+    state: &mut State,
+) -> Result<Data, CalibrateError> {
+    let mut data = data.clone();
+    for _ in 0..CLOCK_ROUNDS {
+        Adjustment::new(nominal, &data, information.clone(), false).first(state)?;
+        let found = state.take_clocks(&data);
+        let most_s = found.iter().flatten().fold(0.0_f64, |most, clock| most.max(clock[0].abs()));
+        data.put_forward(&found);
+        if most_s < CLOCK_SETTLED_S {
+            break;
+        }
+    }
+    Ok(data)
 }
 
 /// Ratio of an instrument's errors to its stated σ that counts as worse.

@@ -3,7 +3,7 @@
 //! [`calibrate`] takes a scene and [`Data`] and gives a [`Calibration`]: what it makes of the scene, and what it leaves open
 //! in each pose. Read in this order:
 //! * `parameter`, `parameters`, `prior`: what a head may deviate in, and by how much before anything is measured;
-//! * `data`, `tables`, `clock`, `constraint`: what was measured, and what is known of the poses;
+//! * `data`, `tables`, `track`, `clock`, `constraint`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`, `frames`: wrong data are refused, first poses found;
 //! * `sensitivity`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
 //! * `engine`: all of it in order; `pose_error`, `weakness`, `spectrum`, `residuals`: what came of it;
@@ -37,6 +37,7 @@ mod spectrum;
 mod start;
 mod state;
 pub mod tables;
+mod track;
 mod validity;
 mod weakness;
 

@@ -59,6 +59,9 @@ const SQUARES: f64 = 70.0;
 /// Fewest differences that tell the noise, to some percent.
 const LEAST_DIFFERENCES: usize = 1000;
 
+/// Most of them, in time: the noise is then known to a percent.
+const MOST_WINDOWS: usize = 20_000;
+
 /// Median of χ² with two degrees of freedom: 2·ln 2.
 const MEDIAN: f64 = 2.0 * std::f64::consts::LN_2;
 
@@ -67,20 +70,20 @@ const MEDIAN: f64 = 2.0 * std::f64::consts::LN_2;
 pub fn measured_noise(rows: &[Row], scene: &Scene, noise: &Noise) -> Option<f64> {
     let stated: Vec<ReadingNoise> = scene.cells.iter().map(|cell| ReadingNoise::new(Some(noise), cell)).collect();
     let mut squares = Vec::new();
-    for five in rows.windows(DIFFERENCES.len()) {
-        let starts: Option<Vec<f64>> = five.iter().map(|row| Some(row.time_s?[0])).collect();
-        let Some(starts) = starts else { continue };
-        let step_s = (starts[4] - starts[0]) / 4.0;
-        let is_even = starts.windows(2).all(|pair| (pair[1] - pair[0] - step_s).abs() < 0.01 * step_s);
-        if !is_even || five.iter().any(|row| row.frames != 1.0) {
+    for five in rows.windows(DIFFERENCES.len()).step_by(rows.len().div_ceil(MOST_WINDOWS).max(1)) {
+        let times_s: [Option<[f64; 2]>; 5] = std::array::from_fn(|k| five[k].time_s.filter(|_| five[k].frames == 1.0));
+        let [Some([a, _]), Some([b, _]), Some([c, _]), Some([d, _]), Some([e, _])] = times_s else { continue };
+        let step_s = (e - a) / 4.0;
+        if [b - a, c - b, d - c, e - d].iter().any(|way_s| (way_s - step_s).abs() >= 0.01 * step_s) {
             continue;
         }
         for (cell, stated) in stated.iter().enumerate() {
-            let pairs: Option<Vec<[f64; 2]>> = five.iter().map(|row| row.readings[cell]).collect();
-            let Some(pairs) = pairs else { continue };
-            let difference = [0, 1].map(|k| pairs.iter().zip(DIFFERENCES).map(|(pair, by)| by * pair[k]).sum::<f64>());
-            let [a, b] = whiten(whitener(stated.covariance(pairs[2], 1.0, &ModelError::default())), difference);
-            squares.push((a * a + b * b) / SQUARES);
+            let pairs: [Option<[f64; 2]>; 5] = std::array::from_fn(|k| five[k].readings[cell]);
+            let [Some(a), Some(b), Some(c), Some(d), Some(e)] = pairs else { continue };
+            let difference =
+                [0, 1].map(|k| [a, b, c, d, e].iter().zip(DIFFERENCES).map(|(pair, by)| by * pair[k]).sum::<f64>());
+            let [x, y] = whiten(whitener(stated.covariance(c, 1.0, &ModelError::default())), difference);
+            squares.push((x * x + y * y) / SQUARES);
         }
     }
     if squares.len() < LEAST_DIFFERENCES {

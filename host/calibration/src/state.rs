@@ -88,6 +88,15 @@ impl State {
         self.unknowns[group].get(place..)?.try_into().ok()
     }
 
+    /// Takes what has been found of the clocks of all groups, for the data to be put forward by.
+    pub(crate) fn take_clocks(&mut self, data: &Data) -> Vec<Option<[f64; 2]>> {
+        let found = (0..data.groups.len()).map(|group| self.clock(data, group)).collect();
+        for (unknowns, group) in self.unknowns.iter_mut().zip(&data.groups) {
+            unknowns[constraint::clock_place(group.constraint)..].fill(0.0);
+        }
+        found
+    }
+
     /// The pose of an instrument's marker that row `row` reports, by the clock as it is known now.
     pub(crate) fn reported(&self, data: &Data, row: usize) -> Option<Pose> {
         let (number, _) = self.group_of(data, row);

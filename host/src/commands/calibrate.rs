@@ -25,6 +25,9 @@ const CONTACT: [f64; 2] = [3e-6, 100e-6];
 /// How true the steps of a stage are, and how little its carriage turns: metres and radians.
 const STAGE: [f64; 2] = [1e-6, 20e-6];
 
+/// Ratio of measured to stated noise, or its inverse, from which it is said.
+const OTHER_NOISE: f64 = 1.3;
+
 /// Finds the parameters of a real head from measurements on it.
 ///
 /// The scene says what the designer wanted, its [tolerance] how far the parts may be from that. Give poses that
@@ -149,9 +152,6 @@ fn read(
     data.add(name, constraint, sigmas, tables::thinned(rows));
     Ok(())
 }
-
-/// Ratio of measured to stated noise, or its inverse, from which it is said.
-const OTHER_NOISE: f64 = 1.3;
 
 /// The frames of a capture, whose noise is then that of the data.
 fn read_capture(file: &SceneFile, name: &str, data: &mut Data) -> Result<Vec<Row>, CommandError> {

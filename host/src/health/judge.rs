@@ -74,7 +74,8 @@ impl Health {
 
     /// A calibration whose residuals have grown.
     fn stale(&self) -> Option<Diagnosis> {
-        let Residuals { chi2, shifts_m } = self.places.as_ref()?.residuals(self.now_s)?;
+        let now_s = self.before.as_ref()?.tick as f64 * self.tick_s;
+        let Residuals { chi2, shifts_m } = self.places.as_ref()?.residuals(now_s)?;
         if chi2 < STALE {
             return None;
         }

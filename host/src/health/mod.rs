@@ -62,7 +62,6 @@ pub struct Health {
     /// Of a head that is known by a calibration.
     places: Option<Places>,
     tick_s: f64,
-    now_s: f64,
 }
 
 /// Properties of a cell from its scene.
@@ -127,7 +126,6 @@ impl Health {
             taken: 0,
             places: None,
             tick_s: f64::from(schedule.tick_hz).recip(),
-            now_s: 0.0,
         })
     }
 
@@ -148,10 +146,9 @@ impl Health {
         let bucket = self.window.current();
         bucket.scans += 1;
         bucket.troubled += u32::from(troubled);
-        self.now_s = scan.tick as f64 * self.tick_s;
         let mut places = self.places.as_mut().filter(|_| look && solution.redundancy > 0 && solution.chi2.is_finite());
         if let (Some(places), Some(estimate)) = (&mut places, &solution.estimate) {
-            places.add(self.now_s, &estimate.pose, solution.chi2, solution.redundancy as f64);
+            places.add(scan.tick as f64 * self.tick_s, &estimate.pose, solution.chi2, solution.redundancy as f64);
         }
         let before = self.before.replace(*scan);
         let readings = photocurrents.cells.iter().zip(&self.cells).zip(&mut self.totals);

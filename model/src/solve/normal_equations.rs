@@ -56,9 +56,7 @@ pub(super) struct Workspace<S: Scalar> {
     pub(super) plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
     /// Weights at the last linearisation of cells whose parts may be displaced.
     displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
-    /// The least of the readings' slacks: see [`crate::plan::CellTerms`].
-    pub(super) slack_m: S,
-    /// All of them.
+    /// The readings' slacks: see [`crate::plan::CellTerms`].
     pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
     /// M₁ and M₂ of [`super::twist`], if the twist is not known.
     twist_moments: [Matrix6<S>; 2],
@@ -87,7 +85,6 @@ impl<S: Scalar> Workspace<S> {
             rows: ArrayVec::new(),
             plane_rows: ArrayVec::new(),
             displaced: ArrayVec::new(),
-            slack_m: S::zero(),
             slacks_m: ArrayVec::new(),
             twist_moments: [[[S::zero(); 6]; 6]; 2],
             elimination: None,
@@ -188,8 +185,7 @@ impl<S: Scalar> Problem<'_, S> {
         workspace: &mut Workspace<S>,
     ) -> NormalEquations<S> {
         workspace.count();
-        let Workspace { rows: all_rows, plane_rows, displaced, slack_m, slacks_m, twist_moments, .. } = workspace;
-        *slack_m = S::infinity();
+        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, twist_moments, .. } = workspace;
         slacks_m.clear();
         displaced.clear();
         all_rows.clear();
@@ -208,7 +204,6 @@ impl<S: Scalar> Problem<'_, S> {
                 let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
                     return;
                 };
-                *slack_m = slack_m.min(terms.slack_m);
                 slacks_m.push(terms.slack_m);
                 let variance = self.noise[cell].displacement;
                 let looser;

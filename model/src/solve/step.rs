@@ -83,7 +83,8 @@ impl<S: Scalar> Problem<'_, S> {
 
     /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
     pub(super) fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
-        workspace.slack_m > S::of(MOST_MAGNIFICATION) * length * self.length_scale_m
+        let most_moved = S::of(MOST_MAGNIFICATION) * length * self.length_scale_m;
+        workspace.slacks_m.iter().all(|&slack_m| slack_m > most_moved)
     }
 
     /// [`Self::is_smooth`] of a `step` from `pose`, the last linearisation's, by how far it moves the emitter of each
