@@ -72,7 +72,7 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
 }
 
 fn is_stray(quantity: Quantity) -> bool {
-    matches!(quantity, Quantity::Stray(_) | Quantity::StrayLinear(..) | Quantity::StrayQuadratic(..))
+    matches!(quantity, Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_))
 }
 
 /// One cell on its own.

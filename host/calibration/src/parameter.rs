@@ -51,10 +51,11 @@ pub enum Quantity {
     Nonlinearity(u8),
     /// Stray current of an electrode with the tool at home, amperes.
     Stray(u8),
-    /// Its derivative by the tool's translation: electrode, axis; amperes per metre.
-    StrayLinear(u8, u8),
-    /// Its second-order term: electrode, term of [`Stray::quadratic_a_per_m2`]; amperes per square metre.
-    StrayQuadratic(u8, u8),
+    /// Relative change of the stray light of both electrodes by the tool's translation: term 0 to 2 along x, y or z, per
+    /// metre; then the terms of [`Stray::quadratic_a_per_m2`], per square metre.
+    StrayLevel(u8),
+    /// The same, added on electrode 2 and taken from electrode 1: stray light that wanders along the detector.
+    StrayBalance(u8),
     /// Gain of electrode 2 over that of electrode 1, relative.
     ElectrodeGain,
     /// Legendre coefficient of the curve of the converters of all first or second electrodes, of this order: amperes.
@@ -62,7 +63,7 @@ pub enum Quantity {
 }
 
 const AXIS: [&str; 3] = ["x", "y", "z"];
-const PRODUCTS: [&str; 6] = ["xx", "yy", "zz", "xy", "yz", "zx"];
+const STRAY_TERMS: [&str; 9] = ["x", "y", "z", "xx", "yy", "zz", "xy", "yz", "zx"];
 
 impl fmt::Display for Quantity {
     /// The name in a calibration file.
@@ -85,8 +86,8 @@ impl fmt::Display for Quantity {
             Self::WindowThickness => f.write_str("window_thickness"),
             Self::Nonlinearity(k) => write!(f, "nonlinearity_{k}"),
             Self::Stray(e) => write!(f, "stray_{}", e + 1),
-            Self::StrayLinear(e, k) => write!(f, "stray_{}_{}", e + 1, axis(k)),
-            Self::StrayQuadratic(e, k) => write!(f, "stray_{}_{}", e + 1, PRODUCTS[usize::from(k)]),
+            Self::StrayLevel(k) => write!(f, "stray_level_{}", STRAY_TERMS[usize::from(k)]),
+            Self::StrayBalance(k) => write!(f, "stray_balance_{}", STRAY_TERMS[usize::from(k)]),
             Self::ElectrodeGain => f.write_str("electrode_gain"),
             Self::Converter(e, k) => write!(f, "converter_{}_{k}", e + 1),
         }
@@ -97,7 +98,6 @@ impl Quantity {
     /// All quantities of one cell, in the order of calibration files.
     pub fn of_cell() -> impl Iterator<Item = Self> {
         let axes = || 0..3_u8;
-        let electrodes = || 0..2_u8;
         axes()
             .map(Self::DetectorShift)
             .chain(axes().map(Self::DetectorTurn))
@@ -111,9 +111,9 @@ impl Quantity {
             .chain((0..4).map(Self::ProfileAzimuthal))
             .chain([Self::WindowThickness])
             .chain((1..=NONLINEARITY_ORDERS as u8).map(Self::Nonlinearity))
-            .chain(electrodes().map(Self::Stray))
-            .chain(electrodes().flat_map(move |e| axes().map(move |k| Self::StrayLinear(e, k))))
-            .chain(electrodes().flat_map(|e| (0..6).map(move |k| Self::StrayQuadratic(e, k))))
+            .chain((0..2).map(Self::Stray))
+            .chain((0..9).map(Self::StrayLevel))
+            .chain((0..9).map(Self::StrayBalance))
             .chain([Self::ElectrodeGain])
     }
 
@@ -130,9 +130,11 @@ impl Quantity {
             Self::ProfileAzimuthal(_) => Some(1),
             Self::Nonlinearity(_) => Some(2),
             Self::Stray(_) => Some(3),
-            Self::StrayLinear(..) => Some(4),
-            Self::StrayQuadratic(..) => Some(5),
-            Self::Converter(..) => Some(6),
+            Self::StrayLevel(0..3) => Some(4),
+            Self::StrayLevel(_) => Some(5),
+            Self::StrayBalance(0..3) => Some(6),
+            Self::StrayBalance(_) => Some(7),
+            Self::Converter(..) => Some(8),
             _ => None,
         }
     }
@@ -160,14 +162,14 @@ impl Quantity {
             | Self::ProfileAzimuthal(_)
             | Self::ElectrodeGain => "1",
             Self::Stray(_) | Self::Converter(..) => "A",
-            Self::StrayLinear(..) => "A/m",
-            Self::StrayQuadratic(..) => "A/m^2",
+            Self::StrayLevel(0..3) | Self::StrayBalance(0..3) => "1/m",
+            Self::StrayLevel(_) | Self::StrayBalance(_) => "1/m^2",
         }
     }
 }
 
 /// Number of families.
-pub(crate) const FAMILIES: usize = 7;
+pub(crate) const FAMILIES: usize = 9;
 
 /// Σ cₖ·Pₖ as a polynomial: coefficients of x⁰, x¹, …
 fn powers<const N: usize>(legendre: &[f64; N]) -> [f64; N] {
@@ -201,6 +203,8 @@ struct Deviations {
     emitter_tilt: [f64; 2],
     nonlinearity: [f64; MAX_NONLINEARITY],
     stray: Stray,
+    stray_level: [f64; 9],
+    stray_balance: [f64; 9],
     converter: [[f64; MAX_CONVERTER]; 2],
     electrode_gain: f64,
 }
@@ -215,6 +219,8 @@ pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIter
         emitter_tilt: [0.0; 2],
         nonlinearity: [0.0; MAX_NONLINEARITY],
         stray: cell.effects.stray.unwrap_or_default(),
+        stray_level: [0.0; 9],
+        stray_balance: [0.0; 9],
         converter: [[0.0; MAX_CONVERTER]; 2],
         electrode_gain: 0.0,
     };
@@ -244,8 +250,8 @@ pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIter
             }
             Quantity::Nonlinearity(k) => by.nonlinearity[index(k)] += value,
             Quantity::Stray(e) => by.stray.constant_a[index(e)] += value,
-            Quantity::StrayLinear(e, k) => by.stray.linear_a_per_m[index(e)][index(k)] += value,
-            Quantity::StrayQuadratic(e, k) => by.stray.quadratic_a_per_m2[index(e)][index(k)] += value,
+            Quantity::StrayLevel(k) => by.stray_level[index(k)] += value,
+            Quantity::StrayBalance(k) => by.stray_balance[index(k)] += value,
             Quantity::ElectrodeGain => by.electrode_gain += value,
             Quantity::Converter(e, k) => by.converter[index(e)][index(k)] += value,
         }
@@ -255,6 +261,22 @@ pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIter
 }
 
 impl Deviations {
+    /// Stray light with its change by the pose.
+    fn stray_that_follows(&self) -> Stray {
+        let mut stray = self.stray;
+        for (electrode, sign) in [-1.0, 1.0].into_iter().enumerate() {
+            let home_a = stray.constant_a[electrode];
+            let change = |term: usize| home_a * (self.stray_level[term] + sign * self.stray_balance[term]);
+            for (axis, value) in stray.linear_a_per_m[electrode].iter_mut().enumerate() {
+                *value += change(axis);
+            }
+            for (product, value) in stray.quadratic_a_per_m2[electrode].iter_mut().enumerate() {
+                *value += change(3 + product);
+            }
+        }
+        stray
+    }
+
     fn act_on(self, cell: &mut Cell, full_scale_a: f64) {
         let detector = &mut cell.detector;
         let (x, z) = (detector.x_axis_base, detector.normal_base);
@@ -280,7 +302,7 @@ impl Deviations {
             effects.nonlinearity_m = own.map(|(k, value)| value + given.get(k).copied().unwrap_or(0.0)).collect();
         }
         if self.stray != Stray::default() {
-            effects.stray = Some(self.stray);
+            effects.stray = Some(self.stray_that_follows());
         }
         effects.electrode_gain[0] *= 1.0 - 0.5 * self.electrode_gain;
         effects.electrode_gain[1] *= 1.0 + 0.5 * self.electrode_gain;
@@ -306,6 +328,33 @@ mod tests {
         for quantity in Quantity::of_cell().chain(Quantity::of_head()) {
             assert_eq!(Quantity::named(&quantity.to_string()), Some(quantity));
         }
+    }
+
+    /// Light that falls on the detector's middle, brighter by a half 2 mm along x and moved towards electrode 2 by a
+    /// fifth of it 1 mm along y and z.
+    #[test]
+    fn stray_light_brightens_as_a_whole_and_wanders_apart() {
+        let values = [
+            (Quantity::Stray(0), 2e-8),
+            (Quantity::Stray(1), 2e-8),
+            (Quantity::StrayLevel(0), 250.0),
+            (Quantity::StrayBalance(3 + 4), 0.2e6),
+        ];
+        let cell = cell_with(&slitpose_head::scene_file::WIDE.read().unwrap().scene.cells[0], 1e-5, values);
+        let stray = cell.effects.stray.unwrap();
+        let at = |electrode: usize, [x, y, z]: [f64; 3]| {
+            let (linear, quadratic) = (stray.linear_a_per_m[electrode], stray.quadratic_a_per_m2[electrode]);
+            // Order of the products as documented at `Stray::quadratic_a_per_m2`.
+            let products = [x * x, y * y, z * z, x * y, y * z, z * x];
+            let sum =
+                |coefficients: &[f64], terms: &[f64]| coefficients.iter().zip(terms).map(|(c, t)| c * t).sum::<f64>();
+            stray.constant_a[electrode] + sum(&linear, &[x, y, z]) + sum(&quadratic, &products)
+        };
+        let close = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-14, "{found} {expected}");
+        close(at(0, [2e-3, 0.0, 0.0]), 3e-8);
+        close(at(1, [2e-3, 0.0, 0.0]), 3e-8);
+        close(at(0, [0.0, 1e-3, 1e-3]), 1.6e-8);
+        close(at(1, [0.0, 1e-3, 1e-3]), 2.4e-8);
     }
 
     #[test]

@@ -22,6 +22,9 @@ const AZIMUTH: f64 = 0.2;
 /// Surfaces that reflect are about ten workspaces' extents of path away.
 const STRAY_CHANGE: [f64; 2] = [0.15, 0.05];
 
+/// How far the electrodes' stray light changes unlike: most of a change is that of its brightness.
+const STRAY_BALANCE: f64 = 0.3;
+
 /// Standard deviation of the coefficients of a converter's curve, in steps: data sheets state 1.5 steps at most.
 const CONVERTER_LSB: f64 = 0.8;
 
@@ -95,8 +98,11 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
             around_zero(tolerance.nonlinearity_m * 4.0 / (3.0 + f64::from(k)))
         }
         Quantity::Stray(_) => around_zero(stray_a),
-        Quantity::StrayLinear(..) => around_zero(STRAY_CHANGE[0] * stray_a / extent_m),
-        Quantity::StrayQuadratic(..) => around_zero(STRAY_CHANGE[1] * stray_a / (extent_m * extent_m)),
+        Quantity::StrayLevel(_) | Quantity::StrayBalance(_) if stray_a == 0.0 => return None,
+        Quantity::StrayLevel(0..3) => around_zero(STRAY_CHANGE[0] / extent_m),
+        Quantity::StrayLevel(_) => around_zero(STRAY_CHANGE[1] / (extent_m * extent_m)),
+        Quantity::StrayBalance(0..3) => around_zero(STRAY_BALANCE * STRAY_CHANGE[0] / extent_m),
+        Quantity::StrayBalance(_) => around_zero(STRAY_BALANCE * STRAY_CHANGE[1] / (extent_m * extent_m)),
         Quantity::ElectrodeGain => around_zero(tolerance.electrode_gain_relative * std::f64::consts::SQRT_2),
         Quantity::Converter(..) => return None,
     };
