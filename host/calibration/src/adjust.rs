@@ -29,6 +29,9 @@ const LEAST_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, c
 const USUAL_ERROR: ModelError = ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0 };
 const USUAL_READINGS: f64 = 30.0;
 
+/// Least share of a pose's redundancy in its instrument's errors that rounding leaves to be told.
+const LEAST_SHARE: f64 = 1e-6;
+
 /// Rows that the redundancy is computed for.
 const SAMPLE: usize = 300;
 
@@ -360,7 +363,7 @@ impl<'a> Adjustment<'a> {
 
     /// Of each group, the ratio of the errors of lengths and of angles to what they are taken for.
     fn constraint_scales(&self, state: &State, normal: &Normal, weights: &Weights) -> Vec<[f64; 2]> {
-        let mut sums = vec![[[0.0; 2]; 2]; self.data.groups.len()];
+        let mut sums = vec![[[0.0; 3]; 2]; self.data.groups.len()];
         let Some(covariance) = normal.covariance() else { return vec![[0.0; 2]; sums.len()] };
         let cells = &normal.cells;
         let every = self.data.rows.len().div_ceil(SAMPLE);
@@ -381,10 +384,14 @@ impl<'a> Adjustment<'a> {
                 let sum = &mut sums[number][k / 3];
                 sum[0] += terms.residuals[first + k].powi(2);
                 sum[1] += 1.0 - hat;
+                sum[2] += 1.0;
             }
         }
-        let ratio =
-            |[found, expected]: [f64; 2]| ((found + USUAL_READINGS) / (expected.max(0.0) + USUAL_READINGS)).sqrt();
+        // What is known beforehand counts as so many poses that say as little of the instrument as these do.
+        let ratio = |[found, expected, count]: [f64; 3]| {
+            let usual = USUAL_READINGS * f64::max(expected / f64::max(count, 1.0), LEAST_SHARE);
+            ((found + usual) / (expected.max(0.0) + usual)).sqrt()
+        };
         sums.into_iter().map(|of_group| of_group.map(ratio)).collect()
     }
 }

@@ -134,3 +134,48 @@ pub(crate) fn derivatives(
     });
     (by_pose, by_unknowns.collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use slitpose_model::rotation_exp;
+
+    use super::*;
+
+    const SIGMAS: [f64; 2] = [1e-6, 1e-5];
+
+    fn row(knowledge: Knowledge) -> Row {
+        Row { id: String::new(), readings: Vec::new(), frames: 1.0, time_s: None, knowledge }
+    }
+
+    fn left(constraint: Constraint, knowledge: Knowledge, unknowns: &[f64], pose: &Pose) -> f64 {
+        let residuals = residuals(constraint, SIGMAS, &row(knowledge), unknowns, pose);
+        residuals.iter().fold(0.0, |most, value| value.abs().max(most))
+    }
+
+    #[test]
+    fn a_tool_that_turns_about_its_tip_keeps_a_pivot() {
+        let (tip, cone) = (DVec3::new(2e-3, -1e-3, -80e-3), DVec3::new(0.5e-3, 0.2e-3, -79e-3));
+        let unknowns = [tip.to_array(), cone.to_array()].concat();
+        for turn in [DVec3::ZERO, DVec3::new(0.2, -0.1, 0.7)] {
+            let rotation = rotation_exp(turn);
+            let pose = Pose { rotation, translation_m: cone - rotation * tip };
+            assert!(left(Constraint::Pivot, Knowledge::Nothing, &unknowns, &pose) < 1e-8);
+            let slipped = Pose { translation_m: pose.translation_m + DVec3::Y * 3e-6, ..pose };
+            assert!((left(Constraint::Pivot, Knowledge::Nothing, &unknowns, &slipped) - 3.0).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn a_tool_that_moves_along_a_line_keeps_a_stage() {
+        let (start, line) = ([1e-3, 2e-3, -1e-3, 0.1, -0.2, 0.05], DVec3::new(0.6, 0.0, -0.8));
+        let unknowns = [start.as_slice(), &line.to_array()].concat();
+        let at = |way_m: f64| Pose { translation_m: pose_of(&start).translation_m + line * way_m, ..pose_of(&start) };
+        for step_m in [0.0, 2e-3, -1e-3] {
+            assert!(left(Constraint::Stage, Knowledge::Step(step_m), &unknowns, &at(step_m)) < 1e-8);
+        }
+        // One micrometre too far along the line: 0.8 σ along z. Steps are true: a line longer than one is none.
+        assert!((left(Constraint::Stage, Knowledge::Step(1e-3), &unknowns, &at(1.001e-3)) - 0.8).abs() < 1e-6);
+        let longer = [start.as_slice(), &(line * 1.0001).to_array()].concat();
+        assert!(left(Constraint::Stage, Knowledge::Step(0.0), &longer, &at(0.0)) > 9.0);
+    }
+}

@@ -137,6 +137,29 @@ mod tests {
     const USUAL: f64 = 4.0;
 
     #[test]
+    fn model_errors_that_a_scene_states_stay() {
+        let mut file = WIDE.read().expect("the scene");
+        let without = uncalibrated(&file).expect("a head");
+        let given = ModelError { relative: 0.5, position_m: 1e-3, current_a: 1e-6 };
+        for cell in &mut file.scene.cells {
+            cell.effects.model_error = given;
+        }
+        let with = uncalibrated(&file).expect("a head");
+        for (with, without) in with.cells.iter().zip(&without.cells) {
+            let [with, without] = [with, without].map(|cell| cell.effects.model_error);
+            // Independent of what the tolerances do: squares add.
+            let added = [
+                (with.relative, without.relative, given.relative),
+                (with.position_m, without.position_m, given.position_m),
+                (with.current_a, without.current_a, given.current_a),
+            ];
+            for (with, without, given) in added {
+                assert!((with * with / (without * without + given * given) - 1.0).abs() < 1e-9, "{with} {without}");
+            }
+        }
+    }
+
+    #[test]
     fn heads_drawn_from_the_tolerances_have_a_pose_everywhere_with_an_honest_covariance() {
         let file = WIDE.read().expect("the scene");
         let scene = uncalibrated(&file).expect("a head");

@@ -330,6 +330,38 @@ mod tests {
         }
     }
 
+    /// Each part goes where its parameter says, in the cell's own frame; the scene's own tilts and gains stay.
+    #[test]
+    fn parts_deviate_as_their_parameters_say() {
+        let file = slitpose_head::scene_file::WIDE.read().unwrap();
+        let mut nominal = file.scene.cells[0].clone();
+        nominal.slit.tilt_rad = DVec3::new(0.0, 0.0, 0.02);
+        let with = |quantity, value| cell_with(&nominal, 1e-5, [(quantity, value)]);
+        let close = |a: DVec3, b: DVec3, by: f64| assert!(a.distance(b) < by, "{a} {b}");
+        let (x, z) = (nominal.detector.x_axis_base, nominal.detector.normal_base);
+        // Right-handed: y completes x and the normal.
+        let y = z.cross(x);
+        for (k, axis) in [x, y, z].into_iter().enumerate() {
+            let moved = with(Quantity::DetectorShift(k as u8), 1e-4).detector.centre_base_m;
+            close(moved - nominal.detector.centre_base_m, axis * 1e-4, 1e-12);
+            let moved = with(Quantity::EmitterShift(k as u8), 1e-4).emitter.position_tool_m;
+            close(moved - nominal.emitter.position_tool_m, DVec3::AXES[k] * 1e-4, 1e-12);
+        }
+        // A turn of 10 mrad about the normal brings x towards y; half of its square is left.
+        let turned = with(Quantity::DetectorTurn(2), 0.01).detector;
+        close(turned.x_axis_base, x + y * 0.01, 1e-4);
+        close(turned.normal_base, z, 1e-12);
+        close(with(Quantity::SlitTilt(2), 0.01).slit.tilt_rad, DVec3::Z * 0.03, 1e-12);
+        let axis = nominal.emitter.axis_tool;
+        let tilted = with(Quantity::EmitterTilt(1), 0.03).emitter.axis_tool;
+        assert!((tilted.angle_between(axis) - 0.03).abs() < 1e-9);
+        // Gain of electrode 2 over 1, their mean as it was.
+        let [first, second] = with(Quantity::ElectrodeGain, 0.01).effects.electrode_gain;
+        assert!((second / first - 1.01).abs() < 1e-4 && (first + second - 2.0).abs() < 1e-12);
+        let ratio = |cell: Cell| cell.emitter.radiant_intensity_w_per_sr / nominal.emitter.radiant_intensity_w_per_sr;
+        assert!((ratio(with(Quantity::LogIntensity, 2.0_f64.ln())) - 2.0).abs() < 1e-12);
+    }
+
     /// Light that falls on the detector's middle, brighter by a half 2 mm along x and moved towards electrode 2 by a
     /// fifth of it 1 mm along y and z.
     #[test]

@@ -186,3 +186,43 @@ impl Sample {
         Some(Self { functions: functions(pose, state.length_scale_m), weight: variance.recip(), error })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use slitpose_head::scene_file::WIDE;
+
+    use super::*;
+    use crate::data::Data;
+    use crate::{Quantity, prior};
+
+    /// All emitters off by the same way on the tool: every pose errs by that way, turned with the tool.
+    #[test]
+    fn a_tool_whose_emitters_are_all_off_by_the_same_is_elsewhere() {
+        let file = WIDE.read().expect("the scene");
+        let parameters = prior::parameters(&file).expect("a prior");
+        let is_moved = |place: usize| parameters.entries[place].quantity == Quantity::EmitterShift(0);
+        let count = parameters.entries.len();
+        let covariance = DMatrix::from_fn(count, count, |i, j| f64::from(u8::from(is_moved(i) && is_moved(j))));
+        let sigma_m = file.tolerance.unwrap_or_default().position_m;
+        let errors = vec![ModelError::default(); file.scene.cells.len()];
+        let state = State::new(&file.scene, parameters.clone(), &Data::default(), Vec::new(), errors);
+        let (found, rest) = PoseError::of(&file.scene, &state, &covariance, &file.workspace).expect("poses");
+        for turn in [DVec3::ZERO, DVec3::new(0.0, 0.0, 0.2)] {
+            let pose = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 1e-3), turn);
+            let way = pose.rotation * DVec3::X * sigma_m;
+            let covariance = found.covariance(&pose);
+            for i in 0..3 {
+                for j in 0..3 {
+                    // The error is linear in the rotation vector: 0.2²/2 of it is left, twice in a square.
+                    let missed = (covariance[i][j] - way[i] * way[j]).abs();
+                    assert!(missed < 0.05 * sigma_m * sigma_m, "{i} {j}: {covariance:?}");
+                }
+            }
+        }
+        // The poses explain it: what is left for single cells is of second order.
+        for error in rest {
+            assert!(error.position_m < 0.05 * sigma_m && error.relative < 1e-3, "{error:?}");
+        }
+    }
+}

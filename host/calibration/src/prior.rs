@@ -108,3 +108,43 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
     };
     (found[1] > 0.0).then_some(found)
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+    use slitpose_head::scene_file::WIDE;
+
+    use crate::{Quantity, draw};
+
+    #[test]
+    fn default_tolerances_leave_everything_open() {
+        let (_, found) = draw(&WIDE.read().expect("the scene"), || 0.0).expect("a head");
+        for quantity in Quantity::of_cell() {
+            let cells = found.iter().filter(|entry| entry.quantity == quantity && entry.prior_sigma > 0.0).count();
+            assert_eq!(cells, 6, "{quantity}");
+        }
+        assert_eq!(found.iter().filter(|entry| entry.cell.is_none()).count(), Quantity::of_head().count());
+    }
+
+    /// Data sheets of 12-bit converters state an integral non-linearity of 1 to 2 steps.
+    #[test]
+    fn curves_of_converters_are_those_of_data_sheets() {
+        const SEED: u64 = 2;
+        let (file, mut rng) = (WIDE.read().expect("the scene"), ChaCha8Rng::seed_from_u64(SEED));
+        let front_end = file.front_end.as_ref().expect("a front end");
+        let step_a = front_end.full_scale_a / 4096.0;
+        let mut most: Vec<f64> = (0..101)
+            .map(|_| {
+                let (head, _) = draw(&file, || rng.sample(StandardNormal)).expect("a head");
+                let converters = head.cells[0].effects.converters.as_ref().expect("curves");
+                let at = |x: f64| converters.curves_a[0].iter().rev().fold(0.0, |sum, term| sum * x + term);
+                (-50..=50).map(|k| at(f64::from(k) / 50.0).abs() / step_a).fold(0.0, f64::max)
+            })
+            .collect();
+        most.sort_by(f64::total_cmp);
+        println!("seed {SEED}: {:.2} steps in the median, {:.2} in nine of ten", most[50], most[90]);
+        assert!((0.75..3.0).contains(&most[50]));
+    }
+}

@@ -125,6 +125,32 @@ mod tests {
     use super::*;
     use crate::data::Knowledge;
 
+    /// Light's shot noise divides as its light does and moves no spot; what the resistance drives out of one electrode
+    /// comes in by the other, and adds nothing to the sum.
+    #[test]
+    fn each_kind_of_noise_acts_where_its_physics_says() {
+        let cell = &WIDE.read().unwrap().scene.cells[0];
+        let noise = Noise { shot_bandwidth_hz: 1e4, johnson_bandwidth_hz: 1e4, temperature_k: 300.0, adc_a: 0.0 };
+        let pair = [1e-6, 3e-6];
+        let variances = |noise: Noise| {
+            let [a, b, c] = ReadingNoise::new(Some(&noise), cell).covariance(pair, 1.0, &ModelError::default());
+            let [_, [x, y]] = directions(pair, 1.0);
+            [a + 2.0 * b + c, x * x * a + 2.0 * x * y * b + y * y * c]
+        };
+        let light = variances(Noise { temperature_k: 0.0, ..noise });
+        // 2·q·I·B of 4 µA in 10 kHz (CODATA 2018), and nothing of the position, but for rounding and the dark current.
+        let shot_a2 = 2.0 * 1.602_176_634e-19 * (4e-6 + cell.detector.dark_current_a) * 1e4;
+        assert!((light[0] / shot_a2 - 1.0).abs() < 0.01, "{light:?} {shot_a2}");
+        let shot_of_one = 1.602_176_634e-19 * 2.0 * 1e4 / 4e-6;
+        assert!(light[1] < 0.01 * shot_of_one, "{light:?}");
+        let resistance = variances(Noise { shot_bandwidth_hz: 0.0, ..noise });
+        assert!(resistance[0] < 0.01 * shot_a2, "{resistance:?}");
+        // 4·k·T·B/R on either electrode, against each other: the position moves by twice it over the sum.
+        let johnson_a = (4.0 * 1.380_649e-23 * 300.0 * 1e4 / cell.detector.interelectrode_ohm.unwrap()).sqrt();
+        let expected = (2.0 * johnson_a / 4e-6).powi(2);
+        assert!((resistance[1] / expected - 1.0).abs() < 0.02, "{resistance:?} {expected}");
+    }
+
     #[test]
     fn noise_is_measured_whatever_the_motion_and_single_outliers() {
         const SEED: u64 = 3;

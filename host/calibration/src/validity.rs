@@ -115,12 +115,11 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
     }
     let chi2 = sums[0] / sums[1].max(1.0);
     let is_valid = (used >= LEAST_ROWS).then_some(chi2 < STALE);
-    let best = (0..count).min_by(|&a, &b| cells[a].without.total_cmp(&cells[b].without));
+    // Where one cell contradicts the others, rows without another one often have no pose that tells anything.
+    let is_judged = |cell: &usize| 2 * cells[*cell].readings > used;
+    let best = (0..count).filter(is_judged).min_by(|&a, &b| cells[a].without.total_cmp(&cells[b].without));
     let changed = best.filter(|&cell| {
-        is_valid == Some(false)
-            && 2 * cells[cell].readings > used
-            && chi2 - cells[cell].without > BLAMED * (chi2 - 1.0)
-            && cells[cell].without < STALE
+        is_valid == Some(false) && chi2 - cells[cell].without > BLAMED * (chi2 - 1.0) && cells[cell].without < STALE
     });
     Ok(Validity { rows: used, chi2, cells, is_valid, changed })
 }
