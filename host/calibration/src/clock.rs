@@ -7,6 +7,7 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
 use serde::Deserialize;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
@@ -44,10 +45,18 @@ const LEAST_OVERLAP: f64 = 0.5;
 /// Root-mean-square angle between the orientations below which the tool hardly turns, radians.
 const LEAST_TURN: f64 = 0.01;
 
-/// Share of the variance of the angles that the right shift leaves at most. Heads as they come leave some hundredths.
-const MOST_LEFT: f64 = 0.3;
+/// Share of the variance of the angles that the right shift leaves at most. Heads as they come leave some hundredths,
+/// the worst a half.
+const MOST_LEFT: f64 = 0.7;
 
-/// Factor by which the mean square distance of the poses has to be greater at any other shift, and how far off that is
+/// Angles greater than this multiple of the instrument's greatest are no turns of the tool: poses of an uncalibrated head
+/// may jump between two minima.
+const JUMP: f64 = 1.5;
+
+/// Median square distance of the poses at the right shift, by the median square of the tool's motion, at most.
+const MOST_APART: f64 = 0.3;
+
+/// Factor by which the median square distance of the poses has to be greater at any other shift, and how far off that is
 /// another one, seconds.
 const DISTINCT: f64 = 3.0;
 const ELSEWHERE_S: f64 = 0.2;
@@ -98,7 +107,7 @@ pub enum ClockError {
     },
     /// No shift at which the motions agree.
     #[error(
-        "{file}: its motion is not that of {capture}: at best {} % of the tool's turning agrees; \
+        "{file}: its motion is not that of {capture}: at best {} % of it agrees; \
          give records of the same minutes, rotations in radians", (100.0 * (1.0 - left)).max(0.0).round()
     )]
     NoMatch {
@@ -106,7 +115,7 @@ pub enum ClockError {
         file: String,
         /// The capture.
         capture: String,
-        /// Share of the angles' variance that is left.
+        /// Share of the squares of its angles, or of its ways, that is left.
         left: f64,
     },
     /// A motion that repeats itself.
@@ -179,6 +188,11 @@ struct Motion<'a> {
     files: [&'a str; 2],
 }
 
+fn median(mut squares: Vec<f64>) -> f64 {
+    squares.sort_by(f64::total_cmp);
+    squares.get(squares.len() / 2).copied().unwrap_or(f64::INFINITY)
+}
+
 /// `most` of `all`, spread evenly.
 fn some<T: Copy>(all: &[T], most: usize) -> Vec<T> {
     let count = most.min(all.len());
@@ -189,25 +203,31 @@ impl Motion<'_> {
     /// How far the instrument's clock is ahead of the board's, seconds.
     fn ahead_s(&self, track: &Track) -> Result<f64, ClockError> {
         let [file, capture] = self.files.map(str::to_owned);
+        let [track_from_s, track_to_s] = track.span_s();
+        let (Some((first_s, _)), Some((last_s, _))) = (self.poses.first(), self.poses.last()) else {
+            return Err(ClockError::Still { file });
+        };
+        let from_s = track_from_s - last_s;
+        let steps = (track_to_s - first_s - from_s) / STEP_S;
+        if steps > MOST_STEPS {
+            let [span_s, capture_s] = [track_to_s - track_from_s, last_s - first_s];
+            return Err(ClockError::Long { file, span_s, capture, capture_s });
+        }
         let pairs = self.poses.windows(APART + 1).map(|of| (of[0], of[APART]));
-        let turns: Vec<Turn> = pairs
+        let mut turns: Vec<Turn> = pairs
             .map(|((first_s, first), (last_s, last))| Turn {
                 times_s: [first_s, last_s],
                 angle: last.displacement_from(&first).1.length(),
             })
             .collect();
+        let apart_s = turns.first().map_or(0.0, |turn| turn.times_s[1] - turn.times_s[0]);
+        let most = JUMP * track.greatest_turn(apart_s);
+        turns.retain(|turn| turn.angle <= most);
         let mean_square = turns.iter().map(|turn| turn.angle * turn.angle).sum::<f64>() / turns.len().max(1) as f64;
-        let (Some(first), Some(last), true) = (turns.first(), turns.last(), mean_square.sqrt() > LEAST_TURN) else {
+        if mean_square.sqrt() <= LEAST_TURN {
             return Err(ClockError::Still { file });
-        };
-        let turns_tried = some(&turns, TRIED);
-        let [track_from_s, track_to_s] = track.span_s();
-        let from_s = track_from_s - last.times_s[1];
-        let steps = (track_to_s - first.times_s[0] - from_s) / STEP_S;
-        if steps > MOST_STEPS {
-            let [span_s, capture_s] = [track_to_s - track_from_s, last.times_s[1] - first.times_s[0]];
-            return Err(ClockError::Long { file, span_s, capture, capture_s });
         }
+        let turns_tried = some(&turns, TRIED);
         let steps = steps as usize;
         let shares: Vec<f64> =
             (0..=steps).map(|k| left(track, &turns_tried, from_s + k as f64 * STEP_S).unwrap_or(1.0)).collect();
@@ -228,6 +248,11 @@ impl Motion<'_> {
         let mut found: Vec<(f64, f64)> =
             alike.take(CANDIDATES).map(|&(_, rough_s)| self.settled(track, &poses, rough_s)).collect();
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mean_m = poses.iter().map(|(_, pose)| pose.translation_m).sum::<DVec3>() / poses.len() as f64;
+        let motion = median(poses.iter().map(|(_, pose)| pose.translation_m.distance_squared(mean_m)).collect());
+        if found[0].0 > MOST_APART * motion {
+            return Err(ClockError::NoMatch { file, capture, left: (found[0].0 / motion).min(1.0) });
+        }
         match *found {
             [(best, first_s), (second, second_s), ..]
                 if second < DISTINCT * best && (first_s - second_s).abs() > ELSEWHERE_S =>
@@ -250,7 +275,7 @@ impl Motion<'_> {
         (self.misfit(track, poses, found_s), found_s)
     }
 
-    /// Mean square distance of the poses from the instrument's, metres squared.
+    /// Median square distance of the poses from the instrument's, metres squared.
     fn misfit(&self, track: &Track, poses: &[(f64, Pose)], ahead_s: f64) -> f64 {
         let pairs: Vec<(Pose, Pose)> =
             poses.iter().filter_map(|(time_s, pose)| Some((*pose, track.at(time_s + ahead_s)?.0))).collect();
@@ -262,7 +287,7 @@ impl Motion<'_> {
         let square = |(pose, marker): &(Pose, Pose)| {
             compose(&compose(&x, marker), &inverse(&y)).displacement_from(pose).0.length_squared()
         };
-        pairs.iter().map(square).sum::<f64>() / pairs.len() as f64
+        median(pairs.iter().map(square).collect())
     }
 }
 
@@ -331,15 +356,19 @@ pub(crate) mod tests {
         let times_s = (0..900).map(|k| 1.0 + f64::from(k) * 0.011);
         // An uncalibrated head is off by some percent.
         let off = |pose: Pose| Pose::from_vectors(pose.translation_m * 1.03, pose.rotation_rad() * 0.96);
-        let poses = times_s.map(|time_s| (time_s, off(of(time_s)))).collect();
+        // Now and then its pose jumps to another minimum for a while.
+        let jumps = |k: usize| k % 60 < 6;
+        let far = |pose: Pose| pose.perturbed(DVec3::new(9e-3, 0.0, -5e-3), DVec3::new(0.0, 0.7, 0.3));
+        let seen = |(k, time_s)| (time_s, if jumps(k) { far(off(of(time_s))) } else { off(of(time_s)) });
+        let poses = times_s.enumerate().map(seen).collect();
         Motion { poses, constraint: Constraint::KnownInOwnFrames, files: ["poses.csv", "free.mcap"] }
     }
 
     #[test]
     fn a_clock_is_found_from_the_motion_in_whatever_frames() {
         let found_s = seen(|time_s| motion(time_s, false)).ahead_s(&track(|time_s| motion(time_s, false))).unwrap();
-        // The search has a step of 10 ms; what is left is small against the 50 ms between two poses compared.
-        assert!((found_s - AHEAD_S).abs() < 1e-3, "{found_s}");
+        // The step of the search, from which the adjustment goes on.
+        assert!((found_s - AHEAD_S).abs() < STEP_S, "{found_s}");
     }
 
     #[test]

@@ -52,6 +52,13 @@ impl Track {
         [self.times_s[0], self.times_s[self.times_s.len() - 1]]
     }
 
+    /// The greatest angle that the marker turns by within `apart_s`, radians.
+    pub(crate) fn greatest_turn(&self, apart_s: f64) -> f64 {
+        let apart = ((apart_s / self.usual_s).round() as usize).clamp(1, self.poses.len() - 1);
+        let turns = self.poses.windows(apart + 1).map(|of| of[apart].displacement_from(&of[0]).1.length());
+        turns.fold(0.0, f64::max)
+    }
+
     /// How the marker moves around pose `i`: metres and radians per second.
     fn twist(&self, i: usize) -> [DVec3; 2] {
         let (before, after) = (i.saturating_sub(1), (i + 1).min(self.poses.len() - 1));
