@@ -1,6 +1,7 @@
 //! Tools for the designer of a sensor head.
 //!
 //! * [`survey`] shows what a scene can do;
+//! * [`map`] shows how accurate it is, and where;
 //! * [`plot`] draws;
 //! * [`paper`] calculates the source paper's experiments;
 //! * [`identification`] finds an emitter's profile from currents;
@@ -30,6 +31,7 @@
 #![forbid(unsafe_code)]
 
 pub mod identification;
+pub mod map;
 pub mod paper;
 pub mod plot;
 pub mod report;

@@ -56,6 +56,8 @@ pub fn account(bench: &SceneFile, mut progress: impl FnMut(usize)) -> Result<Rep
         ],
         warnings: Vec::new(),
         sections: vec![errors(bench, &found)?, identification(bench, ALIKE.map(|index| &found[index]))?],
+        leading: 0,
+        data: Vec::new(),
     })
 }
 

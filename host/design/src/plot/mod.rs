@@ -7,6 +7,7 @@
 mod canvas;
 mod chart;
 mod close_up;
+mod heat;
 mod label;
 mod palette;
 mod projection;
@@ -18,6 +19,7 @@ mod ticks;
 pub(crate) use canvas::{Anchor, Canvas, Stroke, TextStyle};
 pub(crate) use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;
+pub(crate) use heat::{Heat, heat_picture};
 pub(crate) use palette::{Colour, SOFT_INK, cell_colour};
 pub use scene::scene_picture;
 pub use size::PlotError;

@@ -28,3 +28,8 @@ const CELLS: [Colour; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 pub(crate) fn cell_colour(cell: usize) -> Colour {
     CELLS[cell % CELLS.len()]
 }
+
+/// Bands of a value, ascending: lightness grows steadily, for all eyes and in print (cividis; Nuñez, Anderton, Renslow
+/// 2018).
+pub(crate) const BANDS: [Colour; 8] =
+    ["#00224e", "#213b6e", "#4c556c", "#6c6e72", "#8e8978", "#b1a570", "#d9c55c", "#fee838"];

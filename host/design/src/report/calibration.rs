@@ -41,6 +41,8 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
             .chain(instruments(calibration))
             .chain([parameters(calibration)])
             .collect(),
+        leading: 1,
+        data: Vec::new(),
     }
 }
 

@@ -43,7 +43,7 @@ impl Folder {
         for picture in report.sections.iter().flat_map(|section| &section.pictures) {
             text(format!("{}.svg", picture.name), &picture.svg)?;
         }
-        for table in report.sections.iter().flat_map(|section| &section.tables) {
+        for table in report.sections.iter().flat_map(|section| &section.tables).chain(&report.data) {
             let path = self.path.join(format!("{}.csv", table.name));
             write_table(table, Output::file(&path)?)?;
             written.push(path);

@@ -43,25 +43,29 @@ pub(super) struct Head<'a> {
 
 /// The times of one frame.
 #[derive(Clone, Debug)]
-pub(super) struct Frame {
+pub(crate) struct Frame {
     /// When the light of each cell leaves its emitter, relative to the reference instant, seconds.
-    pub(super) exposures_s: Vec<f64>,
+    pub(crate) exposures_s: Vec<f64>,
     /// From one frame to the next, seconds.
-    pub(super) period_s: f64,
+    pub(crate) period_s: f64,
+}
+
+/// The scene with the noise of its front end, and the times of a frame; without front end, or with one whose schedule fits
+/// no frame, with the noise of the file.
+pub(crate) fn frame_scene(file: &SceneFile) -> (Scene, Option<Frame>) {
+    let (Some(front_end), Ok(configuration)) = (&file.front_end, configuration(file)) else {
+        return (file.scene.clone(), None);
+    };
+    let schedule = &configuration.schedule;
+    let scaling = Electronics::new(&file.scene, front_end).scaling();
+    let exposures_s = Stage::new(file, schedule, &scaling).exposures_s();
+    let frame = Frame { exposures_s, period_s: schedule.frame_rate_hz().recip() };
+    (Stage::weighted_scene(file, schedule, &scaling), Some(frame))
 }
 
 impl<'a> Head<'a> {
     pub(super) fn of(file: &'a SceneFile, settings: &Settings) -> Result<Self, ReportError> {
-        let (scene, frame) = match (&file.front_end, configuration(file)) {
-            (Some(front_end), Ok(configuration)) => {
-                let schedule = &configuration.schedule;
-                let scaling = Electronics::new(&file.scene, front_end).scaling();
-                let exposures_s = Stage::new(file, schedule, &scaling).exposures_s();
-                let frame = Frame { exposures_s, period_s: schedule.frame_rate_hz().recip() };
-                (Stage::weighted_scene(file, schedule, &scaling), Some(frame))
-            }
-            _ => (file.scene.clone(), None),
-        };
+        let (scene, frame) = frame_scene(file);
         let is_table = |cell: &Cell| matches!(cell.emitter.profile, Profile::Table(_));
         let truth_tier = if scene.cells.iter().any(is_table) { TRUTH_OF_TABLES } else { TRUTH };
         let truth = Plan::compile(&scene, truth_tier)?;

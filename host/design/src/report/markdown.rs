@@ -19,6 +19,9 @@ pub(super) fn markdown(report: &Report) -> String {
     for section in &report.sections {
         text += &of_section(section);
     }
+    for table in &report.data {
+        text += &format!("\n{} (`{}.csv`)\n", table.caption, table.name);
+    }
     text
 }
 

@@ -7,7 +7,7 @@
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
 //!   `attainable` is the best accuracy of a pose at all;
 //! * `forward`, `solver`, `cycles`, `economy`, `motion` and `stiff` are the sections;
-//! * `calibration` is the report on a calibration;
+//! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace;
 //! * `section` has their parts; `page`, `markdown`, `folder` write it.
 
 mod accuracy;
@@ -20,6 +20,7 @@ mod error;
 mod folder;
 mod forward;
 mod head;
+mod map;
 mod markdown;
 mod method;
 mod motion;
@@ -37,10 +38,12 @@ use std::path::PathBuf;
 pub use calibration::calibration_report;
 pub use error::ReportError;
 pub use folder::Folder;
+pub use map::map_report;
 pub use section::{Column, Report, Section, Table, Value};
 pub(crate) use section::{Picture, column};
 
 use head::Head;
+pub(crate) use head::frame_scene;
 use slitpose_head::scene_file::SceneFile;
 
 /// Default number of poses of a full study: rms errors are known to 1 % or so.
@@ -104,5 +107,7 @@ pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&st
         conditions: conditions::conditions(file, settings),
         warnings: conditions::warnings(),
         sections,
+        leading: 1,
+        data: Vec::new(),
     })
 }

@@ -33,6 +33,10 @@ pub(super) fn page(report: &Report) -> String {
     for section in &report.sections {
         page += &of_section(section);
     }
+    for table in &report.data {
+        let file = format!("{}.csv", table.name);
+        page += &format!("<p>{} (<a href=\"{file}\">{file}</a>)</p>\n", words(&table.caption));
+    }
     page + "</body>\n</html>\n"
 }
 
@@ -111,6 +115,8 @@ mod tests {
             conditions: vec![("seed", "1".into())],
             warnings: vec![],
             sections: vec![section],
+            leading: 0,
+            data: Vec::new(),
         };
         let page = page(&report);
         for word in ["src=", "@import", "url(", "<script", "<link"] {

@@ -88,6 +88,28 @@ pub struct Table {
     pub rows: Vec<Vec<Value>>,
 }
 
+impl Table {
+    /// In columns, for people.
+    pub fn as_text(&self) -> String {
+        let heading: Vec<String> = self.columns.iter().map(|column| column.heading.to_owned()).collect();
+        let shown = |row: &Vec<Value>| row.iter().map(Value::shown).collect::<Vec<_>>();
+        let lines: Vec<Vec<String>> = [heading].into_iter().chain(self.rows.iter().map(shown)).collect();
+        let widths: Vec<usize> = (0..self.columns.len())
+            .map(|k| lines.iter().map(|line| line[k].chars().count()).max().unwrap_or(0))
+            .collect();
+        let is_number = |k: usize| self.rows.first().is_some_and(|row| row[k].is_number());
+        let mut text = String::new();
+        for line in lines {
+            let fields = line.iter().zip(&widths).enumerate().map(|(k, (field, width))| {
+                if is_number(k) { format!("{field:>width$}") } else { format!("{field:<width$}") }
+            });
+            text += format!("  {}", fields.collect::<Vec<_>>().join("  ")).trim_end();
+            text.push('\n');
+        }
+        text
+    }
+}
+
 /// A picture.
 #[derive(Clone, Debug)]
 pub(crate) struct Picture {
@@ -129,13 +151,25 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// The chapters.
     pub sections: Vec<Section>,
+    /// The chapter whose sentences come first in the summary; those before it come last.
+    pub leading: usize,
+    /// Tables too long for a page: they are files only.
+    pub data: Vec<Table>,
 }
 
 impl Report {
-    /// What a reader of nothing else should know: poses first, then what they rest on.
+    /// What a reader of nothing else should know.
     pub fn summary(&self) -> impl Iterator<Item = &str> {
-        let (first, others) = self.sections.split_at(self.sections.len().min(1));
-        others.iter().chain(first).flat_map(|section| &section.summary).map(String::as_str)
+        let (before, others) = self.sections.split_at(self.sections.len().min(self.leading));
+        others.iter().chain(before).flat_map(|section| &section.summary).map(String::as_str)
+    }
+
+    /// The summary and the first table, as a text for people.
+    pub fn in_short(&self) -> String {
+        let sentences: String = self.summary().map(|said| format!("{said}\n")).collect();
+        let table = self.sections.iter().flat_map(|section| &section.tables).next().map(Table::as_text);
+        let conditions: String = self.conditions.iter().map(|(name, value)| format!("{name}: {value}\n")).collect();
+        format!("{}: {}\n\n{sentences}\n{}\n{conditions}", self.title, self.scene, table.unwrap_or_default())
     }
 }
 

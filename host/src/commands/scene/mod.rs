@@ -2,6 +2,7 @@
 
 mod check;
 mod list;
+mod map;
 mod plot;
 mod show;
 
@@ -9,7 +10,7 @@ use clap::Subcommand;
 
 use super::{CommandError, Outcome};
 
-/// Checks, draws, lists and shows scenes.
+/// Checks, maps, draws, lists and shows scenes.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(subcommand)]
@@ -22,6 +23,7 @@ enum Verb {
     /// Lists the scenes that come with the program
     #[command(after_help = "Example:\n  slitpose scene list")]
     List,
+    Map(map::Args),
     Plot(plot::Args),
     Show(show::Args),
 }
@@ -30,6 +32,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     match &args.verb {
         Verb::Check(args) => check::run(args),
         Verb::List => list::run(),
+        Verb::Map(args) => map::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Show(args) => show::run(args),
     }

@@ -1,0 +1,115 @@
+//! How accurate a head is, and where: `slitpose scene map`.
+//!
+//! [`Outlook`] says what one frame tells at a pose; [`Map::of`] asks it all over the workspace: poses spread evenly, and
+//! planes through home, each with the worst of what lies behind and before it.
+
+mod outlook;
+mod plane;
+
+use slitpose_calibration::Head;
+use slitpose_model::{Pose, SceneError};
+
+pub use outlook::{NoiseOf, Outlook, View};
+pub use plane::{Plane, PlanePoint};
+
+use crate::survey::workspace_poses;
+
+/// How finely a workspace is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Fineness {
+    /// Poses spread over the workspace.
+    pub samples: usize,
+    /// Points along each side of a plane.
+    pub side: usize,
+    /// Poses behind each point of a plane, besides that in the plane, of which the worst counts.
+    pub behind: usize,
+}
+
+impl Default for Fineness {
+    fn default() -> Self {
+        Self { samples: 20_000, side: 33, behind: 24 }
+    }
+}
+
+impl Fineness {
+    /// How many poses are looked at in all.
+    pub fn poses(&self) -> usize {
+        self.samples + plane::AXES.len() * self.side * self.side * (1 + self.behind)
+    }
+}
+
+/// A workspace as single frames see it.
+#[derive(Clone, Debug)]
+pub struct Map {
+    /// Where the noise of a frame comes from.
+    pub noise: NoiseOf,
+    /// Frames per second; `None` without front end.
+    pub frame_rate_hz: Option<f64>,
+    /// Cells of the head.
+    pub cells: usize,
+    /// With the tool at home.
+    pub home: View,
+    /// Poses spread evenly, and what a frame tells there.
+    pub samples: Vec<(Pose, View)>,
+    /// Planes through home.
+    pub planes: Vec<Plane>,
+    /// See [`Fineness::behind`].
+    pub behind: usize,
+}
+
+impl Map {
+    /// Looks at the workspace of `head`; `progress` is called for each pose, [`Fineness::poses`] in all.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub fn of(head: Head, fineness: Fineness, mut progress: impl FnMut()) -> Result<Self, SceneError> {
+        let workspace = head.file.workspace;
+        let outlook = Outlook::of(head)?;
+        let mut view = |pose: &Pose| {
+            progress();
+            outlook.at(pose)
+        };
+        Ok(Self {
+            noise: outlook.noise,
+            frame_rate_hz: outlook.frame_rate_hz,
+            cells: outlook.cells(),
+            home: outlook.at(&Pose::HOME),
+            samples: workspace_poses(&workspace, fineness.samples).map(|pose| (pose, view(&pose))).collect(),
+            planes: plane::AXES.map(|axes| Plane::of(axes, &workspace, fineness, &mut view)).into(),
+            behind: fineness.behind,
+        })
+    }
+
+    /// Of all poses, `value` at the share `quantile` of them, ascending; what has no value is last, and infinite.
+    pub fn quantile(&self, quantile: f64, value: impl Fn(&View) -> Option<f64>) -> f64 {
+        self.quantiles([quantile], value)[0]
+    }
+
+    /// [`Self::quantile`] of several.
+    pub fn quantiles<const N: usize>(&self, quantiles: [f64; N], value: impl Fn(&View) -> Option<f64>) -> [f64; N] {
+        let mut values: Vec<f64> = self.samples.iter().map(|(_, view)| value(view).unwrap_or(f64::INFINITY)).collect();
+        values.sort_by(f64::total_cmp);
+        let last = values.len().saturating_sub(1);
+        quantiles.map(|share| values.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN))
+    }
+
+    /// Share of the poses for which `holds`.
+    pub fn share(&self, holds: impl Fn(&View) -> bool) -> f64 {
+        self.samples.iter().filter(|(_, view)| holds(view)).count() as f64 / self.samples.len() as f64
+    }
+
+    /// The pose where `value` is greatest, and that value; what has none does not count.
+    pub fn worst(&self, value: impl Fn(&View) -> Option<f64>) -> Option<(Pose, f64)> {
+        let found = self.samples.iter().filter_map(|(pose, view)| Some((*pose, value(view)?)));
+        found.max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// By what a standard deviation of single frames is to be multiplied for the density of white noise, one-sided, per
+    /// √Hz: noise of variance σ² fills the band up to half the frame rate evenly. `None` without front end.
+    pub fn per_root_hz(&self) -> Option<f64> {
+        Some((2.0 / self.frame_rate_hz?).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,88 @@
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use slitpose_head::scene_file::{SceneFile, Shipped, WIDE};
+use slitpose_head::simulator::noisy_reading;
+use slitpose_model::{MotionPrior, Photocurrents, Plan, Solver, Start, Tier};
+
+use super::*;
+use crate::report::frame_scene;
+
+const SEED: u64 = 11;
+
+/// Frames of each pose: a root mean square over three axes is then known to a percent.
+const FRAMES: usize = 3000;
+const POSES: usize = 100;
+
+/// Errors of poses that were solved from noisy frames, against the map. Five σ of a root mean square of three axes with
+/// like variances are 3.7 %, of a single one 6.5 %.
+#[test]
+fn a_map_has_the_errors_that_solving_makes() {
+    const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+    let wide = || WIDE.read().expect("a scene");
+    // The same head with a detector turned away, and one seen by a measuring channel.
+    let turned =
+        wide().source.replacen("x_axis = [0.0, 0.707106781186548, 0.707106781186547]", "x_axis = [0.0, 1.0, 0.0]", 1);
+    let base = Shipped::named("base").expect("a scene").read().expect("a scene");
+    for file in [wide(), SceneFile::parse("turned.toml", &turned).expect("a scene"), base] {
+        let (scene, _) = frame_scene(&file);
+        let (plan, solver) = (Plan::<f64>::compile(&scene, TIER).unwrap(), Solver::<f64>::new(&scene, TIER).unwrap());
+        let (noise, workspace) = (scene.noise.expect("noise"), file.workspace);
+        let outlook = Outlook::of(file.clone().into()).expect("a head");
+        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let (mut tried, mut worst, mut sums) = (0, 0.0_f64, [0.0; 2]);
+        for pose in workspace_poses(&workspace, POSES) {
+            let view = outlook.at(&pose);
+            let (Some(sigma_m), Some(sigma_rad)) = (view.sigma_m(), view.sigma_rad()) else { continue };
+            let mut squares = [0.0; 2];
+            for _ in 0..FRAMES {
+                let read = |cell: usize| {
+                    let pair = plan.photocurrents(cell, &pose);
+                    noisy_reading(pair, &scene.cells[cell].detector, &noise, || rng.sample(StandardNormal))
+                };
+                let readings = Photocurrents::of_pairs((0..plan.cell_count()).map(read).collect::<Vec<_>>());
+                let solution = solver.solve(&readings, Start::Near(&pose), &MotionPrior::AT_REST);
+                let (t, r) = solution.estimate.expect("a pose").pose.displacement_from(&pose);
+                squares[0] += t.length_squared() / FRAMES as f64;
+                squares[1] += r.length_squared() / FRAMES as f64;
+            }
+            tried += 1;
+            for (k, sigma) in [sigma_m, sigma_rad].into_iter().enumerate() {
+                let ratio = squares[k].sqrt() / sigma;
+                worst = worst.max((ratio - 1.0).abs());
+                sums[k] += ratio;
+            }
+        }
+        let mean = sums.map(|sum| sum / tried as f64);
+        println!(
+            "seed {SEED}, {}: {tried} poses, error/sigma {mean:.4?} in the mean, off by {worst:.3} at most",
+            file.origin
+        );
+        assert!(tried > POSES * 9 / 10 && worst < 0.05, "{}", file.origin);
+        assert!(mean.iter().all(|mean| (mean - 1.0).abs() < 0.01), "{}", file.origin);
+    }
+}
+
+#[test]
+fn planes_go_through_home_and_end_at_the_edge() {
+    let fineness = Fineness { samples: 50, side: 5, behind: 3 };
+    let file = WIDE.read().expect("a scene");
+    let mut looked_at = 0;
+    let map = Map::of(file.into(), fineness, || looked_at += 1).expect("a map");
+    assert_eq!(looked_at, fineness.poses());
+    for plane in &map.planes {
+        assert_eq!(plane.points[12].view, map.home);
+        assert_eq!(plane.points[0].at, plane.extents.map(|extent| -extent));
+        assert_eq!(plane.points[24].at, plane.extents);
+        for point in &plane.points {
+            assert!(point.worst_m >= point.view.sigma_m().unwrap() && point.least_lit <= point.view.lit);
+        }
+    }
+    // Half of the poses are as good as the median, and none is better than the best.
+    let median = map.quantile(0.5, View::sigma_m);
+    let share = map.share(|view| view.sigma_m().unwrap() <= median);
+    assert!((share - 0.5).abs() < 1.5 / 50.0, "{share}");
+    assert_eq!(map.worst(View::sigma_m).unwrap().1, map.quantile(1.0, View::sigma_m));
+    // 4000 frames/s fill 2 kHz.
+    assert!((map.per_root_hz().unwrap() * 2000.0_f64.sqrt() - 1.0).abs() < 1e-4);
+}

@@ -1,0 +1,387 @@
+//! A page on the accuracy of a head over its workspace.
+
+use slitpose_calibration::Head;
+use slitpose_head::front_end::configuration;
+
+use super::section::{Picture, Report, Section, Table, Value, column};
+use super::sheet::{Sheet, curve};
+use crate::map::{Map, NoiseOf, Plane, PlanePoint, View};
+use crate::plot::{Axis, Chart, CurveStyle, Heat, heat_picture};
+use crate::survey::AXES;
+
+/// A value of a view.
+type Of = fn(&View) -> Option<f64>;
+
+/// Points of a curve.
+const POINTS: usize = 200;
+
+/// The report on `map` of `head`.
+pub fn map_report(head: &Head, map: &Map) -> Report {
+    let file = &head.file;
+    let [m, rad] = [file.workspace.half_extent_m * 1e3, file.workspace.half_extent_rad].map(|extent| extent.to_array());
+    let rad = rad.map(f64::to_degrees);
+    let noise = match map.noise {
+        NoiseOf::FrontEnd => "that of a single frame by `[front_end]` and `[lighting]`",
+        NoiseOf::Channel => "that of the measuring channel of `[noise]`",
+        NoiseOf::Nothing => "none: what is left is the arithmetic of the model",
+    };
+    let mut conditions = vec![
+        ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
+        ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash)),
+        ("workspace", format!("±({}, {}, {}) mm, ±({:.3}, {:.3}, {:.3})°", m[0], m[1], m[2], rad[0], rad[1], rad[2])),
+        ("noise", noise.to_owned()),
+        ("data", format!("computed: the Cramér–Rao bound at {} poses; nothing was measured", map.samples.len())),
+    ];
+    if let Some(calibration) = head.calibration() {
+        let said =
+            format!("{}, hash {:016x}: what it leaves open is part of every σ", calibration.id(), calibration.hash());
+        conditions.insert(2, ("calibration", said));
+    }
+    let mut warnings = Vec::new();
+    if let (NoiseOf::Channel | NoiseOf::Nothing, true, Err(error)) =
+        (map.noise, file.front_end.is_some(), configuration(file))
+    {
+        warnings.push(format!("The noise is not that of the front end: {error}."));
+    }
+    Report {
+        title: "Accuracy over the workspace",
+        scene: file.name.clone(),
+        conditions,
+        warnings,
+        sections: vec![accuracy(map), planes(map), redundancy(map), margins(map)],
+        leading: 0,
+        data: vec![points(map), samples(map)],
+    }
+}
+
+fn micro(value: f64) -> Value {
+    Value::from(value * 1e6)
+}
+
+fn accuracy(map: &Map) -> Section {
+    let shares = [0.5, 0.95, 0.99, 1.0];
+    let row = |name: &str, unit: &'static str, scale: f64, of: &dyn Fn(&View) -> Option<f64>| {
+        let at = map.quantiles(shares, of).map(|value| Value::from(value * scale));
+        let density = map.per_root_hz().map(|by| map.quantile(0.5, of) * by * scale);
+        let mut row = vec![name.into(), unit.into(), Value::optional(of(&map.home).map(|value| value * scale))];
+        row.extend(at);
+        row.push(Value::optional(density));
+        row
+    };
+    let axis = |k: usize| {
+        let (unit, scale) = if k < 3 { ("µm", 1e6) } else { ("mrad", 1e3) };
+        row(AXES[k], unit, scale, &move |view: &View| view.sigma.map(|sigma| sigma[k]))
+    };
+    let mut rows = vec![row("position", "µm", 1e6, &View::sigma_m), row("rotation", "mrad", 1e3, &View::sigma_rad)];
+    rows.extend((0..6).map(axis));
+    let [median_m, worst_m] = map.quantiles([0.5, 1.0], View::sigma_m).map(|value| value * 1e6);
+    let [median_rad, worst_rad] = map.quantiles([0.5, 1.0], View::sigma_rad).map(|value| value * 1e3);
+    let with_pose = map.share(|view| view.sigma.is_some());
+    let mut summary = Vec::new();
+    if median_m.is_finite() {
+        let worst = format!("; {worst_m:.2} µm and {worst_rad:.3} mrad at worst");
+        summary.push(format!(
+            "A single frame tells the position to {median_m:.2} µm and the rotation to {median_rad:.3} mrad in the median of \
+             the workspace (σ, all three axes together){}.",
+            if worst_m.is_finite() { &worst } else { "" }
+        ));
+    }
+    if with_pose < 1.0 {
+        summary.push(format!("In {:.2} % of the workspace a frame gives no pose.", 100.0 * (1.0 - with_pose)));
+    }
+    if let Some(by) = map.per_root_hz().filter(|_| median_m.is_finite()) {
+        summary.push(format!(
+            "Filtered, that is {:.3} µm and {:.4} mrad per √Hz of bandwidth.",
+            median_m * by,
+            median_rad * by
+        ));
+    }
+    let place = |what: &str, scale: f64, unit: &str, of: Of| {
+        map.worst(of).map(|(pose, value)| {
+            let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
+            format!(
+                "The {what} is worst, {:.2} {unit}, at ({:+.2}, {:+.2}, {:+.2}) mm and ({:+.1}, {:+.1}, {:+.1})°.",
+                value * scale,
+                t.x,
+                t.y,
+                t.z,
+                r.x.to_degrees(),
+                r.y.to_degrees(),
+                r.z.to_degrees()
+            )
+        })
+    };
+    let worst = [place("position", 1e6, "µm", View::sigma_m), place("rotation", 1e3, "mrad", View::sigma_rad)];
+    let panel = |heading: &str, label: &str, scale: f64, of: Of| {
+        let points = (1..=POINTS).map(|k| {
+            let share = k as f64 / POINTS as f64;
+            [map.quantile(share, of) * scale, 100.0 * share]
+        });
+        let points: Vec<_> = points.filter(|[value, _]| value.is_finite()).collect();
+        let x = Axis::around(label, points.iter().map(|point| point[0]));
+        let y = Axis::around("share of the workspace / %", [0.0, 100.0]);
+        (heading.to_owned(), Chart { x, y, curves: vec![curve("", 0, CurveStyle::Line, points)], notes: Vec::new() })
+    };
+    let picture = Sheet {
+        title: "How much of the workspace is how accurate".to_owned(),
+        note: "Share of evenly spread poses whose single frame has a σ of at most that; three axes together."
+            .to_owned(),
+        panels: vec![
+            panel("position", "σ / µm", 1e6, View::sigma_m),
+            panel("rotation", "σ / mrad", 1e3, View::sigma_rad),
+        ],
+    }
+    .draw("distribution", "Distribution of σ over the workspace.");
+    Section {
+        name: "accuracy",
+        title: "What a frame tells",
+        summary,
+        paragraphs: worst.into_iter().flatten().collect(),
+        pictures: vec![picture],
+        tables: vec![Table {
+            name: "accuracy",
+            caption: "σ of single frames: at home, and at shares of the workspace".to_owned(),
+            columns: vec![
+                column("axis", "axis"),
+                column("unit", "unit"),
+                column("home", "home"),
+                column("median", "median"),
+                column("of_95_percent", "95 %"),
+                column("of_99_percent", "99 %"),
+                column("worst", "worst"),
+                column("median_per_root_hz", "median per √Hz"),
+            ],
+            rows,
+        }],
+    }
+}
+
+fn planes(map: &Map) -> Section {
+    let picture = |name,
+                   axes: &str,
+                   wanted: &dyn Fn(&Plane) -> bool,
+                   of: Of,
+                   worst: fn(&PlanePoint) -> f64,
+                   what: &str| {
+        let (scale, unit) = if what == "position" { (1e6, "µm") } else { (1e3, "mrad") };
+        let heat = |plane: &Plane, heading: &str, value: &dyn Fn(&PlanePoint) -> f64| Heat {
+            heading: heading.to_owned(),
+            labels: plane.axes.map(|axis| format!("{} / {}", AXES[axis], if axis < 3 { "mm" } else { "°" })),
+            extents: [0, 1].map(|k| {
+                let extent = plane.extents[k];
+                if plane.axes[k] < 3 { extent * 1e3 } else { extent.to_degrees() }
+            }),
+            side: plane.side,
+            values: plane.points.iter().map(|point| value(point) * scale).collect(),
+        };
+        let in_plane = |point: &PlanePoint| of(&point.view).unwrap_or(f64::INFINITY);
+        let heats: Vec<Heat> = (map.planes.iter().filter(|plane| wanted(plane)))
+            .map(|plane| heat(plane, "others at home", &in_plane))
+            .chain(
+                map.planes.iter().filter(|plane| wanted(plane)).map(|plane| heat(plane, "worst of the others", &worst)),
+            )
+            .collect();
+        let title = format!("σ of the {what} over {axes}");
+        let note = format!(
+            "Upper row: the other coordinates at home. Lower row: the worst of {} poses over all of their range.",
+            map.behind + 1
+        );
+        let svg = heat_picture(&title, &note, &format!("σ of a single frame, {unit}, three axes together"), 3, &heats);
+        Picture { name, caption: format!("{title}."), svg }
+    };
+    let translations: &dyn Fn(&Plane) -> bool = &|plane| plane.axes[0] < 3;
+    let rotations: &dyn Fn(&Plane) -> bool = &|plane| plane.axes[0] >= 3;
+    let (worst_m, worst_rad): (fn(&PlanePoint) -> f64, fn(&PlanePoint) -> f64) =
+        (|point| point.worst_m, |point| point.worst_rad);
+    Section {
+        name: "planes",
+        title: "Where it tells it",
+        summary: Vec::new(),
+        paragraphs: vec!["Where a point is crossed out, there is a pose at which a frame gives none.".to_owned()],
+        pictures: vec![
+            picture("position_by_translation", "translations", translations, View::sigma_m, worst_m, "position"),
+            picture("position_by_rotation", "rotations", rotations, View::sigma_m, worst_m, "position"),
+            picture("rotation_by_translation", "translations", translations, View::sigma_rad, worst_rad, "rotation"),
+            picture("rotation_by_rotation", "rotations", rotations, View::sigma_rad, worst_rad, "rotation"),
+        ],
+        tables: Vec::new(),
+    }
+}
+
+fn redundancy(map: &Map) -> Section {
+    let lit = |count: usize| {
+        let exactly = map.share(|view| view.lit == count);
+        vec![Value::from(count), Value::from(100.0 * exactly), Value::from(100.0 * map.share(|view| view.lit >= count))]
+    };
+    let row = |what: &str, of: Of| {
+        let mut row = vec![Value::from(what), Value::optional(of(&map.home))];
+        row.extend(map.quantiles([0.5, 0.95, 0.99, 1.0], of).map(Value::from));
+        row
+    };
+    let all = map.share(|view| view.lit == map.cells);
+    let unnoticed: Of = |view| Some(view.unnoticed_sigmas);
+    let [median, most] = map.quantiles([0.5, 0.95], unnoticed);
+    let summary = vec![
+        format!("Every cell is lit in {:.2} % of the workspace.", 100.0 * all),
+        if median.is_finite() {
+            format!(
+                "A fault in one cell that is as likely as not to be noticed moves the pose by {median:.0} σ in the median{}.",
+                if most.is_finite() { format!(", by {most:.0} σ at 95 % of the workspace") } else { String::new() }
+            )
+        } else {
+            "The cells do not check each other: a fault in one of them goes unnoticed.".to_owned()
+        },
+    ];
+    Section {
+        name: "redundancy",
+        title: "How well it is conditioned and checked",
+        summary,
+        paragraphs: vec![
+            "The condition is the ratio of the extreme singular values of the whitened Jacobian, lengths in units of the \
+             emitters' distance from the tool's centre. Unnoticed is the external reliability of Baarda (1968): how far, in σ \
+             of the pose, the least fault of one cell that χ² shows in one case of two moves the pose."
+                .to_owned(),
+        ],
+        pictures: Vec::new(),
+        tables: vec![
+            Table {
+                name: "condition",
+                caption: "Condition, and what a fault can do unnoticed".to_owned(),
+                columns: vec![
+                    column("quantity", "quantity"),
+                    column("home", "home"),
+                    column("median", "median"),
+                    column("of_95_percent", "95 %"),
+                    column("of_99_percent", "99 %"),
+                    column("worst", "worst"),
+                ],
+                rows: vec![row("condition", |view| view.condition), row("unnoticed / σ", unnoticed)],
+            },
+            Table {
+                name: "lit",
+                caption: "Cells whose whole spot is on the detector".to_owned(),
+                columns: vec![
+                    column("cells", "cells"),
+                    column("share_percent", "of the workspace / %"),
+                    column("at_least_percent", "so many or more / %"),
+                ],
+                rows: (0..=map.cells).rev().map(lit).collect(),
+            },
+        ],
+    }
+}
+
+fn margins(map: &Map) -> Section {
+    let row = |what: &str, of: Of| {
+        let finite = |value: f64| Value::optional(Some(value).filter(|value| value.is_finite()));
+        let [worst, one, median] = map.quantiles([0.0, 0.01, 0.5], of).map(finite);
+        vec![what.into(), finite(of(&map.home).unwrap_or(f64::INFINITY)), median, one, worst]
+    };
+    let below = |of: Of| 100.0 * map.share(|view| of(view).is_some_and(|margin| margin < 1.0));
+    let kinds: [(&str, Of); 3] = [
+        ("full scale over the greatest electrode current", |view| Some(view.full_scale)),
+        ("saturation over the greatest photocurrent", |view| Some(view.saturation)),
+        ("least photocurrent over what is faint", |view| Some(view.faint)),
+    ];
+    let summary = ["Electrodes exceed the full scale", "Detectors saturate", "A cell is faint or dark"]
+        .into_iter()
+        .zip(kinds)
+        .filter(|(_, (_, of))| below(*of) > 0.0)
+        .map(|(what, (_, of))| format!("{what} in {:.2} % of the workspace.", below(of)));
+    Section {
+        name: "margins",
+        title: "How far it is from the limits",
+        summary: summary.collect(),
+        paragraphs: vec![
+            "Ratios: below one, the limit is passed. Of all cells, the one nearest to it counts.".to_owned(),
+        ],
+        pictures: Vec::new(),
+        tables: vec![Table {
+            name: "margins",
+            caption: "Margins".to_owned(),
+            columns: vec![
+                column("margin", "margin"),
+                column("home", "home"),
+                column("median", "median"),
+                column("of_1_percent", "1 %"),
+                column("least", "least"),
+            ],
+            rows: kinds.map(|(what, of)| row(what, of)).into(),
+        }],
+    }
+}
+
+/// Columns of a view, after those that say where it is.
+fn of_view(view: &View) -> [Value; 9] {
+    let finite = |value: f64| Value::optional(Some(value));
+    [
+        view.lit.into(),
+        Value::optional(view.sigma_m().map(|value| value * 1e6)),
+        Value::optional(view.sigma_rad().map(|value| value * 1e3)),
+        Value::optional(view.condition),
+        finite(view.unnoticed_sigmas),
+        finite(view.full_scale),
+        finite(view.saturation),
+        finite(view.faint),
+        Value::from(usize::from(view.sigma.is_some())),
+    ]
+}
+
+const VIEW: [super::Column; 9] = [
+    column("lit", "lit"),
+    column("sigma_position_um", "σ / µm"),
+    column("sigma_rotation_mrad", "σ / mrad"),
+    column("condition", "condition"),
+    column("unnoticed_sigmas", "unnoticed / σ"),
+    column("full_scale_margin", "full scale"),
+    column("saturation_margin", "saturation"),
+    column("faint_margin", "faint"),
+    column("has_pose", "pose"),
+];
+
+fn points(map: &Map) -> Table {
+    let in_units = |axis: usize, value: f64| if axis < 3 { value * 1e3 } else { value };
+    let row = |plane: &Plane, point: &PlanePoint| {
+        let mut row: Vec<Value> = plane.axes.map(|axis| AXES[axis].into()).into();
+        row.extend([0, 1].map(|k| Value::from(in_units(plane.axes[k], point.at[k]))));
+        row.extend(of_view(&point.view));
+        row.extend([micro(point.worst_m), Value::from(point.worst_rad * 1e3), point.least_lit.into()]);
+        row
+    };
+    let mut columns = vec![
+        column("axis_1", "axis"),
+        column("axis_2", "axis"),
+        column("value_1", "mm or rad"),
+        column("value_2", "mm or rad"),
+    ];
+    columns.extend(VIEW);
+    columns.extend([
+        column("worst_position_um", "worst / µm"),
+        column("worst_rotation_mrad", "worst / mrad"),
+        column("least_lit", "fewest lit"),
+    ]);
+    Table {
+        name: "planes",
+        caption: "All points of the planes".to_owned(),
+        columns,
+        rows: map.planes.iter().flat_map(|plane| plane.points.iter().map(move |point| row(plane, point))).collect(),
+    }
+}
+
+fn samples(map: &Map) -> Table {
+    let mut columns: Vec<_> =
+        ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"].map(|name| column(name, name)).into();
+    columns.extend(VIEW);
+    let row = |(pose, view): &(slitpose_model::Pose, View)| {
+        let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
+        let mut row: Vec<Value> = [t.x, t.y, t.z, r.x, r.y, r.z].map(Value::from).into();
+        row.extend(of_view(view));
+        row
+    };
+    Table {
+        name: "samples",
+        caption: "All poses that were spread over the workspace".to_owned(),
+        columns,
+        rows: map.samples.iter().map(row).collect(),
+    }
+}
