@@ -6,6 +6,7 @@
 mod bench;
 mod calibrate;
 mod capture_files;
+mod compare;
 mod completions;
 mod config;
 mod defaults;
@@ -91,6 +92,7 @@ enum Verb {
     Paper(paper::Args),
     Report(report::Args),
     Scene(scene::Args),
+    Compare(compare::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -326,6 +328,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Bench(args) => bench::run(&args),
         Verb::Paper(args) => paper::run(&args),
         Verb::Report(args) => report::run(&args),
+        Verb::Compare(args) => compare::run(&args),
         Verb::Scene(args) => scene::run(&args),
         Verb::Completions(args) => completions::run(&args),
         Verb::Man(args) => man::run(&args),

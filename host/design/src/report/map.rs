@@ -15,6 +15,9 @@ type Of = fn(&View) -> Option<f64>;
 /// Points of a curve.
 const POINTS: usize = 200;
 
+/// Ratio of greatest to least σ from which an axis is logarithmic.
+const WIDE: f64 = 10.0;
+
 /// The report on `map` of `head`.
 pub fn map_report(head: &Head, map: &Map) -> Report {
     let file = &head.file;
@@ -112,26 +115,7 @@ fn accuracy(map: &Map) -> Section {
         })
     };
     let worst = [place("position", 1e6, "µm", View::sigma_m), place("rotation", 1e3, "mrad", View::sigma_rad)];
-    let panel = |heading: &str, label: &str, scale: f64, of: Of| {
-        let points = (1..=POINTS).map(|k| {
-            let share = k as f64 / POINTS as f64;
-            [map.quantile(share, of) * scale, 100.0 * share]
-        });
-        let points: Vec<_> = points.filter(|[value, _]| value.is_finite()).collect();
-        let x = Axis::around(label, points.iter().map(|point| point[0]));
-        let y = Axis::around("share of the workspace / %", [0.0, 100.0]);
-        (heading.to_owned(), Chart { x, y, curves: vec![curve("", 0, CurveStyle::Line, points)], notes: Vec::new() })
-    };
-    let picture = Sheet {
-        title: "How much of the workspace is how accurate".to_owned(),
-        note: "Share of evenly spread poses whose single frame has a σ of at most that; three axes together."
-            .to_owned(),
-        panels: vec![
-            panel("position", "σ / µm", 1e6, View::sigma_m),
-            panel("rotation", "σ / mrad", 1e3, View::sigma_rad),
-        ],
-    }
-    .draw("distribution", "Distribution of σ over the workspace.");
+    let picture = distribution(&[("", map)]);
     Section {
         name: "accuracy",
         title: "What a frame tells",
@@ -154,6 +138,36 @@ fn accuracy(map: &Map) -> Section {
             rows,
         }],
     }
+}
+
+/// How much of the workspace is how accurate, for each of `maps`.
+pub(super) fn distribution(maps: &[(&str, &Map)]) -> Picture {
+    let panel = |heading: &str, label: &str, scale: f64, of: Of| {
+        let of_map = |(index, (name, map)): (usize, &(&str, &Map))| {
+            let points = (1..=POINTS).map(|k| {
+                let share = k as f64 / POINTS as f64;
+                [map.quantile(share, of) * scale, 100.0 * share]
+            });
+            curve(name, index, CurveStyle::Line, points.filter(|[value, _]| value.is_finite()).collect())
+        };
+        let curves: Vec<_> = maps.iter().enumerate().map(of_map).collect();
+        let values = || curves.iter().flat_map(|curve| curve.points.iter().map(|point| point[0]));
+        let [least, most] =
+            values().fold([f64::INFINITY, 0.0], |[least, most]: [f64; 2], value| [least.min(value), most.max(value)]);
+        let x = if most > WIDE * least { Axis::logarithmic(label, values()) } else { Axis::around(label, values()) };
+        let y = Axis::around("share of the workspace / %", [0.0, 100.0]);
+        (heading.to_owned(), Chart { x, y, curves, notes: Vec::new() })
+    };
+    Sheet {
+        title: "How much of the workspace is how accurate".to_owned(),
+        note: "Share of evenly spread poses whose single frame has a σ of at most that; three axes together."
+            .to_owned(),
+        panels: vec![
+            panel("position", "σ / µm", 1e6, View::sigma_m),
+            panel("rotation", "σ / mrad", 1e3, View::sigma_rad),
+        ],
+    }
+    .draw("distribution", "Distribution of σ over the workspace.")
 }
 
 fn planes(map: &Map) -> Section {
@@ -191,8 +205,8 @@ fn planes(map: &Map) -> Section {
     };
     let translations: &dyn Fn(&Plane) -> bool = &|plane| plane.axes[0] < 3;
     let rotations: &dyn Fn(&Plane) -> bool = &|plane| plane.axes[0] >= 3;
-    let (worst_m, worst_rad): (fn(&PlanePoint) -> f64, fn(&PlanePoint) -> f64) =
-        (|point| point.worst_m, |point| point.worst_rad);
+    let worst_m = |point: &PlanePoint| point.worst_m;
+    let worst_rad = |point: &PlanePoint| point.worst_rad;
     Section {
         name: "planes",
         title: "Where it tells it",

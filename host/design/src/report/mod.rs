@@ -7,12 +7,14 @@
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
 //!   `attainable` is the best accuracy of a pose at all;
 //! * `forward`, `solver`, `cycles`, `economy`, `motion` and `stiff` are the sections;
-//! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace;
+//! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
+//!   `comparison` that on several heads;
 //! * `section` has their parts; `page`, `markdown`, `folder` write it.
 
 mod accuracy;
 mod attainable;
 mod calibration;
+mod comparison;
 mod conditions;
 mod cycles;
 mod economy;
@@ -36,6 +38,7 @@ mod stopwatch;
 use std::path::PathBuf;
 
 pub use calibration::calibration_report;
+pub use comparison::comparison;
 pub use error::ReportError;
 pub use folder::Folder;
 pub use map::map_report;

@@ -1,0 +1,108 @@
+//! A page on several heads beside each other.
+
+use slitpose_head::scene_file::SceneFile;
+
+use super::map::distribution;
+use super::section::{Report, Section, Table, Value, column};
+use crate::map::{Map, NoiseOf, View};
+
+/// Compares the heads of `maps`, each over its own workspace and with its own noise.
+pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
+    let row = |(file, map): &(SceneFile, Map)| {
+        let of = |scale: f64, of: fn(&View) -> Option<f64>| {
+            map.quantiles([0.5, 0.99, 1.0], of).map(|value| Value::from(value * scale))
+        };
+        let density = |scale: f64, of: fn(&View) -> Option<f64>| {
+            Value::optional(map.per_root_hz().map(|by| map.quantile(0.5, of) * by * scale))
+        };
+        let noise = match map.noise {
+            NoiseOf::FrontEnd => "front end",
+            NoiseOf::Channel => "channel",
+            NoiseOf::Nothing => "none",
+        };
+        let finite = |value: f64| Value::optional(Some(value));
+        let mut row =
+            vec![file.origin.as_str().into(), map.cells.into(), noise.into(), Value::optional(map.frame_rate_hz)];
+        row.extend(of(1e6, View::sigma_m));
+        row.push(density(1e6, View::sigma_m));
+        row.extend(of(1e3, View::sigma_rad));
+        row.push(density(1e3, View::sigma_rad));
+        row.extend([
+            (100.0 * map.share(|view| view.lit == map.cells)).into(),
+            (100.0 * map.share(|view| view.sigma.is_some())).into(),
+            finite(map.quantile(0.5, |view| view.condition)),
+            finite(map.quantile(0.5, |view| Some(view.unnoticed_sigmas))),
+        ]);
+        row
+    };
+    let names: Vec<(&str, &Map)> = maps.iter().map(|(file, map)| (file.origin.as_str(), map)).collect();
+    let workspace = |file: &SceneFile| {
+        let (m, rad) = (file.workspace.half_extent_m * 1e3, file.workspace.half_extent_rad);
+        let rad = rad
+            .to_array()
+            .map(|extent| format!("{:.4}", extent.to_degrees()).trim_end_matches('0').trim_end_matches('.').to_owned());
+        format!("{}: ±({}, {}, {}) mm, ±({})°", file.origin, m.x, m.y, m.z, rad.join(", "))
+    };
+    let best = |of: fn(&View) -> Option<f64>| {
+        let median = |(_, map): &&(SceneFile, Map)| map.quantile(0.5, of);
+        maps.iter().filter(|of_map| median(of_map).is_finite()).min_by(|a, b| median(a).total_cmp(&median(b)))
+    };
+    let said = |what: &str, scale: f64, unit: &str, of: fn(&View) -> Option<f64>| {
+        let (file, map) = best(of)?;
+        Some(format!("Best in {what} by the median: {}, {:.3} {unit}.", file.origin, map.quantile(0.5, of) * scale))
+    };
+    Report {
+        title: "Heads compared",
+        scene: maps.iter().map(|(file, _)| file.origin.as_str()).collect::<Vec<_>>().join(", "),
+        conditions: vec![
+            ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
+            ("workspaces", maps.iter().map(|(file, _)| workspace(file)).collect::<Vec<_>>().join("; ")),
+            ("noise", if maps.iter().all(|(_, map)| map.noise == NoiseOf::FrontEnd) {
+                "of a single frame by the front end".to_owned()
+            } else {
+                "of the measuring channel of `[noise]`".to_owned()
+            }),
+            ("data", "computed: the Cramér–Rao bound; nothing was measured".to_owned()),
+        ],
+        warnings: Vec::new(),
+        sections: vec![Section {
+            name: "heads",
+            title: "Accuracy",
+            summary: [said("position", 1e6, "µm", View::sigma_m), said("rotation", 1e3, "mrad", View::sigma_rad)]
+                .into_iter()
+                .flatten()
+                .collect(),
+            paragraphs: vec![
+                "Each head over its own workspace. σ is that of a single frame, three axes together; unnoticed is what a fault of \
+                 one cell can do to the pose, see `slitpose scene map`."
+                    .to_owned(),
+            ],
+            pictures: vec![distribution(&names)],
+            tables: vec![Table {
+                name: "heads",
+                caption: "Single frames over the workspace".to_owned(),
+                columns: vec![
+                    column("scene", "scene"),
+                    column("cells", "cells"),
+                    column("noise", "noise"),
+                    column("frame_rate_hz", "frames/s"),
+                    column("position_median_um", "σ / µm"),
+                    column("position_99_percent_um", "99 %"),
+                    column("position_worst_um", "worst"),
+                    column("position_um_per_root_hz", "µm/√Hz"),
+                    column("rotation_median_mrad", "σ / mrad"),
+                    column("rotation_99_percent_mrad", "99 %"),
+                    column("rotation_worst_mrad", "worst"),
+                    column("rotation_mrad_per_root_hz", "mrad/√Hz"),
+                    column("all_lit_percent", "all lit / %"),
+                    column("with_pose_percent", "with pose / %"),
+                    column("condition_median", "condition"),
+                    column("unnoticed_median_sigmas", "unnoticed / σ"),
+                ],
+                rows: maps.iter().map(row).collect(),
+            }],
+        }],
+        leading: 0,
+        data: Vec::new(),
+    }
+}

@@ -1,0 +1,63 @@
+//! `slitpose compare`: several heads beside each other.
+
+use std::path::PathBuf;
+
+use super::{CommandError, Outcome, names, talk};
+use crate::terminal::{Amount, Progress};
+use slitpose_design::map::{Fineness, Map};
+use slitpose_design::report::{Folder, comparison};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::Output;
+
+/// Compares the accuracy of several heads: one table and one picture.
+///
+/// Of single frames, each over its own workspace and with its own noise; see `slitpose scene map`. Where one has no front
+/// end, all are compared by their measuring channels. Without a folder the table is printed.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  slitpose compare wide base\n  slitpose compare wide mine.toml --output comparison"
+)]
+pub(super) struct Args {
+    /// Scene files, or names of shipped scenes
+    #[arg(required = true, value_name = "SCENE", value_parser = names::scenes(), hide_possible_values = true)]
+    scenes: Vec<String>,
+    /// Make this folder with the page, its table and picture
+    #[arg(long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// How many poses to spread over each workspace
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    samples: u32,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let mut files: Vec<SceneFile> = args.scenes.iter().map(|scene| SceneFile::open(scene)).collect::<Result<_, _>>()?;
+    if files.iter().any(|file| file.front_end.is_none()) && files.iter().any(|file| file.front_end.is_some()) {
+        talk(format_args!(
+            "not every scene has a [front_end]; all are compared by the measuring channel of their [noise]"
+        ));
+        files.iter_mut().for_each(|file| file.front_end = None);
+    }
+    let folder = args.output.as_deref().map(Folder::create).transpose()?;
+    let fineness = Fineness { samples: args.samples as usize, side: 0, behind: 0 };
+    let mut progress = Progress::new("compare", (files.len() * fineness.poses()) as u64, Amount::Of("poses"));
+    let mut done = 0;
+    let mut maps = Vec::new();
+    for file in files {
+        let map = Map::of(file.clone().into(), fineness, || {
+            done += 1;
+            progress.at(done);
+        })?;
+        maps.push((file, map));
+    }
+    drop(progress);
+    let report = comparison(&maps);
+    match folder {
+        None => Output::open(None)?.write_text(&report.in_short())?,
+        Some(folder) => {
+            for path in folder.write(&report)? {
+                talk(format_args!("wrote {}", path.display()));
+            }
+        }
+    }
+    Ok(Outcome::Done)
+}
