@@ -26,7 +26,7 @@ const FIRST_ERROR: ModelError = ModelError { relative: 0.03, position_m: 50e-6, 
 const LEAST_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0 };
 
 /// What the model leaves out of a usual head, and how many readings this knowledge is worth.
-const USUAL_ERROR: ModelError = ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0 };
+pub(crate) const USUAL_ERROR: ModelError = ModelError { relative: 2e-4, position_m: 0.4e-6, current_a: 0.0 };
 const USUAL_READINGS: f64 = 30.0;
 
 /// Least share of a pose's redundancy in its instrument's errors that rounding leaves to be told.

@@ -17,7 +17,7 @@ const STEP: f64 = 0.25;
 
 /// Share of an electrode in the standard deviation of stray light, which is of both together: light centred anywhere on
 /// the detector with equal probability divides into 1/2 ± c, and the mean of its square is a third.
-const OF_ELECTRODE: f64 = 0.577_350_269_189_625_8;
+pub(crate) const OF_ELECTRODE: f64 = 0.577_350_269_189_625_8;
 
 /// The most probable head of parts within the tolerances of `file`; its model errors are what the tolerances do to the
 /// currents.

@@ -7,6 +7,7 @@
 //! * `plausibility`, `start`, `frames`: wrong data are refused, first poses found;
 //! * `sensitivity`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
 //! * `engine`: all of it in order; `pose_error`, `weakness`, `spectrum`, `residuals`: what came of it;
+//! * `part_costs`: what tolerances cost, without any measurement;
 //! * `file`: how it is stored; `head`, `first_light`: what solves with it, or without any; `validity`: whether it still holds.
 //!
 //! Readings are currents above dark, SI units throughout. Parameters are deviations from the scene; inside the adjustment
@@ -27,6 +28,7 @@ mod head;
 mod normal;
 mod parameter;
 mod parameters;
+mod part_costs;
 mod plausibility;
 mod pose_error;
 mod prior;
@@ -55,6 +57,7 @@ pub use frames::align;
 pub use head::{Basis, Head};
 pub use parameter::Quantity;
 pub use parameters::Parameter;
+pub use part_costs::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
 pub use plausibility::Implausible;
 pub use reading_noise::measured_noise;
 pub use residuals::Residual;

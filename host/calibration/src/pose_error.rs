@@ -151,6 +151,32 @@ impl PoseError {
     }
 }
 
+/// Errors of poses, root mean square over a `workspace`, for each of `covariances` of the parameters in units of their
+/// prior σ: metres and radians, three axes together.
+pub(crate) fn spread(
+    nominal: &Scene,
+    state: &State,
+    covariances: &[DMatrix<f64>],
+    workspace: &Workspace,
+) -> Result<Vec<[f64; 2]>, SceneError> {
+    let poses = poses(workspace, POSES);
+    let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
+    let samples: Vec<Sample> =
+        poses.iter().enumerate().filter_map(|(row, pose)| Sample::of(state, &cells, row, pose)).collect();
+    let of = |covariance: &DMatrix<f64>| {
+        let mut squares = [0.0; 2];
+        for Sample { error, .. } in &samples {
+            let reached = error * covariance;
+            for axis in 0..6 {
+                let square = reached.row(axis).dot(&error.row(axis)) / samples.len() as f64;
+                squares[axis / 3] += square * if axis < 3 { state.length_scale_m.powi(2) } else { 1.0 };
+            }
+        }
+        squares.map(f64::sqrt)
+    };
+    Ok(covariances.iter().map(of).collect())
+}
+
 impl Sample {
     /// `None`: too few cells see light there.
     fn of(state: &State, cells: &[CellSensitivity], row: usize, pose: &Pose) -> Option<Self> {

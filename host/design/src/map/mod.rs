@@ -1,16 +1,20 @@
 //! How accurate a head is, and where: `slitpose scene map`.
 //!
 //! [`Outlook`] says what one frame tells at a pose; [`Map::of`] asks it all over the workspace: poses spread evenly, and
-//! planes through home, each with the worst of what lies behind and before it.
+//! planes through home, each with the worst of what lies behind and before it. [`Tolerances`] says what parts that are off
+//! cost.
 
 mod outlook;
 mod plane;
+mod tolerances;
 
 use slitpose_calibration::Head;
 use slitpose_model::{Pose, SceneError};
 
 pub use outlook::{NoiseOf, Outlook, View};
 pub use plane::{Plane, PlanePoint};
+pub(crate) use tolerances::KNOWN;
+pub use tolerances::Tolerances;
 
 use crate::survey::workspace_poses;
 

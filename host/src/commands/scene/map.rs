@@ -6,7 +6,7 @@ use super::{CommandError, Outcome};
 use crate::commands::options::CalibrationOption;
 use crate::commands::{names, talk};
 use crate::terminal::{Amount, Progress};
-use slitpose_design::map::{Fineness, Map};
+use slitpose_design::map::{Fineness, Map, Tolerances};
 use slitpose_design::report::{Folder, map_report};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
@@ -18,7 +18,8 @@ use slitpose_head::table::Output;
 /// (index.html, needs nothing else), the pictures as SVG, and all poses as CSV. Without a folder, the summary is printed.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  slitpose scene map wide\n  slitpose scene map mine.toml --calibration mine-calibrated.toml --output map"
+    after_help = "Examples:\n  slitpose scene map wide\n  slitpose scene map mine.toml --calibration mine-calibrated.toml --output map\n  \
+                  slitpose scene map wide --tolerance-study 10 --output map"
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
@@ -35,6 +36,12 @@ pub(super) struct Args {
     /// Points along each side of the pictures
     #[arg(long, value_name = "N", default_value_t = 33, value_parser = clap::value_parser!(u32).range(3..=201))]
     side: u32,
+    /// Draw so many heads from the tolerances, calibrate them, and say what each kind of part costs: seconds a head
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    tolerance_study: Option<u32>,
+    /// Seed of the draws
+    #[arg(long, value_name = "S", default_value_t = 1, requires = "tolerance_study")]
+    seed: u64,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -48,7 +55,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         progress.at(done);
     })?;
     drop(progress);
-    let report = map_report(&head, &map);
+    let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
+    let report = map_report(&head, &map, studied.as_ref());
     for warning in &report.warnings {
         talk(format_args!("{warning}"));
     }
@@ -61,4 +69,13 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         }
     }
     Ok(Outcome::Done)
+}
+
+fn tolerances(file: &SceneFile, heads: u32, seed: u64) -> Result<Tolerances, CommandError> {
+    let mut progress = Progress::new("tolerances", u64::from(heads), Amount::Of("heads"));
+    let mut done = 0;
+    Ok(Tolerances::of(file, heads as usize, seed, || {
+        progress.at(done);
+        done += 1;
+    })?)
 }
