@@ -2,10 +2,11 @@
 //!
 //! [`Outlook`] says what one frame tells at a pose; [`Map::of`] asks it all over the workspace: poses spread evenly, and
 //! planes through home, each with the worst of what lies behind and before it. [`Tolerances`] says what parts that are off
-//! cost.
+//! cost, [`Schedules`] what the schedule does.
 
 mod outlook;
 mod plane;
+mod schedule;
 mod tolerances;
 
 use slitpose_calibration::Head;
@@ -13,6 +14,7 @@ use slitpose_model::{Pose, SceneError};
 
 pub use outlook::{NoiseOf, Outlook, View};
 pub use plane::{Plane, PlanePoint};
+pub use schedule::{Candidate, Schedules};
 pub(crate) use tolerances::KNOWN;
 pub use tolerances::Tolerances;
 

@@ -79,6 +79,31 @@ fn drawn_heads_err_as_their_tolerances_say() {
 }
 
 #[test]
+fn schedules_fit_and_more_conversions_tell_more() {
+    let file = WIDE.read().expect("a scene");
+    let found = Schedules::of(&file, 4000.0).expect("a scene").expect("schedules");
+    assert!(found.at_rate.iter().chain(&found.best_by_rate).all(|candidate| candidate.busy <= 1.0));
+    let own = |oversampling: u32| {
+        let is_it = |one: &&Candidate| one.slots == file.lighting.slots && one.oversampling == oversampling;
+        found.at_rate.iter().find(is_it).expect("a candidate").sigma_m
+    };
+    // Noise of the converters, of one step and more, averages; that of light and resistance is white beyond a conversion's
+    // time, too.
+    for oversampling in [1, 2, 4] {
+        let ratio = own(oversampling) / own(2 * oversampling);
+        assert!((1.3..1.45).contains(&ratio), "{oversampling}: {ratio}");
+    }
+    assert!(found.at_rate[0].sigma_m < own(4) && found.at_rate[0].busy < 0.7);
+    // Emitters on a ring of six face outward: every other one shines past the others' slits.
+    assert_eq!(found.at_rate[0].slots, [vec![0, 2, 4], vec![1, 3, 5], vec![]]);
+    // All in one slot would be faster yet, and each would see its neighbours' light.
+    assert!(found.at_rate.iter().all(|candidate| candidate.slots.iter().all(|slot| slot.len() <= 3)));
+    assert!(Schedules::of(&file, 30e3).expect("a scene").unwrap_err().to_string().contains("cannot be run"));
+    let single = SceneFile { front_end: None, ..file };
+    assert!(Schedules::of(&single, 4000.0).expect("a scene").unwrap_err().to_string().contains("[front_end]"));
+}
+
+#[test]
 fn planes_go_through_home_and_end_at_the_edge() {
     let fineness = Fineness { samples: 50, side: 5, behind: 3 };
     let file = WIDE.read().expect("a scene");

@@ -59,7 +59,7 @@ pub(super) fn of_slots(
 }
 
 /// Zero where the cell's own signal is no measurement anyway: not lit, or faint.
-fn share_of_others(plan: &Plan<f64>, cell: usize, emitters: &[usize], pose: &Pose) -> f64 {
+pub(crate) fn share_of_others(plan: &Plan<f64>, cell: usize, emitters: &[usize], pose: &Pose) -> f64 {
     let own = plan.respond(cell, pose);
     if own.status != Status::Lit || own.flags.faint {
         return 0.0;

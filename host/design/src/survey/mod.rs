@@ -21,7 +21,7 @@ use slitpose_head::scene_file::{SceneFile, Workspace};
 
 pub(crate) use cost::CellCost;
 pub(crate) use coverage::Coverage;
-pub(crate) use crosstalk::SlotCrosstalk;
+pub(crate) use crosstalk::{SlotCrosstalk, share_of_others};
 pub(crate) use home::CellAtHome;
 pub(crate) use sample::{AXES, workspace_poses};
 pub(crate) use timing::Timing;

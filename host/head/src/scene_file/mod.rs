@@ -106,6 +106,14 @@ impl SceneFile {
         })
     }
 
+    /// The same head, its emitters lit in other slots. Each emitter has to have one.
+    #[must_use]
+    pub fn with_lighting(&self, lighting: Lighting) -> Self {
+        let mut file = Self { lighting, ..self.clone() };
+        effects::light_together(&mut file.scene, &file.lighting);
+        file
+    }
+
     /// Refuses a schedule that takes longer than the frame period of the front end.
     ///
     /// The model and the solver can use such a scene; a board cannot.

@@ -6,7 +6,7 @@ use super::{CommandError, Outcome};
 use crate::commands::options::CalibrationOption;
 use crate::commands::{names, talk};
 use crate::terminal::{Amount, Progress};
-use slitpose_design::map::{Fineness, Map, Tolerances};
+use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
 use slitpose_design::report::{Folder, map_report};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
@@ -19,7 +19,8 @@ use slitpose_head::table::Output;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  slitpose scene map wide\n  slitpose scene map mine.toml --calibration mine-calibrated.toml --output map\n  \
-                  slitpose scene map wide --tolerance-study 10 --output map"
+                  slitpose scene map wide --tolerance-study 10 --output map\n  \
+                  slitpose scene map wide --schedule 2000"
 )]
 pub(super) struct Args {
     /// Scene file, or the name of a shipped scene
@@ -39,6 +40,9 @@ pub(super) struct Args {
     /// Draw so many heads from the tolerances, calibrate them, and say what each kind of part costs: seconds a head
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     tolerance_study: Option<u32>,
+    /// Propose the schedule with the least σ at this frame rate, hertz
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    schedule: Option<f64>,
     /// Seed of the draws
     #[arg(long, value_name = "S", default_value_t = 1, requires = "tolerance_study")]
     seed: u64,
@@ -56,7 +60,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     })?;
     drop(progress);
     let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
-    let report = map_report(&head, &map, studied.as_ref());
+    let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?.transpose()?;
+    let report = map_report(&head, &map, studied.as_ref(), schedules.as_ref());
     for warning in &report.warnings {
         talk(format_args!("{warning}"));
     }
@@ -78,4 +83,12 @@ fn tolerances(file: &SceneFile, heads: u32, seed: u64) -> Result<Tolerances, Com
         progress.at(done);
         done += 1;
     })?)
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    let rate_hz = text.parse().map_err(|_| "not a number; give frames per second, e.g. 4000".to_owned());
+    rate_hz.and_then(|rate_hz: f64| {
+        let is_possible = rate_hz > 0.0 && rate_hz.is_finite();
+        is_possible.then_some(rate_hz).ok_or_else(|| "a frame rate is above zero, e.g. 4000".to_owned())
+    })
 }

@@ -1,0 +1,142 @@
+//! What frame rate, oversampling and lighting slots do to accuracy.
+
+use slitpose_calibration::Head;
+use slitpose_head::front_end::{TimingError, configuration};
+use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
+use slitpose_model::{Plan, SceneError, Tier};
+
+use super::{Outlook, View};
+use crate::survey::{share_of_others, workspace_poses};
+
+/// Conversions in a word that the board's converters add up.
+const OVERSAMPLING: [u32; 5] = [1, 2, 4, 8, 16];
+
+/// Frame rates beside the one asked for.
+const RATES: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+
+/// Poses at which accuracy and cross-talk are looked at.
+const POSES: usize = 200;
+
+/// Cross-talk above this share asks for slots of their own: gains are known to about that.
+const MOST_CROSSTALK: f64 = 1e-3;
+
+/// Relative difference of σ that counts for nothing.
+const EQUAL: f64 = 0.01;
+
+/// A schedule that a board can run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// Frames per second.
+    pub frame_rate_hz: f64,
+    /// Emitters of each slot.
+    pub slots: Vec<Vec<usize>>,
+    /// Conversions in a word.
+    pub oversampling: u32,
+    /// Share of the frame that the slots take.
+    pub busy: f64,
+    /// Standard deviation of the position of a single frame, median over the workspace, metres; infinite without pose.
+    pub sigma_m: f64,
+    /// The same of the rotation, radians.
+    pub sigma_rad: f64,
+}
+
+/// Schedules for one head.
+#[derive(Clone, Debug)]
+pub struct Schedules {
+    /// At the wanted rate, the least σ first.
+    pub at_rate: Vec<Candidate>,
+    /// The best at other rates, ascending.
+    pub best_by_rate: Vec<Candidate>,
+}
+
+impl Schedules {
+    /// For `file` at `rate_hz` frames per second.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed; a front end that cannot run at that rate, whatever the slots.
+    pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Result<Self, TimingError>, SceneError> {
+        let Some(front_end) = file.front_end else {
+            return Ok(Err(TimingError::NoFrontEnd { scene: file.name.clone() }));
+        };
+        let groupings = groupings(file)?;
+        let at = |frame_rate_hz: f64| -> Result<Result<Vec<Candidate>, TimingError>, SceneError> {
+            let (mut found, mut refused) = (Vec::new(), None);
+            for lighting in &groupings {
+                for oversampling in OVERSAMPLING {
+                    let front_end = FrontEnd { frame_rate_hz, oversampling, ..front_end };
+                    let tried = SceneFile { front_end: Some(front_end), ..file.with_lighting(lighting.clone()) };
+                    match configuration(&tried) {
+                        Ok(_) => found.push(candidate(tried, front_end)?),
+                        Err(error) => refused = refused.or(Some(error)),
+                    }
+                }
+            }
+            // Of equals, the one that leaves more of the frame idle.
+            let size = |candidate: &Candidate| (candidate.sigma_m.ln() / EQUAL).round();
+            found.sort_by(|a, b| size(a).total_cmp(&size(b)).then(a.busy.total_cmp(&b.busy)));
+            Ok(match refused {
+                Some(error) if found.is_empty() => Err(error),
+                _ => Ok(found),
+            })
+        };
+        let at_rate = match at(rate_hz)? {
+            Ok(found) => found,
+            Err(error) => return Ok(Err(error)),
+        };
+        let mut best_by_rate = Vec::new();
+        for rate_hz in RATES.map(|by| by * rate_hz) {
+            best_by_rate.extend(at(rate_hz)?.unwrap_or_default().into_iter().next());
+        }
+        Ok(Ok(Self { at_rate, best_by_rate }))
+    }
+}
+
+fn candidate(file: SceneFile, front_end: FrontEnd) -> Result<Candidate, SceneError> {
+    let slots = file.lighting.slots.clone();
+    let (workspace, cells) = (file.workspace, file.scene.cells.len());
+    let outlook = Outlook::of(Head::from(file))?;
+    let views: Vec<View> = workspace_poses(&workspace, POSES).map(|pose| outlook.at(&pose)).collect();
+    let median = |of: fn(&View) -> Option<f64>| {
+        let mut values: Vec<f64> = views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).collect();
+        values.sort_by(f64::total_cmp);
+        values[POSES / 2]
+    };
+    Ok(Candidate {
+        frame_rate_hz: front_end.frame_rate_hz,
+        busy: slots.len() as f64 * front_end.slot_duration_s(cells) / front_end.frame_period_s(),
+        slots,
+        oversampling: front_end.oversampling,
+        sigma_m: median(View::sigma_m),
+        sigma_rad: median(View::sigma_rad),
+    })
+}
+
+/// Ways to light the emitters: as the scene says, one by one, and as many together as do not shine on each other's
+/// detectors.
+fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
+    let cells = file.scene.cells.len();
+    let poses: Vec<_> = workspace_poses(&file.workspace, POSES).collect();
+    let disturb = |a: usize, b: usize| {
+        let worst = |cell, other| {
+            poses.iter().map(|pose| share_of_others(&plan, cell, &[cell, other], pose)).fold(0.0, f64::max)
+        };
+        worst(a, b) > MOST_CROSSTALK || worst(b, a) > MOST_CROSSTALK
+    };
+    let mut together = Lighting { slots: Vec::new() };
+    for emitter in 0..cells {
+        let free = together.slots.iter_mut().find(|slot| slot.iter().all(|other| !disturb(emitter, *other)));
+        match free {
+            Some(slot) => slot.push(emitter),
+            None => together.slots.push(vec![emitter]),
+        }
+    }
+    together.slots.push(Vec::new());
+    let mut all = vec![file.lighting.clone()];
+    for lighting in [Lighting::one_by_one(cells), together] {
+        if !all.contains(&lighting) {
+            all.push(lighting);
+        }
+    }
+    Ok(all)
+}
