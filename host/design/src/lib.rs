@@ -2,6 +2,7 @@
 //!
 //! * [`survey`] shows what a scene can do;
 //! * [`map`] shows how accurate it is, and where;
+//! * [`optimise`] looks for the best one within bounds;
 //! * [`plot`] draws;
 //! * [`paper`] calculates the source paper's experiments;
 //! * [`identification`] finds an emitter's profile from currents;
@@ -32,6 +33,7 @@
 
 pub mod identification;
 pub mod map;
+pub mod optimise;
 pub mod paper;
 pub mod plot;
 pub mod report;

@@ -55,6 +55,7 @@ use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
 use slitpose_bench::BenchError;
 use slitpose_calibration::{CalibrateError, CalibrationFileError};
+use slitpose_design::optimise::OptimiseError;
 use slitpose_design::plot::PlotError;
 use slitpose_design::report::ReportError;
 use slitpose_head::front_end::TimingError;
@@ -124,6 +125,9 @@ pub(crate) enum CommandError {
     /// The scene.
     #[error(transparent)]
     SceneFile(#[from] SceneFileError),
+    /// A search for a better head.
+    #[error(transparent)]
+    Optimise(#[from] OptimiseError),
     /// The optics of a scene that was put together by a command.
     #[error(transparent)]
     Scene(#[from] SceneError),

@@ -93,6 +93,11 @@ impl Outlook {
         self.plan.cell_count()
     }
 
+    /// The optics.
+    pub(crate) fn plan(&self) -> &Plan<f64> {
+        &self.plan
+    }
+
     /// With the tool at rest at `pose`.
     pub fn at(&self, pose: &Pose) -> View {
         let mut view = View {

@@ -26,7 +26,7 @@ use slitpose_model::{Plan, Scene, Tier};
 pub use electronics::FrontEnd;
 pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
 pub use lighting::Lighting;
-pub use shipped::{BASE, BENCH, SHIPPED, Shipped, WIDE};
+pub use shipped::{BASE, BENCH, FINE, SHIPPED, Shipped, WIDE};
 pub use spelling::nearest;
 pub use tolerance::Tolerance;
 pub use workspace::Workspace;

@@ -3,6 +3,7 @@
 mod check;
 mod list;
 mod map;
+mod optimise;
 mod plot;
 mod show;
 
@@ -24,6 +25,7 @@ enum Verb {
     #[command(after_help = "Example:\n  slitpose scene list")]
     List,
     Map(map::Args),
+    Optimise(optimise::Args),
     Plot(plot::Args),
     Show(show::Args),
 }
@@ -33,6 +35,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Verb::Check(args) => check::run(args),
         Verb::List => list::run(),
         Verb::Map(args) => map::run(args),
+        Verb::Optimise(args) => optimise::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Show(args) => show::run(args),
     }

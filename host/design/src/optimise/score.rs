@@ -1,0 +1,220 @@
+//! How good a candidate is.
+
+use slitpose_head::front_end::configuration;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::{Cell, Pose, SceneError};
+
+use crate::map::{Outlook, View};
+use crate::survey::{share_of_others, workspace_poses};
+
+/// Which σ is to be least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Demand {
+    /// The median of the workspace.
+    Median,
+    /// The worst of the workspace.
+    Worst,
+}
+
+/// What a search wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Goal {
+    /// Median or worst.
+    pub demand: Demand,
+    /// The point of the tool whose position counts, from the tool's centre: metres. Rotation errors move it.
+    pub lever_m: f64,
+}
+
+/// What a head has to keep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Share of the workspace in which all spots lie on their detectors.
+    pub lit: f64,
+    /// Between the tool's emitters and the slits, over the workspace, metres.
+    pub clearance_m: f64,
+    /// Between detectors, and between emitters, from centre line to centre line: metres.
+    pub detector_pitch_m: f64,
+    /// See [`Self::detector_pitch_m`].
+    pub emitter_pitch_m: f64,
+    /// Light of other emitters of a slot, as a share of a cell's own.
+    pub crosstalk: f64,
+    /// Share of the workspace in which all electrodes stay below full scale.
+    pub in_scale: f64,
+    /// Farthest point of a detector from the z axis, metres.
+    pub radius_m: f64,
+}
+
+impl Default for Limits {
+    /// Of the parts of the shipped scenes: an S3932 is 13 mm long and 5 mm wide in its housing, a CQY36N 3 mm.
+    fn default() -> Self {
+        Self {
+            lit: 0.999,
+            clearance_m: 1e-3,
+            detector_pitch_m: 6e-3,
+            emitter_pitch_m: 4e-3,
+            crosstalk: 1e-3,
+            in_scale: 0.995,
+            radius_m: f64::INFINITY,
+        }
+    }
+}
+
+/// How far a housing reaches beyond the active area at each end, metres.
+const HOUSING_M: f64 = 1e-3;
+
+/// What passing a limit by one millimetre, or by a factor e, costs in ln σ: more than can be won by it (an exact penalty;
+/// Zangwill 1967), and not much more, for steep walls stop simplexes.
+const PENALTY: f64 = 3.0;
+
+/// What passing limits at all costs: of two heads that are worth the same, the one that keeps them is better.
+const NOT_KEPT: f64 = 0.01;
+
+/// Poses at which spots and distances are looked at, and σ; cross-talk, which takes long, at fewer.
+const POSES: usize = 4000;
+const SIGMA_POSES: usize = 256;
+const CROSSTALK_POSES: usize = 32;
+
+/// What a candidate is worth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Score {
+    /// Standard deviation of the position of the point that counts, a single frame, metres.
+    pub sigma_m: f64,
+    /// By how much limits are passed: millimetres, and logarithms of ratios; zero if all are kept.
+    pub violation: f64,
+}
+
+impl Score {
+    /// What a search makes least.
+    pub(super) fn cost(&self) -> f64 {
+        let kept = if self.violation > 0.0 { NOT_KEPT + PENALTY * self.violation } else { 0.0 };
+        kept + if self.sigma_m.is_finite() { self.sigma_m.ln() } else { 0.0 }
+    }
+
+    /// Of `file`.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub fn of(file: &SceneFile, goal: Goal, limits: &Limits) -> Result<Self, SceneError> {
+        let poses: Vec<Pose> = workspace_poses(&file.workspace, POSES).collect();
+        let outlook = Outlook::of(file.clone().into())?;
+        let views: Vec<View> = poses.iter().take(SIGMA_POSES).map(|pose| outlook.at(pose)).collect();
+        let sigma_m = sigma(&views, goal);
+        let mut violation = distances(file, &poses, limits) + spots(file, &poses, limits);
+        if !sigma_m.is_finite() {
+            violation += 10.0 + views.iter().filter(|view| view.sigma.is_none()).count() as f64 / SIGMA_POSES as f64;
+        }
+        if file.front_end.is_some() {
+            violation += f64::from(u8::from(configuration(file).is_err()));
+            let mut margins: Vec<f64> = views.iter().map(|view| view.full_scale).collect();
+            margins.sort_by(f64::total_cmp);
+            violation += (1.0 - margins[index(SIGMA_POSES, 1.0 - limits.in_scale)]).max(0.0);
+        }
+        for slot in file.lighting.slots.iter().filter(|slot| slot.len() > 1) {
+            for &cell in slot {
+                let share = |pose| share_of_others(outlook.plan(), cell, slot, pose);
+                let most = poses.iter().take(CROSSTALK_POSES).map(share).fold(0.0, f64::max);
+                violation += (most / limits.crosstalk).max(1.0).ln();
+            }
+        }
+        Ok(Self { sigma_m, violation })
+    }
+}
+
+/// The place of the `share` smallest of so many sorted values.
+fn index(count: usize, share: f64) -> usize {
+    ((count as f64 * share) as usize).min(count - 1)
+}
+
+fn sigma(views: &[View], goal: Goal) -> f64 {
+    let of = |view: &View| {
+        let (m, rad) = view.sigma_m().zip(view.sigma_rad())?;
+        Some(m.hypot(goal.lever_m * rad))
+    };
+    let mut values: Vec<f64> = views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).collect();
+    values.sort_by(f64::total_cmp);
+    match goal.demand {
+        Demand::Median => values[values.len() / 2],
+        Demand::Worst => values[values.len() - 1],
+    }
+}
+
+/// By how far spots miss their detectors, in millimetres: that of the share of poses that may.
+///
+/// Of the central projection of the slit's edges along x (thin mask), so that it is a smooth function of all dimensions.
+fn spots(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
+    let mut margins: Vec<f64> = poses
+        .iter()
+        .map(|pose| file.scene.cells.iter().map(|cell| margin_m(cell, pose)).fold(f64::INFINITY, f64::min))
+        .collect();
+    margins.sort_by(f64::total_cmp);
+    let counted = margins[index(margins.len(), 1.0 - limits.lit)];
+    (-counted * 1e3).clamp(0.0, 10.0)
+}
+
+fn margin_m(cell: &Cell, pose: &Pose) -> f64 {
+    let (detector, slit) = (&cell.detector, &cell.slit);
+    let emitter = pose.rotation * cell.emitter.position_tool_m + pose.translation_m - detector.centre_base_m;
+    let above_m = emitter.dot(detector.normal_base) - slit.distance_m;
+    if above_m <= 0.0 {
+        return above_m - detector.length_m;
+    }
+    let x_m = emitter.dot(detector.x_axis_base) - slit.offset_m.x;
+    let by = slit.distance_m / above_m;
+    let (centre_m, half_m) = (slit.offset_m.x - x_m * by, 0.5 * slit.width_m * (1.0 + by));
+    0.5 * detector.length_m - centre_m.abs() - half_m
+}
+
+/// By how much parts are too near each other, or too far out: millimetres.
+fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
+    let cells = &file.scene.cells;
+    let lacking = |found_m: f64, wanted_m: f64| ((wanted_m - found_m) * 1e3).clamp(0.0, 100.0);
+    let above = |cell: &Cell, pose: &Pose| {
+        let emitter = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
+        (emitter - cell.detector.centre_base_m).dot(cell.detector.normal_base) - cell.slit.distance_m
+    };
+    let nearest =
+        poses.iter().flat_map(|pose| cells.iter().map(move |cell| above(cell, pose))).fold(f64::INFINITY, f64::min);
+    let mut violation = lacking(nearest, limits.clearance_m);
+    let ends = |cell: &Cell| {
+        let half = cell.detector.x_axis_base * (0.5 * cell.detector.length_m + HOUSING_M);
+        [cell.detector.centre_base_m - half, cell.detector.centre_base_m + half]
+    };
+    for (number, cell) in cells.iter().enumerate() {
+        violation += ends(cell).iter().map(|end| lacking(limits.radius_m, end.truncate().length())).sum::<f64>();
+        for other in &cells[..number] {
+            violation += lacking(apart_m(ends(cell), ends(other)), limits.detector_pitch_m);
+            let emitters = cell.emitter.position_tool_m.distance(other.emitter.position_tool_m);
+            violation += lacking(emitters, limits.emitter_pitch_m);
+        }
+    }
+    violation
+}
+
+/// Least distance of two segments, given by their ends.
+fn apart_m([a, b]: [glam::DVec3; 2], [c, d]: [glam::DVec3; 2]) -> f64 {
+    // Ericson 2005, Real-Time Collision Detection, 5.1.9.
+    let (u, v, w) = (b - a, d - c, a - c);
+    let (uu, uv, vv, uw, vw) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));
+    let determinant = uu * vv - uv * uv;
+    let s = if determinant > 1e-12 * uu * vv { ((uv * vw - vv * uw) / determinant).clamp(0.0, 1.0) } else { 0.0 };
+    let t = ((uv * s + vw) / vv).clamp(0.0, 1.0);
+    let s = ((uv * t - uw) / uu).clamp(0.0, 1.0);
+    (a + u * s).distance(c + v * t)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn segments_are_as_far_apart_as_their_nearest_points() {
+        let (x, y) = ([-DVec3::X, DVec3::X], [-DVec3::Y + DVec3::Z, DVec3::Y + DVec3::Z]);
+        assert!((apart_m(x, y) - 1.0).abs() < 1e-12, "crossing above each other");
+        let beyond = [DVec3::X * 3.0, DVec3::X * 5.0];
+        assert!((apart_m(x, beyond) - 2.0).abs() < 1e-12, "on one line");
+        let beside = [DVec3::new(-5.0, 3.0, 0.0), DVec3::new(5.0, 3.0, 0.0)];
+        assert!((apart_m(x, beside) - 3.0).abs() < 1e-12, "parallel");
+    }
+}

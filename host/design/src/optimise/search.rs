@@ -1,0 +1,254 @@
+//! The search itself.
+
+use std::num::NonZero;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread;
+
+use argmin::core::{CostFunction, Error, Executor};
+use argmin::solver::neldermead::NelderMead;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use slitpose_head::scene_file::SceneFile;
+
+use super::text::{current, with_values};
+use super::{Free, Goal, Limits, OptimiseError, Quantity, Score};
+
+/// Candidates that are spread over the bounds, for each free quantity.
+const SPREAD: usize = 150;
+
+/// The best of them from which simplexes start, and how far apart they have to be, as a share of the bounds.
+const STARTS: usize = 12;
+const APART: f64 = 0.15;
+
+/// Edge of a simplex, as a share of the bounds. Limits flatten simplexes: new ones go on from the best of the last, each
+/// turned the other way, while they gain.
+const EDGE: f64 = 0.12;
+const SIMPLEXES: usize = 8;
+const GAIN: f64 = 0.002;
+
+/// Steps of a simplex for each free quantity.
+const STEPS: usize = 30;
+
+/// Cost of a candidate that is no scene.
+const IMPOSSIBLE: f64 = 1e6;
+
+/// What is free, what is wanted, and within which limits.
+#[derive(Clone, Debug)]
+pub struct Search {
+    /// The scene it begins with: it is the first candidate, so that a search goes on from what an earlier one found.
+    pub file: SceneFile,
+    /// What is free.
+    pub free: Vec<Free>,
+    /// What is wanted.
+    pub goal: Goal,
+    /// What has to be kept.
+    pub limits: Limits,
+    /// Seed of the candidates that are spread.
+    pub seed: u64,
+}
+
+/// The best that was found.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The scene, which is what was evaluated.
+    pub file: SceneFile,
+    /// Of the scene that the search began with, and found.
+    pub before: Score,
+    /// Of the scene that was found.
+    pub after: Score,
+    /// Free quantities: before and after, in their units.
+    pub values: Vec<(Quantity, [f64; 2])>,
+    /// Candidates that were evaluated.
+    pub evaluations: usize,
+    /// Whether it was interrupted, and is the best so far.
+    pub is_interrupted: bool,
+}
+
+/// A candidate: free quantities as shares of their bounds.
+type Shares = Vec<f64>;
+
+/// The search at work, shared by all threads.
+struct Work<'a> {
+    search: &'a Search,
+    evaluations: AtomicUsize,
+    progress: Mutex<&'a mut (dyn FnMut(usize, f64) + Send)>,
+    stop: &'a AtomicBool,
+    best: Mutex<(f64, Shares)>,
+}
+
+impl Search {
+    /// How many candidates are evaluated, about.
+    pub fn evaluations(&self) -> usize {
+        self.free.len() * (SPREAD + STARTS * 4 * STEPS * 3 / 2)
+    }
+
+    /// Runs on all cores. `progress` gets the number of candidates evaluated and the least σ so far, metres; `stop` ends
+    /// it with the best so far.
+    ///
+    /// # Errors
+    /// A scene that cannot be read or computed as it is.
+    pub fn run(
+        &self,
+        progress: &mut (dyn FnMut(usize, f64) + Send),
+        stop: &AtomicBool,
+    ) -> Result<Found, OptimiseError> {
+        let own: Shares = self.free.iter().map(|free| share_of(free, current(&self.file, free.quantity))).collect();
+        // What is wrong with the scene itself is told; a candidate may be impossible.
+        let before = Score::of(&self.file, self.goal, &self.limits)?;
+        SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&own))?)?;
+        let work = Work {
+            search: self,
+            evaluations: AtomicUsize::new(0),
+            progress: Mutex::new(progress),
+            stop,
+            best: Mutex::new((f64::INFINITY, own.clone())),
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        let mut candidates = vec![own];
+        let count = SPREAD * self.free.len();
+        // A lattice (Korobov 1959) spreads them more evenly than chance does; chance shifts it.
+        let shift: Shares = self.free.iter().map(|_| rng.random_range(0.0..1.0)).collect();
+        let generators: Vec<f64> = (1..=self.free.len()).map(|k| golden(self.free.len()).powi(-(k as i32))).collect();
+        candidates.extend((0..count).map(|n| {
+            shift.iter().zip(&generators).map(|(shift, by)| (shift + n as f64 * by).fract()).collect::<Shares>()
+        }));
+        let costs = on_all_cores(&candidates, |candidate| work.cost(candidate));
+        let mut order: Vec<usize> = (0..candidates.len()).collect();
+        order.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]));
+        let mut starts: Vec<Shares> = Vec::new();
+        for &number in &order {
+            let candidate = &candidates[number];
+            let is_new = |other: &Shares| other.iter().zip(candidate).any(|(a, b)| (a - b).abs() > APART);
+            if starts.len() < STARTS && starts.iter().all(is_new) {
+                starts.push(candidate.clone());
+            }
+        }
+        on_all_cores(&starts, |start| work.descend(start));
+        let best = work.best.lock().map(|best| best.1.clone()).unwrap_or_default();
+        let file = SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&best))?)?;
+        let after = Score::of(&file, self.goal, &self.limits)?;
+        let values = self.values(&best).into_iter();
+        let values = values.map(|(quantity, value)| (quantity, [current(&self.file, quantity), value])).collect();
+        let evaluations = work.evaluations.load(Ordering::Relaxed);
+        Ok(Found { file, before, after, values, evaluations, is_interrupted: stop.load(Ordering::Relaxed) })
+    }
+
+    /// The values of a candidate, in the order in which they act, as a drawing states them.
+    fn values(&self, shares: &[f64]) -> Vec<(Quantity, f64)> {
+        let of = |quantity: Quantity| {
+            let (free, share) = self.free.iter().zip(shares).find(|(free, _)| free.quantity == quantity)?;
+            let [from, to] = free.bounds;
+            Some((quantity, quantity.rounded(from + share.clamp(0.0, 1.0) * (to - from))))
+        };
+        Quantity::ALL.into_iter().filter_map(of).collect()
+    }
+}
+
+fn share_of(free: &Free, value: f64) -> f64 {
+    let [from, to] = free.bounds;
+    ((value - from) / (to - from)).clamp(0.0, 1.0)
+}
+
+/// The root of x^(d+1) = x + 1, whose powers make an even lattice in d dimensions (Roberts 2018).
+fn golden(dimensions: usize) -> f64 {
+    (0..60).fold(2.0, |x: f64, _| (1.0 + x).powf(1.0 / (dimensions as f64 + 1.0)))
+}
+
+/// `work` on each of `items`, in order, by as many threads as there are cores.
+fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let threads = thread::available_parallelism().map_or(1, NonZero::get).min(items.len().max(1));
+    let next = AtomicUsize::new(0);
+    let mut found: Vec<(usize, R)> = thread::scope(|scope| {
+        let run = || {
+            let mut own = Vec::new();
+            loop {
+                let number = next.fetch_add(1, Ordering::Relaxed);
+                let Some(item) = items.get(number) else { return own };
+                own.push((number, work(item)));
+            }
+        };
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(run)).collect();
+        workers.into_iter().flat_map(|worker| worker.join().unwrap_or_default()).collect()
+    });
+    found.sort_by_key(|(number, _)| *number);
+    found.into_iter().map(|(_, result)| result).collect()
+}
+
+impl Work<'_> {
+    /// What is made least; beyond the bounds it grows.
+    fn cost(&self, shares: &Shares) -> f64 {
+        if self.stop.load(Ordering::Relaxed) {
+            return IMPOSSIBLE;
+        }
+        let beyond: f64 = shares.iter().map(|share| (share - share.clamp(0.0, 1.0)).abs()).sum();
+        let Search { file, goal, limits, .. } = self.search;
+        let text = with_values(file, &self.search.values(shares));
+        let candidate = text.ok().and_then(|text| SceneFile::parse(&file.origin, &text).ok());
+        let score = candidate.and_then(|candidate| Score::of(&candidate, *goal, limits).ok());
+        let cost = score.map_or(IMPOSSIBLE, |score| score.cost());
+        let done = self.evaluations.fetch_add(1, Ordering::Relaxed) + 1;
+        if let Ok(mut best) = self.best.lock() {
+            // Equal costs: the first in the order of the quantities, whichever thread came first.
+            let is_better = cost < best.0 || (cost == best.0 && shares < &best.1);
+            if is_better {
+                *best = (cost, shares.clone());
+            }
+            if let Ok(mut progress) = self.progress.lock() {
+                progress(done, best.0.exp());
+            }
+        }
+        cost + 10.0 * beyond
+    }
+
+    /// Simplexes from `start` downwards.
+    fn descend(&self, start: &Shares) {
+        let steps = (STEPS * start.len()) as u64;
+        let mut best = (f64::INFINITY, start.clone());
+        for number in 0..SIMPLEXES {
+            let edge = EDGE / (1.0 + number as f64 / 2.0);
+            let mut simplex = vec![best.1.clone()];
+            for k in 0..start.len() {
+                let mut corner = best.1.clone();
+                let is_up = (corner[k] > 0.5) == (number % 2 == 1);
+                let moved = corner[k] + if is_up { edge } else { -edge };
+                // Within the bounds, on whichever side.
+                corner[k] = if (0.0..=1.0).contains(&moved) { moved } else { 2.0 * corner[k] - moved };
+                simplex.push(corner);
+            }
+            let descent = Descent { work: self, best: Mutex::new(best.clone()) };
+            let run = NelderMead::new(simplex).with_sd_tolerance(1e-5).and_then(|solver| {
+                Executor::new(&descent, solver).configure(|state| state.max_iters(steps)).timer(false).run()
+            });
+            // What was found on the way is kept by every evaluation: an early end loses nothing.
+            drop(run);
+            let Ok(found) = descent.best.into_inner() else { return };
+            let gain = best.0 - found.0;
+            best = found;
+            if gain < GAIN && number > 0 {
+                return;
+            }
+        }
+    }
+}
+
+/// What a simplex sees of the search.
+struct Descent<'a, 'b> {
+    work: &'a Work<'b>,
+    best: Mutex<(f64, Shares)>,
+}
+
+impl CostFunction for &Descent<'_, '_> {
+    type Param = Shares;
+    type Output = f64;
+
+    fn cost(&self, shares: &Shares) -> Result<f64, Error> {
+        let cost = self.work.cost(shares);
+        if let Ok(mut best) = self.best.lock()
+            && cost < best.0
+        {
+            *best = (cost, shares.clone());
+        }
+        Ok(cost)
+    }
+}

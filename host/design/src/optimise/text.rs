@@ -1,0 +1,195 @@
+//! A candidate as the text of a scene.
+
+use glam::{DQuat, DVec3};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::Cell;
+use toml_edit::{Array, ArrayOfTables, DocumentMut, Item, Table, value};
+
+use super::{OptimiseError, Quantity};
+
+/// The text of `file` with `values` set, in their units.
+///
+/// # Errors
+/// A text that has not the sections that they stand in.
+pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Result<String, OptimiseError> {
+    let error = |message: &str| OptimiseError::Text { origin: file.origin.clone(), message: message.to_owned() };
+    let mut document: DocumentMut =
+        file.source.parse().map_err(|found: toml_edit::TomlError| error(found.message()))?;
+    let mut cells: Vec<Cell> = file.scene.cells.iter().cloned().collect();
+    let mut is_moved = false;
+    for &(quantity, number) in values {
+        match quantity {
+            Quantity::SlitDistance => set(&mut document, "slit", "distance_mm", number),
+            Quantity::SlitWidth => set(&mut document, "slit", "width_mm", number),
+            Quantity::SlitLength => set(&mut document, "slit", "length_mm", number),
+            Quantity::FullScale => {
+                if file.front_end.is_none() {
+                    return Err(OptimiseError::NoFrontEnd { origin: file.origin.clone() });
+                }
+                // Digits of microamperes, not of their product with 1e-6.
+                set(
+                    &mut document,
+                    "front_end",
+                    "full_scale_a",
+                    format!("{number}e-6").parse().unwrap_or(number * 1e-6),
+                );
+            }
+            Quantity::Cells => {
+                let count = number.round().max(1.0) as usize;
+                if count != cells.len() {
+                    is_moved = true;
+                    cells = ring(&cells[0], count);
+                    document.remove("lighting");
+                    let tables = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
+                    let tables = tables.ok_or_else(|| error("its cells are no [[cell]] tables"))?;
+                    like_the_first(tables, count);
+                }
+            }
+            _ => {
+                is_moved = true;
+                for (number_of, cell) in cells.iter_mut().enumerate() {
+                    let sign = if number_of % 2 == 0 { 1.0 } else { -1.0 };
+                    place(cell, quantity, number, sign);
+                }
+            }
+        }
+    }
+    if is_moved {
+        let tables = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
+        let tables = tables.ok_or_else(|| error("its cells are no [[cell]] tables"))?;
+        for (table, cell) in tables.iter_mut().zip(&cells) {
+            let (detector, emitter) = (&cell.detector, &cell.emitter);
+            for (key, vector) in [
+                ("detector_mm", detector.centre_base_m * 1e3),
+                ("x_axis", detector.x_axis_base),
+                ("normal", detector.normal_base),
+                ("emitter_mm", emitter.position_tool_m * 1e3),
+                ("emitter_axis", emitter.axis_tool),
+            ] {
+                table[key] = value(array(vector));
+            }
+        }
+    }
+    Ok(document.to_string())
+}
+
+/// The value of `quantity` in `file`, in its unit; that of the first cell stands for all.
+pub(super) fn current(file: &SceneFile, quantity: Quantity) -> f64 {
+    let cell = &file.scene.cells[0];
+    let (detector, emitter) = (&cell.detector, &cell.emitter);
+    match quantity {
+        Quantity::EmitterRadius => emitter.position_tool_m.truncate().length() * 1e3,
+        Quantity::EmitterDistance => emitter.position_tool_m.distance(detector.centre_base_m) * 1e3,
+        Quantity::SlitDistance => cell.slit.distance_m * 1e3,
+        Quantity::SlitWidth => cell.slit.width_m * 1e3,
+        Quantity::SlitLength => cell.slit.length_m * 1e3,
+        Quantity::Roll => {
+            let level = level(detector.normal_base);
+            let up = detector.normal_base.cross(level);
+            let roll = detector.x_axis_base.dot(up).atan2(detector.x_axis_base.dot(level)).to_degrees().abs();
+            roll.min(180.0 - roll)
+        }
+        Quantity::EmitterTilt => {
+            let radial = emitter.position_tool_m.with_z(0.0).normalize_or(emitter.axis_tool);
+            emitter.axis_tool.z.atan2(emitter.axis_tool.dot(radial)).to_degrees()
+        }
+        Quantity::Lift => emitter.position_tool_m.z * 1e3,
+        Quantity::FullScale => file.front_end.map_or(f64::NAN, |front_end| front_end.full_scale_a * 1e6),
+        Quantity::Cells => file.scene.cells.len() as f64,
+    }
+}
+
+/// A direction across `normal` in the plane of the ring.
+fn level(normal: DVec3) -> DVec3 {
+    DVec3::Z.cross(normal).normalize_or(normal.any_orthonormal_vector())
+}
+
+fn place(cell: &mut Cell, quantity: Quantity, number: f64, sign: f64) {
+    let (detector, emitter) = (&mut cell.detector, &mut cell.emitter);
+    let between = detector.centre_base_m - emitter.position_tool_m;
+    match quantity {
+        Quantity::EmitterRadius => {
+            let outward = emitter.position_tool_m.with_z(0.0).normalize_or(emitter.axis_tool.with_z(0.0));
+            emitter.position_tool_m = (outward * number * 1e-3).with_z(emitter.position_tool_m.z);
+            detector.centre_base_m = emitter.position_tool_m + between;
+        }
+        Quantity::EmitterDistance => {
+            let towards = between.normalize_or(-detector.normal_base);
+            detector.centre_base_m = emitter.position_tool_m + towards * number * 1e-3;
+        }
+        Quantity::Lift => {
+            emitter.position_tool_m.z = sign * number * 1e-3;
+            detector.centre_base_m = emitter.position_tool_m + between;
+        }
+        Quantity::Roll => {
+            let level = level(detector.normal_base);
+            let (sin, cos) = (sign * number).to_radians().sin_cos();
+            detector.x_axis_base = (level * cos + detector.normal_base.cross(level) * sin).normalize();
+        }
+        Quantity::EmitterTilt => {
+            let outward = between.with_z(0.0).normalize_or(between);
+            let (sin, cos) = (sign * number).to_radians().sin_cos();
+            emitter.axis_tool = (outward * cos + DVec3::Z * sin).normalize();
+        }
+        Quantity::SlitDistance | Quantity::SlitWidth | Quantity::SlitLength | Quantity::FullScale | Quantity::Cells => {
+        }
+    }
+}
+
+/// So many cells like `first`, evenly around z; rolls alternate.
+fn ring(first: &Cell, count: usize) -> Vec<Cell> {
+    let turned = |k: usize| {
+        let turn = DQuat::from_rotation_z(std::f64::consts::TAU * k as f64 / count as f64);
+        let mut cell = first.clone();
+        let (detector, emitter) = (&mut cell.detector, &mut cell.emitter);
+        if k % 2 == 1 {
+            // Mirrored at the plane of the ring.
+            let mirrored = |v: DVec3| v.with_z(-v.z);
+            detector.centre_base_m = mirrored(detector.centre_base_m);
+            detector.x_axis_base = mirrored(detector.x_axis_base);
+            detector.normal_base = mirrored(detector.normal_base);
+            emitter.position_tool_m = mirrored(emitter.position_tool_m);
+            emitter.axis_tool = mirrored(emitter.axis_tool);
+        }
+        detector.centre_base_m = turn * detector.centre_base_m;
+        detector.x_axis_base = (turn * detector.x_axis_base).normalize();
+        detector.normal_base = (turn * detector.normal_base).normalize();
+        emitter.position_tool_m = turn * emitter.position_tool_m;
+        emitter.axis_tool = (turn * emitter.axis_tool).normalize();
+        cell
+    };
+    (0..count).map(turned).collect()
+}
+
+/// Makes `count` tables of `tables`, the new ones like the first.
+fn like_the_first(tables: &mut ArrayOfTables, count: usize) {
+    let first: Table = tables.get(0).cloned().unwrap_or_default();
+    while tables.len() > count {
+        tables.remove(tables.len() - 1);
+    }
+    while tables.len() < count {
+        tables.push(first.clone());
+    }
+}
+
+/// Sets a key for all cells, also where a cell has its own.
+fn set(document: &mut DocumentMut, section: &str, key: &str, number: f64) {
+    if let Some(tables) = document.get_mut("cell").and_then(Item::as_array_of_tables_mut) {
+        for table in tables.iter_mut() {
+            if let Some(own) = table.get_mut(section).and_then(Item::as_table_like_mut) {
+                own.remove(key);
+            }
+        }
+    }
+    let item = &mut document[section][key];
+    let comment = item.as_value().map(|value| value.decor().clone());
+    *item = value(number);
+    if let (Some(value), Some(comment)) = (item.as_value_mut(), comment) {
+        *value.decor_mut() = comment;
+    }
+}
+
+/// To the picometre; zero without sign.
+fn array(vector: DVec3) -> Array {
+    vector.to_array().map(|number| (number * 1e12).round() / 1e12 + 0.0).into_iter().collect()
+}

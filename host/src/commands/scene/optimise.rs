@@ -1,0 +1,117 @@
+//! `slitpose scene optimise`: the best head within bounds.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+
+use super::{CommandError, Outcome};
+use crate::commands::{interrupt, names, talk};
+use crate::terminal::{Amount, Progress};
+use slitpose_design::optimise::{Demand, Free, Goal, Limits, Search};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::Output;
+
+/// Looks for the best head within bounds.
+///
+/// What is given by --free is searched, on all cores, for the least standard deviation of single frames over the workspace.
+/// All spots stay on their detectors, parts do not collide, electrodes stay in scale, emitters of a slot do not shine on
+/// each other's detectors; the limits are options. The scene that is found is printed, ready to use; a search that is given
+/// it goes on from there, also after an interrupt.
+///
+/// Free may be: cells (a whole number), emitter_radius, emitter_distance (to the detector), slit_distance, slit_width,
+/// slit_length, lift (of every other cell, against the next), all in mm; roll and emitter_tilt in degrees, their signs
+/// alternating; full_scale of the converters in µA.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  slitpose scene optimise wide --free slit_distance --free slit_width --free roll > mine.toml\n  \
+                  slitpose scene optimise wide --free emitter_radius=8..12 --free emitter_distance=12..20 --demand worst --output mine.toml"
+)]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene, to begin with
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    scene: String,
+    /// What is free, within what: slit_width, or slit_width=0.3..1.2
+    #[arg(long, value_name = "NAME[=FROM..TO]", required = true)]
+    free: Vec<Free>,
+    /// Which standard deviation is to be least
+    #[arg(long, value_enum, default_value_t = DemandName::Median)]
+    demand: DemandName,
+    /// The point whose position counts: so far from the tool's centre, mm
+    #[arg(long, value_name = "MM", default_value_t = 10.0)]
+    lever: f64,
+    /// Share of the workspace in which all spots are on their detectors, percent
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.9)]
+    lit: f64,
+    /// Least distance of emitters from slits, mm
+    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    clearance: f64,
+    /// Largest radius of the head at the detectors' ends, mm
+    #[arg(long, value_name = "MM", default_value_t = f64::INFINITY, hide_default_value = true)]
+    radius: f64,
+    /// Share of the workspace in which all electrodes are below full scale, percent
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.5)]
+    in_scale: f64,
+    /// Seed of the candidates that are spread over the bounds
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Write the scene to this file instead of standard output
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum DemandName {
+    /// That of half the workspace
+    Median,
+    /// The greatest of the workspace
+    Worst,
+}
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let output = Output::open(args.output.as_deref())?;
+    let mut free: Vec<Free> = Vec::new();
+    for one in &args.free {
+        free.retain(|before| before.quantity != one.quantity);
+        free.push(*one);
+    }
+    let demand = match args.demand {
+        DemandName::Median => Demand::Median,
+        DemandName::Worst => Demand::Worst,
+    };
+    let search = Search {
+        file: SceneFile::open(&args.scene)?,
+        free,
+        goal: Goal { demand, lever_m: args.lever * 1e-3 },
+        limits: Limits {
+            lit: args.lit / 100.0,
+            clearance_m: args.clearance * 1e-3,
+            radius_m: args.radius * 1e-3,
+            in_scale: args.in_scale / 100.0,
+            ..Limits::default()
+        },
+        seed: args.seed,
+    };
+    let stop = interrupt()?;
+    let total = search.evaluations() as u64;
+    let mut progress = Progress::new("optimise", total, Amount::Of("heads"));
+    let found = search.run(
+        &mut |done, sigma_m| progress.step((done as u64).min(total), &format!("{:.2} µm", sigma_m * 1e6)),
+        &stop,
+    )?;
+    drop(progress);
+    for (quantity, [before, after]) in &found.values {
+        talk(format_args!("{quantity}: {before:.2} -> {after:.2} {}", quantity.unit()));
+    }
+    let said = |name: &str, score: &slitpose_design::optimise::Score| {
+        let kept = if score.violation > 0.0 { "limits passed" } else { "all limits kept" };
+        talk(format_args!("{name}: {:.3} µm, {kept}", score.sigma_m * 1e6));
+    };
+    said("before", &found.before);
+    said("after", &found.after);
+    talk(format_args!("{} heads looked at", found.evaluations));
+    if found.is_interrupted {
+        talk(format_args!("interrupted: this is the best so far; a search that is given it goes on from there"));
+    }
+    output.write_text(&found.file.source)?;
+    Ok(if found.after.violation > 0.0 { Outcome::Failed } else { Outcome::Done })
+}
