@@ -1,1 +1,141 @@
+use std::sync::atomic::AtomicBool;
+
+use slitpose_head::scene_file::{FINE, SceneFile, WIDE};
+
+use super::text::{current, with_values};
 use super::*;
+use crate::map::{Fineness, Map, View};
+
+const GOAL: Goal = Goal { demand: Demand::Median, lever_m: 10e-3 };
+
+fn wide() -> SceneFile {
+    WIDE.read().expect("a scene")
+}
+
+fn set(file: &SceneFile, values: &[(Quantity, f64)]) -> SceneFile {
+    SceneFile::parse("found.toml", &with_values(file, values).expect("a text")).expect("a scene")
+}
+
+fn free(texts: &[&str]) -> Vec<Free> {
+    texts.iter().map(|text| text.parse().expect("a quantity")).collect()
+}
+
+/// Dimensions of the drawing, put in and read back from the scene.
+#[test]
+fn quantities_are_where_the_drawing_has_them() {
+    let file = wide();
+    for (quantity, of_wide, other) in [
+        (Quantity::EmitterRadius, 10.0, 12.5),
+        (Quantity::EmitterDistance, 15.0, 17.0),
+        (Quantity::SlitDistance, 5.0, 4.25),
+        (Quantity::SlitWidth, 0.6, 1.05),
+        (Quantity::SlitLength, 10.0, 8.0),
+        (Quantity::Roll, 45.0, 60.0),
+        (Quantity::EmitterTilt, 0.0, 10.0),
+        (Quantity::Lift, 0.0, 2.0),
+        (Quantity::FullScale, 10.0, 7.3),
+    ] {
+        assert!((current(&file, quantity) - of_wide).abs() < 1e-9, "{quantity}");
+        let changed = set(&file, &[(quantity, other)]);
+        for like in Quantity::ALL {
+            let expected = if like == quantity { other } else { current(&file, like) };
+            assert!((current(&changed, like) - expected).abs() < 1e-6, "{quantity}: {like}");
+        }
+        // Those of the drawing change nothing but rounding.
+        assert_eq!(set(&file, &[(quantity, of_wide)]).scene.cells.len(), 6);
+    }
+    let cells = |file: &SceneFile| file.scene.cells.clone();
+    let eight = set(&file, &[(Quantity::Cells, 8.0)]);
+    assert_eq!((cells(&eight).len(), eight.lighting.slots.len()), (8, 9));
+    // Rolls alternate in the ring of eight as in that of six, and all face the axis.
+    for (number, cell) in cells(&eight).iter().enumerate() {
+        let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
+        assert!((cell.detector.x_axis_base.z - sign * 0.5_f64.sqrt()).abs() < 1e-9);
+        assert!(cell.detector.normal_base.dot(cell.detector.centre_base_m.normalize()) < -0.999_999);
+    }
+    assert!(eight.source.contains("# Hamamatsu S3932"), "comments stay");
+}
+
+#[test]
+fn limits_are_told_by_how_much_they_are_passed() {
+    let violation = |values: &[(Quantity, f64)], limits: Limits| {
+        Score::of(&set(&wide(), values), GOAL, &limits).expect("a score").violation
+    };
+    let limits = Limits { lit: 0.99, in_scale: 0.99, ..Limits::default() };
+    assert!(violation(&[], limits) < 1e-12);
+    // Emitters 10 mm before the detector, slits at 5 mm, motions of 4 mm and more towards them.
+    let near = [(Quantity::EmitterDistance, 10.0)];
+    assert!(violation(&near, limits) > 1.0);
+    // The ends of the detectors: 25 mm out, 6 mm and a housing of 1 mm along, half of it across.
+    let radius_m = (25.0_f64.powi(2) + (7.0 * 0.5_f64.sqrt()).powi(2)).sqrt() * 1e-3;
+    assert!(violation(&[], Limits { radius_m: radius_m + 1e-6, ..limits }) < 1e-12);
+    let out = violation(&[], Limits { radius_m: radius_m - 0.1e-3, ..limits });
+    assert!((out / (12.0 * 0.1) - 1.0).abs() < 1e-6, "twelve ends, 0.1 mm each: {out}");
+    // Half the full scale is passed by more than half of the electrodes.
+    assert!(violation(&[(Quantity::FullScale, 3.0)], limits) > 0.3);
+    // Lower slits, larger spots: they leave the detector.
+    assert!(violation(&[(Quantity::SlitDistance, 9.0)], limits) > 0.5);
+}
+
+/// A search of two dimensions, twice; what is found is what is printed, and a search that begins there stays.
+#[test]
+fn a_search_finds_better_heads_and_the_same_for_a_seed() {
+    let search = Search {
+        file: wide(),
+        free: free(&["slit_width=0.3..1.2", "full_scale=5..20"]),
+        goal: GOAL,
+        limits: Limits::default(),
+        seed: 1,
+    };
+    let run = |search: &Search| search.run(&mut |_, _| (), &AtomicBool::new(false)).expect("a head");
+    let found = run(&search);
+    println!("{:?}, {:.3} µm of {:.3} µm", found.values, found.after.sigma_m * 1e6, found.before.sigma_m * 1e6);
+    assert_eq!(found.after.violation, 0.0);
+    assert_eq!(run(&search).file.source, found.file.source);
+    assert_eq!(Score::of(&found.file, GOAL, &search.limits).expect("a score"), found.after);
+    let again = run(&Search { file: found.file.clone(), ..search.clone() });
+    assert!(again.after.sigma_m <= found.after.sigma_m * 1.000_001);
+    // Brute force over the same plane.
+    let mut best = f64::INFINITY;
+    for width in 0..19 {
+        for scale in 0..31 {
+            let values = [
+                (Quantity::SlitWidth, 0.3 + 0.05 * f64::from(width)),
+                (Quantity::FullScale, 5.0 + 0.5 * f64::from(scale)),
+            ];
+            let score = Score::of(&set(&search.file, &values), GOAL, &search.limits).expect("a score");
+            if score.violation == 0.0 {
+                best = best.min(score.sigma_m);
+            }
+        }
+    }
+    assert!(found.after.sigma_m <= best, "{} of {best}", found.after.sigma_m);
+}
+
+/// What `fine` is shipped for.
+#[test]
+fn fine_is_nearly_twice_as_accurate_as_wide() {
+    let map = |file: SceneFile| {
+        let fineness = Fineness { samples: 4000, side: 0, behind: 0 };
+        Map::of(file.into(), fineness, || ()).expect("a map")
+    };
+    let [wide, fine] = [wide(), FINE.read().expect("a scene")].map(map);
+    for of in [View::sigma_m, View::sigma_rad] {
+        for share in [0.5, 1.0] {
+            let ratio = wide.quantile(share, of) / fine.quantile(share, of);
+            assert!(ratio > 1.7, "{share}: {ratio}");
+        }
+    }
+    assert!(fine.share(|view| view.lit == 6) >= 0.999);
+}
+
+#[test]
+fn what_may_be_free_is_named() {
+    let error = |text: &str| text.parse::<Free>().expect_err("no quantity");
+    assert!(error("slit").contains("slit_width, slit_length"));
+    assert!(error("roll=90..0").contains("e.g. roll=0..90"));
+    assert!(error("roll=a..b").contains("`a..b` are no bounds"));
+    let bench = SceneFile { front_end: None, ..wide() };
+    let refused = with_values(&bench, &[(Quantity::FullScale, 1.0)]).expect_err("no front end");
+    assert!(refused.to_string().contains("[front_end]"));
+}

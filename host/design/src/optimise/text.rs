@@ -161,15 +161,16 @@ fn ring(first: &Cell, count: usize) -> Vec<Cell> {
     (0..count).map(turned).collect()
 }
 
-/// Makes `count` tables of `tables`, the new ones like the first.
+/// Makes `count` tables of `tables`, all like the first.
 fn like_the_first(tables: &mut ArrayOfTables, count: usize) {
     let first: Table = tables.get(0).cloned().unwrap_or_default();
-    while tables.len() > count {
-        tables.remove(tables.len() - 1);
-    }
-    while tables.len() < count {
-        tables.push(first.clone());
-    }
+    let mut other = first.clone();
+    // After the others, and without the remarks before the first.
+    other.set_position(None);
+    other.decor_mut().set_prefix("\n");
+    tables.clear();
+    tables.push(first);
+    tables.extend(std::iter::repeat_n(other, count - 1));
 }
 
 /// Sets a key for all cells, also where a cell has its own.
