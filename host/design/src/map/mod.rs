@@ -37,6 +37,9 @@ impl Default for Fineness {
     }
 }
 
+/// Poses at which each cell is dark in turn.
+const DARK_POSES: usize = 500;
+
 impl Fineness {
     /// How many poses are looked at in all.
     pub fn poses(&self) -> usize {
@@ -57,6 +60,8 @@ pub struct Map {
     pub home: View,
     /// Poses spread evenly, and what a frame tells there.
     pub samples: Vec<(Pose, View)>,
+    /// Of each cell, some of the poses while it is dark.
+    pub one_dark: Vec<Vec<View>>,
     /// Planes through home.
     pub planes: Vec<Plane>,
     /// See [`Fineness::behind`].
@@ -81,6 +86,12 @@ impl Map {
             cells: outlook.cells(),
             home: outlook.at(&Pose::HOME),
             samples: workspace_poses(&workspace, fineness.samples).map(|pose| (pose, view(&pose))).collect(),
+            one_dark: (0..outlook.cells())
+                .map(|cell| {
+                    let poses = workspace_poses(&workspace, fineness.samples.min(DARK_POSES));
+                    poses.map(|pose| outlook.at_without(&pose, Some(cell))).collect()
+                })
+                .collect(),
             planes: plane::AXES.map(|axes| Plane::of(axes, &workspace, fineness, &mut view)).into(),
             behind: fineness.behind,
         })
@@ -93,10 +104,13 @@ impl Map {
 
     /// [`Self::quantile`] of several.
     pub fn quantiles<const N: usize>(&self, quantiles: [f64; N], value: impl Fn(&View) -> Option<f64>) -> [f64; N] {
-        let mut values: Vec<f64> = self.samples.iter().map(|(_, view)| value(view).unwrap_or(f64::INFINITY)).collect();
-        values.sort_by(f64::total_cmp);
-        let last = values.len().saturating_sub(1);
-        quantiles.map(|share| values.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN))
+        quantiles_of(self.samples.iter().map(|(_, view)| view), quantiles, value)
+    }
+
+    /// The greatest median of `value` while one cell is dark, and that cell; `None` without cells.
+    pub fn worst_dark(&self, value: impl Fn(&View) -> Option<f64>) -> Option<(usize, f64)> {
+        let median = |views: &Vec<View>| quantiles_of(views.iter(), [0.5], &value)[0];
+        self.one_dark.iter().map(median).enumerate().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Share of the poses for which `holds`.
@@ -115,6 +129,18 @@ impl Map {
     pub fn per_root_hz(&self) -> Option<f64> {
         Some((2.0 / self.frame_rate_hz?).sqrt())
     }
+}
+
+/// Of `views`, values at shares of them, ascending; what has no value is last, and infinite.
+pub(crate) fn quantiles_of<'a, const N: usize>(
+    views: impl Iterator<Item = &'a View>,
+    quantiles: [f64; N],
+    value: impl Fn(&View) -> Option<f64>,
+) -> [f64; N] {
+    let mut values: Vec<f64> = views.map(|view| value(view).unwrap_or(f64::INFINITY)).collect();
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1);
+    quantiles.map(|share| values.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN))
 }
 
 #[cfg(test)]

@@ -100,6 +100,11 @@ impl Outlook {
 
     /// With the tool at rest at `pose`.
     pub fn at(&self, pose: &Pose) -> View {
+        self.at_without(pose, None)
+    }
+
+    /// The same while a cell is `dark`: occluded, or its emitter dead.
+    pub fn at_without(&self, pose: &Pose, dark: Option<usize>) -> View {
         let mut view = View {
             lit: 0,
             sigma: None,
@@ -110,6 +115,9 @@ impl Outlook {
             faint: f64::INFINITY,
         };
         let read = |cell: usize| {
+            if dark == Some(cell) {
+                return Reading::Missing;
+            }
             let response = self.plan.respond(cell, pose);
             let Pair { i_x1_a, i_x2_a } = self.plan.photocurrents(cell, pose);
             let detector = &self.head.file.scene.cells[cell].detector;

@@ -1,5 +1,6 @@
 //! How good a candidate is.
 
+use glam::DVec3;
 use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, Pose, SceneError};
@@ -109,10 +110,11 @@ impl Score {
             margins.sort_by(f64::total_cmp);
             violation += (1.0 - margins[index(SIGMA_POSES, 1.0 - limits.in_scale)]).max(0.0);
         }
+        let corners: Vec<Pose> = file.workspace.corners().collect();
         for slot in file.lighting.slots.iter().filter(|slot| slot.len() > 1) {
             for &cell in slot {
-                let share = |pose| share_of_others(outlook.plan(), cell, slot, pose);
-                let most = poses.iter().take(CROSSTALK_POSES).map(share).fold(0.0, f64::max);
+                let share = |pose: &Pose| share_of_others(outlook.plan(), cell, slot, pose);
+                let most = poses.iter().take(CROSSTALK_POSES).chain(&corners).map(share).fold(0.0, f64::max);
                 violation += (most / limits.crosstalk).max(1.0).ln();
             }
         }
@@ -191,7 +193,7 @@ fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
 }
 
 /// Least distance of two segments, given by their ends.
-fn apart_m([a, b]: [glam::DVec3; 2], [c, d]: [glam::DVec3; 2]) -> f64 {
+fn apart_m([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> f64 {
     // Ericson 2005, Real-Time Collision Detection, 5.1.9.
     let (u, v, w) = (b - a, d - c, a - c);
     let (uu, uv, vv, uw, vw) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));
@@ -204,8 +206,6 @@ fn apart_m([a, b]: [glam::DVec3; 2], [c, d]: [glam::DVec3; 2]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::*;
 
     #[test]

@@ -1,6 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
-use slitpose_head::scene_file::{FINE, SceneFile, WIDE};
+use slitpose_head::scene_file::{FINE, REDUNDANT, SceneFile, WIDE};
 
 use super::text::{current, with_values};
 use super::*;
@@ -127,6 +127,20 @@ fn fine_is_nearly_twice_as_accurate_as_wide() {
         }
     }
     assert!(fine.share(|view| view.lit == 6) >= 0.999);
+}
+
+/// What `redundant` is shipped for.
+#[test]
+fn redundant_keeps_its_accuracy_whichever_cell_is_dark() {
+    let fineness = Fineness { samples: 500, side: 0, behind: 0 };
+    let map = Map::of(REDUNDANT.read().expect("a scene").into(), fineness, || ()).expect("a map");
+    let (usual, (_, worst)) = (map.quantile(0.5, View::sigma_m), map.worst_dark(View::sigma_m).expect("cells"));
+    assert!(worst < 1.2 * usual, "{worst} of {usual}");
+    assert!(map.one_dark.iter().flatten().all(|view| view.sigma.is_some()));
+    // Six cells without one have a third less to go by, and next to nothing to check it with.
+    let six = Map::of(wide().into(), fineness, || ()).expect("a map");
+    let unnoticed = |map: &Map| map.quantile(0.5, |view| Some(view.unnoticed_sigmas));
+    assert!(unnoticed(&map) < 0.5 * unnoticed(&six));
 }
 
 #[test]

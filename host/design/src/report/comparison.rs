@@ -32,6 +32,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
             (100.0 * map.share(|view| view.sigma.is_some())).into(),
             finite(map.quantile(0.5, |view| view.condition)),
             finite(map.quantile(0.5, |view| Some(view.unnoticed_sigmas))),
+            finite(map.worst_dark(View::sigma_m).map_or(f64::INFINITY, |(_, worst)| worst * 1e6)),
         ]);
         row
     };
@@ -98,6 +99,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
                     column("with_pose_percent", "with pose / %"),
                     column("condition_median", "condition"),
                     column("unnoticed_median_sigmas", "unnoticed / σ"),
+                    column("one_dark_um", "one dark / µm"),
                 ],
                 rows: maps.iter().map(row).collect(),
             }],

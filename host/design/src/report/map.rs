@@ -240,7 +240,25 @@ fn redundancy(map: &Map) -> Section {
     let all = map.share(|view| view.lit == map.cells);
     let unnoticed: Of = |view| Some(view.unnoticed_sigmas);
     let [median, most] = map.quantiles([0.5, 0.95], unnoticed);
+    let dark = |cell: usize, views: &Vec<View>| {
+        let median = |of: Of| crate::map::quantiles_of(views.iter(), [0.5], of)[0];
+        let with_pose = views.iter().filter(|view| view.sigma.is_some()).count() as f64 / views.len() as f64;
+        vec![
+            cell.into(),
+            micro(median(View::sigma_m)),
+            Value::from(median(View::sigma_rad) * 1e3),
+            (100.0 * with_pose).into(),
+        ]
+    };
+    let while_dark = match map.worst_dark(View::sigma_m) {
+        Some((cell, worst)) if worst.is_finite() => {
+            let usual = map.quantile(0.5, View::sigma_m);
+            format!("With one cell dark, σ of the position is up to {:.2} times as great (cell {cell}).", worst / usual)
+        }
+        _ => "With one cell dark, there is a head without poses in half of the workspace.".to_owned(),
+    };
     let summary = vec![
+        while_dark,
         format!("Every cell is lit in {:.2} % of the workspace.", 100.0 * all),
         if median.is_finite() {
             format!(
@@ -275,6 +293,17 @@ fn redundancy(map: &Map) -> Section {
                     column("worst", "worst"),
                 ],
                 rows: vec![row("condition", |view| view.condition), row("unnoticed / σ", unnoticed)],
+            },
+            Table {
+                name: "one_dark",
+                caption: "While one cell is dark: medians over the workspace".to_owned(),
+                columns: vec![
+                    column("dark", "dark cell"),
+                    column("sigma_position_um", "σ / µm"),
+                    column("sigma_rotation_mrad", "σ / mrad"),
+                    column("with_pose_percent", "with pose / %"),
+                ],
+                rows: map.one_dark.iter().enumerate().map(|(cell, views)| dark(cell, views)).collect(),
             },
             Table {
                 name: "lit",

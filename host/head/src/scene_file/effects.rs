@@ -3,19 +3,19 @@
 use glam::DVec3;
 use heapless::Vec;
 use slitpose_model::{
-    AZIMUTHAL_TERMS, Cell, Converters, Effects, ModelError, ProfileShape, RADIAL_TERMS, Scene, Stray, Window,
+    AZIMUTHAL_TERMS, Cell, Converters, Effects, ModelError, Pose, ProfileShape, RADIAL_TERMS, Scene, Stray, Window,
 };
 
 use super::document::Document;
 use super::error::{KeyPath, SceneFileError};
 use super::lighting::Lighting;
 use super::optics::M_FROM_MM;
+use super::workspace::Workspace;
 
 const PER_M_FROM_PER_MM: f64 = 1e3;
 
-/// Cosine of 150°. Light that would have to leave an emitter farther from its axis does not reach a slit at any pose of
-/// interest: half a turn is an opposite cell.
-const FACING_AWAY: f64 = -0.866_025_403_784_438_6;
+/// Cosine of 100°. Light leaves an emitter up to 90° from its axis; ten more are for poses beyond the workspace.
+const FACING_AWAY: f64 = -0.173_648_177_666_930_33;
 
 /// The effects of one cell with a detector of `length_m`, not yet checked by the model.
 pub(super) fn read(document: &Document<'_>, cell: usize, length_m: f64) -> Result<Effects, SceneFileError> {
@@ -91,23 +91,26 @@ fn read_converters(document: &Document<'_>, cell: usize) -> Result<Option<Conver
 }
 
 /// Notes in each cell of `scene` which emitters of its slot can reach it besides its own.
-pub(super) fn light_together(scene: &mut Scene, lighting: &Lighting) {
+pub(super) fn light_together(scene: &mut Scene, lighting: &Lighting, workspace: &Workspace) {
+    let poses: std::vec::Vec<Pose> = workspace.corners().chain([Pose::HOME]).collect();
     for emitters in &lighting.slots {
         for &cell in emitters {
             let others = emitters.iter().filter(|&&other| other != cell);
-            let reaching = others.filter(|&&other| may_reach(&scene.cells[other], &scene.cells[cell]));
+            let reaching = others.filter(|&&other| may_reach(&scene.cells[other], &scene.cells[cell], &poses));
             scene.cells[cell].effects.lit_together = reaching.fold(0, |set, other| set | 1 << other);
         }
     }
 }
 
-/// Whether the emitter of `other` may shine through the slit of `cell`, by their directions with the tool at home.
-fn may_reach(other: &Cell, cell: &Cell) -> bool {
+/// Whether the emitter of `other` may shine through the slit of `cell`, by their directions at `poses`.
+fn may_reach(other: &Cell, cell: &Cell, poses: &[Pose]) -> bool {
     let Cell { detector, slit, .. } = cell;
     let y_axis = detector.normal_base.cross(detector.x_axis_base);
     let offset = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
     let slit =
         detector.centre_base_m + detector.x_axis_base * offset.x + y_axis * offset.y + detector.normal_base * offset.z;
-    let ray = (slit - other.emitter.position_tool_m).normalize_or_zero();
-    other.emitter.axis_tool.dot(ray) >= FACING_AWAY
+    poses.iter().any(|pose| {
+        let emitter = pose.rotation * other.emitter.position_tool_m + pose.translation_m;
+        (pose.rotation * other.emitter.axis_tool).dot((slit - emitter).normalize_or_zero()) >= FACING_AWAY
+    })
 }

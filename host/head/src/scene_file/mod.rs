@@ -26,7 +26,7 @@ use slitpose_model::{Plan, Scene, Tier};
 pub use electronics::FrontEnd;
 pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
 pub use lighting::Lighting;
-pub use shipped::{BASE, BENCH, FINE, SHIPPED, Shipped, WIDE};
+pub use shipped::{BASE, BENCH, FINE, REDUNDANT, SHIPPED, Shipped, WIDE};
 pub use spelling::nearest;
 pub use tolerance::Tolerance;
 pub use workspace::Workspace;
@@ -87,7 +87,8 @@ impl SceneFile {
         let document = Document::parse(origin, text)?;
         let mut scene = optics::read(&document)?;
         let lighting = lighting::read(&document, scene.cells.len())?;
-        effects::light_together(&mut scene, &lighting);
+        let workspace = workspace::read(&document)?;
+        effects::light_together(&mut scene, &lighting, &workspace);
         // Every rule about optical values stands in the model; compiling applies them all.
         Plan::<f64>::compile(&scene, Tier::Paper).map_err(|error| document.optics_error(error))?;
         let stem = Path::new(origin).file_stem().map(|stem| stem.to_string_lossy());
@@ -101,7 +102,7 @@ impl SceneFile {
             front_end: electronics::read(&document)?,
             tolerance: tolerance::read(&document)?,
             lighting,
-            workspace: workspace::read(&document)?,
+            workspace,
             scene,
         })
     }
@@ -110,7 +111,7 @@ impl SceneFile {
     #[must_use]
     pub fn with_lighting(&self, lighting: Lighting) -> Self {
         let mut file = Self { lighting, ..self.clone() };
-        effects::light_together(&mut file.scene, &file.lighting);
+        effects::light_together(&mut file.scene, &file.lighting, &file.workspace);
         file
     }
 

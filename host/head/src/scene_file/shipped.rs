@@ -27,6 +27,13 @@ pub const FINE: Shipped = Shipped {
     text: include_str!("../../scenes/fine.toml"),
 };
 
+/// Nine cells, any one of which may be dark.
+pub const REDUNDANT: Shipped = Shipped {
+    name: "redundant",
+    about: "nine cells with the dimensions of fine: any one of them may go dark",
+    text: include_str!("../../scenes/redundant.toml"),
+};
+
 /// Six cells with the dimensions of the bench.
 pub const BASE: Shipped = Shipped {
     name: "base",
@@ -42,7 +49,7 @@ pub const BENCH: Shipped = Shipped {
 };
 
 /// Every shipped scene.
-pub const SHIPPED: [Shipped; 4] = [WIDE, FINE, BASE, BENCH];
+pub const SHIPPED: [Shipped; 5] = [WIDE, FINE, REDUNDANT, BASE, BENCH];
 
 impl Shipped {
     /// The shipped scene of this name.

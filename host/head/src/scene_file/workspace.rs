@@ -1,6 +1,7 @@
 //! `[workspace]`: the box of poses a head is meant for.
 
 use glam::DVec3;
+use slitpose_model::Pose;
 
 use super::document::Document;
 use super::error::{KeyPath, SceneFileError};
@@ -12,6 +13,16 @@ pub struct Workspace {
     pub half_extent_m: DVec3,
     /// Half extents of the rotation vector, radians.
     pub half_extent_rad: DVec3,
+}
+
+impl Workspace {
+    /// All 64 corners: what is farthest from home.
+    pub fn corners(&self) -> impl Iterator<Item = Pose> {
+        let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };
+        let vector = move |corner, from| DVec3::new(sign(corner, from), sign(corner, from + 1), sign(corner, from + 2));
+        let (half_m, half_rad) = (self.half_extent_m, self.half_extent_rad);
+        (0..64).map(move |corner| Pose::from_vectors(vector(corner, 0) * half_m, vector(corner, 3) * half_rad))
+    }
 }
 
 impl Default for Workspace {

@@ -5,7 +5,7 @@ use slitpose_head::scene_file::SHIPPED;
 use slitpose_head::table::Output;
 
 pub(super) fn run() -> Result<Outcome, CommandError> {
-    let lines: String = SHIPPED.iter().map(|shipped| format!("{:<6} {}\n", shipped.name, shipped.about)).collect();
+    let lines: String = SHIPPED.iter().map(|shipped| format!("{:<9} {}\n", shipped.name, shipped.about)).collect();
     Output::open(None)?.write_text(&lines)?;
     Ok(Outcome::Done)
 }
