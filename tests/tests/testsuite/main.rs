@@ -9,6 +9,7 @@ mod completions_and_man_pages;
 mod configuration;
 mod damaged_captures;
 mod damaged_files;
+mod designer;
 mod device_commands;
 mod doctor;
 mod documents;

@@ -177,10 +177,6 @@ fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
     let nearest =
         poses.iter().flat_map(|pose| cells.iter().map(move |cell| above(cell, pose))).fold(f64::INFINITY, f64::min);
     let mut violation = lacking(nearest, limits.clearance_m);
-    let ends = |cell: &Cell| {
-        let half = cell.detector.x_axis_base * (0.5 * cell.detector.length_m + HOUSING_M);
-        [cell.detector.centre_base_m - half, cell.detector.centre_base_m + half]
-    };
     for (number, cell) in cells.iter().enumerate() {
         violation += ends(cell).iter().map(|end| lacking(limits.radius_m, end.truncate().length())).sum::<f64>();
         for other in &cells[..number] {
@@ -190,6 +186,12 @@ fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
         }
     }
     violation
+}
+
+/// Both ends of a detector's housing.
+pub(super) fn ends(cell: &Cell) -> [DVec3; 2] {
+    let half = cell.detector.x_axis_base * (0.5 * cell.detector.length_m + HOUSING_M);
+    [cell.detector.centre_base_m - half, cell.detector.centre_base_m + half]
 }
 
 /// Least distance of two segments, given by their ends.

@@ -8,7 +8,7 @@
 //!   `attainable` is the best accuracy of a pose at all;
 //! * `forward`, `solver`, `cycles`, `economy`, `motion` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
-//!   `comparison` that on several heads;
+//!   `comparison` that on several heads, `pareto` that on their size;
 //! * `section` has their parts; `page`, `markdown`, `folder` write it.
 
 mod accuracy;
@@ -28,6 +28,7 @@ mod method;
 mod motion;
 mod noise;
 mod page;
+mod pareto;
 mod section;
 mod sheet;
 mod singular;
@@ -42,6 +43,7 @@ pub use comparison::comparison;
 pub use error::ReportError;
 pub use folder::Folder;
 pub use map::map_report;
+pub use pareto::{pareto, scene_name};
 pub use section::{Column, Report, Section, Table, Value};
 pub(crate) use section::{Picture, column};
 

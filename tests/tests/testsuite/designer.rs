@@ -1,0 +1,64 @@
+//! Maps, comparisons and searches from the command line: what goes wrong is told with the next step. What goes right is
+//! in the guide (`designer.md`), which is run.
+
+use std::fs;
+
+use slitpose_tests::slitpose;
+use tempfile::TempDir;
+
+fn refused(arguments: &[&str], parts: &[&str]) {
+    let finished = slitpose!().run(arguments);
+    assert_ne!(finished.code, 0, "{arguments:?}");
+    assert_eq!(finished.stdout, b"", "{arguments:?}");
+    for part in parts {
+        assert!(finished.stderr.contains(part), "{arguments:?}: `{part}` is not in {}", finished.stderr);
+    }
+}
+
+#[test]
+fn what_cannot_be_is_told_before_anything_is_searched() {
+    refused(&["scene", "optimise", "wide"], &["--free"]);
+    refused(&["scene", "optimise", "wide", "--free", "slit"], &["there is no `slit`", "slit_width"]);
+    refused(&["scene", "optimise", "wide", "--free", "roll=9"], &["`9` are no bounds", "roll=0..90"]);
+    refused(&["scene", "optimise", "bench", "--free", "full_scale"], &["no [front_end]", "leave full_scale out"]);
+    refused(&["scene", "map", "base", "--schedule", "4000", "--samples", "10"], &["no [front_end]", "wide"]);
+    refused(&["scene", "map", "wide", "--schedule", "30000", "--samples", "10"], &["cannot be run", "ticks"]);
+    refused(&["scene", "map", "wide", "--tolerance-study", "0"], &["--tolerance-study"]);
+    refused(&["compare"], &["SCENE"]);
+    refused(&["compare", "wide", "no.toml"], &["cannot read scene `no.toml`"]);
+}
+
+/// One cell gives no pose: the map says so, in words and without an infinite number.
+#[test]
+fn a_head_without_poses_has_a_map_all_the_same() {
+    let folder = TempDir::new().expect("a folder");
+    let at = folder.path().join("map");
+    let finished = slitpose!().run([
+        "scene",
+        "map",
+        "bench",
+        "--samples",
+        "200",
+        "--side",
+        "5",
+        "--output",
+        at.to_str().expect("UTF-8"),
+    ]);
+    assert_eq!(finished.code, 0, "{}", finished.stderr);
+    let page = fs::read_to_string(at.join("report.md")).expect("a page");
+    assert!(page.contains("In 100.00 % of the workspace a frame gives no pose"), "{page}");
+    let samples = fs::read_to_string(at.join("samples.csv")).expect("a table");
+    assert_eq!(samples.lines().count(), 201);
+    for text in [page, samples] {
+        assert!(!text.contains("inf") && !text.contains("NaN"), "{text}");
+    }
+}
+
+/// A search that keeps no limits gives its best, and says with its exit code that it is none.
+#[test]
+fn limits_that_cannot_be_kept_are_told() {
+    let finished = slitpose!().run(["scene", "optimise", "wide", "--free", "slit_width=1.9..2", "--radius", "20"]);
+    assert_eq!(finished.code, 1, "{}", finished.stderr);
+    assert!(finished.stderr.contains("after:") && finished.stderr.contains("limits passed"), "{}", finished.stderr);
+    assert!(String::from_utf8(finished.stdout).expect("text").contains("[[cell]]"));
+}
