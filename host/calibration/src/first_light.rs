@@ -1,8 +1,7 @@
 //! A head that nobody has calibrated yet: its most probable optics, and how far its currents may be from them.
 
-use glam::DVec3;
 use heapless::Vec as FixedVec;
-use slitpose_head::scene_file::{SceneFile, Workspace};
+use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, ModelError, Plan, Pose, Scene, SceneError, Status, Tier};
 
 use crate::parameter::Quantity;
@@ -29,7 +28,7 @@ pub(crate) const OF_ELECTRODE: f64 = 0.577_350_269_189_625_8;
 pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
     let parameters = prior::parameters(file)?;
     let mut scene = parameters.scene(&file.scene);
-    let poses = poses(&file.workspace, POSES);
+    let poses: Vec<Pose> = file.workspace.poses(POSES).collect();
     for (number, cell) in scene.cells.iter_mut().enumerate() {
         let given = cell.effects.model_error;
         let open = open_by(&parameters, number, &file.scene, &poses)?;
@@ -98,28 +97,9 @@ impl Observer {
     }
 }
 
-/// So many poses that fill `workspace` evenly (Halton 1960).
-pub(crate) fn poses(workspace: &Workspace, count: usize) -> Vec<Pose> {
-    let coordinate = |index: usize, base: usize| {
-        let (mut rest, mut share, mut sum) = (index, 1.0, 0.0);
-        while rest > 0 {
-            share /= base as f64;
-            sum += share * (rest % base) as f64;
-            rest /= base;
-        }
-        2.0 * sum - 1.0
-    };
-    (1..=count)
-        .map(|index| {
-            let [tx, ty, tz, rx, ry, rz] = [2, 3, 5, 7, 11, 13].map(|base| coordinate(index, base));
-            let translation_m = DVec3::new(tx, ty, tz) * workspace.half_extent_m;
-            Pose::from_vectors(translation_m, DVec3::new(rx, ry, rz) * workspace.half_extent_rad)
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;

@@ -6,7 +6,7 @@ use slitpose_model::{ModelError, Scene};
 
 use crate::adjust::USUAL_ERROR;
 use crate::data::{Constraint, Data, Knowledge, Row};
-use crate::first_light::{OF_ELECTRODE, poses, uncalibrated};
+use crate::first_light::{OF_ELECTRODE, uncalibrated};
 use crate::normal::Normal;
 use crate::pose_error::spread;
 use crate::sensitivity::sensitivities;
@@ -111,7 +111,7 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
     };
 
     let mut data = Data::default();
-    let at = poses(&file.workspace, known.count);
+    let at: Vec<slitpose_model::Pose> = file.workspace.poses(known.count).collect();
     let cells = sensitivities(nominal, &parameters, &at, true)?;
     let row = |(number, pose)| Row {
         id: String::new(),

@@ -4,7 +4,6 @@ use nalgebra::{DMatrix, DMatrixView, DVector, SMatrix};
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::{ModelError, Pose, Scene, SceneError};
 
-use crate::first_light::poses;
 use crate::normal::{backward, cholesky6, forward};
 use crate::reading_noise::{directions, whiten, whitener};
 use crate::sensitivity::{CellSensitivity, sensitivities};
@@ -57,7 +56,7 @@ impl PoseError {
         workspace: &Workspace,
     ) -> Result<(Self, Vec<ModelError>), SceneError> {
         let count = state.parameters.entries.len();
-        let poses = poses(workspace, POSES);
+        let poses: Vec<Pose> = workspace.poses(POSES).collect();
         let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
         let covariance = covariance.view((0, 0), (count, count));
         let samples: Vec<Option<Sample>> =
@@ -159,7 +158,7 @@ pub(crate) fn spread(
     covariances: &[DMatrix<f64>],
     workspace: &Workspace,
 ) -> Result<Vec<[f64; 2]>, SceneError> {
-    let poses = poses(workspace, POSES);
+    let poses: Vec<Pose> = workspace.poses(POSES).collect();
     let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
     let samples: Vec<Sample> =
         poses.iter().enumerate().filter_map(|(row, pose)| Sample::of(state, &cells, row, pose)).collect();

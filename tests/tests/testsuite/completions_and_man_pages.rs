@@ -62,10 +62,9 @@ fn names_and_files_are_completed_where_both_are_taken() {
         assert_eq!(found, expected, "{words:?}");
     }
     let zsh = slitpose!().run(["completions", "zsh"]).done();
-    assert!(
-        zsh.lines()
-            .any(|line| line.contains("--scene=") && line.contains("(wide fine redundant base bench)") && line.contains("_files"))
-    );
+    assert!(zsh.lines().any(|line| line.contains("--scene=")
+        && line.contains("(wide fine redundant base bench)")
+        && line.contains("_files")));
     assert!(
         zsh.lines().any(|line| line.contains("':name -- ") && !line.contains("_files")),
         "`scene show` takes no file"

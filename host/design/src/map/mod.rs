@@ -18,8 +18,6 @@ pub use schedule::{Candidate, Schedules};
 pub(crate) use tolerances::KNOWN;
 pub use tolerances::Tolerances;
 
-use crate::survey::workspace_poses;
-
 /// How finely a workspace is looked at.
 #[derive(Clone, Copy, Debug)]
 pub struct Fineness {
@@ -85,10 +83,10 @@ impl Map {
             frame_rate_hz: outlook.frame_rate_hz,
             cells: outlook.cells(),
             home: outlook.at(&Pose::HOME),
-            samples: workspace_poses(&workspace, fineness.samples).map(|pose| (pose, view(&pose))).collect(),
+            samples: workspace.poses(fineness.samples).map(|pose| (pose, view(&pose))).collect(),
             one_dark: (0..outlook.cells())
                 .map(|cell| {
-                    let poses = workspace_poses(&workspace, fineness.samples.min(DARK_POSES));
+                    let poses = workspace.poses(fineness.samples.min(DARK_POSES));
                     poses.map(|pose| outlook.at_without(&pose, Some(cell))).collect()
                 })
                 .collect(),

@@ -5,7 +5,6 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use super::{Fineness, View};
-use crate::survey::workspace_poses;
 
 /// The planes: pairs of (tx, ty, tz, rx, ry, rz).
 pub(super) const AXES: [[usize; 2]; 6] = [[0, 1], [0, 2], [1, 2], [3, 4], [3, 5], [4, 5]];
@@ -48,7 +47,7 @@ impl Plane {
     ) -> Self {
         let all = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
         let extents = axes.map(|axis| all[axis]);
-        let behind: Vec<Pose> = workspace_poses(workspace, fineness.behind).collect();
+        let behind: Vec<Pose> = workspace.poses(fineness.behind).collect();
         let last = fineness.side.saturating_sub(1).max(1) as f64;
         let along = |k: usize, extent: f64| extent * (2.0 * k as f64 / last - 1.0);
         let places = (0..fineness.side).flat_map(|row| (0..fineness.side).map(move |column| [column, row]));

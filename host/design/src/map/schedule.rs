@@ -6,7 +6,7 @@ use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
 use slitpose_model::{Plan, SceneError, Tier};
 
 use super::{Outlook, View};
-use crate::survey::{share_of_others, workspace_poses};
+use crate::survey::share_of_others;
 
 /// Conversions in a word that the board's converters add up.
 const OVERSAMPLING: [u32; 5] = [1, 2, 4, 8, 16];
@@ -95,7 +95,7 @@ fn candidate(file: SceneFile, front_end: FrontEnd) -> Result<Candidate, SceneErr
     let slots = file.lighting.slots.clone();
     let (workspace, cells) = (file.workspace, file.scene.cells.len());
     let outlook = Outlook::of(Head::from(file))?;
-    let views: Vec<View> = workspace_poses(&workspace, POSES).map(|pose| outlook.at(&pose)).collect();
+    let views: Vec<View> = workspace.poses(POSES).map(|pose| outlook.at(&pose)).collect();
     let median = |of: fn(&View) -> Option<f64>| {
         let mut values: Vec<f64> = views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).collect();
         values.sort_by(f64::total_cmp);
@@ -116,7 +116,7 @@ fn candidate(file: SceneFile, front_end: FrontEnd) -> Result<Candidate, SceneErr
 fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
     let plan = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
     let cells = file.scene.cells.len();
-    let poses: Vec<_> = workspace_poses(&file.workspace, POSES).collect();
+    let poses: Vec<_> = file.workspace.poses(POSES).collect();
     let disturb = |a: usize, b: usize| {
         let worst = |cell, other| {
             poses.iter().map(|pose| share_of_others(&plan, cell, &[cell, other], pose)).fold(0.0, f64::max)

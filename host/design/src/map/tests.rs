@@ -31,7 +31,7 @@ fn a_map_has_the_errors_that_solving_makes() {
         let outlook = Outlook::of(file.clone().into()).expect("a head");
         let mut rng = ChaCha8Rng::seed_from_u64(SEED);
         let (mut tried, mut worst, mut sums) = (0, 0.0_f64, [0.0; 2]);
-        for pose in workspace_poses(&workspace, POSES) {
+        for pose in workspace.poses(POSES) {
             let view = outlook.at(&pose);
             let (Some(sigma_m), Some(sigma_rad)) = (view.sigma_m(), view.sigma_rad()) else { continue };
             let mut squares = [0.0; 2];

@@ -14,7 +14,6 @@ use slitpose_head::simulator::noisy_reading;
 use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Start, Tier};
 
 use crate::report::frame_scene;
-use crate::survey::workspace_poses;
 
 const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 
@@ -81,7 +80,7 @@ fn measured(file: &SceneFile, head: &Scene, rng: &mut ChaCha8Rng) -> Result<Vec<
         let knowledge = Knowledge::Reported(pose.perturbed(error[0], error[1]));
         Row { id: String::new(), readings, frames: KNOWN.frames, time_s: None, knowledge }
     };
-    Ok(workspace_poses(&file.workspace, KNOWN.count).map(&mut row).collect())
+    Ok(file.workspace.poses(KNOWN.count).map(&mut row).collect())
 }
 
 /// Errors of the poses that `known` finds in the light of `head`, without noise.
@@ -89,7 +88,7 @@ fn errors(file: &SceneFile, head: &Scene, known: &Scene) -> Result<PoseRms, Scen
     let (plan, solver) = (Plan::<f64>::compile(head, TIER)?, Solver::<f64>::new(known, TIER)?);
     let (mut squares, mut count) = ([0.0; 2], 0.0);
     // Not those of the calibration.
-    for pose in workspace_poses(&file.workspace, KNOWN.count + POSES).skip(KNOWN.count) {
+    for pose in file.workspace.poses(KNOWN.count + POSES).skip(KNOWN.count) {
         let pairs: Vec<_> = (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &pose)).collect();
         let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
         let Some(estimate) = solution.estimate else { continue };

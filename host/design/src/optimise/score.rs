@@ -6,7 +6,7 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, Pose, SceneError};
 
 use crate::map::{Outlook, View};
-use crate::survey::{share_of_others, workspace_poses};
+use crate::survey::share_of_others;
 
 /// Which σ is to be least.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,7 +96,7 @@ impl Score {
     /// # Errors
     /// A scene that cannot be computed.
     pub fn of(file: &SceneFile, goal: Goal, limits: &Limits) -> Result<Self, SceneError> {
-        let poses: Vec<Pose> = workspace_poses(&file.workspace, POSES).collect();
+        let poses: Vec<Pose> = file.workspace.poses(POSES).collect();
         let outlook = Outlook::of(file.clone().into())?;
         let views: Vec<View> = poses.iter().take(SIGMA_POSES).map(|pose| outlook.at(pose)).collect();
         let sigma_m = sigma(&views, goal);

@@ -5,7 +5,6 @@ use slitpose_model::{
 };
 
 use super::{ReportError, Settings};
-use crate::survey::workspace_poses;
 use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Electronics;
@@ -79,8 +78,7 @@ impl<'a> Head<'a> {
             return Err(ReportError::NoPose { scene, cells, outcome: home.outcome });
         }
         let (wanted, tried) = (settings.poses, TRIES * settings.poses);
-        let poses: Vec<Pose> =
-            workspace_poses(&file.workspace, tried).filter(|pose| is_lit(&truth, pose)).take(wanted).collect();
+        let poses: Vec<Pose> = file.workspace.poses(tried).filter(|pose| is_lit(&truth, pose)).take(wanted).collect();
         if poses.len() < wanted {
             let (scene, found) = (file.name.clone(), poses.len());
             return Err(ReportError::TooFewLit { scene, found, tried, wanted });

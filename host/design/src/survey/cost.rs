@@ -6,8 +6,6 @@ use slitpose_model::{Plan, SceneError, Tier};
 
 use slitpose_head::scene_file::SceneFile;
 
-use super::sample::workspace_poses;
-
 /// What `solve`, `run`, `replay` and `simulate` ask for unless told otherwise.
 const TOLERANCE: f64 = 1e-6;
 
@@ -44,7 +42,7 @@ pub(super) fn of_cells(
     let mut costs: Vec<CellCost> = (0..plan.cell_count())
         .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
         .collect();
-    for pose in workspace_poses(&file.workspace, poses_of(samples)) {
+    for pose in file.workspace.poses(poses_of(samples)) {
         for cost in &mut costs {
             if let Some(integration) = plan.respond(cost.cell, &pose).integration {
                 cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);

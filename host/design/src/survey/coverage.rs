@@ -5,7 +5,6 @@ use slitpose_model::{Plan, Pose, Response, Status};
 
 use slitpose_head::scene_file::Workspace;
 
-use super::sample::workspace_poses;
 use super::serialize_pose;
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
@@ -110,7 +109,7 @@ impl Coverage {
     ) -> Self {
         let mut cells: Vec<_> = (0..plan.cell_count()).map(CellCoverage::new).collect();
         let mut lit_counts = vec![0_usize; plan.cell_count() + 1];
-        for pose in workspace_poses(workspace, samples) {
+        for pose in workspace.poses(samples) {
             let mut lit = 0;
             for (number, cell) in cells.iter_mut().enumerate() {
                 let response = plan.respond(number, &pose);

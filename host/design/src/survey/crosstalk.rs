@@ -5,7 +5,6 @@ use slitpose_model::{Plan, Pose, Status};
 
 use slitpose_head::scene_file::SceneFile;
 
-use super::sample::workspace_poses;
 use super::serialize_pose;
 
 /// The worst cross-talk of one lighting slot over the workspace.
@@ -44,7 +43,7 @@ pub(super) fn of_slots(
             at: Pose::HOME,
         })
         .collect();
-    for pose in workspace_poses(&file.workspace, samples) {
+    for pose in file.workspace.poses(samples) {
         progress();
         for entry in &mut worst {
             for cell in entry.emitters.clone() {

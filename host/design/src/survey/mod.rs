@@ -23,7 +23,7 @@ pub(crate) use cost::CellCost;
 pub(crate) use coverage::Coverage;
 pub(crate) use crosstalk::{SlotCrosstalk, share_of_others};
 pub(crate) use home::CellAtHome;
-pub(crate) use sample::{AXES, workspace_poses};
+pub(crate) use sample::AXES;
 pub(crate) use timing::Timing;
 pub(crate) use travel::{End, Travel};
 

@@ -106,7 +106,7 @@ fn a_profile_that_meets_the_limit_of_work_is_named() {
 fn the_sample_fills_the_box_evenly() {
     let workspace = Workspace::default();
     let mut mean = [0.0; 6];
-    for pose in workspace_poses(&workspace, SAMPLES) {
+    for pose in workspace.poses(SAMPLES) {
         let (t, r) = (pose.translation_m / workspace.half_extent_m, pose.rotation_rad() / workspace.half_extent_rad);
         for (sum, component) in mean.iter_mut().zip([t.x, t.y, t.z, r.x, r.y, r.z]) {
             assert!(component.abs() <= 1.0 + 1e-12);
