@@ -1,5 +1,5 @@
 //! Maps, comparisons and searches from the command line: what goes wrong is told with the next step. What goes right is
-//! in the guide (`designer.md`), which is run.
+//! in the guide (`accuracy.md`), which is run.
 
 use std::fs;
 

@@ -214,6 +214,11 @@ fn the_designer_gets_a_head() {
 }
 
 #[test]
+fn the_designer_gets_a_better_head() {
+    works("accuracy.md");
+}
+
+#[test]
 fn the_bench_engineer_finds_the_faults() {
     works("bench.md");
 }
