@@ -125,6 +125,15 @@ pub(crate) enum CommandError {
     /// The scene.
     #[error(transparent)]
     SceneFile(#[from] SceneFileError),
+    /// A tolerance study of a head without poses.
+    #[error(
+        "scene `{scene}` gives no pose anywhere in its workspace, so there is none for tolerances to move; \
+         --tolerance-study is for heads that have poses, such as the shipped scene `wide`"
+    )]
+    NoPosesToStudy {
+        /// The scene.
+        scene: String,
+    },
     /// A search for a better head.
     #[error(transparent)]
     Optimise(#[from] OptimiseError),

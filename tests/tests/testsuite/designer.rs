@@ -24,6 +24,8 @@ fn what_cannot_be_is_told_before_anything_is_searched() {
     refused(&["scene", "map", "base", "--schedule", "4000", "--samples", "10"], &["no [front_end]", "wide"]);
     refused(&["scene", "map", "wide", "--schedule", "30000", "--samples", "10"], &["cannot be run", "ticks"]);
     refused(&["scene", "map", "wide", "--tolerance-study", "0"], &["--tolerance-study"]);
+    let study = ["scene", "map", "bench", "--samples", "10", "--tolerance-study", "1"];
+    refused(&study, &["no pose anywhere in its workspace", "`wide`"]);
     refused(&["compare"], &["SCENE"]);
     refused(&["compare", "wide", "no.toml"], &["cannot read scene `no.toml`"]);
 }

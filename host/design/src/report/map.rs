@@ -456,11 +456,11 @@ fn tolerances(studied: &Tolerances) -> Section {
     if let [Some(before), Some(after)] = medians {
         summary.push(format!(
             "Heads of parts within their tolerances err by {:.0} µm uncalibrated, by {:.2} µm calibrated at {} known poses \
-             (rms, median of {} heads).",
+             (rms, median of {}).",
             before * 1e6,
             after * 1e6,
             KNOWN.count,
-            heads.len()
+            if heads.len() == 1 { "one head".to_owned() } else { format!("{} heads", heads.len()) }
         ));
     }
     if let [first, ..] = costs.parts.as_slice() {

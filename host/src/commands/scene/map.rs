@@ -59,6 +59,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         progress.at(done);
     })?;
     drop(progress);
+    if args.tolerance_study.is_some() && map.share(|view| view.sigma.is_some()) == 0.0 {
+        return Err(CommandError::NoPosesToStudy { scene: head.file.origin.clone() });
+    }
     let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
     let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?.transpose()?;
     let report = map_report(&head, &map, studied.as_ref(), schedules.as_ref());
