@@ -122,6 +122,19 @@ impl Quantity {
         (0..2_u8).flat_map(|e| (2..=CONVERTER_ORDERS as u8).map(move |k| Self::Converter(e, k)))
     }
 
+    /// Whether it changes the light of an emitter on whatever it falls.
+    pub(crate) fn is_of_emitter(&self) -> bool {
+        matches!(
+            self,
+            Self::EmitterShift(_)
+                | Self::EmitterTilt(_)
+                | Self::LogIntensity
+                | Self::ProfileExponent
+                | Self::ProfileRadial(_)
+                | Self::ProfileAzimuthal(_)
+        )
+    }
+
     /// Quantities of one kind whose common size the data may tell, though the tolerances do not; `None`: the tolerances
     /// do.
     pub(crate) fn family(&self) -> Option<usize> {

@@ -50,9 +50,13 @@ pub(crate) struct Parameters {
 }
 
 impl Parameters {
-    /// Which parameters act on cell `cell`, as places in [`Self::entries`].
-    pub(crate) fn acting_on(&self, cell: usize) -> Vec<usize> {
-        let acts = |parameter: &Parameter| parameter.cell.is_none_or(|own| own == cell);
+    /// Which parameters act on cell `cell`, which sees light of the emitters `lit_together`, too: places in
+    /// [`Self::entries`].
+    pub(crate) fn acting_on(&self, cell: usize, lit_together: u16) -> Vec<usize> {
+        let acts = |parameter: &Parameter| match parameter.cell {
+            None => true,
+            Some(own) => own == cell || lit_together >> own & 1 == 1 && parameter.quantity.is_of_emitter(),
+        };
         (0..self.entries.len()).filter(|&k| acts(&self.entries[k])).collect()
     }
 

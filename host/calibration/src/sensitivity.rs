@@ -34,6 +34,9 @@ fn scene_of(nominal: &Scene, parameters: &Parameters, number: usize, changed: Op
     }
     let mut scene = parameters.scene(nominal);
     scene.cells[number] = cell;
+    if let Some(owner) = changed.and_then(|(place, _)| parameters.entries[place].cell) {
+        scene.cells[owner] = parameters.cell(&nominal.cells[owner], owner, changed);
+    }
     (scene, number)
 }
 
@@ -44,7 +47,7 @@ fn of_cell(
     poses: &[Pose],
     derivatives: bool,
 ) -> Result<CellSensitivity, SceneError> {
-    let acting = parameters.acting_on(number);
+    let acting = parameters.acting_on(number, nominal.cells[number].effects.lit_together);
     let plan_of = |changed| {
         let (scene, index) = scene_of(nominal, parameters, number, changed);
         Ok((Plan::<f64>::compile(&scene, TIER)?, index))
