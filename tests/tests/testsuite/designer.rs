@@ -20,6 +20,8 @@ fn what_cannot_be_is_told_before_anything_is_searched() {
     refused(&["scene", "optimise", "wide"], &["--free"]);
     refused(&["scene", "optimise", "wide", "--free", "slit"], &["there is no `slit`", "slit_width"]);
     refused(&["scene", "optimise", "wide", "--free", "roll=9"], &["`9` are no bounds", "roll=0..90"]);
+    refused(&["scene", "optimise", "wide", "--free", "roll", "--lit", "999"], &["'999'", "from 0 to 100"]);
+    refused(&["scene", "optimise", "wide", "--free", "roll", "--radius", "inf"], &["'inf'", "in mm"]);
     refused(&["scene", "optimise", "bench", "--free", "full_scale"], &["no [front_end]", "leave full_scale out"]);
     refused(&["scene", "map", "base", "--schedule", "4000", "--samples", "10"], &["no [front_end]", "wide"]);
     refused(&["scene", "map", "wide", "--schedule", "30000", "--samples", "10"], &["cannot be run", "ticks"]);

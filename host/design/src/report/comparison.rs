@@ -2,7 +2,7 @@
 
 use slitpose_head::scene_file::SceneFile;
 
-use super::map::distribution;
+use super::map::{distribution, extents};
 use super::section::{Report, Section, Table, Value, column};
 use crate::map::{Map, NoiseOf, View};
 
@@ -37,13 +37,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         row
     };
     let names: Vec<(&str, &Map)> = maps.iter().map(|(file, map)| (file.origin.as_str(), map)).collect();
-    let workspace = |file: &SceneFile| {
-        let (m, rad) = (file.workspace.half_extent_m * 1e3, file.workspace.half_extent_rad);
-        let rad = rad
-            .to_array()
-            .map(|extent| format!("{:.4}", extent.to_degrees()).trim_end_matches('0').trim_end_matches('.').to_owned());
-        format!("{}: ±({}, {}, {}) mm, ±({})°", file.origin, m.x, m.y, m.z, rad.join(", "))
-    };
+    let workspace = |file: &SceneFile| format!("{}: {}", file.origin, extents(&file.workspace));
     let best = |of: fn(&View) -> Option<f64>| {
         let median = |(_, map): &&(SceneFile, Map)| map.quantile(0.5, of);
         maps.iter().filter(|of_map| median(of_map).is_finite()).min_by(|a, b| median(a).total_cmp(&median(b)))

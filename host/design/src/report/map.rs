@@ -3,6 +3,7 @@
 use glam::dvec2;
 use slitpose_calibration::{Head, PartCosts, PoseRms};
 use slitpose_head::front_end::configuration;
+use slitpose_head::scene_file::Workspace;
 
 use super::section::{Picture, Report, Section, Table, Value, column};
 use super::sheet::{Sheet, curve};
@@ -22,8 +23,6 @@ const WIDE: f64 = 10.0;
 /// The report on `map` of `head`, with what its tolerances cost and schedules do, if that was studied.
 pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, schedules: Option<&Schedules>) -> Report {
     let file = &head.file;
-    let [m, rad] = [file.workspace.half_extent_m * 1e3, file.workspace.half_extent_rad].map(|extent| extent.to_array());
-    let rad = rad.map(f64::to_degrees);
     let noise = match map.noise {
         NoiseOf::FrontEnd => "that of a single frame by `[front_end]` and `[lighting]`",
         NoiseOf::Channel => "that of the measuring channel of `[noise]`",
@@ -32,7 +31,7 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, schedule
     let mut conditions = vec![
         ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
         ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash)),
-        ("workspace", format!("±({}, {}, {}) mm, ±({:.3}, {:.3}, {:.3})°", m[0], m[1], m[2], rad[0], rad[1], rad[2])),
+        ("workspace", extents(&file.workspace)),
         ("noise", noise.to_owned()),
         ("data", format!("computed: the Cramér–Rao bound at {} poses; nothing was measured", map.samples.len())),
     ];
@@ -60,6 +59,16 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, schedule
         leading: 0,
         data: vec![points(map), samples(map)],
     }
+}
+
+/// A workspace as people write it.
+pub(super) fn extents(workspace: &Workspace) -> String {
+    let joined = |extents: [f64; 3]| {
+        let short = extents.map(|extent| format!("{extent:.3}").trim_end_matches('0').trim_end_matches('.').to_owned());
+        short.join(", ")
+    };
+    let [m, rad] = [workspace.half_extent_m, workspace.half_extent_rad].map(|extent| extent.to_array());
+    format!("±({}) mm, ±({})°", joined(m.map(|extent| extent * 1e3)), joined(rad.map(f64::to_degrees)))
 }
 
 fn micro(value: f64) -> Value {

@@ -39,25 +39,25 @@ pub(super) struct Args {
     #[arg(long, value_enum, default_value_t = DemandName::Median)]
     demand: DemandName,
     /// The point whose position counts: so far from the tool's centre, mm
-    #[arg(long, value_name = "MM", default_value_t = 10.0)]
+    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = parse_length)]
     lever: f64,
     /// Share of the workspace in which all spots are on their detectors, percent
-    #[arg(long, value_name = "PERCENT", default_value_t = 99.9)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.9, value_parser = parse_percent)]
     lit: f64,
     /// Least distance of emitters from slits, mm
-    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = parse_length)]
     clearance: f64,
     /// Largest radius of the head at the detectors' ends, mm
-    #[arg(long, value_name = "MM", default_value_t = f64::INFINITY, hide_default_value = true)]
-    radius: f64,
+    #[arg(long, value_name = "MM", value_parser = parse_length)]
+    radius: Option<f64>,
     /// Share of the workspace in which all electrodes are below full scale, percent
-    #[arg(long, value_name = "PERCENT", default_value_t = 99.5)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 99.5, value_parser = parse_percent)]
     in_scale: f64,
     /// Make this folder with the best heads within several radii, and a page on them, instead of one head
     #[arg(long, value_name = "DIR", conflicts_with_all = ["radius", "output"])]
     pareto: Option<PathBuf>,
     /// Those radii, mm [default: 1, 1.15, 1.3, 1.5 and 1.75 times that of the scene]
-    #[arg(long, value_name = "MM,MM,...", value_delimiter = ',', requires = "pareto")]
+    #[arg(long, value_name = "MM,MM,...", value_delimiter = ',', requires = "pareto", value_parser = parse_length)]
     radii: Vec<f64>,
     /// Seed of the candidates that are spread over the bounds
     #[arg(long, value_name = "S", default_value_t = 1)]
@@ -128,7 +128,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         limits: Limits {
             lit: args.lit / 100.0,
             clearance_m: args.clearance * 1e-3,
-            radius_m: args.radius * 1e-3,
+            radius_m: args.radius.map_or(f64::INFINITY, |radius_mm| radius_mm * 1e-3),
             in_scale: args.in_scale / 100.0,
             ..Limits::default()
         },
@@ -162,4 +162,14 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         output.write_text(&found.file.source)?;
     }
     Ok(if found.after.violation > 0.0 { Outcome::Failed } else { Outcome::Done })
+}
+
+fn parse_percent(text: &str) -> Result<f64, String> {
+    let percent = text.parse().ok().filter(|percent| (0.0..=100.0).contains(percent));
+    percent.ok_or_else(|| "give percent from 0 to 100, e.g. 99.9".to_owned())
+}
+
+fn parse_length(text: &str) -> Result<f64, String> {
+    let length = text.parse().ok().filter(|length: &f64| *length >= 0.0 && length.is_finite());
+    length.ok_or_else(|| "give a length of zero or more in mm, e.g. 30".to_owned())
 }
