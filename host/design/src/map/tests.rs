@@ -104,6 +104,34 @@ fn schedules_fit_and_more_conversions_tell_more() {
 }
 
 #[test]
+fn a_dark_cell_tells_what_a_head_without_it_does_not() {
+    let file = SceneFile { front_end: None, ..WIDE.read().expect("a scene") };
+    let outlook = Outlook::of(file.clone().into()).expect("a head");
+    let pose = file.workspace.poses(7).last().expect("a pose");
+    for dark in 0..6 {
+        let mut fewer = file.clone();
+        fewer.scene.cells.remove(dark);
+        let expected = Outlook::of(fewer.into()).expect("a head").at(&pose).sigma.expect("a pose");
+        let found = outlook.at_without(&pose, Some(dark)).sigma.expect("a pose");
+        for (found, expected) in found.into_iter().zip(expected) {
+            assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
+        }
+        assert!(found[0] > outlook.at(&pose).sigma.expect("a pose")[0]);
+    }
+}
+
+#[test]
+fn electrodes_above_full_scale_tell_nothing() {
+    let mut file = WIDE.read().expect("a scene");
+    let at = |file: &SceneFile| Outlook::of(file.clone().into()).expect("a head").at(&Pose::HOME);
+    let usual = at(&file);
+    // 6.8 µA of a cell at home, half on each electrode.
+    assert!((usual.full_scale - 10.0 / 3.408).abs() < 0.01 && usual.sigma.is_some());
+    file.front_end.as_mut().expect("a front end").full_scale_a = 3.4e-6;
+    assert!(at(&file).full_scale < 1.0 && at(&file).sigma.is_none());
+}
+
+#[test]
 fn planes_go_through_home_and_end_at_the_edge() {
     let fineness = Fineness { samples: 50, side: 5, behind: 3 };
     let file = WIDE.read().expect("a scene");

@@ -208,7 +208,29 @@ fn apart_m([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use slitpose_model::{Plan, Status, Tier};
+
     use super::*;
+
+    /// The projection against the model's own spots: wholly on the detector, or not.
+    #[test]
+    fn spots_are_on_their_detectors_where_the_model_has_them() {
+        let file = slitpose_head::scene_file::BASE.read().expect("a scene");
+        let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
+        let (mut lit, mut not) = (0, 0);
+        for pose in file.workspace.poses(500) {
+            for (number, cell) in file.scene.cells.iter().enumerate() {
+                let margin = margin_m(cell, &pose);
+                // The corners of a long slit reach a little farther than its middle.
+                if margin.abs() > 0.1e-3 {
+                    let is_lit = plan.respond(number, &pose).status == Status::Lit;
+                    assert_eq!(margin > 0.0, is_lit, "cell {number}: {margin} at {pose:?}");
+                    if is_lit { lit += 1 } else { not += 1 }
+                }
+            }
+        }
+        assert!(lit > 500 && not > 100, "{lit} lit, {not} not");
+    }
 
     #[test]
     fn segments_are_as_far_apart_as_their_nearest_points() {

@@ -45,6 +45,18 @@ fn quantities_are_where_the_drawing_has_them() {
         assert_eq!(set(&file, &[(quantity, of_wide)]).scene.cells.len(), 6);
     }
     let cells = |file: &SceneFile| file.scene.cells.clone();
+    // Signs alternate from cell to cell.
+    for (quantity, value, of) in [
+        (Quantity::Roll, 30.0, (|cell| cell.detector.x_axis_base.z) as fn(&slitpose_model::Cell) -> f64),
+        (Quantity::EmitterTilt, 30.0, |cell| cell.emitter.axis_tool.z),
+        (Quantity::Lift, 500.0, |cell| cell.emitter.position_tool_m.z),
+    ] {
+        let changed = set(&file, &[(quantity, value)]);
+        for (number, cell) in cells(&changed).iter().enumerate() {
+            let sign = if number % 2 == 0 { 1.0 } else { -1.0 };
+            assert!((of(cell) - 0.5 * sign).abs() < 1e-9, "{quantity} of cell {number}");
+        }
+    }
     let eight = set(&file, &[(Quantity::Cells, 8.0)]);
     assert_eq!((cells(&eight).len(), eight.lighting.slots.len()), (8, 9));
     // Rolls alternate in the ring of eight as in that of six, and all face the axis.
