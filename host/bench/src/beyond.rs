@@ -5,6 +5,7 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::{DVec2, DVec3};
+use slitpose_head::boxed::boxed_plan;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, Effects, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
 
@@ -125,11 +126,6 @@ impl BeyondOptics {
         }
         Pair { i_x1_a: currents[0], i_x2_a: currents[1] }
     }
-}
-
-/// A plan on the heap: it has 100 kB.
-pub(crate) fn boxed_plan(scene: &Scene, tier: Tier) -> Result<Box<Plan<f64>>, SceneError> {
-    Ok(Box::new(Plan::compile(scene, tier)?))
 }
 
 /// The cell with only that half of its slit where `side`·y > 0.

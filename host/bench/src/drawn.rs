@@ -2,13 +2,14 @@
 
 use clap::ValueEnum;
 use slitpose_calibration::{Parameter, draw};
+use slitpose_head::boxed::boxed_plan;
 use slitpose_head::front_end::{Stage, TimingError, configuration};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
 use slitpose_head::simulator::{Electronics, Light, noisy_reading};
 use slitpose_model::{Noise, Pair, Plan, Pose, Scene, SceneError, Status, Tier};
 
 use crate::BenchError;
-use crate::beyond::{Beyond, BeyondOptics, boxed_plan};
+use crate::beyond::{Beyond, BeyondOptics};
 use crate::chance::Chance;
 
 /// The integrals are far better than the mean of a hundred frames.

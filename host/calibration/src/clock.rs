@@ -15,6 +15,7 @@ use thiserror::Error;
 
 use crate::data::{Constraint, Data, Row, compose, inverse};
 use crate::frames::align;
+use crate::plausibility::median;
 use crate::start::solved;
 use crate::tables::thinned;
 use crate::track::{FoundClock, Track};
@@ -186,11 +187,6 @@ struct Motion<'a> {
     constraint: Constraint,
     /// Its table and the capture.
     files: [&'a str; 2],
-}
-
-fn median(mut squares: Vec<f64>) -> f64 {
-    squares.sort_by(f64::total_cmp);
-    squares.get(squares.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
 /// `most` of `all`, spread evenly.

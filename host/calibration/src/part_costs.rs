@@ -1,17 +1,17 @@
 //! What the tolerance of each kind of part costs in poses, before calibration and after it: the linear prediction.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{ModelError, Scene};
+use slitpose_model::{ModelError, Pose};
 
 use crate::adjust::USUAL_ERROR;
 use crate::data::{Constraint, Data, Knowledge, Row};
 use crate::first_light::{OF_ELECTRODE, uncalibrated};
 use crate::normal::Normal;
-use crate::pose_error::spread;
+use crate::pose_error::{POSES, spread};
 use crate::sensitivity::sensitivities;
 use crate::state::{State, Weights};
-use crate::{CalibrateError, Quantity, prior};
+use crate::{CalibrateError, Parameter, Quantity, prior};
 
 /// The known poses of a calibration.
 #[derive(Clone, Copy, Debug)]
@@ -98,20 +98,19 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
     let state_with = |errors: Vec<ModelError>, data: &Data| {
         State::new(nominal, parameters.clone(), data, data.rows.iter().filter_map(Row::reported).collect(), errors)
     };
-    let scale =
-        |entry: &crate::Parameter| if matches!(entry.quantity, Quantity::Stray(_)) { OF_ELECTRODE } else { 1.0 };
+    let scale = |entry: &Parameter| if matches!(entry.quantity, Quantity::Stray(_)) { OF_ELECTRODE } else { 1.0 };
     let variances: Vec<f64> = parameters.entries.iter().map(|entry| scale(entry).powi(2)).collect();
 
-    let rough: Scene = uncalibrated(file)?;
+    let rough = uncalibrated(file)?;
     let errors = rough.cells.iter().map(|cell| cell.effects.model_error).collect();
     let before = state_with(errors, &Data::default());
     let diagonal = |counts: &dyn Fn(Quantity) -> bool| {
         let value = |k: usize| if counts(parameters.entries[k].quantity) { variances[k] } else { 0.0 };
-        DMatrix::from_diagonal(&nalgebra::DVector::from_iterator(count, (0..count).map(value)))
+        DMatrix::from_diagonal(&DVector::from_iterator(count, (0..count).map(value)))
     };
 
     let mut data = Data::default();
-    let at: Vec<slitpose_model::Pose> = file.workspace.poses(known.count).collect();
+    let at: Vec<Pose> = file.workspace.poses(known.count).collect();
     let cells = sensitivities(nominal, &parameters, &at, true)?;
     let row = |(number, pose)| Row {
         id: String::new(),
@@ -122,8 +121,7 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
     };
     data.add("", Constraint::Known, known.instrument, at.iter().copied().enumerate().map(row).collect());
     let after = state_with(vec![USUAL_ERROR; nominal.cells.len()], &data);
-    let information =
-        DMatrix::from_diagonal(&nalgebra::DVector::from_iterator(count, variances.iter().map(|v| v.recip())));
+    let information = DMatrix::from_diagonal(&DVector::from_iterator(count, variances.iter().map(|v| v.recip())));
     let normal = Normal::assemble(&data, &after, cells, &Weights::equal(&data), &information);
     // Covariance of all others if those of one kind are known.
     let without = |known: &dyn Fn(Quantity) -> bool| -> Result<DMatrix<f64>, CalibrateError> {
@@ -147,10 +145,10 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
         spreads[0].push(diagonal(&|quantity| part(quantity) == *kind));
         spreads[1].push(without(&|quantity| part(quantity) == *kind)?);
     }
-    let [of_before, of_after] = [
-        spread(nominal, &before, &spreads[0], &file.workspace)?,
-        spread(nominal, &after, &spreads[1], &file.workspace)?,
-    ];
+    let poses: Vec<Pose> = file.workspace.poses(POSES).collect();
+    let cells = sensitivities(nominal, &parameters, &poses, true)?;
+    let [of_before, of_after] =
+        [(&before, &spreads[0]), (&after, &spreads[1])].map(|(state, spreads)| spread(state, &cells, &poses, spreads));
     let difference =
         |all: PoseRms, rest: PoseRms| [0, 1].map(|k| (all[k] * all[k] - rest[k] * rest[k]).max(0.0).sqrt());
     let mut parts: Vec<PartCost> = kinds

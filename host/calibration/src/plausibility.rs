@@ -154,7 +154,8 @@ pub enum Implausible {
     },
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// The middle of `values`; NaN of none.
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

@@ -35,7 +35,7 @@ pub(crate) fn functions(pose: &Pose, length_scale_m: f64) -> [f64; FUNCTIONS] {
 }
 
 /// Poses at which the error is computed.
-const POSES: usize = 64;
+pub(crate) const POSES: usize = 64;
 
 /// A pose of the workspace.
 struct Sample {
@@ -150,18 +150,16 @@ impl PoseError {
     }
 }
 
-/// Errors of poses, root mean square over a `workspace`, for each of `covariances` of the parameters in units of their
-/// prior σ: metres and radians, three axes together.
+/// Errors of `poses`, root mean square, for each of `covariances` of the parameters in units of their prior σ: metres and
+/// radians, three axes together. `cells` are the sensitivities there.
 pub(crate) fn spread(
-    nominal: &Scene,
     state: &State,
+    cells: &[CellSensitivity],
+    poses: &[Pose],
     covariances: &[DMatrix<f64>],
-    workspace: &Workspace,
-) -> Result<Vec<[f64; 2]>, SceneError> {
-    let poses: Vec<Pose> = workspace.poses(POSES).collect();
-    let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
+) -> Vec<[f64; 2]> {
     let samples: Vec<Sample> =
-        poses.iter().enumerate().filter_map(|(row, pose)| Sample::of(state, &cells, row, pose)).collect();
+        poses.iter().enumerate().filter_map(|(row, pose)| Sample::of(state, cells, row, pose)).collect();
     let of = |covariance: &DMatrix<f64>| {
         let mut squares = [0.0; 2];
         for Sample { error, .. } in &samples {
@@ -173,7 +171,7 @@ pub(crate) fn spread(
         }
         squares.map(f64::sqrt)
     };
-    Ok(covariances.iter().map(of).collect())
+    covariances.iter().map(of).collect()
 }
 
 impl Sample {

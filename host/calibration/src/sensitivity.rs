@@ -1,7 +1,6 @@
 //! Currents of every row, with their derivatives by the pose and by the parameters.
 
-use std::thread;
-
+use slitpose_head::threads::on_all_cores;
 use slitpose_model::{Plan, Pose, Scene, SceneError, Status, Tier};
 
 use crate::parameters::Parameters;
@@ -85,17 +84,7 @@ pub(crate) fn sensitivities(
     poses: &[Pose],
     derivatives: bool,
 ) -> Result<Vec<CellSensitivity>, SceneError> {
-    let threads = thread::available_parallelism().map_or(1, usize::from).min(nominal.cells.len());
-    let mut found: Vec<Option<Result<CellSensitivity, SceneError>>> = (0..nominal.cells.len()).map(|_| None).collect();
-    let each = found.len().div_ceil(threads);
-    thread::scope(|scope| {
-        for (chunk, places) in found.chunks_mut(each).enumerate() {
-            scope.spawn(move || {
-                for (offset, place) in places.iter_mut().enumerate() {
-                    *place = Some(of_cell(nominal, parameters, chunk * each + offset, poses, derivatives));
-                }
-            });
-        }
-    });
-    found.into_iter().flatten().collect()
+    let numbers: Vec<usize> = (0..nominal.cells.len()).collect();
+    let of_cell = |&number: &usize| of_cell(nominal, parameters, number, poses, derivatives);
+    on_all_cores(&numbers, of_cell).into_iter().collect()
 }

@@ -5,10 +5,11 @@
 //! * [`simulator`] is a simulated board;
 //! * [`table`] reads and writes CSV, and writes results;
 //! * [`pace`] holds a stream to a multiple of device time;
+//! * [`boxed`] keeps plans and solvers off the stack;
 //! * [`finding`] states a fault and its remedy;
 //! * [`foreign`] escapes text of others for a terminal;
 //! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
-//! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads.
+//! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads, and work on all cores.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, with the unit in the name.
 //!
@@ -50,6 +51,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod boxed;
 pub mod finding;
 pub mod foreign;
 pub mod front_end;

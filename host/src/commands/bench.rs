@@ -7,7 +7,7 @@ use slitpose_bench::{DrawnHead, Session, Settings, Within, write};
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
 
-use super::options::DEFAULT_TOLERANCE;
+use super::options::{DEFAULT_TOLERANCE, parse_number};
 use super::poses::parse_duration;
 use super::simulate::{Target, record};
 use super::{CommandError, Outcome, interrupt, names, talk};
@@ -72,10 +72,7 @@ fn parse_free(text: &str) -> Result<f64, String> {
 }
 
 fn parse_sigma(text: &str) -> Result<f64, &'static str> {
-    match text.parse::<f64>() {
-        Ok(sigma) if (0.0..1e6).contains(&sigma) => Ok(sigma),
-        _ => Err("give a number of zero or more, such as 2"),
-    }
+    parse_number(text, |sigma| (0.0..1e6).contains(&sigma), "give a number of zero or more, such as 2")
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {

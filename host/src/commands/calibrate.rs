@@ -10,6 +10,7 @@ use slitpose_calibration::{
     read_tracked, tables, validity,
 };
 
+use super::options::parse_number;
 use super::{CommandError, Outcome, interrupt, names, talk};
 use crate::capture::{Readings, readings};
 use crate::terminal::{Amount, Progress};
@@ -98,10 +99,7 @@ enum FramesOf {
 }
 
 fn parse_sigma(text: &str) -> Result<f64, &'static str> {
-    match text.parse::<f64>() {
-        Ok(sigma) if sigma > 0.0 && sigma < 1e6 => Ok(sigma),
-        _ => Err("give a number above zero, such as 2"),
-    }
+    parse_number(text, |sigma| sigma > 0.0 && sigma < 1e6, "give a number above zero, such as 2")
 }
 
 impl Args {

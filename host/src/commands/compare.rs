@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use super::publish::publish;
 use super::{CommandError, Outcome, names, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map};
 use slitpose_design::report::{Folder, comparison};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::Output;
 
 /// Compares the accuracy of several heads: one table and one picture.
 ///
@@ -50,14 +50,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         maps.push((file, map));
     }
     drop(progress);
-    let report = comparison(&maps);
-    match folder {
-        None => Output::open(None)?.write_text(&report.in_short())?,
-        Some(folder) => {
-            for path in folder.write(&report)? {
-                talk(format_args!("wrote {}", path.display()));
-            }
-        }
-    }
+    publish(&comparison(&maps), folder.as_ref())?;
     Ok(Outcome::Done)
 }

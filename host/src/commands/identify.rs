@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use slitpose_model::{Plan, Tier};
 
+use super::options::parse_number;
 use super::{CommandError, Outcome, names};
 use slitpose_design::identification::{Identified, ProfileError, identify, profile_table};
 use slitpose_head::scene_file::SceneFile;
@@ -110,8 +111,5 @@ pub(crate) struct CellProfileError {
 
 fn parse_step(text: &str) -> Result<f64, &'static str> {
     // A profile has at most 64 knots from 0 to 90 degrees.
-    match text.parse::<f64>() {
-        Ok(step) if (1.5..=45.0).contains(&step) => Ok(step),
-        _ => Err("give degrees from 1.5 to 45"),
-    }
+    parse_number(text, |step| (1.5..=45.0).contains(&step), "give degrees from 1.5 to 45")
 }

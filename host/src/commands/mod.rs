@@ -23,6 +23,7 @@ mod options;
 mod paper;
 mod playback;
 mod poses;
+mod publish;
 mod record;
 mod replay;
 mod report;

@@ -106,11 +106,17 @@ impl TierOptions {
     }
 }
 
+/// A number that `is_possible`, else `hint`.
+pub(super) fn parse_number(
+    text: &str,
+    is_possible: impl Fn(f64) -> bool,
+    hint: &'static str,
+) -> Result<f64, &'static str> {
+    text.parse().ok().filter(|&number| is_possible(number)).ok_or(hint)
+}
+
 fn parse_tolerance(text: &str) -> Result<f64, &'static str> {
-    match text.parse::<f64>() {
-        Ok(tolerance) if tolerance > 0.0 && tolerance < 1.0 => Ok(tolerance),
-        _ => Err("give a number between 0 and 1, such as 1e-10"),
-    }
+    parse_number(text, |tolerance| tolerance > 0.0 && tolerance < 1.0, "give a number between 0 and 1, such as 1e-10")
 }
 
 /// A pose as the command line gives it: millimetres, then a rotation vector in degrees.

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::publish::store;
 use super::{CommandError, Outcome, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::paper::{Experiment, Point, SEARCHES, Study, account, figures};
@@ -45,9 +46,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut progress = Progress::new("paper", SEARCHES as u64, Amount::Of("searches"));
     let report = account(&bench, |done| progress.step(done as u64, "faults of a bench"))?;
     drop(progress);
-    for path in page.write(&report)? {
-        talk(format_args!("wrote {}", path.display()));
-    }
+    store(&report, &page)?;
     Ok(Outcome::Done)
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::options::parse_number;
 use super::poses::parse_duration;
 use super::talk;
 use crate::capture::{About, CaptureError, CaptureSeries, Existing, Limits};
@@ -68,10 +69,11 @@ fn parse_size(text: &str) -> Result<u64, &'static str> {
 }
 
 fn parse_rate(text: &str) -> Result<f64, &'static str> {
-    match text.parse::<f64>() {
-        Ok(rate) if rate >= 0.0 && rate.is_finite() => Ok(rate),
-        _ => Err("give a number of poses a second, such as 25, or 0 for every scan"),
-    }
+    parse_number(
+        text,
+        |rate| rate >= 0.0 && rate.is_finite(),
+        "give a number of poses a second, such as 25, or 0 for every scan",
+    )
 }
 
 #[cfg(test)]

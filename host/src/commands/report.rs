@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::{CommandError, Outcome, names, talk};
+use super::publish::store;
+use super::{CommandError, Outcome, names};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -57,11 +58,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         done += 1;
     })?;
     drop(progress);
-    for warning in &report.warnings {
-        talk(format_args!("{warning}"));
-    }
-    for path in folder.write(&report)? {
-        talk(format_args!("wrote {}", path.display()));
-    }
+    store(&report, &folder)?;
     Ok(Outcome::Done)
 }

@@ -1,6 +1,6 @@
 //! How accurate a head is, and where: `slitpose scene map`.
 //!
-//! [`Outlook`] says what one frame tells at a pose; [`Map::of`] asks it all over the workspace: poses spread evenly, and
+//! [`Outlook`] says what a single frame is worth at a pose; [`Map::of`] asks it all over the workspace: poses spread evenly, and
 //! planes through home, each with the worst of what lies behind and before it. [`Tolerances`] says what parts that are off
 //! cost, [`Schedules`] what the schedule does.
 
@@ -23,7 +23,7 @@ pub use tolerances::Tolerances;
 pub struct Fineness {
     /// Poses spread over the workspace.
     pub samples: usize,
-    /// Points along each side of a plane.
+    /// Points along each side of a plane; zero: no planes.
     pub side: usize,
     /// Poses behind each point of a plane, besides that in the plane, of which the worst counts.
     pub behind: usize,
@@ -52,11 +52,9 @@ pub struct Map {
     pub noise: NoiseOf,
     /// Frames per second; `None` without front end.
     pub frame_rate_hz: Option<f64>,
-    /// Cells of the head.
-    pub cells: usize,
     /// With the tool at home.
     pub home: View,
-    /// Poses spread evenly, and what a frame tells there.
+    /// Poses spread evenly, and what a single frame is worth there.
     pub samples: Vec<(Pose, View)>,
     /// Of each cell, some of the poses while it is dark.
     pub one_dark: Vec<Vec<View>>,
@@ -81,7 +79,6 @@ impl Map {
         Ok(Self {
             noise: outlook.noise,
             frame_rate_hz: outlook.frame_rate_hz,
-            cells: outlook.cells(),
             home: outlook.at(&Pose::HOME),
             samples: workspace.poses(fineness.samples).map(|pose| (pose, view(&pose))).collect(),
             one_dark: (0..outlook.cells())
@@ -90,9 +87,16 @@ impl Map {
                     poses.map(|pose| outlook.at_without(&pose, Some(cell))).collect()
                 })
                 .collect(),
-            planes: plane::AXES.map(|axes| Plane::of(axes, &workspace, fineness, &mut view)).into(),
+            planes: (plane::AXES.into_iter().filter(|_| fineness.side > 0))
+                .map(|axes| Plane::of(axes, &workspace, fineness, &mut view))
+                .collect(),
             behind: fineness.behind,
         })
+    }
+
+    /// How many cells the head has.
+    pub fn cells(&self) -> usize {
+        self.one_dark.len()
     }
 
     /// Of all poses, `value` at the share `quantile` of them, ascending; what has no value is last, and infinite.
@@ -125,8 +129,12 @@ impl Map {
     /// By what a standard deviation of single frames is to be multiplied for the density of white noise, one-sided, per
     /// √Hz: noise of variance σ² fills the band up to half the frame rate evenly. `None` without front end.
     pub fn per_root_hz(&self) -> Option<f64> {
-        Some((2.0 / self.frame_rate_hz?).sqrt())
+        self.frame_rate_hz.map(per_root_hz)
     }
+}
+
+fn per_root_hz(frame_rate_hz: f64) -> f64 {
+    (2.0 / frame_rate_hz).sqrt()
 }
 
 /// Of `views`, values at shares of them, ascending; what has no value is last, and infinite.

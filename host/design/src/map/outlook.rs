@@ -1,6 +1,7 @@
-//! What one frame tells of a pose.
+//! What a single frame says about the pose.
 
 use slitpose_calibration::Head;
+use slitpose_head::boxed::{boxed_plan, boxed_solver};
 use slitpose_model::{MotionPrior, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solver, Start, Status, Tier};
 
 use crate::report::frame_scene;
@@ -20,12 +21,12 @@ pub enum NoiseOf {
     Nothing,
 }
 
-/// What is to be expected of the frames of one head.
+/// What to expect of single frames of a head.
 #[derive(Debug)]
 pub struct Outlook {
     head: Head,
-    solver: Solver<f64>,
-    plan: Plan<f64>,
+    solver: Box<Solver<f64>>,
+    plan: Box<Plan<f64>>,
     /// Largest current of an electrode.
     full_scale_a: f64,
     /// Where the noise comes from.
@@ -34,7 +35,7 @@ pub struct Outlook {
     pub frame_rate_hz: Option<f64>,
 }
 
-/// What a frame tells at one pose.
+/// What a single frame says at one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Cells whose whole spot is on the detector.
@@ -79,8 +80,8 @@ impl Outlook {
             (None, None) => NoiseOf::Nothing,
         };
         Ok(Self {
-            solver: Solver::new(&scene, TIER)?,
-            plan: Plan::compile(&scene, TIER)?,
+            solver: boxed_solver(&scene, TIER)?,
+            plan: boxed_plan(&scene, TIER)?,
             full_scale_a: head.file.front_end.map_or(f64::INFINITY, |front_end| front_end.full_scale_a),
             noise,
             frame_rate_hz: frame.map(|frame| frame.period_s.recip()),
@@ -119,8 +120,9 @@ impl Outlook {
                 return Reading::Missing;
             }
             let response = self.plan.respond(cell, pose);
-            let Pair { i_x1_a, i_x2_a } = self.plan.photocurrents(cell, pose);
             let detector = &self.head.file.scene.cells[cell].detector;
+            let above_dark = |current_a: f64| current_a - 0.5 * detector.dark_current_a;
+            let [i_x1_a, i_x2_a] = [response.currents.i_x1_a, response.currents.i_x2_a].map(above_dark);
             let full_scale = self.full_scale_a / i_x1_a.max(i_x2_a);
             view.lit += usize::from(response.status == Status::Lit);
             view.full_scale = view.full_scale.min(full_scale);

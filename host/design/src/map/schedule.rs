@@ -5,14 +5,15 @@ use slitpose_head::front_end::{TimingError, configuration};
 use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
 use slitpose_model::{Plan, SceneError, Tier};
 
-use super::{Outlook, View};
+use super::{Outlook, View, per_root_hz, quantiles_of};
+use crate::report::ReportError;
 use crate::survey::share_of_others;
 
 /// Conversions in a word that the board's converters add up.
 const OVERSAMPLING: [u32; 5] = [1, 2, 4, 8, 16];
 
-/// Frame rates beside the one asked for.
-const RATES: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+/// Frame rates beside the one asked for, in units of it.
+const OTHER_RATES: [f64; 4] = [0.25, 0.5, 2.0, 4.0];
 
 /// Poses at which accuracy and cross-talk are looked at.
 const POSES: usize = 200;
@@ -40,6 +41,13 @@ pub struct Candidate {
     pub sigma_rad: f64,
 }
 
+impl Candidate {
+    /// See [`super::Map::per_root_hz`].
+    pub fn per_root_hz(&self) -> f64 {
+        per_root_hz(self.frame_rate_hz)
+    }
+}
+
 /// Schedules for one head.
 #[derive(Clone, Debug)]
 pub struct Schedules {
@@ -54,12 +62,10 @@ impl Schedules {
     ///
     /// # Errors
     /// A scene that cannot be computed; a front end that cannot run at that rate, whatever the slots.
-    pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Result<Self, TimingError>, SceneError> {
-        let Some(front_end) = file.front_end else {
-            return Ok(Err(TimingError::NoFrontEnd { scene: file.name.clone() }));
-        };
+    pub fn of(file: &SceneFile, rate_hz: f64) -> Result<Self, ReportError> {
+        let front_end = file.front_end.ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
         let groupings = groupings(file)?;
-        let at = |frame_rate_hz: f64| -> Result<Result<Vec<Candidate>, TimingError>, SceneError> {
+        let at = |frame_rate_hz: f64| -> Result<Vec<Candidate>, ReportError> {
             let (mut found, mut refused) = (Vec::new(), None);
             for lighting in &groupings {
                 for oversampling in OVERSAMPLING {
@@ -71,23 +77,26 @@ impl Schedules {
                     }
                 }
             }
+            if let (true, Some(error)) = (found.is_empty(), refused) {
+                return Err(error.into());
+            }
             // Of equals, the one that leaves more of the frame idle.
             let size = |candidate: &Candidate| (candidate.sigma_m.ln() / EQUAL).round();
             found.sort_by(|a, b| size(a).total_cmp(&size(b)).then(a.busy.total_cmp(&b.busy)));
-            Ok(match refused {
-                Some(error) if found.is_empty() => Err(error),
-                _ => Ok(found),
-            })
+            Ok(found)
         };
-        let at_rate = match at(rate_hz)? {
-            Ok(found) => found,
-            Err(error) => return Ok(Err(error)),
-        };
-        let mut best_by_rate = Vec::new();
-        for rate_hz in RATES.map(|by| by * rate_hz) {
-            best_by_rate.extend(at(rate_hz)?.unwrap_or_default().into_iter().next());
+        let at_rate = at(rate_hz)?;
+        let mut best_by_rate: Vec<Candidate> = at_rate.iter().take(1).cloned().collect();
+        for other_hz in OTHER_RATES.map(|by| by * rate_hz) {
+            match at(other_hz) {
+                Ok(found) => best_by_rate.extend(found.into_iter().next()),
+                // Too fast for any slots.
+                Err(ReportError::Timing(_)) => {}
+                Err(error) => return Err(error),
+            }
         }
-        Ok(Ok(Self { at_rate, best_by_rate }))
+        best_by_rate.sort_by(|a, b| a.frame_rate_hz.total_cmp(&b.frame_rate_hz));
+        Ok(Self { at_rate, best_by_rate })
     }
 }
 
@@ -96,11 +105,7 @@ fn candidate(file: SceneFile, front_end: FrontEnd) -> Result<Candidate, SceneErr
     let (workspace, cells) = (file.workspace, file.scene.cells.len());
     let outlook = Outlook::of(Head::from(file))?;
     let views: Vec<View> = workspace.poses(POSES).map(|pose| outlook.at(&pose)).collect();
-    let median = |of: fn(&View) -> Option<f64>| {
-        let mut values: Vec<f64> = views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).collect();
-        values.sort_by(f64::total_cmp);
-        values[POSES / 2]
-    };
+    let median = |of: fn(&View) -> Option<f64>| quantiles_of(views.iter(), [0.5], of)[0];
     Ok(Candidate {
         frame_rate_hz: front_end.frame_rate_hz,
         busy: slots.len() as f64 * front_end.slot_duration_s(cells) / front_end.frame_period_s(),

@@ -81,7 +81,7 @@ fn drawn_heads_err_as_their_tolerances_say() {
 #[test]
 fn schedules_fit_and_more_conversions_tell_more() {
     let file = WIDE.read().expect("a scene");
-    let found = Schedules::of(&file, 4000.0).expect("a scene").expect("schedules");
+    let found = Schedules::of(&file, 4000.0).expect("schedules");
     assert!(found.at_rate.iter().chain(&found.best_by_rate).all(|candidate| candidate.busy <= 1.0));
     let own = |oversampling: u32| {
         let is_it = |one: &&Candidate| one.slots == file.lighting.slots && one.oversampling == oversampling;
@@ -98,9 +98,9 @@ fn schedules_fit_and_more_conversions_tell_more() {
     assert_eq!(found.at_rate[0].slots, [vec![0, 2, 4], vec![1, 3, 5], vec![]]);
     // All in one slot would be faster yet, and each would see its neighbours' light.
     assert!(found.at_rate.iter().all(|candidate| candidate.slots.iter().all(|slot| slot.len() <= 3)));
-    assert!(Schedules::of(&file, 30e3).expect("a scene").unwrap_err().to_string().contains("cannot be run"));
+    assert!(Schedules::of(&file, 30e3).unwrap_err().to_string().contains("cannot be run"));
     let single = SceneFile { front_end: None, ..file };
-    assert!(Schedules::of(&single, 4000.0).expect("a scene").unwrap_err().to_string().contains("[front_end]"));
+    assert!(Schedules::of(&single, 4000.0).unwrap_err().to_string().contains("[front_end]"));
 }
 
 #[test]
@@ -151,6 +151,8 @@ fn planes_go_through_home_and_end_at_the_edge() {
     let share = map.share(|view| view.sigma_m().unwrap() <= median);
     assert!((share - 0.5).abs() < 1.5 / 50.0, "{share}");
     assert_eq!(map.worst(View::sigma_m).unwrap().1, map.quantile(1.0, View::sigma_m));
+    let flat = Map::of(WIDE.read().expect("a scene").into(), Fineness { side: 0, ..fineness }, || ()).expect("a map");
+    assert!(flat.planes.is_empty() && flat.home == map.home);
     // 4000 frames/s fill 2 kHz.
     assert!((map.per_root_hz().unwrap() * 2000.0_f64.sqrt() - 1.0).abs() < 1e-4);
 }

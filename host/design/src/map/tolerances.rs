@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 
+use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -9,9 +10,10 @@ use slitpose_calibration::{
     CalibrateError, Constraint, Data, Knowledge, KnownPoses, PartCosts, PoseRms, Request, Row, calibrate, draw,
     part_costs, uncalibrated,
 };
-use slitpose_head::scene_file::SceneFile;
+use slitpose_head::boxed::{boxed_plan, boxed_solver};
+use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::simulator::noisy_reading;
-use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Scene, SceneError, Solver, Start, Tier};
+use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Solver, Start, Tier};
 
 use crate::report::frame_scene;
 
@@ -26,8 +28,6 @@ const POSES: usize = 200;
 /// What the tolerances of a scene cost.
 #[derive(Clone, Debug)]
 pub struct Tolerances {
-    /// Whether the scene states them; else they are those of usual parts.
-    pub are_stated: bool,
     /// By kind of part, to first order.
     pub costs: PartCosts,
     /// Of each drawn head, errors of poses without noise, root mean square over the workspace: uncalibrated, calibrated.
@@ -45,56 +45,56 @@ impl Tolerances {
         let (scene, _) = frame_scene(file);
         let file = SceneFile { scene, ..file.clone() };
         let costs = part_costs(&file, KNOWN)?;
+        let rough = boxed_solver(&uncalibrated(&file)?, TIER)?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut found = Vec::with_capacity(heads);
         for _ in 0..heads {
             progress();
             let (head, _) = draw(&file, || rng.sample(StandardNormal))?;
+            let truth = boxed_plan(&head, TIER)?;
             let mut data = Data::default();
-            data.add("drawn", Constraint::Known, KNOWN.instrument, measured(&file, &head, &mut rng)?);
+            data.add("drawn", Constraint::Known, KNOWN.instrument, measured(&file, &truth, &mut rng));
             let request = Request { file: &file, data: &data, start: None, date: None };
             let calibration = calibrate(&request, &mut |_| ControlFlow::Continue(()))?.calibration;
-            let known = calibration.apply(&file)?;
-            found.push([errors(&file, &head, &uncalibrated(&file)?)?, errors(&file, &head, &known)?]);
+            let known = boxed_solver(&calibration.apply(&file)?, TIER)?;
+            found.push([&rough, &known].map(|solver| errors(&file.workspace, &truth, solver)));
         }
-        Ok(Self { are_stated: file.tolerance.is_some(), costs, heads: found, seed })
+        Ok(Self { costs, heads: found, seed })
     }
 }
 
-/// What an instrument and the board measure of `head`.
-fn measured(file: &SceneFile, head: &Scene, rng: &mut ChaCha8Rng) -> Result<Vec<Row>, SceneError> {
-    let plan = Plan::<f64>::compile(head, TIER)?;
+/// What an instrument and the board measure of the head whose optics are `truth`.
+fn measured(file: &SceneFile, truth: &Plan<f64>, rng: &mut ChaCha8Rng) -> Vec<Row> {
     let noise = file.scene.noise.map(|noise| noise.averaged(KNOWN.frames));
     let mut row = |pose: Pose| {
-        let readings = (0..plan.cell_count()).map(|cell| {
-            let pair = plan.photocurrents(cell, &pose);
+        let readings = (0..truth.cell_count()).map(|cell| {
+            let pair = truth.photocurrents(cell, &pose);
             let pair = noise.map_or(pair, |noise| {
-                noisy_reading(pair, &head.cells[cell].detector, &noise, || rng.sample(StandardNormal))
+                noisy_reading(pair, &file.scene.cells[cell].detector, &noise, || rng.sample(StandardNormal))
             });
             Some([pair.i_x1_a, pair.i_x2_a])
         });
         let readings = readings.collect();
         let error = KNOWN
             .instrument
-            .map(|sigma| glam::DVec3::from_array([(); 3].map(|()| sigma * rng.sample::<f64, _>(StandardNormal))));
+            .map(|sigma| DVec3::from_array([(); 3].map(|()| sigma * rng.sample::<f64, _>(StandardNormal))));
         let knowledge = Knowledge::Reported(pose.perturbed(error[0], error[1]));
         Row { id: String::new(), readings, frames: KNOWN.frames, time_s: None, knowledge }
     };
-    Ok(file.workspace.poses(KNOWN.count).map(&mut row).collect())
+    file.workspace.poses(KNOWN.count).map(&mut row).collect()
 }
 
-/// Errors of the poses that `known` finds in the light of `head`, without noise.
-fn errors(file: &SceneFile, head: &Scene, known: &Scene) -> Result<PoseRms, SceneError> {
-    let (plan, solver) = (Plan::<f64>::compile(head, TIER)?, Solver::<f64>::new(known, TIER)?);
+/// Errors of the poses that `solver` finds in the light of `truth`, without noise.
+fn errors(workspace: &Workspace, truth: &Plan<f64>, solver: &Solver<f64>) -> PoseRms {
     let (mut squares, mut count) = ([0.0; 2], 0.0);
     // Not those of the calibration.
-    for pose in file.workspace.poses(KNOWN.count + POSES).skip(KNOWN.count) {
-        let pairs: Vec<_> = (0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &pose)).collect();
+    for pose in workspace.poses(KNOWN.count + POSES).skip(KNOWN.count) {
+        let pairs: Vec<_> = (0..truth.cell_count()).map(|cell| truth.photocurrents(cell, &pose)).collect();
         let solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
         let Some(estimate) = solution.estimate else { continue };
         let (t, r) = estimate.pose.displacement_from(&pose);
         squares = [squares[0] + t.length_squared(), squares[1] + r.length_squared()];
         count += 1.0;
     }
-    Ok(squares.map(|sum| (sum / count).sqrt()))
+    squares.map(|sum| (sum / count).sqrt())
 }

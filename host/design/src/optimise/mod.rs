@@ -14,7 +14,7 @@ use slitpose_model::SceneError;
 use thiserror::Error;
 
 pub use quantity::{Free, Quantity};
-pub use score::{Demand, Goal, Limits, Score};
+pub use score::{Demand, Goal, Judge, Limits, Score};
 pub use search::{Found, Search};
 
 /// Why there is nothing to optimise.

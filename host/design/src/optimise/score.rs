@@ -2,10 +2,10 @@
 
 use glam::DVec3;
 use slitpose_head::front_end::configuration;
-use slitpose_head::scene_file::SceneFile;
+use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{Cell, Pose, SceneError};
 
-use crate::map::{Outlook, View};
+use crate::map::{Outlook, View, quantiles_of};
 use crate::survey::share_of_others;
 
 /// Which σ is to be least.
@@ -90,17 +90,33 @@ impl Score {
         let kept = if self.violation > 0.0 { NOT_KEPT + PENALTY * self.violation } else { 0.0 };
         kept + if self.sigma_m.is_finite() { self.sigma_m.ln() } else { 0.0 }
     }
+}
 
-    /// Of `file`.
+/// Judges the candidates for one workspace.
+#[derive(Clone, Debug)]
+pub struct Judge {
+    goal: Goal,
+    limits: Limits,
+    poses: Vec<Pose>,
+    corners: Vec<Pose>,
+}
+
+impl Judge {
+    /// By `goal`, within `limits`, over `workspace`.
+    pub fn new(workspace: &Workspace, goal: Goal, limits: Limits) -> Self {
+        Self { goal, limits, poses: workspace.poses(POSES).collect(), corners: workspace.corners().collect() }
+    }
+
+    /// What `file` is worth.
     ///
     /// # Errors
     /// A scene that cannot be computed.
-    pub fn of(file: &SceneFile, goal: Goal, limits: &Limits) -> Result<Self, SceneError> {
-        let poses: Vec<Pose> = file.workspace.poses(POSES).collect();
+    pub fn score(&self, file: &SceneFile) -> Result<Score, SceneError> {
+        let Self { goal, limits, poses, corners } = self;
         let outlook = Outlook::of(file.clone().into())?;
         let views: Vec<View> = poses.iter().take(SIGMA_POSES).map(|pose| outlook.at(pose)).collect();
         let sigma_m = sigma(&views, goal);
-        let mut violation = distances(file, &poses, limits) + spots(file, &poses, limits);
+        let mut violation = distances(file, poses, limits) + spots(file, poses, limits);
         if !sigma_m.is_finite() {
             violation += 10.0 + views.iter().filter(|view| view.sigma.is_none()).count() as f64 / SIGMA_POSES as f64;
         }
@@ -110,15 +126,14 @@ impl Score {
             margins.sort_by(f64::total_cmp);
             violation += (1.0 - margins[index(SIGMA_POSES, 1.0 - limits.in_scale)]).max(0.0);
         }
-        let corners: Vec<Pose> = file.workspace.corners().collect();
         for slot in file.lighting.slots.iter().filter(|slot| slot.len() > 1) {
             for &cell in slot {
                 let share = |pose: &Pose| share_of_others(outlook.plan(), cell, slot, pose);
-                let most = poses.iter().take(CROSSTALK_POSES).chain(&corners).map(share).fold(0.0, f64::max);
+                let most = poses.iter().take(CROSSTALK_POSES).chain(corners).map(share).fold(0.0, f64::max);
                 violation += (most / limits.crosstalk).max(1.0).ln();
             }
         }
-        Ok(Self { sigma_m, violation })
+        Ok(Score { sigma_m, violation })
     }
 }
 
@@ -127,17 +142,16 @@ fn index(count: usize, share: f64) -> usize {
     ((count as f64 * share) as usize).min(count - 1)
 }
 
-fn sigma(views: &[View], goal: Goal) -> f64 {
+fn sigma(views: &[View], goal: &Goal) -> f64 {
     let of = |view: &View| {
         let (m, rad) = view.sigma_m().zip(view.sigma_rad())?;
         Some(m.hypot(goal.lever_m * rad))
     };
-    let mut values: Vec<f64> = views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).collect();
-    values.sort_by(f64::total_cmp);
-    match goal.demand {
-        Demand::Median => values[values.len() / 2],
-        Demand::Worst => values[values.len() - 1],
-    }
+    let share = match goal.demand {
+        Demand::Median => 0.5,
+        Demand::Worst => 1.0,
+    };
+    quantiles_of(views.iter(), [share], of)[0]
 }
 
 /// By how far spots miss their detectors, in millimetres: that of the share of poses that may.

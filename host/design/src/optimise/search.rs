@@ -1,19 +1,17 @@
 //! The search itself.
 
-use std::num::NonZero;
-use std::panic::resume_unwind;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::thread;
 
-use argmin::core::{CostFunction, Error, Executor};
+use argmin::core::{CostFunction, Error, Executor, State};
 use argmin::solver::neldermead::NelderMead;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::threads::{lock, on_all_cores};
 
 use super::text::{current, with_values};
-use super::{Free, Goal, Limits, OptimiseError, Quantity, Score};
+use super::{Free, Goal, Judge, Limits, OptimiseError, Quantity, Score};
 
 /// Candidates that are spread over the bounds, for each free quantity.
 const SPREAD: usize = 150;
@@ -54,7 +52,7 @@ pub struct Search {
 pub struct Found {
     /// The scene, which is what was evaluated.
     pub file: SceneFile,
-    /// Of the scene that the search began with, and found.
+    /// Of the scene that the search began with.
     pub before: Score,
     /// Of the scene that was found.
     pub after: Score,
@@ -72,6 +70,7 @@ type Shares = Vec<f64>;
 /// The search at work, shared by all threads.
 struct Work<'a> {
     search: &'a Search,
+    judge: Judge,
     evaluations: AtomicUsize,
     progress: Mutex<&'a mut (dyn FnMut(usize, f64) + Send)>,
     stop: &'a AtomicBool,
@@ -102,10 +101,12 @@ impl Search {
     ) -> Result<Found, OptimiseError> {
         let own: Shares = self.free.iter().map(|free| share_of(free, current(&self.file, free.quantity))).collect();
         // What is wrong with the scene itself is told; a candidate may be impossible.
-        let before = Score::of(&self.file, self.goal, &self.limits)?;
+        let judge = Judge::new(&self.file.workspace, self.goal, self.limits);
+        let before = judge.score(&self.file)?;
         SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&own))?)?;
         let work = Work {
             search: self,
+            judge,
             evaluations: AtomicUsize::new(0),
             progress: Mutex::new(progress),
             stop,
@@ -120,7 +121,7 @@ impl Search {
         candidates.extend((0..count).map(|n| {
             shift.iter().zip(&generators).map(|(shift, by)| (shift + n as f64 * by).fract()).collect::<Shares>()
         }));
-        let costs = on_all_cores(&candidates, |candidate| work.cost(candidate));
+        let costs = on_all_cores(&candidates, |candidate| work.cost_of(candidate));
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         order.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]));
         let mut starts: Vec<Shares> = Vec::new();
@@ -132,9 +133,9 @@ impl Search {
             }
         }
         on_all_cores(&starts, |start| work.descend(start));
-        let best = work.best.lock().map(|best| best.1.clone()).unwrap_or_default();
+        let best = lock(&work.best).1.clone();
         let file = SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&best))?)?;
-        let after = Score::of(&file, self.goal, &self.limits)?;
+        let after = work.judge.score(&file)?;
         let values = self.values(&best).into_iter();
         let values = values.map(|(quantity, value)| (quantity, [current(&self.file, quantity), value])).collect();
         let evaluations = work.evaluations.load(Ordering::Relaxed);
@@ -162,49 +163,25 @@ fn golden(dimensions: usize) -> f64 {
     (0..60).fold(2.0, |x: f64, _| (1.0 + x).powf(1.0 / (dimensions as f64 + 1.0)))
 }
 
-/// `work` on each of `items`, in order, by as many threads as there are cores.
-fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let threads = thread::available_parallelism().map_or(1, NonZero::get).min(items.len().max(1));
-    let next = AtomicUsize::new(0);
-    let mut found: Vec<(usize, R)> = thread::scope(|scope| {
-        let run = || {
-            let mut own = Vec::new();
-            loop {
-                let number = next.fetch_add(1, Ordering::Relaxed);
-                let Some(item) = items.get(number) else { return own };
-                own.push((number, work(item)));
-            }
-        };
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(run)).collect();
-        workers.into_iter().flat_map(|worker| worker.join().unwrap_or_else(|panic| resume_unwind(panic))).collect()
-    });
-    found.sort_by_key(|(number, _)| *number);
-    found.into_iter().map(|(_, result)| result).collect()
-}
-
 impl Work<'_> {
     /// What is made least; beyond the bounds it grows.
-    fn cost(&self, shares: &Shares) -> f64 {
+    fn cost_of(&self, shares: &Shares) -> f64 {
         if self.stop.load(Ordering::Relaxed) {
             return IMPOSSIBLE;
         }
         let beyond: f64 = shares.iter().map(|share| (share - share.clamp(0.0, 1.0)).abs()).sum();
-        let Search { file, goal, limits, .. } = self.search;
+        let Search { file, .. } = self.search;
         let text = with_values(file, &self.search.values(shares));
         let candidate = text.ok().and_then(|text| SceneFile::parse(&file.origin, &text).ok());
-        let score = candidate.and_then(|candidate| Score::of(&candidate, *goal, limits).ok());
+        let score = candidate.and_then(|candidate| self.judge.score(&candidate).ok());
         let cost = score.map_or(IMPOSSIBLE, |score| score.cost());
         let done = self.evaluations.fetch_add(1, Ordering::Relaxed) + 1;
-        if let Ok(mut best) = self.best.lock() {
-            // Equal costs: the first in the order of the quantities, whichever thread came first.
-            let is_better = cost < best.0 || (cost == best.0 && shares < &best.1);
-            if is_better {
-                *best = (cost, shares.clone());
-            }
-            if let Ok(mut progress) = self.progress.lock() {
-                progress(done, best.0.exp());
-            }
+        let mut best = lock(&self.best);
+        // Equal costs: the first in the order of the quantities, whichever thread came first.
+        if cost < best.0 || (cost == best.0 && shares < &best.1) {
+            *best = (cost, shares.clone());
         }
+        lock(&self.progress)(done, best.0.exp());
         cost + 10.0 * beyond
     }
 
@@ -223,15 +200,14 @@ impl Work<'_> {
                 corner[k] = if (0.0..=1.0).contains(&moved) { moved } else { 2.0 * corner[k] - moved };
                 simplex.push(corner);
             }
-            let descent = Descent { work: self, best: Mutex::new(best.clone()) };
             let run = NelderMead::new(simplex).with_sd_tolerance(1e-5).and_then(|solver| {
-                Executor::new(&descent, solver).configure(|state| state.max_iters(steps)).timer(false).run()
+                Executor::new(self, solver).configure(|state| state.max_iters(steps)).timer(false).run()
             });
-            // What was found on the way is kept by every evaluation: an early end loses nothing.
-            drop(run);
-            let Ok(found) = descent.best.into_inner() else { return };
-            let gain = best.0 - found.0;
-            best = found;
+            // Costs are no errors, and each is kept where it was found.
+            let Ok(found) = run else { return };
+            let gain = best.0 - found.state.get_best_cost();
+            let Some(lowest) = found.state.get_best_param() else { return };
+            best = (found.state.get_best_cost(), lowest.clone());
             if gain < GAIN && number > 0 {
                 return;
             }
@@ -239,23 +215,11 @@ impl Work<'_> {
     }
 }
 
-/// What a simplex sees of the search.
-struct Descent<'a, 'b> {
-    work: &'a Work<'b>,
-    best: Mutex<(f64, Shares)>,
-}
-
-impl CostFunction for &Descent<'_, '_> {
+impl CostFunction for &Work<'_> {
     type Param = Shares;
     type Output = f64;
 
     fn cost(&self, shares: &Shares) -> Result<f64, Error> {
-        let cost = self.work.cost(shares);
-        if let Ok(mut best) = self.best.lock()
-            && cost < best.0
-        {
-            *best = (cost, shares.clone());
-        }
-        Ok(cost)
+        Ok(self.cost_of(shares))
     }
 }

@@ -16,6 +16,10 @@ fn set(file: &SceneFile, values: &[(Quantity, f64)]) -> SceneFile {
     SceneFile::parse("found.toml", &with_values(file, values).expect("a text")).expect("a scene")
 }
 
+fn score(file: &SceneFile, limits: Limits) -> Score {
+    Judge::new(&file.workspace, GOAL, limits).score(file).expect("a score")
+}
+
 fn free(texts: &[&str]) -> Vec<Free> {
     texts.iter().map(|text| text.parse().expect("a quantity")).collect()
 }
@@ -70,9 +74,7 @@ fn quantities_are_where_the_drawing_has_them() {
 
 #[test]
 fn limits_are_told_by_how_much_they_are_passed() {
-    let violation = |values: &[(Quantity, f64)], limits: Limits| {
-        Score::of(&set(&wide(), values), GOAL, &limits).expect("a score").violation
-    };
+    let violation = |values: &[(Quantity, f64)], limits: Limits| score(&set(&wide(), values), limits).violation;
     let limits = Limits { lit: 0.99, in_scale: 0.99, ..Limits::default() };
     assert!(violation(&[], limits) < 1e-12);
     // Emitters 10 mm before the detector, slits at 5 mm, motions of 4 mm and more towards them.
@@ -104,7 +106,7 @@ fn a_search_finds_better_heads_and_the_same_for_a_seed() {
     println!("{:?}, {:.3} µm of {:.3} µm", found.values, found.after.sigma_m * 1e6, found.before.sigma_m * 1e6);
     assert_eq!(found.after.violation, 0.0);
     assert_eq!(run(&search).file.source, found.file.source);
-    assert_eq!(Score::of(&found.file, GOAL, &search.limits).expect("a score"), found.after);
+    assert_eq!(score(&found.file, search.limits), found.after);
     let again = run(&Search { file: found.file.clone(), ..search.clone() });
     assert!(again.after.sigma_m <= found.after.sigma_m * 1.000_001);
     // Brute force over the same plane.
@@ -115,7 +117,7 @@ fn a_search_finds_better_heads_and_the_same_for_a_seed() {
                 (Quantity::SlitWidth, 0.3 + 0.05 * f64::from(width)),
                 (Quantity::FullScale, 5.0 + 0.5 * f64::from(scale)),
             ];
-            let score = Score::of(&set(&search.file, &values), GOAL, &search.limits).expect("a score");
+            let score = score(&set(&search.file, &values), search.limits);
             if score.violation == 0.0 {
                 best = best.min(score.sigma_m);
             }

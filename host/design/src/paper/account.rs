@@ -8,7 +8,7 @@ use super::imperfect::{Errors, Fault, Imperfect, PUBLISHED};
 use super::{Experiment, mean_of_both_sides};
 use crate::identification::identify;
 use crate::plot::CurveStyle;
-use crate::report::{Picture, Report, Section, Table, Value, column};
+use crate::report::{Picture, Report, Section, Table, Value, column, program, scene};
 
 /// Faults that are searched together, and whether mask and detector are as documented.
 const SEARCHED: [(&[Fault], bool); 7] = [
@@ -50,8 +50,8 @@ pub fn account(bench: &SceneFile, mut progress: impl FnMut(usize)) -> Result<Rep
         title: "Published errors, accounted for",
         scene: bench.name.clone(),
         conditions: vec![
-            ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
-            ("scene", format!("{} ({}), hash {:016x}", bench.name, bench.origin, bench.hash)),
+            program(),
+            scene(bench),
             ("data", "simulated; of the paper's measurements, four numbers".to_owned()),
         ],
         warnings: Vec::new(),

@@ -268,7 +268,7 @@ fn draw_curve(canvas: &mut Canvas, curve: &Curve, points: &[DVec2]) {
     }
 }
 
-fn tick_text(tick: f64, decimals: usize) -> String {
+pub(super) fn tick_text(tick: f64, decimals: usize) -> String {
     // A true minus sign is as wide as the digits; adding zero turns −0 into 0.
     format!("{:.decimals$}", tick + 0.0).replace('-', "−")
 }

@@ -3,8 +3,9 @@
 use glam::{DVec2, dvec2};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
+use super::chart::tick_text;
 use super::palette::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE};
-use super::ticks::ticks;
+use super::ticks::{three_digits, ticks};
 
 const LEFT: f64 = 70.0;
 const TOP: f64 = 96.0;
@@ -85,18 +86,12 @@ pub(crate) fn heat_picture(title: &str, note: &str, unit: &str, columns: usize, 
         corners
     };
     for (index, (colour, edge)) in BANDS.into_iter().zip(&bands.edges).enumerate() {
-        swatch(&mut canvas, index, colour, &format!("from {}", digits(*edge)));
+        swatch(&mut canvas, index, colour, &format!("from {}", three_digits(*edge)));
     }
     let [corner, .., below] = swatch(&mut canvas, BANDS.len(), WHITE, "no pose");
     canvas.line(below, corner + dvec2(26.0, 0.0), Stroke::new(ALERT, 1.4));
     canvas.text(dvec2(LEFT, bottom + 46.0), unit, TextStyle::new(12.0).coloured(SOFT_INK));
     canvas.into_svg()
-}
-
-/// Two or three significant digits.
-fn digits(value: f64) -> String {
-    let decimals = if value == 0.0 { 0.0 } else { (2.0 - value.abs().log10().floor()).clamp(0.0, 6.0) };
-    format!("{value:.*}", decimals as usize)
 }
 
 fn draw(canvas: &mut Canvas, corner: DVec2, heat: &Heat, bands: Option<&Bands>) {
@@ -124,7 +119,7 @@ fn draw(canvas: &mut Canvas, corner: DVec2, heat: &Heat, bands: Option<&Bands>) 
         let (positions, decimals) = ticks([-extent, extent], 4);
         for tick in positions {
             let share = (tick / extent + 1.0) / 2.0;
-            let text = format!("{tick:.decimals$}").replace('-', "−");
+            let text = tick_text(tick, decimals);
             let style = TextStyle::new(11.0).coloured(SOFT_INK);
             if k == 0 {
                 let at = low + dvec2(share * SIZE, 0.0);

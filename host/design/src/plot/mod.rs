@@ -23,6 +23,7 @@ pub(crate) use heat::{Heat, heat_picture};
 pub(crate) use palette::{Colour, SOFT_INK, cell_colour};
 pub use scene::scene_picture;
 pub use size::PlotError;
+pub(crate) use ticks::three_digits;
 
 #[cfg(test)]
 mod tests;

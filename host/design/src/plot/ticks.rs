@@ -57,6 +57,22 @@ pub(super) fn decades([from, to]: [f64; 2], count: usize) -> Decades {
     Decades { numbered, minor, plain: low >= -3.0 && high <= 4.5 }
 }
 
+/// Three significant digits, powers of ten where zeros would have to be counted, a true minus sign.
+pub(crate) fn three_digits(value: f64) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    // Rounded first: 999.7 is a number of four digits.
+    let rounded: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let exponent = rounded.abs().log10().floor();
+    let text = if (-3.0..5.0).contains(&exponent) {
+        format!("{rounded:.*}", (2.0 - exponent).max(0.0) as usize)
+    } else {
+        format!("{rounded:.1e}")
+    };
+    text.replace('-', "−")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,6 +4,7 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
+use super::conditions::{program, scene};
 use super::section::{Report, Section, Table, Value, column};
 use super::sheet::{Sheet, curve};
 use crate::plot::{Axis, Chart, CurveStyle};
@@ -19,8 +20,8 @@ pub fn calibration_report(file: &SceneFile, calibrated: &Calibrated) -> Report {
     let calibration = &calibrated.calibration;
     let statistics = calibration.statistics();
     let mut conditions = vec![
-        ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
-        ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash)),
+        program(),
+        scene(file),
         ("calibration", format!("{}, hash {:016x}", calibration.id(), calibration.hash())),
         ("data", format!("{} rows, {} readings of single cells", statistics.rows, statistics.readings)),
         (

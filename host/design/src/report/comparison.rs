@@ -2,19 +2,15 @@
 
 use slitpose_head::scene_file::SceneFile;
 
-use super::map::{distribution, extents};
+use super::conditions::program;
+use super::map::{KINDS, Kind, distribution};
 use super::section::{Report, Section, Table, Value, column};
 use crate::map::{Map, NoiseOf, View};
+use crate::survey::WorkspaceFacts;
 
 /// Compares the heads of `maps`, each over its own workspace and with its own noise.
 pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
     let row = |(file, map): &(SceneFile, Map)| {
-        let of = |scale: f64, of: fn(&View) -> Option<f64>| {
-            map.quantiles([0.5, 0.99, 1.0], of).map(|value| Value::from(value * scale))
-        };
-        let density = |scale: f64, of: fn(&View) -> Option<f64>| {
-            Value::optional(map.per_root_hz().map(|by| map.quantile(0.5, of) * by * scale))
-        };
         let noise = match map.noise {
             NoiseOf::FrontEnd => "front end",
             NoiseOf::Channel => "channel",
@@ -22,13 +18,14 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         };
         let finite = |value: f64| Value::optional(Some(value));
         let mut row =
-            vec![file.origin.as_str().into(), map.cells.into(), noise.into(), Value::optional(map.frame_rate_hz)];
-        row.extend(of(1e6, View::sigma_m));
-        row.push(density(1e6, View::sigma_m));
-        row.extend(of(1e3, View::sigma_rad));
-        row.push(density(1e3, View::sigma_rad));
+            vec![file.origin.as_str().into(), map.cells().into(), noise.into(), Value::optional(map.frame_rate_hz)];
+        for Kind { scale, of, .. } in KINDS {
+            let found = map.quantiles([0.5, 0.99, 1.0], of).map(|value| value * scale);
+            row.extend(found.map(Value::from));
+            row.push(Value::optional(map.per_root_hz().map(|by| found[0] * by)));
+        }
         row.extend([
-            (100.0 * map.share(|view| view.lit == map.cells)).into(),
+            (100.0 * map.share(|view| view.lit == map.cells())).into(),
             (100.0 * map.share(|view| view.sigma.is_some())).into(),
             finite(map.quantile(0.5, |view| view.condition)),
             finite(map.quantile(0.5, |view| Some(view.unnoticed_sigmas))),
@@ -37,20 +34,18 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         row
     };
     let names: Vec<(&str, &Map)> = maps.iter().map(|(file, map)| (file.origin.as_str(), map)).collect();
-    let workspace = |file: &SceneFile| format!("{}: {}", file.origin, extents(&file.workspace));
-    let best = |of: fn(&View) -> Option<f64>| {
-        let median = |(_, map): &&(SceneFile, Map)| map.quantile(0.5, of);
-        maps.iter().filter(|of_map| median(of_map).is_finite()).min_by(|a, b| median(a).total_cmp(&median(b)))
-    };
-    let said = |what: &str, scale: f64, unit: &str, of: fn(&View) -> Option<f64>| {
-        let (file, map) = best(of)?;
-        Some(format!("Best in {what} by the median: {}, {:.3} {unit}.", file.origin, map.quantile(0.5, of) * scale))
+    let workspace = |file: &SceneFile| format!("{}: {}", file.origin, WorkspaceFacts::from(file.workspace));
+    let best = |kind: &Kind| {
+        let medians = maps.iter().map(|(file, map)| (file, map.quantile(0.5, kind.of)));
+        let (file, median) = medians.filter(|(_, median)| median.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let Kind { name, unit, scale, .. } = kind;
+        Some(format!("Best in {name} by the median: {}, {:.3} {unit}.", file.origin, median * scale))
     };
     Report {
         title: "Heads compared",
         scene: maps.iter().map(|(file, _)| file.origin.as_str()).collect::<Vec<_>>().join(", "),
         conditions: vec![
-            ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
+            program(),
             ("workspaces", maps.iter().map(|(file, _)| workspace(file)).collect::<Vec<_>>().join("; ")),
             ("noise", if maps.iter().all(|(_, map)| map.noise == NoiseOf::FrontEnd) {
                 "of a single frame by the front end".to_owned()
@@ -63,10 +58,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         sections: vec![Section {
             name: "heads",
             title: "Accuracy",
-            summary: [said("position", 1e6, "µm", View::sigma_m), said("rotation", 1e3, "mrad", View::sigma_rad)]
-                .into_iter()
-                .flatten()
-                .collect(),
+            summary: KINDS.iter().filter_map(best).collect(),
             paragraphs: vec![
                 "Each head over its own workspace. σ is that of a single frame, three axes together; unnoticed is what a fault of \
                  one cell can do to the pose, see `slitpose scene map`."

@@ -8,6 +8,16 @@ use slitpose_head::scene_file::SceneFile;
 /// Optimisation level of the compiler, from the build script.
 const OPT_LEVEL: &str = env!("SLITPOSE_OPT_LEVEL");
 
+/// The program and its version.
+pub(crate) fn program() -> (&'static str, String) {
+    ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION")))
+}
+
+/// The scene, where it came from, and its hash.
+pub(crate) fn scene(file: &SceneFile) -> (&'static str, String) {
+    ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash))
+}
+
 /// Name and value of each condition.
 pub(super) fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static str, String)> {
     let checks = if cfg!(debug_assertions) { "debug" } else { "release" };
@@ -18,8 +28,8 @@ pub(super) fn conditions(file: &SceneFile, settings: &Settings) -> Vec<(&'static
         settings.rounds()
     );
     vec![
-        ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
-        ("scene", format!("{} ({}), hash {:016x}", file.name, file.origin, file.hash)),
+        program(),
+        scene(file),
         ("processor", processor()),
         (
             "build",

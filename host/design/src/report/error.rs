@@ -3,6 +3,7 @@
 use slitpose_model::{Outcome, SceneError};
 use thiserror::Error;
 
+use slitpose_head::front_end::TimingError;
 use slitpose_head::table::TableError;
 
 /// Why a scene cannot be studied.
@@ -39,6 +40,9 @@ pub enum ReportError {
         /// Poses wanted.
         wanted: usize,
     },
+    /// A front end that cannot run.
+    #[error(transparent)]
+    Timing(#[from] TimingError),
     /// The table of cycles.
     #[error(transparent)]
     Cycles(#[from] TableError),

@@ -40,6 +40,7 @@ use std::path::PathBuf;
 
 pub use calibration::calibration_report;
 pub use comparison::comparison;
+pub(crate) use conditions::{program, scene};
 pub use error::ReportError;
 pub use folder::Folder;
 pub use map::map_report;

@@ -1,5 +1,6 @@
 //! A page on what size buys: the best heads within several radii.
 
+use super::conditions::{program, scene};
 use super::section::{Report, Section, Table, Value, column};
 use super::sheet::{Sheet, curve};
 use crate::optimise::{Demand, Found, Search};
@@ -54,8 +55,8 @@ pub fn pareto(search: &Search, found: &[(f64, Found)]) -> Report {
         title: "Accuracy against size",
         scene: search.file.name.clone(),
         conditions: vec![
-            ("program", format!("slitpose {}", env!("CARGO_PKG_VERSION"))),
-            ("scene", format!("{} ({}), hash {:016x}", search.file.name, search.file.origin, search.file.hash)),
+            program(),
+            scene(&search.file),
             (
                 "free",
                 (search.free.iter())

@@ -1,5 +1,7 @@
 //! The parts of a report, independent of its format.
 
+use crate::plot::three_digits;
+
 /// One entry of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
@@ -171,22 +173,6 @@ impl Report {
         let conditions: String = self.conditions.iter().map(|(name, value)| format!("{name}: {value}\n")).collect();
         format!("{}: {}\n\n{sentences}\n{}\n{conditions}", self.title, self.scene, table.unwrap_or_default())
     }
-}
-
-/// Three significant digits, powers of ten where zeros would have to be counted, a true minus sign.
-fn three_digits(value: f64) -> String {
-    if value == 0.0 {
-        return "0".to_owned();
-    }
-    // Rounded first: 999.7 is a number of four digits.
-    let rounded: f64 = format!("{value:.2e}").parse().unwrap_or(value);
-    let exponent = rounded.abs().log10().floor();
-    let text = if (-3.0..5.0).contains(&exponent) {
-        format!("{rounded:.*}", (2.0 - exponent).max(0.0) as usize)
-    } else {
-        format!("{rounded:.1e}")
-    };
-    text.replace('-', "−")
 }
 
 #[cfg(test)]

@@ -13,6 +13,8 @@ mod timing;
 mod travel;
 mod warning;
 
+use std::fmt;
+
 use serde::{Serialize, Serializer};
 use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
 
@@ -113,6 +115,15 @@ impl Survey {
     }
 }
 
+impl fmt::Display for WorkspaceFacts {
+    /// In millimetres and degrees.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [tx, ty, tz] = self.half_extent_m.map(|extent| rounded(extent * 1e3));
+        let [rx, ry, rz] = self.half_extent_rad.map(|extent| rounded(extent.to_degrees()));
+        write!(f, "±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
+    }
+}
+
 impl From<Workspace> for WorkspaceFacts {
     fn from(workspace: Workspace) -> Self {
         Self {
@@ -120,6 +131,11 @@ impl From<Workspace> for WorkspaceFacts {
             half_extent_rad: workspace.half_extent_rad.to_array(),
         }
     }
+}
+
+/// To a millionth; adding zero turns −0 into 0.
+fn rounded(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6 + 0.0
 }
 
 /// Each finding as one line.

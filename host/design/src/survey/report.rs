@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write};
 
-use super::{End, Survey, Travel};
+use super::{End, Survey, Travel, rounded};
 use slitpose_head::foreign::printable;
 
 pub(super) fn write(survey: &Survey) -> String {
@@ -16,10 +16,8 @@ pub(super) fn write(survey: &Survey) -> String {
 }
 
 fn head(survey: &Survey, text: &mut String) -> fmt::Result {
-    let [tx, ty, tz] = survey.workspace.half_extent_m.map(|extent| rounded(extent * 1e3));
-    let [rx, ry, rz] = survey.workspace.half_extent_rad.map(|extent| rounded(extent.to_degrees()));
     writeln!(text, "{}: {} (hash {})", printable(&survey.origin), survey.name, survey.hash)?;
-    writeln!(text, "workspace ±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
+    writeln!(text, "workspace {}", survey.workspace)
 }
 
 fn home(survey: &Survey, text: &mut String) -> fmt::Result {
@@ -147,9 +145,4 @@ fn warnings(survey: &Survey, text: &mut String) -> fmt::Result {
 
 fn optional(value: Option<f64>, digits: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{:.digits$}", rounded(value)))
-}
-
-/// To a millionth; adding zero turns −0 into 0.
-fn rounded(value: f64) -> f64 {
-    (value * 1e6).round() / 1e6 + 0.0
 }

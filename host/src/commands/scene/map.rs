@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::CalibrationOption;
-use crate::commands::{names, talk};
+use crate::commands::names;
+use crate::commands::options::{CalibrationOption, parse_number};
+use crate::commands::publish::publish;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
 use slitpose_design::report::{Folder, map_report};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::Output;
 
 /// Shows how accurate a head is, and where.
 ///
@@ -51,7 +51,10 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let head = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?;
     let folder = args.output.as_deref().map(Folder::create).transpose()?;
-    let fineness = Fineness { samples: args.samples as usize, side: args.side as usize, ..Fineness::default() };
+    let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?;
+    // Planes are for pictures.
+    let side = if folder.is_some() { args.side as usize } else { 0 };
+    let fineness = Fineness { samples: args.samples as usize, side, ..Fineness::default() };
     let mut progress = Progress::new("map", fineness.poses() as u64, Amount::Of("poses"));
     let mut done = 0;
     let map = Map::of(head.clone(), fineness, || {
@@ -63,19 +66,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         return Err(CommandError::NoPosesToStudy { scene: head.file.origin.clone() });
     }
     let studied = args.tolerance_study.map(|heads| tolerances(head.simulated(), heads, args.seed)).transpose()?;
-    let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?.transpose()?;
-    let report = map_report(&head, &map, studied.as_ref(), schedules.as_ref());
-    for warning in &report.warnings {
-        talk(format_args!("{warning}"));
-    }
-    match folder {
-        None => Output::open(None)?.write_text(&report.in_short())?,
-        Some(folder) => {
-            for path in folder.write(&report)? {
-                talk(format_args!("wrote {}", path.display()));
-            }
-        }
-    }
+    publish(&map_report(&head, &map, studied.as_ref(), schedules.as_ref()), folder.as_ref())?;
     Ok(Outcome::Done)
 }
 
@@ -88,10 +79,6 @@ fn tolerances(file: &SceneFile, heads: u32, seed: u64) -> Result<Tolerances, Com
     })?)
 }
 
-fn parse_rate(text: &str) -> Result<f64, String> {
-    let rate_hz = text.parse().map_err(|_| "not a number; give frames per second, e.g. 4000".to_owned());
-    rate_hz.and_then(|rate_hz: f64| {
-        let is_possible = rate_hz > 0.0 && rate_hz.is_finite();
-        is_possible.then_some(rate_hz).ok_or_else(|| "a frame rate is above zero, e.g. 4000".to_owned())
-    })
+fn parse_rate(text: &str) -> Result<f64, &'static str> {
+    parse_number(text, |rate_hz| rate_hz > 0.0 && rate_hz.is_finite(), "give frames a second, such as 4000")
 }

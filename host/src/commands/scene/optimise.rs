@@ -6,6 +6,8 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
+use crate::commands::options::parse_number;
+use crate::commands::publish::store;
 use crate::commands::{interrupt, names, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::optimise::{Demand, Free, Goal, Limits, Search};
@@ -100,9 +102,7 @@ fn several(search: &Search, path: &Path, radii_mm: &[f64], stop: &AtomicBool) ->
         found.push((limits.radius_m, best));
     }
     drop(progress);
-    for path in folder.write(&pareto(search, &found))? {
-        talk(format_args!("wrote {}", path.display()));
-    }
+    store(&pareto(search, &found), &folder)?;
     Ok(Outcome::Done)
 }
 
@@ -164,12 +164,14 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(if found.after.violation > 0.0 { Outcome::Failed } else { Outcome::Done })
 }
 
-fn parse_percent(text: &str) -> Result<f64, String> {
-    let percent = text.parse().ok().filter(|percent| (0.0..=100.0).contains(percent));
-    percent.ok_or_else(|| "give percent from 0 to 100, e.g. 99.9".to_owned())
+fn parse_percent(text: &str) -> Result<f64, &'static str> {
+    parse_number(text, |percent| (0.0..=100.0).contains(&percent), "give percent from 0 to 100, such as 99.9")
 }
 
-fn parse_length(text: &str) -> Result<f64, String> {
-    let length = text.parse().ok().filter(|length: &f64| *length >= 0.0 && length.is_finite());
-    length.ok_or_else(|| "give a length of zero or more in mm, e.g. 30".to_owned())
+fn parse_length(text: &str) -> Result<f64, &'static str> {
+    parse_number(
+        text,
+        |length_mm| length_mm >= 0.0 && length_mm.is_finite(),
+        "give a length of zero or more in mm, such as 30",
+    )
 }
