@@ -1,4 +1,4 @@
-//! What real parts do beyond the ideal cell. Every effect is off by default, and then costs nothing.
+//! What a cell may be and do beyond an ideal slit on the base. All of it is off by default, and then costs nothing.
 
 use heapless::Vec;
 
@@ -19,9 +19,43 @@ pub const RADIAL_TERMS: usize = 4;
 /// Terms of [`ProfileShape::azimuthal`].
 pub const AZIMUTHAL_TERMS: usize = 4;
 
+/// What the light of a cell passes through on its way to the detector.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Opening {
+    /// A slit on the base.
+    #[default]
+    Slit,
+    /// A slit on the tool, which rides with the emitter. [`Slit`] says where it is with the tool at home.
+    RidingSlit,
+    /// A round hole on the base. Its diameter is the width of [`Slit`].
+    Pinhole,
+    /// A thin lens that fills a round hole on the base: light through each point of it goes on to the image of the
+    /// emitter.
+    Lens {
+        /// Focal length f, metres.
+        focal_length_m: f64,
+    },
+}
+
+impl core::fmt::Display for Opening {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Slit => "a slit on the base",
+            Self::RidingSlit => "a slit on the tool",
+            Self::Pinhole => "a pinhole",
+            Self::Lens { .. } => "a lens",
+        })
+    }
+}
+
 /// The effects of one cell, in the order in which they act on light and currents.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effects {
+    /// What the light passes through.
+    pub opening: Opening,
+    /// The cell that reads the other axis of the same detector, of the same emitter through the same opening. The
+    /// emitter is that of the cell with the smaller number.
+    pub other_axis: Option<usize>,
     /// Diameter of the emitter's luminous disc, perpendicular to its axis, metres; zero: a point.
     pub source_diameter_m: f64,
     /// Deviation of the emitter from its [`crate::Profile`].
@@ -45,6 +79,8 @@ pub struct Effects {
 impl Default for Effects {
     fn default() -> Self {
         Self {
+            opening: Opening::Slit,
+            other_axis: None,
             source_diameter_m: 0.0,
             profile: ProfileShape::default(),
             window: None,
@@ -90,6 +126,16 @@ impl Cell {
     /// The effects, if there are any that change what the cell sees.
     pub(crate) fn acting_effects(&self) -> Option<&Effects> {
         self.effects().filter(|effects| effects.act())
+    }
+
+    /// What the light passes through.
+    pub fn opening(&self) -> Opening {
+        self.effects().map_or(Opening::Slit, |effects| effects.opening)
+    }
+
+    /// The cell that reads the other axis of the same detector.
+    pub fn other_axis(&self) -> Option<usize> {
+        self.effects().and_then(|effects| effects.other_axis)
     }
 
     /// What the cell does beyond the model.

@@ -81,8 +81,8 @@ mod solid_angle;
 mod solve;
 
 pub use effects::{
-    AZIMUTHAL_TERMS, Converters, Effects, MAX_CONVERTER, MAX_NONLINEARITY, ModelError, ProfileShape, RADIAL_TERMS,
-    Stray, Window,
+    AZIMUTHAL_TERMS, Converters, Effects, MAX_CONVERTER, MAX_NONLINEARITY, ModelError, Opening, ProfileShape,
+    RADIAL_TERMS, Stray, Window,
 };
 pub use identify::identified_relative_intensity;
 pub use plan::{CurrentsJacobian, Plan, Tier};

@@ -11,7 +11,8 @@ use crate::rectangle::Rectangle;
 use crate::response::Status;
 use crate::scalar::{Linear3, Real, Scalar};
 
-/// Four sides of the detector, four of each of the two slit faces, the mask plane and the horizon make 14.
+/// Four sides of the detector, four of each of the two slit faces, the mask plane and the horizon make 14; the ten sides
+/// of a round hole, four of the detector and the horizon 15.
 pub(crate) const MAX_CORNERS: usize = 16;
 
 /// A line in the detector plane, F(X, Y) = normal·(X, Y) + offset, positive inside.
@@ -33,6 +34,10 @@ pub(crate) enum Motion<S: Scalar> {
     Shadow { corner: S::Vec3, edge: S::Vec3 },
     /// The emitter's horizon, perpendicular to its `axis`.
     Horizon { axis: S::Vec3 },
+    /// Shadow of an edge that rides with the emitter, in the plane with this normal.
+    Riding { normal: S::Vec3 },
+    /// A side of the detector (`is_end`: across x) as light reaches it through a lens, with ∂F/∂e.
+    Refracted { by_position: S::Vec3, is_end: bool },
 }
 
 impl<S: Scalar> Line<S> {
@@ -53,6 +58,12 @@ impl<S: Scalar> Line<S> {
         Self { normal: [normal.x(), normal.y()], offset: -normal.z() * height, motion: Motion::Shadow { corner, edge } }
     }
 
+    /// The same line, of an edge that rides with the emitter, at `height` above the detector.
+    fn riding(self, height: S) -> Self {
+        let normal = S::Vec3::new(self.normal[0], self.normal[1], -self.offset / height);
+        Self { motion: Motion::Riding { normal }, ..self }
+    }
+
     /// Outward motion of the line at `point` per motion of the emitter, (∂F/∂e)/|∇F|.
     /// With F = (p − q)·((q − e)×E): ∂F/∂e = −E×(p − q).
     pub(crate) fn speed_by_position(&self, point: S::Vec3) -> S::Vec3 {
@@ -61,6 +72,17 @@ impl<S: Scalar> Line<S> {
             Motion::DetectorEnd | Motion::Still => S::Vec3::default(),
             Motion::Shadow { corner, edge } => edge.cross(point - corner) * -inverse,
             Motion::Horizon { axis } => axis * -inverse,
+            Motion::Riding { normal } => normal * -inverse,
+            Motion::Refracted { by_position, .. } => by_position * inverse,
+        }
+    }
+
+    /// Outward motion of the line at `point` per turn of the emitter and all that rides with it, about the emitter.
+    /// With F = p·N and dN = ω×N: ∂F/∂ω = N×p.
+    pub(crate) fn speed_by_turn(&self, point: S::Vec3) -> Option<S::Vec3> {
+        match self.motion {
+            Motion::Riding { normal } => Some(normal.cross(point) * self.inverse_gradient()),
+            _ => None,
         }
     }
 
@@ -115,18 +137,63 @@ impl<S: Scalar> Polygon<S> {
             polygon.clip(mask_plane(turned, emitter));
         }
         for face in aperture.corners() {
-            let centre = (face[0] + face[2]) * S::half() - emitter;
-            for i in 0..4 {
-                let (corner, next) = (face[i] - emitter, face[(i + 1) % 4] - emitter);
-                polygon.clip(Line::shadow(corner, next, centre, emitter.z()));
-            }
+            polygon.clip_to_face(&face.map(|corner| corner - emitter), false);
         }
-        if !polygon.has_area() {
+        polygon.with_status()
+    }
+
+    /// The spot of the beam through `faces` that ride with the emitter at `emitter`, their corners relative to it.
+    pub(crate) fn of_riding(
+        faces: &[[S::Vec3; 4]],
+        emitter: S::Vec3,
+        detector_half: [S; 2],
+    ) -> Result<(Self, Status), Status> {
+        let mut polygon = Self::detector(emitter, detector_half);
+        for face in faces {
+            polygon.clip_to_face(face, true);
+        }
+        polygon.with_status()
+    }
+
+    /// The spot of the beam through the corners `around` a convex hole parallel to the detector, relative to an emitter
+    /// at `height`, within `sides`: normal, offset and motion of each.
+    pub(crate) fn of_hole(
+        around: &[S::Vec3],
+        height: S,
+        sides: impl IntoIterator<Item = ([S; 2], S, Motion<S>)>,
+    ) -> Result<(Self, Status), Status> {
+        let centre = around.iter().fold(S::Vec3::default(), |sum, &corner| sum + corner);
+        let centre = centre * S::of(around.len() as f64).recip();
+        let next = around.iter().cycle().skip(1);
+        let landing = |corner: &S::Vec3| [corner.x(), corner.y()].map(|value| value * (-height / corner.z()));
+        let mut polygon = Self {
+            corners: around.iter().map(landing).collect(),
+            lines: around.iter().zip(next).map(|(&a, &b)| Line::shadow(a, b, centre, height)).collect(),
+            height,
+        };
+        for (normal, offset, motion) in sides {
+            polygon.clip(Line { normal, offset, motion });
+        }
+        polygon.with_status()
+    }
+
+    /// Clips the spot to the shadow of the rectangle with these corners relative to the emitter.
+    fn clip_to_face(&mut self, face: &[S::Vec3; 4], is_riding: bool) {
+        let centre = (face[0] + face[2]) * S::half();
+        for i in 0..4 {
+            let line = Line::shadow(face[i], face[(i + 1) % 4], centre, self.height);
+            self.clip(if is_riding { line.riding(self.height) } else { line });
+        }
+    }
+
+    fn with_status(self) -> Result<(Self, Status), Status> {
+        if !self.has_area() {
             return Err(Status::Dark);
         }
-        let cut = polygon.lines.iter().any(|line| matches!(line.motion, Motion::DetectorEnd));
-        let status = if cut { Status::Clipped } else { Status::Lit };
-        Ok((polygon, status))
+        let is_end =
+            |line: &Line<S>| matches!(line.motion, Motion::DetectorEnd | Motion::Refracted { is_end: true, .. });
+        let status = if self.lines.iter().any(is_end) { Status::Clipped } else { Status::Lit };
+        Ok((self, status))
     }
 
     /// A rectangular spot whose sides do not move with the emitter.

@@ -10,6 +10,7 @@ use thiserror::Error;
 
 #[cfg(feature = "effects")]
 use crate::effects::Effects;
+use crate::effects::Opening;
 
 /// Elementary charge, coulombs (SI, exact).
 pub const ELEMENTARY_CHARGE_C: f64 = 1.602_176_634e-19;
@@ -271,6 +272,14 @@ pub enum Fault {
         "a slit turned by {0} degrees cannot be computed in a cell with effects such as a window; turn it by 10 degrees at most"
     )]
     TurnedWithEffects(f64),
+    /// A part with which an opening cannot be computed.
+    #[error("{part} cannot be computed with {opening}; leave it out")]
+    NotThrough {
+        /// The part.
+        part: &'static str,
+        /// What the light passes through.
+        opening: Opening,
+    },
     /// No cell at all.
     #[error("the scene has no cell; add at least one [[cell]]")]
     NoCells,

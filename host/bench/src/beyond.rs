@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec2, DVec3};
 use slitpose_head::boxed::boxed_plan;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Cell, Effects, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
+use slitpose_model::{Cell, Effects, Opening, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
 
 use crate::chance::Chance;
 
@@ -80,7 +80,8 @@ impl BeyondOptics {
     /// For the drawn `cell`.
     pub(crate) fn of(cell: &Cell, beyond: Beyond, tier: Tier) -> Result<Self, SceneError> {
         let (window, nonlinearity_m) = (cell.effects.window, cell.effects.nonlinearity_m.clone());
-        let effects = Effects { window, nonlinearity_m, profile: cell.effects.profile, ..Effects::default() };
+        let (opening, profile) = (cell.effects.opening, cell.effects.profile);
+        let effects = Effects { opening, window, nonlinearity_m, profile, ..Effects::default() };
         let usual = Cell { effects, ..cell.clone() };
         let (a, b) = usual.emitter.axis_tool.any_orthonormal_pair();
         let mut cells = vec![(-1.0, usual.clone())];
@@ -90,7 +91,8 @@ impl BeyondOptics {
             point.emitter.position_tool_m += CHIP_M * (a * cos + b * sin);
             cells.push((share, point));
         }
-        for side in [1.0, -1.0] {
+        let is_slit = matches!(opening, Opening::Slit | Opening::RidingSlit);
+        for side in [1.0, -1.0].into_iter().filter(|_| is_slit) {
             let half = half_slit(&usual, side);
             let mut stepped = half.clone();
             stepped.slit.width_m = (half.slit.width_m + 0.5 * side * beyond.slit_step_m).max(0.0);

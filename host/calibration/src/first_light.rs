@@ -47,7 +47,7 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     let usual = Observer::of(parameters.cell(cell, number, None))?;
     let lit: Vec<(&Pose, [f64; 2])> = poses.iter().filter_map(|pose| Some((pose, usual.see(pose)?))).collect();
     let [mut relative, mut position, mut current] = [0.0; 3];
-    for place in parameters.acting_on(number, 0) {
+    for place in parameters.acting_on(cell, number, 0) {
         let parameter = &parameters.entries[place];
         let adds_current = is_stray(parameter.quantity);
         let sigma = if adds_current { OF_ELECTRODE * parameter.sigma } else { parameter.sigma };

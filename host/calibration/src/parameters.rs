@@ -50,19 +50,29 @@ pub(crate) struct Parameters {
 }
 
 impl Parameters {
-    /// Which parameters act on cell `cell`, which sees light of the emitters `lit_together`, too: places in
+    /// The cell whose parameters are those of the emitter of `cell`, cell `number`: two axes of a detector have one.
+    pub(crate) fn emitter_of(cell: &Cell, number: usize) -> usize {
+        cell.other_axis().map_or(number, |other| other.min(number))
+    }
+
+    /// Which parameters act on `cell`, cell `number`, which sees light of the emitters `lit_together`, too: places in
     /// [`Self::entries`].
-    pub(crate) fn acting_on(&self, cell: usize, lit_together: u16) -> Vec<usize> {
+    pub(crate) fn acting_on(&self, cell: &Cell, number: usize, lit_together: u16) -> Vec<usize> {
+        let emitters = lit_together | 1 << Self::emitter_of(cell, number);
         let acts = |parameter: &Parameter| match parameter.cell {
             None => true,
-            Some(own) => own == cell || lit_together >> own & 1 == 1 && parameter.quantity.is_of_emitter(),
+            Some(own) => own == number || emitters >> own & 1 == 1 && parameter.quantity.is_of_emitter(),
         };
         (0..self.entries.len()).filter(|&k| acts(&self.entries[k])).collect()
     }
 
     /// Cell `number` with the parameters in force, that at place `changed.0` with another value.
     pub(crate) fn cell(&self, nominal: &Cell, number: usize, changed: Option<(usize, f64)>) -> Cell {
-        let of_cell = self.entries.iter().enumerate().filter(|(_, entry)| entry.cell.is_none_or(|own| own == number));
+        let emitter = Self::emitter_of(nominal, number);
+        let acts = |entry: &Parameter| {
+            entry.cell.is_none_or(|own| own == if entry.quantity.is_of_emitter() { emitter } else { number })
+        };
+        let of_cell = self.entries.iter().enumerate().filter(|(_, entry)| acts(entry));
         let values = of_cell.map(|(k, entry)| match changed {
             Some((place, value)) if place == k => (entry.quantity, value),
             _ => (entry.quantity, entry.value),

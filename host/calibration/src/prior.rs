@@ -1,7 +1,7 @@
 //! What is known of a head before calibration: the scene, and the tolerances of its parts.
 
 use slitpose_head::scene_file::{SceneFile, Tolerance};
-use slitpose_model::{Cell, Plan, Pose, Profile, SceneError, Tier};
+use slitpose_model::{Cell, Opening, Plan, Pose, Profile, SceneError, Tier};
 
 use crate::parameter::{NONLINEARITY_ORDERS, Quantity};
 use crate::parameters::{Parameter, Parameters};
@@ -47,7 +47,8 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     let mut entries = Vec::new();
     for (number, cell) in file.scene.cells.iter().enumerate() {
         let stray_a = tolerance.stray_relative * plan.photocurrents(number, &Pose::HOME).total_a();
-        for quantity in Quantity::of_cell() {
+        let of_another = Parameters::emitter_of(cell, number) != number;
+        for quantity in Quantity::of_cell().filter(|quantity| !(of_another && quantity.is_of_emitter())) {
             if let Some([mean, sigma]) = of_cell(&tolerance, cell, quantity, stray_a, extent_m) {
                 entries.push(Parameter::at_prior(Some(number), quantity, mean, sigma));
             }
@@ -63,6 +64,11 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     Ok(Parameters { entries, full_scale_a })
 }
 
+/// Whether light passes a round hole, which neither tilts nor is deep.
+fn is_hole(cell: &Cell) -> bool {
+    matches!(cell.opening(), Opening::Pinhole | Opening::Lens { .. })
+}
+
 /// Mean and standard deviation; `None`: no parameter.
 fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64, extent_m: f64) -> Option<[f64; 2]> {
     let [z, v] = EDGE;
@@ -72,6 +78,7 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
         Quantity::DetectorShift(_) | Quantity::SlitOffset | Quantity::SlitDistance | Quantity::EmitterShift(_) => {
             around_zero(tolerance.position_m)
         }
+        Quantity::SlitTilt(_) | Quantity::MaskThickness if is_hole(cell) => return None,
         Quantity::DetectorTurn(_) | Quantity::SlitTilt(_) => around_zero(tolerance.angle_rad),
         Quantity::SlitWidth => around_zero(tolerance.slit_width_m),
         Quantity::MaskThickness if tolerance.slit_width_m == 0.0 => return None,
@@ -89,7 +96,8 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
         }
         Quantity::ProfileAzimuthal(0 | 1) => around_zero(AZIMUTH * profile / (v * v)),
         Quantity::ProfileAzimuthal(_) => around_zero(AZIMUTH * profile / (z * v)),
-        Quantity::WindowThickness if tolerance.window_m == 0.0 => return None,
+        // Windows are not computed behind other openings.
+        Quantity::WindowThickness if tolerance.window_m == 0.0 || cell.opening() != Opening::Slit => return None,
         Quantity::WindowThickness if cell.effects.window.is_none() => [RESIN_M, tolerance.window_m],
         Quantity::WindowThickness => around_zero(tolerance.window_m),
         Quantity::Nonlinearity(k) => {

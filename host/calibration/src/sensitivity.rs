@@ -46,7 +46,8 @@ fn of_cell(
     poses: &[Pose],
     derivatives: bool,
 ) -> Result<CellSensitivity, SceneError> {
-    let acting = parameters.acting_on(number, nominal.cells[number].effects.lit_together);
+    let cell = &nominal.cells[number];
+    let acting = parameters.acting_on(cell, number, cell.effects.lit_together);
     let plan_of = |changed| {
         let (scene, index) = scene_of(nominal, parameters, number, changed);
         Ok((Plan::<f64>::compile(&scene, TIER)?, index))

@@ -81,7 +81,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         let instants = (0..frames).map(|frame| {
             (frame as f64 * f64::from(schedule.frame_ticks) + schedule.reference_ticks()) / f64::from(schedule.tick_hz)
         });
-        write_truth(truth, &args.tool.trajectory(0, args.duration)?, instants, &stop)?;
+        write_truth(truth, &args.tool.trajectory(&head.file, 0, args.duration)?, instants, &stop)?;
     }
     Ok(Outcome::Done)
 }

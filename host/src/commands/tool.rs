@@ -44,7 +44,7 @@ impl ToolOptions {
     ) -> Result<SimulatedDevice, CommandError> {
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let seed = self.seed(number);
-        let trajectory = self.trajectory(number, duration_s)?;
+        let trajectory = self.trajectory(file, number, duration_s)?;
         let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed)?;
         Ok(SimulatedDevice::new(board, frame_s, duration_s, speed))
     }
@@ -53,12 +53,12 @@ impl ToolOptions {
         self.seed.unwrap_or(1).wrapping_add(number.into())
     }
 
-    /// The motion of the tool of that board over `duration_s`, which may be infinite.
-    pub(super) fn trajectory(&self, number: u8, duration_s: f64) -> Result<Trajectory, CommandError> {
+    /// The motion of the tool of that board, of the head of `file`, over `duration_s`, which may be infinite.
+    pub(super) fn trajectory(&self, file: &SceneFile, number: u8, duration_s: f64) -> Result<Trajectory, CommandError> {
         use clap::ValueEnum;
         let name = self.trajectory.as_deref().unwrap_or("smooth");
         match TrajectoryKind::from_str(name, false) {
-            Ok(kind) => Ok(Trajectory::of_kind(kind, self.seed(number), duration_s)),
+            Ok(kind) => Ok(Trajectory::of_kind(kind, self.seed(number), duration_s).within(&file.workspace)),
             Err(_) => Ok(Trajectory::from_table(name)?),
         }
     }

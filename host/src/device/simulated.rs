@@ -38,7 +38,7 @@ impl SimulatedDevice {
     /// # Errors
     /// If a board cannot run the scene.
     pub(crate) fn live(file: &SceneFile) -> Result<Self, SimulatorError> {
-        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S))
+        Self::endless(file, Trajectory::of_kind(TrajectoryKind::Smooth, 1, MOTION_S).within(&file.workspace))
     }
 
     /// As [`live`](Self::live), with the tool at rest at home.

@@ -9,7 +9,7 @@ use heapless::Vec;
 
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::profile::{Emission, Falloff, Series};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Real, Scalar};
 
 use super::lobe::Cone;
 use super::order::{MAX_NODES, Orders, Rules};
@@ -20,7 +20,13 @@ use super::{Cosines, Integration, panels, sides};
 pub(super) struct Sums<S: Scalar> {
     pub(super) power: EmitterGradient<S>,
     pub(super) moment: EmitterGradient<S>,
+    /// By a turn of the sides that ride with the emitter.
+    pub(super) turn: Turn<S>,
 }
+
+/// Derivatives of power and position by a turn about the emitter of all that rides with it, its axis excepted: cell
+/// frame.
+pub(crate) type Turn<S> = [<S as Real>::Vec3; 2];
 
 impl<S: Scalar> Sums<S> {
     #[inline(always)]
@@ -78,15 +84,30 @@ impl<S: Scalar> Slab<S> {
 /// Power and centroid (relative to the emitter's foot) of the light on a polygon.
 pub(crate) type PolygonLight<S> = (EmitterGradient<S>, EmitterGradient<S>);
 
+/// The light on a polygon, and its derivatives by a turn.
+pub(crate) type LightAndTurn<S> = (PolygonLight<S>, Turn<S>);
+
 /// The light on `polygon` with derivatives with respect to the emitter, `None` if none is found; and the
 /// cost and accuracy of the integrals.
 pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    mut polygon: Polygon<S>,
+    polygon: Polygon<S>,
     axis: S::Vec3,
     emission: &E,
     orders: &Orders<S>,
     rules: &Rules<S>,
 ) -> (Option<PolygonLight<S>>, Integration<S>) {
+    let (light, integration) = light_and_turn::<S, E, GRADIENT>(polygon, axis, emission, orders, rules);
+    (light.map(|(light, _)| light), integration)
+}
+
+/// [`light`], with the derivatives by a turn of the sides that ride with the emitter.
+pub(crate) fn light_and_turn<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    mut polygon: Polygon<S>,
+    axis: S::Vec3,
+    emission: &E,
+    orders: &Orders<S>,
+    rules: &Rules<S>,
+) -> (Option<LightAndTurn<S>>, Integration<S>) {
     if !polygon.clip_horizon(axis) {
         return (None, Integration { evaluations: 0, relative_error: orders.tolerance() });
     }
@@ -106,7 +127,7 @@ pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             sides::add(&integrand, line, a, b, total, &mut sums);
         }
     }
-    let Sums { power, moment } = sums;
+    let Sums { power, moment, turn: [power_turn, moment_turn] } = sums;
     let inverse = total.recip();
     let x = moment.value * inverse;
     let of_ratio = |first: S::Vec3, zeroth: S::Vec3| (first - zeroth * x) * inverse;
@@ -120,7 +141,8 @@ pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         by_position: power.by_position * factor,
         by_axis: power.by_axis * factor,
     };
-    (Some((power, centroid)), integration)
+    let turn = [power_turn * factor, of_ratio(moment_turn, power_turn)];
+    (Some(((power, centroid), turn)), integration)
 }
 
 /// cos γ at the brightest corner.

@@ -12,7 +12,7 @@ mod panels;
 mod rectangle;
 mod sides;
 
-pub(crate) use integrand::{PolygonLight, light as polygon_light};
+pub(crate) use integrand::{PolygonLight, Turn, light as polygon_light, light_and_turn};
 pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
 pub(crate) use panels::MAX_EVALUATIONS;
 

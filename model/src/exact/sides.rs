@@ -133,7 +133,12 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
                 weight * half_length * relative(c * integrand.unit) * integrand.height * inverse * inverse * inverse;
             let by_position = self.line.speed_by_position(ray) * g;
             let by_axis = self.line.speed_by_axis(ray) * g;
-            sums.add(ray.x() - integrand.reference, S::zero(), by_position, by_axis);
+            let x = ray.x() - integrand.reference;
+            sums.add(x, S::zero(), by_position, by_axis);
+            if let Some(by_turn) = self.line.speed_by_turn(ray) {
+                sums.turn[0] += by_turn * g;
+                sums.turn[1] += by_turn * (g * x);
+            }
         }
         true
     }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::effects::{Effects, MAX_IMPERFECT, RADIAL_TERMS};
+use crate::effects::{Effects, MAX_IMPERFECT, Opening, RADIAL_TERMS};
 use crate::exact::Orders;
 use crate::profile::CompiledProfile;
 use crate::scalar::{Scalar, Vector3};
@@ -23,6 +23,9 @@ const LONGEST_M: f64 = 1e6;
 
 /// Greatest intensity, responsivity, current or relative intensity, SI units.
 const LARGEST: f64 = 1e9;
+
+/// Relative error of the integrals over an opening in the paper tier.
+const OPENING_TOLERANCE: f64 = 1e-6;
 
 /// Greatest exponent of a profile: a half angle of 0.07°.
 const LARGEST_EXPONENT: f64 = 1e6;
@@ -97,6 +100,7 @@ pub(super) fn fill<S: Scalar>(
         let mut compiled = compile_cell(index, cell, tier)?;
         if let Some(effects) = cell.acting_effects() {
             check_effects(index, effects)?;
+            check_opening(index, cell, effects)?;
             let turned = Check { cell: Some(index), section: "slit" };
             let tilt = cell.slit.tilt_rad.length().to_degrees();
             let effects =
@@ -131,13 +135,15 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
     check_slit(&at("slit"), &cell.slit)?;
     let axis = check_emitter(&at("emitter"), &at("cell"), &cell.emitter)?;
 
+    let has_opening = cell.opening() != Opening::Slit;
     let tolerance = match tier {
+        Tier::Paper if has_opening => OPENING_TOLERANCE,
         Tier::Paper => 0.0,
         Tier::Exact { tolerance } => tolerance.max(4.0 * S::epsilon().as_f64()),
     };
     let radial = cell.acting_effects().map_or([0.0; RADIAL_TERMS], |effects| effects.profile.radial);
     let (profile, exponent) = CompiledProfile::<S>::compile(&cell.emitter.profile, radial, tolerance);
-    let orders = matches!(tier, Tier::Exact { .. }).then(|| Orders::new(exponent, tolerance));
+    let orders = (tier != Tier::Paper || has_opening).then(|| Orders::new(exponent, tolerance));
     let y_axis = normal.cross(x_axis);
     let vector = |v: DVec3| S::Vec3::of(v);
     Ok(CompiledCell {
@@ -204,6 +210,29 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
     let below = 0.5 * slit.thickness_m - slit.distance_m;
     if below > 0.0 {
         return Err(check.fault("distance_mm", Fault::MaskInDetector(below)));
+    }
+    Ok(())
+}
+
+/// What an opening cannot be computed with.
+fn check_opening(index: usize, cell: &Cell, effects: &Effects) -> Result<(), SceneError> {
+    let (slit, window) = ("slit", "window");
+    let at = |section| Check { cell: Some(index), section };
+    let refused = |section, key, part| at(section).fault(key, Fault::NotThrough { part, opening: effects.opening });
+    if effects.opening != Opening::Slit && effects.window.is_some() {
+        return Err(refused(window, "thickness_mm", "a window"));
+    }
+    if let Opening::Lens { focal_length_m } = effects.opening {
+        at(slit).positive("focal_length_mm", focal_length_m)?;
+        at(slit).within("focal_length_mm", &[focal_length_m], LONGEST_M)?;
+    }
+    if matches!(effects.opening, Opening::Pinhole | Opening::Lens { .. }) {
+        if cell.slit.tilt_rad != DVec3::ZERO {
+            return Err(refused(slit, "tilt_deg", "a tilt"));
+        }
+        if cell.slit.thickness_m > 0.0 {
+            return Err(refused(slit, "thickness_mm", "a thick mask"));
+        }
     }
     Ok(())
 }

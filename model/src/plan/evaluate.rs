@@ -141,7 +141,7 @@ impl<S: Scalar> Plan<S> {
     /// `photocurrent` at `x_a` divided between the electrodes, without dark current.
     #[inline(always)]
     fn above_dark(&self, receiver: &Receiver<S>, photocurrent: S, x_a: S) -> Pair<S> {
-        let [i_x1_a, i_x2_a] = receiver.divide(photocurrent, x_a, self.rules.is_none());
+        let [i_x1_a, i_x2_a] = receiver.divide(photocurrent, x_a, self.is_paper);
         Pair { i_x1_a, i_x2_a }
     }
 }
@@ -188,7 +188,7 @@ pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
     let Some(light) = cell.emitter.light_on::<true>(plan, cell, &seen, &spot).0 else {
         return CellTerms::dark(status);
     };
-    let (pair, jacobian) = cell.receiver.linearise(&cell.emitter.source, &light, &seen, plan.rules.is_none());
+    let (pair, jacobian) = cell.receiver.linearise(&cell.emitter.source, &light, &seen, plan.is_paper);
     CellTerms { status, pair, jacobian, slack_m }
 }
 
@@ -235,7 +235,7 @@ pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
         },
         x_a_m: x_a,
         gamma_rad: Some(beam.cosine.max(-S::one()).min(S::one()).arc_cosine()),
-        solid_angle_sr: if plan.rules.is_some() { exact_solid_angle(&spot) } else { beam.solid_angle },
+        solid_angle_sr: if plan.is_paper { beam.solid_angle } else { exact_solid_angle(&spot) },
         i_o_a: i_o,
         currents: Pair { i_x1_a: above_dark.i_x1_a + half_dark, i_x2_a: above_dark.i_x2_a + half_dark },
         integration: integration
@@ -280,6 +280,7 @@ pub(super) fn photocurrents_of_emitters<S: Scalar>(
     lit: impl Iterator<Item = (usize, S)>,
     base_from_tool: &Transform<S>,
 ) -> Pair<S> {
+    let lit = lit.filter(|&(emitter, _)| plan.has_emitter(cell, emitter));
     let cell = &plan.cells[cell];
     let lit = lit.map(|(emitter, level)| (&plan.cells[emitter], level));
     if let Some(imperfect) = plan.imperfect_of(cell) {

@@ -26,7 +26,8 @@ use pack::Pack;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Tier {
     /// Equations (3) to (5) of De La Cruz et al. 2018 as printed: the spot as one plate, its geometric
-    /// centre as X_A, one γ for the whole beam.
+    /// centre as X_A, one γ for the whole beam. They are for slits on the base; of any other
+    /// [`Opening`](crate::Opening) it takes integrals to 1e-6.
     Paper,
     /// Intensity integrated over the spot, the power-weighted centroid as X_A.
     Exact {
@@ -41,7 +42,8 @@ pub struct Plan<S: Scalar> {
     cells: Vec<CompiledCell<S>, MAX_CELLS>,
     /// The effects of those cells that have any.
     imperfect: Vec<Imperfect<S>, MAX_IMPERFECT>,
-    /// `None` in the paper tier.
+    is_paper: bool,
+    /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
     /// The same cells in SIMD lanes if all are of the kind in [`pack`]; else empty.
     packs: Vec<Pack<S::Lanes>, MAX_CELLS>,
@@ -65,7 +67,7 @@ struct CompiledCell<S: Scalar> {
 struct CompiledEmitter<S: Scalar> {
     source: Source<S>,
     profile: CompiledProfile<S>,
-    /// `None` in the paper tier.
+    /// `None` in the paper tier, unless the cell's opening asks for integrals.
     orders: Option<Orders<S>>,
 }
 
@@ -106,7 +108,7 @@ impl<S: Scalar> Plan<S> {
     /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
-        Self { cells: Vec::new(), imperfect: Vec::new(), rules: None, packs: Vec::new() }
+        Self { cells: Vec::new(), imperfect: Vec::new(), is_paper: true, rules: None, packs: Vec::new() }
     }
 
     /// [`Self::compile`] in place. After an error the plan has no cells.
@@ -118,8 +120,10 @@ impl<S: Scalar> Plan<S> {
             self.cells.clear();
             return Err(error);
         }
-        self.rules = matches!(tier, Tier::Exact { .. }).then(Rules::new);
-        if self.rules.is_none() {
+        self.is_paper = tier == Tier::Paper;
+        let integrates = self.cells.iter().any(|cell| cell.emitter.orders.is_some());
+        self.rules = integrates.then(Rules::new);
+        if !integrates {
             pack::fill(&mut self.packs, &self.cells);
         }
         Ok(())
@@ -132,6 +136,13 @@ impl<S: Scalar> Plan<S> {
             Aperture::Imperfect(index) if cfg!(feature = "effects") => self.imperfect.get(index),
             _ => None,
         }
+    }
+
+    /// Whether the light of `emitter` is to be counted on the detector of `cell`: two cells that read one detector have
+    /// one emitter, and each counts it as its own.
+    fn has_emitter(&self, cell: usize, emitter: usize) -> bool {
+        let other = self.imperfect_of(&self.cells[emitter]).and_then(Imperfect::other_axis);
+        emitter == cell || other.is_none_or(|other| other != cell && other > emitter)
     }
 
     /// From the tool's origin to the emitter of cell `cell`, base frame, metres.

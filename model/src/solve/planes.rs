@@ -4,7 +4,11 @@
 //! through that point of the detector and the slit's long axis. For a parallel, centred slit this
 //! is e_x·d_B + X_A·(e_z − d_B) = 0. Planes are linear in the emitter's position, so Gauss–Newton
 //! on them finds the pose from home wherever the tool can be.
+//!
+//! A slit that rides with the emitter lies in a plane of the tool with it, and the light lands where that plane meets
+//! the detector: the same, seen from the tool.
 
+use crate::effects::Opening;
 use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::Cell;
@@ -39,6 +43,17 @@ pub(super) struct PlaneCell<S: Scalar> {
     unclipped: S,
     dark: S,
     shortest: S,
+    /// Whether the slit is on the tool; `slit` and `along` are then where they are at home.
+    rides: bool,
+}
+
+/// Where the light of a reading comes from.
+#[derive(Clone, Copy)]
+enum Plane<S: Scalar> {
+    /// Unit normal of the emitter's plane through the slit.
+    Emitter(S::Vec3),
+    /// Where the light lands, on the plane of a riding slit.
+    Landing(S::Vec3),
 }
 
 impl<S: Scalar> PlaneCell<S> {
@@ -63,6 +78,7 @@ impl<S: Scalar> PlaneCell<S> {
             unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
             shortest: S::of((height - slit.distance_m).abs().min(slit.distance_m)),
+            rides: cell.opening() == Opening::RidingSlit,
         }
     }
 
@@ -80,15 +96,18 @@ impl<S: Scalar> PlaneCell<S> {
         S::two() * self.half_length
     }
 
-    /// Unit normal of the emitter's plane, and the weight of its distance.
-    fn plane(&self, reading: &Usable<S>) -> (S::Vec3, S) {
+    /// The plane of a reading, and the weight of the distance from it.
+    fn plane(&self, reading: &Usable<S>) -> (Plane<S>, S) {
         let [first, second] = reading.pair;
         let x_a = self.half_length * (second - first) / (first + second + self.dark);
         let x_a = x_a.max(-self.half_length).min(self.half_length);
         let landing = self.detector + self.x_axis * x_a;
-        let normal = (self.slit - landing).cross(self.along);
         let weight = if x_a.abs() > self.unclipped { S::of(CLIPPED_WEIGHT) } else { S::one() };
-        (normal * normal.length().recip(), weight)
+        if cfg!(feature = "effects") && self.rides {
+            return (Plane::Landing(landing), weight);
+        }
+        let normal = (self.slit - landing).cross(self.along);
+        (Plane::Emitter(normal * normal.length().recip()), weight)
     }
 
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
@@ -97,8 +116,23 @@ impl<S: Scalar> PlaneCell<S> {
         self.row_of(self.plane(reading).0, pose, length_scale_m)
     }
 
-    fn row_of(&self, normal: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
-        self.row_from(self.slit, normal, pose, length_scale_m)
+    fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
+        match plane {
+            Plane::Emitter(normal) => self.row_from(self.slit, normal, pose, length_scale_m),
+            Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
+        }
+    }
+
+    /// Distance of the riding slit's plane from `landing` with the tool at `pose`, metres, and its derivatives by
+    /// (δt, arm·δθ): the plane turns with the tool, so that the lever is that of the landing.
+    #[cold]
+    fn row_to(&self, landing: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
+        let normal = (self.emitter_tool - self.slit).cross(self.along);
+        let normal = pose.rotate(normal * normal.length().recip());
+        let arm = landing - pose.translation();
+        let turn = arm.cross(normal) * length_scale_m.recip();
+        let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
+        (row, normal.dot(pose.rotate(self.emitter_tool) - arm))
     }
 
     /// Distance of the emitter from `origin` along `normal` with the tool at `pose`, metres, and its
@@ -123,9 +157,12 @@ impl<S: Scalar> PlaneCell<S> {
     }
 
     /// Where the emitter is with the tool at `pose`, and where it would be as far beyond the slit's
-    /// middle, along the slit: the light lands alike, and is as much.
+    /// middle, along the slit: the light lands alike, and is as much. From a riding slit it cannot move away.
     pub(super) fn sides(&self, pose: &Transform<S>) -> [S::Vec3; 2] {
         let here = pose.rotate(self.emitter_tool) + pose.translation();
+        if cfg!(feature = "effects") && self.rides {
+            return [here; 2];
+        }
         let beyond = (here - self.slit).dot(self.along);
         [here, here - self.along * (S::two() * beyond)]
     }
@@ -142,8 +179,8 @@ pub(super) fn pose_on_planes<S: Scalar>(
     let planes: heapless::Vec<_, { crate::scene::MAX_CELLS }> =
         readings.iter().map(|reading| (reading.cell, cells[reading.cell].plane(reading))).collect();
     settle(start, length_scale_m, MAX_STEPS, |pose| {
-        planes.iter().map(move |&(index, (normal, weight))| {
-            let (row, distance) = cells[index].row_of(normal, &pose, length_scale_m);
+        planes.iter().map(move |&(index, (plane, weight))| {
+            let (row, distance) = cells[index].row_of(plane, &pose, length_scale_m);
             (row, distance, weight)
         })
     })

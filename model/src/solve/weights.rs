@@ -83,11 +83,16 @@ impl<S: Scalar> CellNoise<S> {
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
         let error = scene.cells[cell].model_error();
         let moved = error.position_m / detector.length_m;
+        // Two cells that read one detector see the same photons of the same emitter: what is common to both counts
+        // twice in each, for their mean knows it no better than one.
+        let common = if scene.cells[cell].other_axis().is_some() { 2.0 } else { 1.0 };
         Self {
-            shot: S::of(shot),
+            shot: S::of(common * shot),
             johnson: S::of(johnson),
             converter: S::of(converter + error.current_a * error.current_a),
-            emitter_gain: S::of(emitter_gain_relative * emitter_gain_relative + error.relative * error.relative),
+            emitter_gain: S::of(
+                common * (emitter_gain_relative * emitter_gain_relative + error.relative * error.relative),
+            ),
             electrode_gain: S::of(electrode_gain_relative * electrode_gain_relative),
             position: S::of(moved * moved),
             displacement: S::of(position_m * position_m),

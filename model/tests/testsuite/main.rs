@@ -10,6 +10,7 @@ mod kinks;
 mod misfit;
 mod noise;
 mod numbers;
+mod openings;
 mod profiles;
 mod solve;
 mod tolerance;

@@ -22,12 +22,17 @@ pub struct Conditions {
     pub scene: Scene,
     /// For data and solver.
     pub tier: Tier,
+    /// Half sides of the box of poses.
+    pub half_mm: f64,
+    /// See `half_mm`.
+    pub half_deg: f64,
 }
 
 impl Conditions {
-    /// `scene` with `uncertainty`, in the paper tier.
+    /// `scene` with `uncertainty`, in the paper tier, over the usual workspace.
     pub fn new(name: &'static str, scene: &Scene, uncertainty: Uncertainty) -> Self {
-        Self { name, scene: Scene { uncertainty, ..scene.clone() }, tier: Tier::Paper }
+        let scene = Scene { uncertainty, ..scene.clone() };
+        Self { name, scene, tier: Tier::Paper, half_mm: HALF_MM, half_deg: HALF_DEG }
     }
 }
 
@@ -59,12 +64,12 @@ struct Trial {
 /// # Panics
 /// If the scene cannot be compiled.
 pub fn study(conditions: Conditions, trials: Trials) -> Report {
-    let Conditions { scene, tier, .. } = &conditions;
+    let Conditions { scene, tier, half_mm, half_deg, .. } = &conditions;
     let solver = Solver::<f64>::new(scene, *tier).unwrap_or_else(|error| panic!("{error}"));
     let disturbance = Disturbance::of(scene);
     let solved = trials.run(|trial, rng| {
         loop {
-            let row = one_in_box(rng, HALF_MM, HALF_DEG);
+            let row = one_in_box(rng, *half_mm, *half_deg);
             let pairs = pairs(solver.plan(), &pose(row));
             if lit_count(scene, &pairs) == scene.cells.len() {
                 let position_m = scene.uncertainty.position_m;
@@ -107,10 +112,10 @@ pub fn study(conditions: Conditions, trials: Trials) -> Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Conditions { name, tier, .. } = &self.conditions;
+        let Conditions { name, tier, half_mm, half_deg, .. } = &self.conditions;
         let Trials { count, seed } = self.trials;
         let n = count as f64;
-        writeln!(f, "efficiency, {name}, {tier:?}, ±{HALF_MM} mm ±{HALF_DEG}°, all cells lit, noise of the scene")?;
+        writeln!(f, "efficiency, {name}, {tier:?}, ±{half_mm} mm ±{half_deg}°, all cells lit, noise of the scene")?;
         writeln!(f, "  {count} poses, seed {seed}")?;
         let mut table = Table::new(&["axis", "median bound", "RMSE/bound"]);
         for axis in 0..6 {

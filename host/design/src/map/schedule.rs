@@ -138,7 +138,7 @@ fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
     }
     together.slots.push(Vec::new());
     let mut all = vec![file.lighting.clone()];
-    for lighting in [Lighting::one_by_one(cells), together] {
+    for lighting in [Lighting::one_by_one(&file.scene), together] {
         if !all.contains(&lighting) {
             all.push(lighting);
         }

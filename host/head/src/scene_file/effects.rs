@@ -3,7 +3,7 @@
 use glam::DVec3;
 use heapless::Vec;
 use slitpose_model::{
-    AZIMUTHAL_TERMS, Cell, Converters, Effects, ModelError, Pose, ProfileShape, RADIAL_TERMS, Scene, Stray, Window,
+    AZIMUTHAL_TERMS, Cell, Converters, Effects, Opening, Pose, ProfileShape, RADIAL_TERMS, Scene, Stray, Window,
 };
 
 use super::document::Document;
@@ -32,10 +32,9 @@ pub(super) fn read(document: &Document<'_>, cell: usize, length_m: f64) -> Resul
         window: read_window(document, cell)?,
         nonlinearity_m: if is_zero(&nonlinearity) { Vec::new() } else { nonlinearity },
         stray: read_stray(document, cell, length_m)?,
-        lit_together: 0,
         electrode_gain: gain.unwrap_or([1.0; 2]),
         converters: read_converters(document, cell)?,
-        model_error: ModelError::default(),
+        ..Effects::default()
     })
 }
 
@@ -95,7 +94,11 @@ pub(super) fn light_together(scene: &mut Scene, lighting: &Lighting, workspace: 
     let poses: std::vec::Vec<Pose> = workspace.corners().chain([Pose::HOME]).collect();
     for emitters in &lighting.slots {
         for &cell in emitters {
-            let others = emitters.iter().filter(|&&other| other != cell);
+            let is_another = |other: usize| {
+                let its_first = scene.cells[other].effects.other_axis;
+                other != cell && its_first.is_none_or(|first| first != cell && first > other)
+            };
+            let others = emitters.iter().filter(|&&other| is_another(other));
             let reaching = others.filter(|&&other| may_reach(&scene.cells[other], &scene.cells[cell], &poses));
             scene.cells[cell].effects.lit_together = reaching.fold(0, |set, other| set | 1 << other);
         }
@@ -110,6 +113,8 @@ fn may_reach(other: &Cell, cell: &Cell, poses: &[Pose]) -> bool {
     let slit =
         detector.centre_base_m + detector.x_axis_base * offset.x + y_axis * offset.y + detector.normal_base * offset.z;
     poses.iter().any(|pose| {
+        let rides = cell.effects.opening == Opening::RidingSlit;
+        let slit = if rides { pose.rotation * slit + pose.translation_m } else { slit };
         let emitter = pose.rotation * other.emitter.position_tool_m + pose.translation_m;
         (pose.rotation * other.emitter.axis_tool).dot((slit - emitter).normalize_or_zero()) >= FACING_AWAY
     })

@@ -195,6 +195,34 @@ pub enum ContentFault {
         /// How many were given in the section that counts.
         count: usize,
     },
+    /// Keys of one slit that do not go together.
+    #[error("{path} = {text}: {why}")]
+    Opening {
+        /// The key.
+        path: KeyPath,
+        /// The value as written.
+        text: String,
+        /// What is wrong, and the next step.
+        why: &'static str,
+    },
+    /// A second axis of what has none.
+    #[error("{path} = {given} {why}; give the number of an earlier cell that has a detector of its own")]
+    SecondAxis {
+        /// The key.
+        path: KeyPath,
+        /// The cell that was given.
+        given: i64,
+        /// What is wrong with it.
+        why: &'static str,
+    },
+    /// A key of a second axis that follows from the first.
+    #[error("{path} cannot be given for a second axis, which has everything from cell {first}; remove it")]
+    OfFirstAxis {
+        /// The key.
+        path: KeyPath,
+        /// The cell of the first axis.
+        first: usize,
+    },
     /// A profile table with too many knots.
     #[error("{path} has {count} knots; give at most {most}")]
     TooManyKnots {

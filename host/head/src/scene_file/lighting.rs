@@ -1,5 +1,7 @@
 //! `[lighting]`: which emitters are lit together, and in which order.
 
+use slitpose_model::{Cell, Scene};
+
 use super::document::Document;
 use super::error::{ContentFault, KeyPath, LightingFault, SceneFileError};
 
@@ -11,10 +13,12 @@ pub struct Lighting {
 }
 
 impl Lighting {
-    /// Every emitter in a slot of its own, then the dark slot.
-    pub fn one_by_one(emitters: usize) -> Self {
-        let lit = (0..emitters).map(|emitter| vec![emitter]);
-        Self { slots: lit.chain([Vec::new()]).collect() }
+    /// Every emitter in a slot of its own, then the dark slot. Both axes of a detector share a slot.
+    pub fn one_by_one(scene: &Scene) -> Self {
+        let others = scene.cells.iter().map(Cell::other_axis).enumerate();
+        let lit = others.filter(|&(cell, other)| other.is_none_or(|other| cell < other));
+        let slots = lit.map(|(cell, other)| [cell].into_iter().chain(other).collect());
+        Self { slots: slots.chain([Vec::new()]).collect() }
     }
 
     /// The slot that lights an emitter.
@@ -29,12 +33,13 @@ impl Lighting {
 }
 
 /// The lighting of the file, or [`Lighting::one_by_one`].
-pub(super) fn read(document: &Document<'_>, cells: usize) -> Result<Lighting, SceneFileError> {
+pub(super) fn read(document: &Document<'_>, scene: &Scene) -> Result<Lighting, SceneFileError> {
     let path = KeyPath::section("lighting", "slots");
     let expected = "slots of emitter numbers, e.g. [[0, 3], [1, 4], [2, 5], []]";
     let Some(entry) = document.find(path) else {
-        return Ok(Lighting::one_by_one(cells));
+        return Ok(Lighting::one_by_one(scene));
     };
+    let cells = scene.cells.len();
     let mut lighting = Lighting { slots: Vec::new() };
     for (number, slot) in document.as_array(path, entry, expected)?.iter().enumerate() {
         let emitters = document.as_array(path, slot, expected)?;

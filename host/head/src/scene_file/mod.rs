@@ -1,6 +1,6 @@
 //! The scene file: one TOML text that describes a sensor head.
 //!
-//! Read in this order: `document` parses the text and knows every key's place in it, `optics`
+//! Read in this order: `document` parses the text and knows every key's place in it, `optics`, `opening`, `second_axis`
 //! and `effects` build the model's [`Scene`], `electronics`, `lighting` and `workspace` the rest, `shipped` holds
 //! the scenes compiled into the program.
 //! The file speaks millimetres and degrees; everything that leaves this module is SI.
@@ -10,8 +10,10 @@ mod effects;
 mod electronics;
 mod error;
 mod lighting;
+mod opening;
 mod optics;
 mod schema;
+mod second_axis;
 mod shipped;
 mod spelling;
 mod tolerance;
@@ -26,7 +28,7 @@ use slitpose_model::{Plan, Scene, Tier};
 pub use electronics::FrontEnd;
 pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
 pub use lighting::Lighting;
-pub use shipped::{BASE, BENCH, FINE, REDUNDANT, SHIPPED, Shipped, WIDE};
+pub use shipped::{BASE, BENCH, FINE, MAGLEV, REDUNDANT, SHIPPED, SPACEMOUSE, Shipped, WIDE};
 pub use spelling::nearest;
 pub use tolerance::Tolerance;
 pub use workspace::Workspace;
@@ -86,7 +88,7 @@ impl SceneFile {
     pub fn parse(origin: &str, text: &str) -> Result<Self, SceneFileError> {
         let document = Document::parse(origin, text)?;
         let mut scene = optics::read(&document)?;
-        let lighting = lighting::read(&document, scene.cells.len())?;
+        let lighting = lighting::read(&document, &scene)?;
         let workspace = workspace::read(&document)?;
         effects::light_together(&mut scene, &lighting, &workspace);
         // Every rule about optical values stands in the model; compiling applies them all.

@@ -6,14 +6,16 @@
 
 use glam::{DVec2, DVec3};
 use slitpose_model::{
-    Cell, DEFAULT_FAINT_A, Detector, Emitter, Fault, MAX_CELLS, MAX_PROFILE_KNOTS, Noise, Profile, Scene, Slit,
-    Uncertainty,
+    Cell, DEFAULT_FAINT_A, Detector, Effects, Emitter, Fault, MAX_CELLS, MAX_PROFILE_KNOTS, Noise, Profile, Scene,
+    Slit, Uncertainty,
 };
 
 use super::document::Document;
 use super::effects;
 use super::error::{ContentFault, KeyPath, SceneFileError};
+use super::opening::Passage;
 use super::schema::PROFILES;
+use super::second_axis;
 
 pub(super) const M_FROM_MM: f64 = 1e-3;
 
@@ -23,7 +25,10 @@ pub(super) fn read(document: &Document<'_>) -> Result<Scene, SceneFileError> {
         Scene { noise: read_noise(document)?, uncertainty: read_uncertainty(document)?, ..Scene::default() };
     let count = document.cell_count()?;
     for number in 0..count {
-        let cell = read_cell(document, number)?;
+        let cell = match second_axis::read(document, &mut scene, number)? {
+            Some(cell) => cell,
+            None => read_cell(document, number)?,
+        };
         if scene.cells.push(cell).is_err() {
             let path = KeyPath::of_cell(number, "cell", "");
             let most = MAX_CELLS;
@@ -43,10 +48,11 @@ fn read_cell(document: &Document<'_>, number: usize) -> Result<Cell, SceneFileEr
         document.text(KeyPath::of_cell(number, section, "part"))?;
     }
     let detector = read_detector(document, number)?;
+    let passage = Passage::read(document, number)?;
     Ok(Cell {
-        effects: effects::read(document, number, detector.length_m)?,
+        effects: Effects { opening: passage.opening, ..effects::read(document, number, detector.length_m)? },
         detector,
-        slit: read_slit(document, number)?,
+        slit: read_slit(document, number, &passage)?,
         emitter: read_emitter(document, number)?,
     })
 }
@@ -67,14 +73,14 @@ fn read_detector(document: &Document<'_>, cell: usize) -> Result<Detector, Scene
     })
 }
 
-fn read_slit(document: &Document<'_>, cell: usize) -> Result<Slit, SceneFileError> {
+fn read_slit(document: &Document<'_>, cell: usize, passage: &Passage) -> Result<Slit, SceneFileError> {
     let key = |key| KeyPath::of_cell(cell, "slit", key);
     let offset_mm = document.vector(key("offset_mm"), "two numbers, [x, y]")?;
     let tilt_deg = document.vector(key("tilt_deg"), "three numbers, [x, y, z]")?;
     Ok(Slit {
         distance_m: document.required(key("distance_mm"))? * M_FROM_MM,
-        width_m: document.required(key("width_mm"))? * M_FROM_MM,
-        length_m: document.required(key("length_mm"))? * M_FROM_MM,
+        width_m: document.required(key(passage.width))? * M_FROM_MM,
+        length_m: document.required(key(passage.length))? * M_FROM_MM,
         offset_m: DVec2::from_array(offset_mm.unwrap_or_default()) * M_FROM_MM,
         tilt_rad: DVec3::from_array(tilt_deg.unwrap_or_default().map(f64::to_radians)),
         thickness_m: document.number(key("thickness_mm"))?.unwrap_or(0.0) * M_FROM_MM,

@@ -18,13 +18,14 @@ pub(super) const TOP: &[&str] = &[
     "cell",
 ];
 
-/// Keys of a `[[cell]]`: its own five, and the sections it may override key by key.
+/// Keys of a `[[cell]]`: its own five, or the cell whose detector it reads the second axis of; and the sections it may override key by key.
 pub(super) const CELL: &[&str] = &[
     "detector_mm",
     "x_axis",
     "normal",
     "emitter_mm",
     "emitter_axis",
+    "second_axis_of",
     "detector",
     "slit",
     "emitter",
@@ -56,7 +57,20 @@ const SECTIONS: &[(&str, &[&str])] = &[
             "electrode_gain",
         ],
     ),
-    ("slit", &["distance_mm", "width_mm", "length_mm", "offset_mm", "tilt_deg", "thickness_mm"]),
+    (
+        "slit",
+        &[
+            "distance_mm",
+            "width_mm",
+            "length_mm",
+            "diameter_mm",
+            "focal_length_mm",
+            "offset_mm",
+            "tilt_deg",
+            "thickness_mm",
+            "mount",
+        ],
+    ),
     (
         "emitter",
         &[

@@ -34,6 +34,20 @@ pub const REDUNDANT: Shipped = Shipped {
     text: include_str!("../../scenes/redundant.toml"),
 };
 
+/// Slits on the tool.
+pub const SPACEMOUSE: Shipped = Shipped {
+    name: "spacemouse",
+    about: "six emitters that carry their slits, detectors around: the principle of the Space Mouse",
+    text: include_str!("../../scenes/spacemouse.toml"),
+};
+
+/// Detectors with two axes behind lenses.
+pub const MAGLEV: Shipped = Shipped {
+    name: "maglev",
+    about: "three emitters, three lenses, detectors with two axes: the principle of levitated haptic devices",
+    text: include_str!("../../scenes/maglev.toml"),
+};
+
 /// Six cells with the dimensions of the bench.
 pub const BASE: Shipped = Shipped {
     name: "base",
@@ -49,7 +63,7 @@ pub const BENCH: Shipped = Shipped {
 };
 
 /// Every shipped scene.
-pub const SHIPPED: [Shipped; 5] = [WIDE, FINE, REDUNDANT, BASE, BENCH];
+pub const SHIPPED: [Shipped; 7] = [WIDE, FINE, REDUNDANT, SPACEMOUSE, MAGLEV, BASE, BENCH];
 
 impl Shipped {
     /// The shipped scene of this name.

@@ -5,6 +5,7 @@ use slitpose_model::{Pose, Profile, Status};
 use super::*;
 
 mod effects;
+mod openings;
 
 /// The least a scene needs; line numbers below count from its first line.
 const LEAST: &str = "\
@@ -293,7 +294,10 @@ fn a_file_that_is_no_text_or_not_there_is_told_so() {
     let message = SceneFile::from_bytes("scene.toml", b"name = \"a\"\n# \xff").unwrap_err().to_string();
     assert!(message.contains("scene.toml:2:3") && message.contains("0xff"), "{message}");
     let message = SceneFile::open("no/such.toml").unwrap_err().to_string();
-    assert!(message.contains("no/such.toml") && message.contains("wide, fine, redundant, base, bench"), "{message}");
+    assert!(
+        message.contains("no/such.toml") && message.contains("wide, fine, redundant, spacemouse, maglev, base, bench"),
+        "{message}"
+    );
 }
 
 #[test]

@@ -28,6 +28,8 @@ pub(super) struct Reversals {
     /// The generator at the beginning of the motion.
     random: ChaCha8Rng,
     end_s: f64,
+    /// Factors of the box's sides.
+    shrunk: [DVec3; 2],
     plan: RefCell<Plan>,
 }
 
@@ -42,7 +44,12 @@ impl Reversals {
     /// A motion that rests from the end of the leg flown at `end_s`.
     pub(super) fn new(random: ChaCha8Rng, end_s: f64) -> Self {
         let plan = RefCell::new(Plan::new(random.clone()));
-        Self { random, end_s, plan }
+        Self { random, end_s, shrunk: [DVec3::ONE; 2], plan }
+    }
+
+    /// Flies in a smaller box.
+    pub(super) fn shrink(&mut self, by_m: DVec3, by_rad: DVec3) {
+        self.shrunk = [by_m, by_rad];
     }
 
     /// The pose of the tool at `time_s`.
@@ -55,7 +62,7 @@ impl Reversals {
             && *last_s <= time_s
             && *last_s < self.end_s
         {
-            plan.fly();
+            plan.fly(self.shrunk);
         }
         on_path(plan.knots.make_contiguous(), time_s)
     }
@@ -67,14 +74,14 @@ impl Plan {
     }
 
     /// Adds a leg.
-    fn fly(&mut self) {
+    fn fly(&mut self, [by_m, by_rad]: [DVec3; 2]) {
         let Self { random, knots } = self;
         if knots.len() == KEPT {
             knots.pop_front();
         }
         let time_s = knots.back().map_or(0.0, |(time_s, _)| *time_s) + random.random_range(LEG_S);
         let mut vector = |half: f64| DVec3::from([0; 3].map(|_| random.random_range(-half..half)));
-        knots.push_back((time_s, Pose::from_vectors(vector(BOX_M), vector(BOX_RAD))));
+        knots.push_back((time_s, Pose::from_vectors(vector(BOX_M) * by_m, vector(BOX_RAD) * by_rad)));
     }
 }
 

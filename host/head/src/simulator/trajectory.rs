@@ -11,15 +11,19 @@ use thiserror::Error;
 
 use super::knots::on_path;
 use super::reversals::Reversals;
+use crate::scene_file::Workspace;
 use crate::table::{PoseColumns, TableError, TableReader};
 
 /// Greatest speeds of a smooth motion.
 const SMOOTH_M_PER_S: f64 = 0.5;
 const SMOOTH_RAD_PER_S: f64 = 5.0;
 
-/// Amplitude of smooth and fast motions, per axis: inside the workspace of the shipped scenes.
+/// Amplitude of smooth and fast motions, per axis: inside the usual workspace.
 const AMPLITUDE_M: f64 = 2.5e-3;
 const AMPLITUDE_RAD: f64 = 0.17;
+
+/// Most of a smaller workspace that a motion takes, see [`Trajectory::within`].
+const SHARE: f64 = 0.9;
 
 /// A fast motion is a smooth one at this many times the speed.
 const FAST: f64 = 4.0;
@@ -80,6 +84,25 @@ impl Trajectory {
             TrajectoryKind::Fast => Motion::Sines(sines(&mut rng, FAST)),
             TrajectoryKind::Contact => Motion::Reversals(Box::new(Reversals::new(rng, duration_s))),
         })
+    }
+
+    /// The same motion in a smaller space, where the head's `workspace` is too small for it: as often to and fro on each
+    /// axis. Paths stay as they are.
+    #[must_use]
+    pub fn within(mut self, workspace: &Workspace) -> Self {
+        let by_m = (workspace.half_extent_m * (SHARE / AMPLITUDE_M)).min(DVec3::ONE);
+        let by_rad = (workspace.half_extent_rad * (SHARE / AMPLITUDE_RAD)).min(DVec3::ONE);
+        match &mut self.0 {
+            Motion::Still | Motion::Path(_) => {}
+            Motion::Sines(sines) => {
+                for ((amplitude, ..), by) in sines.iter_mut().zip(by_m.to_array().into_iter().chain(by_rad.to_array()))
+                {
+                    *amplitude *= by;
+                }
+            }
+            Motion::Reversals(reversals) => reversals.shrink(by_m, by_rad),
+        }
+        self
     }
 
     /// A path through the poses of a CSV table: `time_s` and the columns of a pose. Between rows
@@ -158,6 +181,26 @@ fn sines(rng: &mut ChaCha8Rng, speed: f64) -> [(f64, f64, f64); 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene_file::{SPACEMOUSE, WIDE};
+
+    #[test]
+    fn motions_stay_within_the_workspace_and_only_shrink() {
+        let [wide, small] = [WIDE, SPACEMOUSE].map(|shipped| shipped.read().unwrap().workspace);
+        for kind in [TrajectoryKind::Smooth, TrajectoryKind::Fast, TrajectoryKind::Contact] {
+            let motion = || Trajectory::of_kind(kind, 3, f64::INFINITY);
+            let (own, inside) = (motion().within(&wide), motion().within(&small));
+            let mut most = [0.0_f64; 2];
+            for i in 0..4000 {
+                let time_s = f64::from(i) * 2.5e-3;
+                assert_eq!(own.pose(time_s), motion().pose(time_s));
+                let pose = inside.pose(time_s);
+                most[0] = most[0].max((pose.translation_m.abs() / small.half_extent_m).max_element());
+                most[1] = most[1].max((pose.rotation_rad().abs() / small.half_extent_rad).max_element());
+            }
+            // Nearly as far as they may; the box of reversals is less deep in rotation.
+            assert!((0.8..0.95).contains(&most[0]) && (0.55..0.95).contains(&most[1]), "{kind:?}: {most:?}");
+        }
+    }
 
     fn greatest_speeds(trajectory: &Trajectory) -> (f64, f64) {
         let step = 1e-5;

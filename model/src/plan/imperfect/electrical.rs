@@ -97,7 +97,7 @@ impl<S: Scalar> Electrical<S> {
         let mut imbalance = sums.moment * per_length;
         let mut jacobian = [[S::zero(); 6]; 2];
         // In the paper tier I_D is divided like the light: I_D·X̄, X̄ = moment/total.
-        let divides_dark = plan.rules.is_none() && receiver.dark > S::zero() && sums.total > S::zero();
+        let divides_dark = plan.is_paper && receiver.dark > S::zero() && sums.total > S::zero();
         let dark_share = if divides_dark { receiver.dark / sums.total } else { S::zero() };
         if GRADIENT {
             let centroid = if divides_dark { sums.moment / sums.total } else { S::zero() };

@@ -5,11 +5,12 @@
 
 mod beam;
 mod electrical;
+mod opening;
 
 use heapless::Vec;
 
 use crate::effects::{AZIMUTHAL_TERMS, Effects};
-use crate::exact::{self, Orders, Rules};
+use crate::exact::{self, Orders, Rules, Turn};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::pose::Transform;
@@ -21,17 +22,28 @@ use crate::scene::Cell;
 
 use self::beam::{Beam, Spot};
 use self::electrical::Electrical;
+use self::opening::Opening;
 use super::optics::{Light, Place, Seen, Source};
 use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
 
 /// The effects of one cell, compiled.
 #[derive(Clone, Debug)]
 pub(super) struct Imperfect<S: Scalar> {
-    beam: Beam<S>,
+    passage: Passage<S>,
     electrical: Electrical<S>,
     source: ExtendedSource<S>,
     /// Bit j: emitter j is lit, too.
     lit_together: u16,
+    /// See [`Effects::other_axis`].
+    other_axis: Option<usize>,
+}
+
+/// What the light passes through.
+#[derive(Clone, Debug)]
+enum Passage<S: Scalar> {
+    /// A slit on the base.
+    Beam(Beam<S>),
+    Opening(Opening<S>),
 }
 
 /// What an emitter has beyond its place, axis and profile.
@@ -65,19 +77,28 @@ const STEP: f64 = 1e-4;
 const RING_RADIUS: f64 = 0.816_496_580_927_726;
 
 impl<S: Scalar> Imperfect<S> {
-    /// `None`: the slit is turned too far. The profile's radial part is in the cell's [`CompiledProfile`].
+    /// `None`: the slit on the base is turned too far. The profile's radial part is in the cell's [`CompiledProfile`].
     pub(super) fn compile(cell: &Cell, effects: &Effects) -> Option<Self> {
         Some(Self {
-            beam: Beam::compile(&cell.slit, effects.window)?,
+            passage: match Opening::compile(cell, effects.opening) {
+                Some(opening) => Passage::Opening(opening),
+                None => Passage::Beam(Beam::compile(&cell.slit, effects.window)?),
+            },
             electrical: Electrical::compile(effects, 0.5 * cell.detector.length_m),
             source: ExtendedSource::compile(cell.emitter.axis_tool, effects),
             lit_together: effects.lit_together,
+            other_axis: effects.other_axis,
         })
     }
 
     /// See [`Plan::lit_together`].
     pub(super) fn lit_together(&self) -> u16 {
         self.lit_together
+    }
+
+    /// The cell that reads the other axis of the same detector.
+    pub(super) fn other_axis(&self) -> Option<usize> {
+        self.other_axis
     }
 }
 
@@ -138,6 +159,50 @@ struct Own<S: Scalar> {
     photocurrent: S,
     x_a: Option<S>,
     integration: Option<Integration<S>>,
+}
+
+/// The light of one point of an emitter through one cell.
+struct Passed<S: Scalar> {
+    light: Option<Light<S>>,
+    /// What a turn of a slit on the tool adds to the derivatives.
+    turn: Option<Turn<S>>,
+    integration: Option<Integration<S>>,
+    status: Status,
+    slack_m: S,
+    /// How far a window raises the detector, and its derivatives by the emitter's position.
+    raise: (S, S::Vec3),
+}
+
+/// Light of `emission` through what cell `cell` has in its way.
+#[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
+fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    imperfect: &Imperfect<S>,
+    emitter: &CompiledEmitter<S>,
+    emission: &E,
+    source: &Source<S>,
+    seen: &Seen<S>,
+    pose: &Transform<S>,
+) -> Result<Passed<S>, Status> {
+    match &imperfect.passage {
+        Passage::Beam(beam) => {
+            let (spot, status) = beam.spot::<GRADIENT>(seen.position, cell.receiver.half)?;
+            let (light, integration) = light::<S, E, GRADIENT>(plan, emitter, emission, seen, &spot);
+            Ok(Passed { light, turn: None, integration, status, slack_m: spot.slack_m, raise: spot.raise() })
+        }
+        Passage::Opening(opening) => {
+            let spot = opening.spot(&cell.receiver, source, seen, pose)?;
+            let orders = emitter.orders.as_ref().or(cell.emitter.orders.as_ref());
+            // A plan with an opening has rules, and its cell orders.
+            let (Some(orders), Some(rules)) = (orders, &plan.rules) else { return Err(Status::Dark) };
+            let (light, integration) = spot.light::<E, GRADIENT>(seen, emission, orders, rules);
+            let (light, turn) = light.unzip();
+            let raise = (S::zero(), S::Vec3::default());
+            let integration = Some(integration);
+            Ok(Passed { light, turn, integration, status: spot.status, slack_m: S::zero(), raise })
+        }
+    }
 }
 
 /// Light of `emission` through the beam's spot.
@@ -226,14 +291,18 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
 ) -> Result<Own<S>, Status> {
     let receiver = &cell.receiver;
     let seen = receiver.see(source, pose);
-    let (spot, status) = imperfect.beam.spot::<GRADIENT>(seen.position, receiver.half)?;
-    let (light, integration) = match &emitter.profile {
-        CompiledProfile::Cosine(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
-        CompiledProfile::Table(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
-        CompiledProfile::ShapedCosine(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
-        CompiledProfile::ShapedTable(profile) => light::<S, _, GRADIENT>(plan, emitter, profile, &seen, &spot),
+    macro_rules! pass {
+        ($profile:expr) => {
+            pass::<S, _, GRADIENT>(plan, cell, imperfect, emitter, $profile, source, &seen, pose)
+        };
+    }
+    let passed = match &emitter.profile {
+        CompiledProfile::Cosine(profile) => pass!(profile),
+        CompiledProfile::Table(profile) => pass!(profile),
+        CompiledProfile::ShapedCosine(profile) => pass!(profile),
+        CompiledProfile::ShapedTable(profile) => pass!(profile),
     };
-    let slack_m = spot.slack_m;
+    let Passed { light, turn, integration, status, slack_m, raise } = passed?;
     let Some(light) = light else {
         return Ok(Own { status, slack_m, photocurrent: S::zero(), x_a: None, integration });
     };
@@ -241,17 +310,19 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
     let gain = receiver.responsivity * source.intensity;
     let (mut power, mut of_power) = (gain * light.power.value, light.power);
     let (mut turned_by, mut x_by) = (S::Vec3::default(), [S::zero(); 6]);
+    let [power_turn, x_turn] = turn.map_or_else(Default::default, |turn| turn.map(|by| receiver.to_base(by)));
+    let mut turned_with = power_turn * gain;
     if let Some((extended, coefficients)) = extended.and_then(|it| Some((it, it.azimuthal.as_ref()?))) {
         // The ray to the spot's centre, base frame.
         let e = seen.position;
-        let to_spot = S::Vec3::new(x_a - e.x(), -e.y(), spot.raise().0 - e.z());
+        let to_spot = S::Vec3::new(x_a - e.x(), -e.y(), raise.0 - e.z());
         let per_distance = to_spot.length().recip();
         let ray = receiver.to_base(to_spot) * per_distance;
         let (factor, by_ray) = extended.factor(coefficients, pose, seen.axis_base, ray);
         if GRADIENT {
             // The ray turns as its ends move, and the tool turns under it.
             let by_end = receiver.to_cell(by_ray - ray * ray.dot(by_ray)) * per_distance;
-            let (mut by_position, mut by_axis) = (spot.raise().1 * by_end.z() - by_end, S::Vec3::default());
+            let (mut by_position, mut by_axis) = (raise.1 * by_end.z() - by_end, S::Vec3::default());
             if let Place::Weighted(x_a) = &light.x_a {
                 by_position += x_a.by_position * by_end.x();
                 by_axis = x_a.by_axis * by_end.x();
@@ -259,17 +330,20 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
             of_power.by_position = of_power.by_position * factor + by_position * light.power.value;
             of_power.by_axis = of_power.by_axis * factor + by_axis * light.power.value;
             turned_by = by_ray.cross(ray) * power;
+            turned_with = turned_with * factor + x_turn * (by_end.x() * power);
         }
         power *= factor;
     }
     let mut power_by = x_by;
     if GRADIENT {
         power_by = receiver.of_pose(&of_power, &seen).map(|value| gain * value);
-        for (i, component) in [turned_by.x(), turned_by.y(), turned_by.z()].into_iter().enumerate() {
-            power_by[3 + i] += component;
-        }
         if let Place::Weighted(x_a) = &light.x_a {
             x_by = receiver.of_pose(x_a, &seen);
+        }
+        for (by, turned) in [(&mut power_by, turned_by + turned_with), (&mut x_by, x_turn)] {
+            by[3] += turned.x();
+            by[4] += turned.y();
+            by[5] += turned.z();
         }
     }
     let (x_m, slope) = imperfect.electrical.measured(x_a);
@@ -376,8 +450,8 @@ pub(super) fn respond<S: Scalar>(
     let i_o_a = currents.total_a();
     let saturated = cell.saturation.is_some_and(|limit| i_o_a > limit);
     let seen = receiver.see(&cell.emitter.source, pose);
-    let spot = imperfect.beam.spot::<false>(seen.position, receiver.half);
-    let (Ok(own), Ok((spot, _))) = (&own, &spot) else {
+    let beam = imperfect.middle_beam(plan.is_paper, cell, &seen, pose);
+    let (Ok(own), Ok(beam)) = (&own, beam) else {
         let status = own.err().unwrap_or(Status::Dark);
         return Response {
             status,
@@ -390,19 +464,42 @@ pub(super) fn respond<S: Scalar>(
             integration: None,
         };
     };
-    let beam = paper::rectangle_beam(&spot.rectangle, seen.axis);
     Response {
         status: own.status,
         flags: Flags { saturated, faint: own.photocurrent < cell.faint, facing_away: beam.cosine <= S::zero() },
         x_a_m: own.x_a,
         gamma_rad: Some(beam.cosine.max(-S::one()).min(S::one()).arc_cosine()),
-        solid_angle_sr: match &plan.rules {
-            Some(_) => super::evaluate::rectangle_solid_angle(&spot.rectangle),
-            None => beam.solid_angle,
-        },
+        solid_angle_sr: beam.solid_angle,
         i_o_a,
         currents,
         integration: own.integration,
+    }
+}
+
+impl<S: Scalar> Imperfect<S> {
+    /// Solid angle and angle of emission of the light of the emitter's centre.
+    fn middle_beam(
+        &self,
+        is_paper: bool,
+        cell: &CompiledCell<S>,
+        seen: &Seen<S>,
+        pose: &Transform<S>,
+    ) -> Result<paper::Beam<S>, Status> {
+        match &self.passage {
+            Passage::Beam(beam) => {
+                let (spot, _) = beam.spot::<false>(seen.position, cell.receiver.half)?;
+                let beam = paper::rectangle_beam(&spot.rectangle, seen.axis);
+                if is_paper {
+                    return Ok(beam);
+                }
+                Ok(paper::Beam { solid_angle: super::evaluate::rectangle_solid_angle(&spot.rectangle), ..beam })
+            }
+            Passage::Opening(opening) => {
+                let spot = opening.spot(&cell.receiver, &cell.emitter.source, seen, pose)?;
+                let ray = spot.middle();
+                Ok(paper::Beam { solid_angle: spot.solid_angle(), cosine: seen.axis.dot(ray) / ray.length() })
+            }
+        }
     }
 }
 
@@ -413,7 +510,14 @@ pub(super) fn outline<S: Scalar>(
     pose: &Transform<S>,
 ) -> Vec<[S; 2], MAX_CORNERS> {
     let seen = cell.receiver.see(&cell.emitter.source, pose);
-    match imperfect.beam.spot::<false>(seen.position, cell.receiver.half) {
+    let beam = match &imperfect.passage {
+        Passage::Beam(beam) => beam,
+        Passage::Opening(opening) => {
+            let spot = opening.spot(&cell.receiver, &cell.emitter.source, &seen, pose);
+            return spot.map_or_else(|_| Vec::new(), |spot| spot.outline(&seen));
+        }
+    };
+    match beam.spot::<false>(seen.position, cell.receiver.half) {
         Ok((spot, _)) => {
             let corners = spot.rectangle.corners().into_iter();
             corners.map(|[x, y]| [x + seen.position.x(), y + seen.position.y()]).collect()
