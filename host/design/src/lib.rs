@@ -33,6 +33,7 @@
 
 pub mod identification;
 pub mod map;
+mod mask_frame;
 pub mod optimise;
 pub mod paper;
 pub mod plot;

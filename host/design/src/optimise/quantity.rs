@@ -3,6 +3,10 @@
 use std::fmt;
 use std::str::FromStr;
 
+use slitpose_head::scene_file::SceneFile;
+
+use super::text::current;
+
 /// A dimension of a head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
@@ -69,7 +73,7 @@ impl Quantity {
         }
     }
 
-    /// Bounds unless others are given: what can be milled and bought.
+    /// Bounds unless others are given: what can be milled and bought, for a head that a hand holds.
     fn usual_bounds(self) -> [f64; 2] {
         match self {
             Self::EmitterRadius => [6.0, 15.0],
@@ -116,6 +120,30 @@ pub struct Free {
     pub quantity: Quantity,
     /// Least and most, in its unit.
     pub bounds: [f64; 2],
+    /// Whether the bounds were asked for; else they are the usual ones.
+    pub is_given: bool,
+}
+
+impl Free {
+    /// Usual bounds that leave out the scene's own value are widened to from half to twice of it: it is a head of another
+    /// size. Given ones stay.
+    #[must_use]
+    pub fn around(self, file: &SceneFile) -> Self {
+        let value = current(file, self.quantity);
+        let [from, to] = self.bounds;
+        if self.is_given || !value.is_finite() || (from..=to).contains(&value) {
+            return self;
+        }
+        let (low, high) = (value.min(0.5 * value).min(2.0 * value), value.max(2.0 * value));
+        Self { bounds: [from.min(low), to.max(high)], ..self }
+    }
+
+    /// Whether the scene's own value is within the bounds, to rounding.
+    pub fn has(&self, file: &SceneFile) -> bool {
+        let value = current(file, self.quantity);
+        let slack = 1e-9 * (self.bounds[1] - self.bounds[0]);
+        (self.bounds[0] - slack..=self.bounds[1] + slack).contains(&value)
+    }
 }
 
 impl FromStr for Free {
@@ -128,13 +156,15 @@ impl FromStr for Free {
             let names = Quantity::ALL.map(Quantity::name).join(", ");
             format!("there is no `{name}` to be free; there are {names}")
         })?;
-        let Some(bounds) = bounds else { return Ok(Self { quantity, bounds: quantity.usual_bounds() }) };
+        let Some(bounds) = bounds else {
+            return Ok(Self { quantity, bounds: quantity.usual_bounds(), is_given: false });
+        };
         let ends = bounds.split_once("..").and_then(|(from, to)| Some([from.parse().ok()?, to.parse().ok()?]));
         let unit = quantity.unit();
         let example = quantity.usual_bounds();
         match ends {
             Some([from, to]) if from < to && f64::is_finite(from) && f64::is_finite(to) => {
-                Ok(Self { quantity, bounds: [from, to] })
+                Ok(Self { quantity, bounds: [from, to], is_given: true })
             }
             _ => Err(format!(
                 "`{bounds}` are no bounds; give the least and the most {unit}, e.g. {name}={}..{}",

@@ -1,6 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
-use slitpose_head::scene_file::{FINE, REDUNDANT, SceneFile, WIDE};
+use slitpose_head::scene_file::{FINE, MAGLEV, REDUNDANT, SPACEMOUSE, SceneFile, WIDE};
 
 use super::text::{current, with_values};
 use super::*;
@@ -22,6 +22,32 @@ fn score(file: &SceneFile, limits: Limits) -> Score {
 
 fn free(texts: &[&str]) -> Vec<Free> {
     texts.iter().map(|text| text.parse().expect("a quantity")).collect()
+}
+
+/// Holes have a diameter, and both axes of a detector move with the first.
+#[test]
+fn heads_with_other_openings_change_where_their_drawings_have_it() {
+    let file = MAGLEV.read().expect("a scene");
+    for (quantity, value) in [
+        (Quantity::EmitterRadius, 55.0),
+        (Quantity::EmitterDistance, 90.0),
+        (Quantity::SlitDistance, 11.0),
+        (Quantity::SlitWidth, 4.0),
+        (Quantity::Roll, 20.0),
+    ] {
+        let changed = set(&file, &[(quantity, value)]);
+        assert!((current(&changed, quantity) - value).abs() < 1e-9, "{quantity}");
+        for pair in changed.scene.cells.chunks(2) {
+            assert_eq!(pair[0].detector.centre_base_m, pair[1].detector.centre_base_m, "{quantity}");
+            assert_eq!(pair[0].emitter, pair[1].emitter, "{quantity}");
+        }
+    }
+    for (quantity, value, part) in [(Quantity::SlitLength, 4.0, "round"), (Quantity::Cells, 8.0, "two axes")] {
+        let error = with_values(&file, &[(quantity, value)]).expect_err("refused").to_string();
+        assert!(error.contains(part), "{error}");
+    }
+    let riding = set(&SPACEMOUSE.read().expect("a scene"), &[(Quantity::SlitWidth, 0.4)]);
+    assert!(riding.scene.cells.iter().all(|cell| cell.opening() == slitpose_model::Opening::RidingSlit));
 }
 
 /// Dimensions of the drawing, put in and read back from the scene.
@@ -163,6 +189,13 @@ fn what_may_be_free_is_named() {
     assert!(error("slit").contains("slit_width, slit_length"));
     assert!(error("roll=90..0").contains("e.g. roll=0..90"));
     assert!(error("roll=a..b").contains("`a..b` are no bounds"));
+    // Bounds reach as far as the scene does, unless they are given.
+    let file = MAGLEV.read().expect("a scene");
+    let around = |text: &str| text.parse::<Free>().expect("a quantity").around(&file);
+    let [from, to] = around("emitter_distance").bounds;
+    assert!(from == 9.0 && (to - 165.0).abs() < 1e-9);
+    assert_eq!(around("roll").bounds, [0.0, 90.0]);
+    assert!(!around("slit_distance=2..10").has(&file) && around("slit_distance").has(&file));
     let bench = SceneFile { front_end: None, ..wide() };
     let refused = with_values(&bench, &[(Quantity::FullScale, 1.0)]).expect_err("no front end");
     assert!(refused.to_string().contains("[front_end]"));

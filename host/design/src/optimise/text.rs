@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::Cell;
+use slitpose_model::{Cell, Opening};
 use toml_edit::{Array, ArrayOfTables, DocumentMut, Item, Table, value};
 
 use super::{OptimiseError, Quantity};
@@ -17,10 +17,17 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
         file.source.parse().map_err(|found: toml_edit::TomlError| error(found.message()))?;
     let mut cells: Vec<Cell> = file.scene.cells.iter().cloned().collect();
     let mut is_moved = false;
+    let is_hole = cells.iter().any(|cell| matches!(cell.opening(), Opening::Pinhole | Opening::Lens { .. }));
+    // Both axes of a detector are where its first one is.
+    let is_second = |(number, cell): &(usize, &mut Cell)| cell.other_axis().is_some_and(|other| other < *number);
     for &(quantity, number) in values {
         match quantity {
             Quantity::SlitDistance => set(&mut document, "slit", "distance_mm", number),
+            Quantity::SlitWidth if is_hole => set(&mut document, "slit", "diameter_mm", number),
             Quantity::SlitWidth => set(&mut document, "slit", "width_mm", number),
+            Quantity::SlitLength if is_hole => {
+                return Err(error("slit_length cannot be free, its holes are round; free slit_width, their diameter"));
+            }
             Quantity::SlitLength => set(&mut document, "slit", "length_mm", number),
             Quantity::FullScale => {
                 if file.front_end.is_none() {
@@ -36,6 +43,11 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
             }
             Quantity::Cells => {
                 let count = number.round().max(1.0) as usize;
+                if count != cells.len() && cells.iter().any(|cell| cell.other_axis().is_some()) {
+                    return Err(error(
+                        "cells cannot be free where a detector has two axes; leave their number as it is",
+                    ));
+                }
                 if count != cells.len() {
                     is_moved = true;
                     cells = ring(&cells[0], count);
@@ -47,8 +59,9 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
             }
             _ => {
                 is_moved = true;
-                for (number_of, cell) in cells.iter_mut().enumerate() {
-                    let sign = if number_of % 2 == 0 { 1.0 } else { -1.0 };
+                let firsts = cells.iter_mut().enumerate().filter(|cell| !is_second(cell));
+                for (index, (_, cell)) in firsts.enumerate() {
+                    let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
                     place(cell, quantity, number, sign);
                 }
             }
@@ -57,7 +70,8 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
     if is_moved {
         let tables = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
         let tables = tables.ok_or_else(|| error("its cells are no [[cell]] tables"))?;
-        for (table, cell) in tables.iter_mut().zip(&cells) {
+        let firsts = cells.iter_mut().enumerate().zip(tables.iter_mut()).filter(|(cell, _)| !is_second(cell));
+        for ((_, cell), table) in firsts {
             let (detector, emitter) = (&cell.detector, &cell.emitter);
             for (key, vector) in [
                 ("detector_mm", detector.centre_base_m * 1e3),

@@ -1,12 +1,13 @@
 //! One cell seen from the side: emitter, slit and detector with the paper's dimensions.
 
-use glam::{DVec2, DVec3, dvec2, dvec3};
-use slitpose_model::{Cell, Plan, Pose, Response, rotation_exp};
+use glam::{DVec2, DVec3, dvec2};
+use slitpose_model::{Cell, Opening, Plan, Pose, Response};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::palette::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour};
 use super::scene::pose_text;
 use super::size::{PlotError, quantity, require_drawable};
+use crate::mask_frame::MaskFrame;
 
 const WIDTH: f64 = 900.0;
 /// Room at either side: for d_A and d_B, and for names.
@@ -67,17 +68,15 @@ impl<'a> SideView<'a> {
         let section = |v: DVec3| dvec2(v.dot(detector.x_axis_base), v.dot(detector.normal_base));
         let emitter_base = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
         let emitter = section(emitter_base - detector.centre_base_m) * 1e3;
-        let tilt = rotation_exp(slit.tilt_rad);
-        let edge = |sign: f64| {
-            let edge = slit.offset_m.extend(slit.distance_m) + tilt * dvec3(0.5 * sign * slit.width_m, 0.0, 0.0);
-            dvec2(edge.x, edge.z) * 1e3
-        };
+        let mask = MaskFrame::of(cell, pose);
+        let edge = |sign: f64| section(mask.at(dvec2(0.5 * sign * slit.width_m, 0.0)) - detector.centre_base_m) * 1e3;
+        let slit = [edge(-1.0), edge(1.0)];
         let outline = plan.spot_outline_m(number, pose);
         let ends = outline
             .iter()
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], [x, _]| [least.min(x * 1e3), most.max(x * 1e3)]);
         let half_mm = 0.5e3 * detector.length_m;
-        let top_mm = emitter.y.max(1e3 * slit.distance_m).max(1.0);
+        let top_mm = emitter.y.max(slit[0].y).max(slit[1].y).max(1.0);
         let reach = half_mm.max(emitter.x.abs());
         let scale = ((WIDTH - 2.0 * SIDE) / (2.0 * reach)).min(HIGHEST / top_mm);
         Self {
@@ -89,7 +88,7 @@ impl<'a> SideView<'a> {
             top_mm,
             emitter,
             axis: section(pose.rotation * cell.emitter.axis_tool),
-            slit: [edge(-1.0), edge(1.0)],
+            slit,
             spot: (!outline.is_empty()).then_some(ends),
         }
     }
@@ -112,28 +111,55 @@ impl<'a> SideView<'a> {
         canvas.area(&bar(from, to, 0.0, 14.0), self.colour, 0.3);
         canvas.outline(&bar(from, to, 0.0, 14.0), Stroke::new(self.colour, 1.6));
         let along = (right - left).normalize_or(DVec2::X);
-        let plate = half + 1.0;
+        let rides = self.cell.opening() == Opening::RidingSlit;
+        // A mask that rides is drawn beside its slit only, that on the base over the detector.
+        let plate = if rides { 0.5 * (left.x + right.x) + 0.25 * half } else { half + 1.0 };
         let thickness = 0.5 * (1e3 * self.cell.slit.thickness_m * self.scale).max(4.0);
         for (edge, outward) in [(left, -along), (right, along)] {
-            let reach = (plate - edge.dot(outward)).max(0.5);
+            let reach = if rides { 0.25 * half } else { (plate - edge.dot(outward)).max(0.5) };
             let far = edge + outward * reach;
             canvas.area(&bar(self.place(edge), self.place(far), thickness, thickness), MASK, 1.0);
         }
-        canvas.text(self.place(dvec2(plate, left.y)) + dvec2(12.0, 5.0), "mask with slit", LABEL);
+        if let Opening::Lens { .. } = self.cell.opening() {
+            canvas.area(&self.lens(), self.colour, 0.3);
+            canvas.outline(&self.lens(), Stroke::new(self.colour, 1.2));
+        }
+        let mask = match self.cell.opening() {
+            Opening::Slit => "mask with slit",
+            Opening::RidingSlit => "mask with slit, on the tool",
+            Opening::Pinhole => "mask with pinhole",
+            Opening::Lens { .. } => "mask with lens",
+        };
+        canvas.text(self.place(dvec2(plate, left.y)) + dvec2(12.0, 5.0), mask, LABEL);
         canvas.text(from + dvec2(-10.0, 13.0), "$I_{X1}$", LABEL.anchored(Anchor::End));
         canvas.text(to + dvec2(10.0, 13.0), "$I_{X2}$   detector (PSD)", LABEL);
         let normal = [self.place(DVec2::ZERO), self.place(dvec2(0.0, self.top_mm))];
         canvas.line(normal[0], normal[1], Stroke::new(PALE, 1.0).dashed(7.0, 5.0));
     }
 
+    /// The outline of a lens that fills the hole: a fifth as thick as wide.
+    fn lens(&self) -> Vec<DVec2> {
+        let [left, right] = self.slit;
+        let (middle, half) = (0.5 * (left + right), 0.5 * (right - left));
+        let angles = (0..48).map(|i| f64::from(i) * std::f64::consts::TAU / 48.0);
+        angles.map(|angle| self.place(middle + half * angle.cos() + 0.2 * half.perp() * angle.sin())).collect()
+    }
+
     fn draw_light(&self, canvas: &mut Canvas) {
         let emitter = self.place(self.emitter);
         if let (Some([from, to]), Some(x_a_m)) = (self.spot, self.response.x_a_m) {
             let (from, to) = (self.place(dvec2(from, 0.0)), self.place(dvec2(to, 0.0)));
-            canvas.area(&[emitter, from, to], self.colour, 0.18);
-            canvas.line(from, to, Stroke::new(self.colour, 5.0));
             let x_a = self.place(dvec2(1e3 * x_a_m, 0.0));
-            canvas.line(emitter, x_a, Stroke::new(self.colour, 1.2));
+            if let Opening::Lens { .. } = self.cell.opening() {
+                let [left, right] = self.slit.map(|edge| self.place(edge));
+                canvas.area(&[emitter, left, right], self.colour, 0.18);
+                canvas.area(&[left, right, to, from], self.colour, 0.18);
+                canvas.path(&[emitter, 0.5 * (left + right), x_a], Stroke::new(self.colour, 1.2));
+            } else {
+                canvas.area(&[emitter, from, to], self.colour, 0.18);
+                canvas.line(emitter, x_a, Stroke::new(self.colour, 1.2));
+            }
+            canvas.line(from, to, Stroke::new(self.colour, 5.0));
             canvas.disc(x_a, 3.4, self.colour, Stroke::new(INK, 0.8));
         }
         self.draw_gamma(canvas, emitter);
@@ -166,7 +192,7 @@ impl<'a> SideView<'a> {
 
     fn draw_dimensions(&self, canvas: &mut Canvas) {
         let half = self.half_mm();
-        let slit_height = 1e3 * self.cell.slit.distance_m;
+        let slit_height = 0.5 * (self.slit[0].y + self.slit[1].y);
         let mut height = |column: f64, top: DVec2, label_mm: f64, label: &str| {
             let (foot, head) = (dvec2(column, self.origin.y), dvec2(column, self.place(top).y));
             canvas.line(self.place(top), dvec2(column - 6.0, head.y), Stroke::new(PALE, 0.9));
@@ -178,7 +204,9 @@ impl<'a> SideView<'a> {
         // Beside the part that d_B does not span.
         let above = if self.emitter.y > slit_height { slit_height } else { 0.0 };
         height(80.0, self.emitter, 0.5 * (self.emitter.y + above), &format!("$d_A$ = {d_a} mm"));
-        height(185.0, dvec2(-half - 1.0, slit_height), 0.5 * slit_height, &format!("$d_B$ = {d_b} mm"));
+        let rides = self.cell.opening() == Opening::RidingSlit;
+        let mask = if rides { self.slit[0].x - 0.25 * half } else { -half - 1.0 };
+        height(185.0, dvec2(mask, slit_height), 0.5 * slit_height, &format!("$d_B$ = {d_b} mm"));
         self.draw_slit_width(canvas);
         self.draw_spot_position(canvas);
         let below = self.origin.y + 78.0;
@@ -202,7 +230,8 @@ impl<'a> SideView<'a> {
         let width = 1e3 * self.cell.slit.width_m;
         let clear = if self.emitter.x > 0.0 { left - dvec2(30.0, -5.0) } else { right + dvec2(30.0, 5.0) };
         let anchor = if self.emitter.x > 0.0 { Anchor::End } else { Anchor::Start };
-        canvas.text(clear, &format!("$w$ = {} mm", quantity(width)), LABEL.anchored(anchor));
+        let name = if let Opening::Slit | Opening::RidingSlit = self.cell.opening() { "$w$ =" } else { "⌀" };
+        canvas.text(clear, &format!("{name} {} mm", quantity(width)), LABEL.anchored(anchor));
     }
 
     fn draw_spot_position(&self, canvas: &mut Canvas) {

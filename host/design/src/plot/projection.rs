@@ -1,7 +1,9 @@
 //! A sensor head in space, and the three ways to look at it.
 
 use glam::{DVec2, DVec3, dvec2, dvec3};
-use slitpose_model::{Cell, Plan, Pose, Scene, rotation_exp};
+use slitpose_model::{Cell, Opening, Plan, Pose, Scene};
+
+use crate::mask_frame::MaskFrame;
 
 /// How far the drawn mask reaches beyond detector and slit, millimetres. Scenes do not say how
 /// large their masks are.
@@ -13,11 +15,15 @@ pub(super) struct CellShape {
     pub(super) detector: Vec<DVec3>,
     pub(super) mask: Vec<DVec3>,
     pub(super) slit: Vec<DVec3>,
+    /// Whether light is bent in the slit, a lens.
+    pub(super) bends: bool,
+    /// Whether all of it but the number is drawn with an earlier cell: the second axis of a detector.
+    pub(super) repeats: bool,
     pub(super) emitter: DVec3,
     pub(super) emitter_axis: DVec3,
     /// Corners of the light spot; empty without spot.
     pub(super) spot: Vec<DVec3>,
-    /// Where the light's position X_A is on the detector's centre line.
+    /// Where the light's position X_A is on the detector.
     pub(super) x_a: Option<DVec3>,
 }
 
@@ -27,11 +33,17 @@ impl CellShape {
         let (x, z) = (detector.x_axis_base, detector.normal_base);
         let y = z.cross(x);
         let base_from_cell = |p: DVec3| (detector.centre_base_m + x * p.x + y * p.y + z * p.z) * 1e3;
-        let tilt = rotation_exp(slit.tilt_rad);
-        let slit_centre = slit.offset_m.extend(slit.distance_m);
-        let in_mask = |corner: DVec2| base_from_cell(slit_centre + tilt * corner.extend(0.0));
-        let plate = 0.5 * dvec2(detector.length_m.max(slit.width_m), slit.length_m.max(detector.width_m));
-        let x_a_m = plan.respond(number, pose).x_a_m;
+        let mask = MaskFrame::of(cell, pose);
+        let in_mask = |corner: DVec2| mask.at(corner) * 1e3;
+        let opening = cell.opening();
+        // A mask that rides is drawn as large as its slit asks for; others cover their detectors.
+        let covered =
+            if opening == Opening::RidingSlit { 0.0 } else { 1.0 } * dvec2(detector.length_m, detector.width_m);
+        let plate = 0.5 * dvec2(slit.width_m, slit.length_m).max(covered);
+        let position = |number: usize| plan.respond(number, pose).x_a_m;
+        // On the centre line, or where the second axis has it.
+        let across_m = cell.other_axis().and_then(position).unwrap_or_default();
+        let x_a_m = position(number);
         let outline = plan.spot_outline_m(number, pose);
         Self {
             number,
@@ -39,11 +51,13 @@ impl CellShape {
                 .map(|corner| base_from_cell(corner.extend(0.0)))
                 .collect(),
             mask: rectangle(plate + MASK_MARGIN_MM * 1e-3).map(in_mask).collect(),
-            slit: rectangle(0.5 * dvec2(slit.width_m, slit.length_m)).map(in_mask).collect(),
+            slit: opening_outline(cell).into_iter().map(in_mask).collect(),
+            bends: matches!(opening, Opening::Lens { .. }),
+            repeats: cell.other_axis().is_some_and(|other| other < number),
             emitter: (pose.rotation * emitter.position_tool_m + pose.translation_m) * 1e3,
             emitter_axis: pose.rotation * emitter.axis_tool,
             spot: outline.iter().map(|[x, y]| base_from_cell(dvec3(*x, *y, 0.0))).collect(),
-            x_a: x_a_m.map(|x_a| base_from_cell(dvec3(x_a, 0.0, 0.0))),
+            x_a: x_a_m.map(|x_a| base_from_cell(dvec3(x_a, across_m, 0.0))),
         }
     }
 
@@ -56,9 +70,27 @@ impl CellShape {
         self.detector.iter().sum::<DVec3>() / self.detector.len() as f64
     }
 
+    /// The middle of the opening.
+    pub(super) fn slit_centre(&self) -> DVec3 {
+        self.slit.iter().sum::<DVec3>() / self.slit.len() as f64
+    }
+
     fn points(&self) -> impl Iterator<Item = DVec3> {
         self.detector.iter().chain(&self.mask).copied().chain([self.emitter])
     }
+}
+
+/// Corners of a drawn circle.
+const CIRCLE: usize = 32;
+
+/// The outline of the opening in its mask, metres.
+fn opening_outline(cell: &Cell) -> Vec<DVec2> {
+    let half = 0.5 * dvec2(cell.slit.width_m, cell.slit.length_m);
+    if matches!(cell.opening(), Opening::Slit | Opening::RidingSlit) {
+        return rectangle(half).collect();
+    }
+    let angles = (0..CIRCLE).map(|i| i as f64 * std::f64::consts::TAU / CIRCLE as f64);
+    angles.map(|angle| half.x * DVec2::from_angle(angle)).collect()
 }
 
 fn rectangle(half: DVec2) -> impl Iterator<Item = DVec2> {

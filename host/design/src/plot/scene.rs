@@ -53,7 +53,7 @@ pub fn scene_picture(name: &str, scene: &Scene, plan: &Plan<f64>, pose: &Pose) -
     let across = COLUMN - 2.0 * BESIDE;
     let scale = (across / extent.x.max(extent.y)).min(HIGHEST / extent.y.max(extent.z));
     let row = |rise_mm: f64| ABOVE + rise_mm * scale + BELOW;
-    let strips_height = strips::height(scene);
+    let strips_height = strips::height(scene, COLUMN);
     let top_row = row(extent.y).max(strips_height + LEGEND);
     let size = dvec2(2.0 * COLUMN + 3.0 * MARGIN, HEADER + top_row + row(extent.z) + FOOTER);
 
@@ -100,7 +100,7 @@ impl Sheet {
         canvas.text(corner + dvec2(0.0, 14.0), self.view.name, TextStyle::new(15.0).bold());
         let mut shapes: Vec<_> = shapes.iter().collect();
         shapes.sort_by(|a, b| self.view.nearness(a.centre()).total_cmp(&self.view.nearness(b.centre())));
-        for shape in &shapes {
+        for shape in shapes.iter().filter(|shape| !shape.repeats) {
             self.draw_receiver(canvas, shape);
         }
         let origin = self.place(pose.translation_m * 1e3);
@@ -108,7 +108,7 @@ impl Sheet {
             canvas.line(origin, self.place(shape.emitter), Stroke::new(TOOL, 1.4));
         }
         canvas.disc(origin, 2.6, TOOL, Stroke::new(TOOL, 1.0));
-        for shape in &shapes {
+        for shape in shapes.iter().filter(|shape| !shape.repeats) {
             self.draw_light(canvas, shape);
         }
         self.draw_numbers(canvas, &shapes);
@@ -138,9 +138,20 @@ impl Sheet {
         if let Some(x_a) = shape.x_a {
             let mut beam = self.places(&shape.spot);
             canvas.area(&beam, colour, 0.9);
-            beam.push(emitter);
+            let mut from = emitter;
+            if shape.bends {
+                // To the lens, and from it on.
+                let mut lens = self.places(&shape.slit);
+                beam.extend_from_slice(&lens);
+                lens.push(emitter);
+                canvas.area(&hull(&lens), colour, 0.2);
+                from = self.place(shape.slit_centre());
+                canvas.line(emitter, from, Stroke::new(colour, 0.9));
+            } else {
+                beam.push(emitter);
+            }
             canvas.area(&hull(&beam), colour, 0.2);
-            canvas.line(emitter, self.place(x_a), Stroke::new(colour, 0.9));
+            canvas.line(from, self.place(x_a), Stroke::new(colour, 0.9));
         }
         let tip = self.place(shape.emitter + AXIS_MM * shape.emitter_axis);
         // An axis that points at the eye has no arrow.
@@ -180,7 +191,7 @@ impl Sheet {
         }
         let corners = shapes.iter().flat_map(|other| other.mask.iter().chain(&other.detector));
         let lowest = corners.map(|corner| self.place(*corner).y).fold(centre.y, f64::max);
-        dvec2(self.place(shape.slit.iter().sum::<DVec3>() / 4.0).x, lowest + 16.0)
+        dvec2(self.place(shape.slit_centre()).x, lowest + 16.0)
     }
 
     fn draw_axes(&self, canvas: &mut Canvas, origin: DVec2) {

@@ -1,7 +1,7 @@
 //! The detectors side by side, with the light on them.
 
 use glam::{DVec2, dvec2};
-use slitpose_model::{Plan, Pose, Response, Scene, Status};
+use slitpose_model::{Cell, Plan, Pose, Response, Scene, Status};
 
 use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
 use super::palette::{ALERT, INK, PALE, SOFT_INK, cell_colour};
@@ -12,25 +12,46 @@ use super::ticks::ticks;
 const READOUT: f64 = 226.0;
 /// Room for the cell's number at the left.
 const NUMBER: f64 = 34.0;
-/// From one strip to the next, and for title and axis together.
+/// From one strip to the next, at least, and for title and axis together.
 const ROW: f64 = 46.0;
 const FRAME: f64 = 76.0;
+/// Between strips, and the height that a wide one may have.
+const GAP: f64 = 16.0;
+const HIGHEST: f64 = 114.0;
+/// Room for the number of a tick.
+const TICK: f64 = 36.0;
 
-/// The height of the panel.
-pub(super) fn height(scene: &Scene) -> f64 {
-    FRAME + ROW * scene.cells.len() as f64
+/// Cells with a strip of their own: both axes of a detector share one.
+fn rows(scene: &Scene) -> impl Iterator<Item = (usize, &Cell)> {
+    scene.cells.iter().enumerate().filter(|(number, cell)| cell.other_axis().is_none_or(|other| other > *number))
+}
+
+/// Pixels per metre, and from one strip to the next.
+fn scale(scene: &Scene, width: f64) -> (f64, f64) {
+    let longest_m = scene.cells.iter().map(|cell| cell.detector.length_m).fold(0.0, f64::max);
+    let widest_m = rows(scene).map(|(_, cell)| cell.detector.width_m).fold(0.0, f64::max);
+    let highest = if widest_m < 0.25 * longest_m { ROW - GAP } else { HIGHEST };
+    let scale = (across(width) / longest_m).min(highest / widest_m);
+    (scale, ROW.max(scale * widest_m + GAP))
+}
+
+fn across(width: f64) -> f64 {
+    width - NUMBER - READOUT - 16.0
+}
+
+/// The height of a panel of that width.
+pub(super) fn height(scene: &Scene, width: f64) -> f64 {
+    FRAME + scale(scene, width).1 * rows(scene).count() as f64
 }
 
 /// Draws the panel with its corner at `top_left`.
 pub(super) fn draw(canvas: &mut Canvas, top_left: DVec2, width: f64, scene: &Scene, plan: &Plan<f64>, pose: &Pose) {
     canvas.text(top_left + dvec2(0.0, 14.0), "light on the detectors", TextStyle::new(15.0).bold());
     let longest_m = scene.cells.iter().map(|cell| cell.detector.length_m).fold(0.0, f64::max);
-    let widest_m = scene.cells.iter().map(|cell| cell.detector.width_m).fold(0.0, f64::max);
-    let across = width - NUMBER - READOUT - 16.0;
-    let scale = (across / longest_m).min((ROW - 16.0) / widest_m);
-    let centre_x = top_left.x + NUMBER + 0.5 * across;
-    let mut centre = dvec2(centre_x, top_left.y + 30.0 + 0.5 * ROW);
-    for (number, cell) in scene.cells.iter().enumerate() {
+    let (scale, row) = scale(scene, width);
+    let centre_x = top_left.x + NUMBER + 0.5 * across(width);
+    let mut centre = dvec2(centre_x, top_left.y + 30.0 + 0.5 * row);
+    for (number, cell) in rows(scene) {
         let place = |[x, y]: [f64; 2]| centre + scale * dvec2(x, -y);
         let (half_x, half_y) = (0.5 * cell.detector.length_m, 0.5 * cell.detector.width_m);
         let corners = [[-half_x, -half_y], [half_x, -half_y], [half_x, half_y], [-half_x, half_y]].map(place);
@@ -47,12 +68,25 @@ pub(super) fn draw(canvas: &mut Canvas, top_left: DVec2, width: f64, scene: &Sce
             let reach = half_y + 4.0 / scale;
             canvas.line(place([x_a_m, -reach]), place([x_a_m, reach]), Stroke::new(colour, 2.0));
         }
-        let at = dvec2(top_left.x + 8.0, centre.y + 5.0);
-        canvas.text(at, &number.to_string(), TextStyle::new(15.0).bold().coloured(colour));
-        draw_readout(canvas, dvec2(top_left.x + width - READOUT, centre.y), &response);
-        centre.y += ROW;
+        let mut readings = vec![(number, response)];
+        if let Some(other) = cell.other_axis() {
+            let response = plan.respond(other, pose);
+            if let Some(y_a_m) = response.x_a_m {
+                let reach = half_x + 4.0 / scale;
+                canvas.line(place([-reach, y_a_m]), place([reach, y_a_m]), Stroke::new(cell_colour(other), 2.0));
+            }
+            readings.push((other, response));
+        }
+        let mut y = centre.y - 0.5 * ROW * (readings.len() - 1) as f64;
+        for (number, response) in &readings {
+            let style = TextStyle::new(15.0).bold().coloured(cell_colour(*number));
+            canvas.text(dvec2(top_left.x + 8.0, y + 5.0), &number.to_string(), style);
+            draw_readout(canvas, dvec2(top_left.x + width - READOUT, y), response);
+            y += ROW;
+        }
+        centre.y += row;
     }
-    let axis_y = centre.y - 0.5 * ROW + 4.0;
+    let axis_y = centre.y - 0.5 * row + 4.0;
     draw_axis(canvas, dvec2(centre_x, axis_y), scale, longest_m);
 }
 
@@ -76,7 +110,7 @@ fn draw_axis(canvas: &mut Canvas, centre: DVec2, scale: f64, length_m: f64) {
     let half_mm = 0.5e3 * length_m;
     let end = dvec2(0.5 * length_m * scale, 0.0);
     canvas.line(centre - end, centre + end, stroke);
-    let (positions, decimals) = ticks([-half_mm, half_mm], 6);
+    let (positions, decimals) = ticks([-half_mm, half_mm], ((2.0 * end.x / TICK) as usize).clamp(2, 6));
     for tick in positions {
         let at = centre + dvec2(tick * 1e-3 * scale, 0.0);
         canvas.line(at, at + dvec2(0.0, 5.0), stroke);

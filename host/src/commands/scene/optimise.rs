@@ -112,17 +112,22 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Some(_) => None,
         None => Some(Output::open(args.output.as_deref())?),
     };
+    let file = SceneFile::open(&args.scene)?;
     let mut free: Vec<Free> = Vec::new();
     for one in &args.free {
         free.retain(|before| before.quantity != one.quantity);
-        free.push(*one);
+        free.push(one.around(&file));
+    }
+    for outside in free.iter().filter(|free| !free.has(&file)) {
+        let (quantity, [from, to]) = (outside.quantity, outside.bounds);
+        talk(format_args!("{quantity} of the scene is outside {from}..{to}: the search begins at the nearer end"));
     }
     let demand = match args.demand {
         DemandName::Median => Demand::Median,
         DemandName::Worst => Demand::Worst,
     };
     let search = Search {
-        file: SceneFile::open(&args.scene)?,
+        file,
         free,
         goal: Goal { demand, lever_m: args.lever * 1e-3 },
         limits: Limits {
