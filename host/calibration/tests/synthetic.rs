@@ -9,7 +9,7 @@ use rand_distr::StandardNormal;
 use slitpose_calibration::{
     Calibrated, Calibration, Constraint, Data, Knowledge, Quantity, Request, Row, calibrate, draw, validity,
 };
-use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, SceneFile, WIDE};
 use slitpose_model::{Noise, Plan, Pose, Scene, Tier};
 
 const SEED: u64 = 5;
@@ -82,7 +82,10 @@ impl Bench {
         let truth = Plan::<f64>::compile(head, TIER).expect("a head");
         let mut squares = [0.0_f64; 2];
         for _ in 0..200 {
-            let pose = Pose::from_vectors(self.vector(DVec3::splat(3e-3)), self.vector(DVec3::splat(0.2)));
+            let most = |usual: f64, extent: DVec3| extent.min(DVec3::splat(usual));
+            let workspace = self.file.workspace;
+            let translation_m = self.vector(most(3e-3, workspace.half_extent_m));
+            let pose = Pose::from_vectors(translation_m, self.vector(most(0.2, workspace.half_extent_rad)));
             for cell in 0..plan.cell_count() {
                 let share = |plan: &Plan<f64>| {
                     let pair = plan.photocurrents(cell, &pose);
@@ -111,6 +114,24 @@ fn light_of_other_emitters_is_calibrated_with_theirs() {
     let rows = bench.rows(&head, 80, STATED);
     let found = bench.calibrated(rows).calibration;
     bench.assert_predicted(&found, &head);
+}
+
+/// Slits on the tool, and detectors with two axes behind lenses: no window, one emitter for both axes.
+#[test]
+fn heads_with_other_openings_are_calibrated() {
+    for shipped in [SPACEMOUSE, MAGLEV] {
+        let mut bench = Bench { file: shipped.read().expect("a scene"), ..Bench::new() };
+        let head = bench.head(|_| false, 1.0);
+        let rows = bench.rows(&head, 80, STATED);
+        let found = bench.calibrated(rows).calibration;
+        let of = |quantity| found.parameters().iter().filter(|entry| entry.quantity == quantity).count();
+        let emitters = if shipped.name == MAGLEV.name { 3 } else { 6 };
+        assert_eq!(
+            [of(Quantity::LogIntensity), of(Quantity::DetectorShift(0)), of(Quantity::WindowThickness)],
+            [emitters, 6, 0]
+        );
+        bench.assert_predicted(&found, &head);
+    }
 }
 
 #[test]

@@ -105,10 +105,12 @@ fn variants(head: &Head<'_>) -> Vec<Variant> {
         variants.push(Variant { group, name: name.to_owned(), scene, moving: None });
     };
     let cells = |scene: &mut Scene, change: &dyn Fn(&mut slitpose_model::Cell)| scene.cells.iter_mut().for_each(change);
-    add("mask", "thin mask", lean(&|_| {}));
-    add("mask", "mask 0.15 mm thick", lean(&|scene| cells(scene, &|cell| cell.slit.thickness_m = THICKNESS_M)));
-    add("slit", "slit parallel to the detector", lean(&|_| {}));
-    add("slit", "slit turned by 2°", lean(&|scene| cells(scene, &|cell| cell.slit.tilt_rad = DVec3::Z * TILT_RAD)));
+    if head.is_of_slits() {
+        add("mask", "thin mask", lean(&|_| {}));
+        add("mask", "mask 0.15 mm thick", lean(&|scene| cells(scene, &|cell| cell.slit.thickness_m = THICKNESS_M)));
+        add("slit", "slit parallel to the detector", lean(&|_| {}));
+        add("slit", "slit turned by 2°", lean(&|scene| cells(scene, &|cell| cell.slit.tilt_rad = DVec3::Z * TILT_RAD)));
+    }
     add("profile", "profile: cosine power", lean(&|_| {}));
     add(
         "profile",

@@ -1,7 +1,8 @@
 //! The head under study: its scene as a solver weighs it, and poses at which every cell has light.
 
 use slitpose_model::{
-    Cell, MotionPrior, Pair, Photocurrents, Plan, Pose, Profile, Scalar, Scene, Solver, Start, Tier, Uncertainty,
+    Cell, MotionPrior, Opening, Pair, Photocurrents, Plan, Pose, Profile, Scalar, Scene, Solver, Start, Tier,
+    Uncertainty,
 };
 
 use super::{ReportError, Settings};
@@ -84,6 +85,11 @@ impl<'a> Head<'a> {
             return Err(ReportError::TooFewLit { scene, found, tried, wanted });
         }
         Ok(Self { file, scene, frame, poses, truth, truth_tier })
+    }
+
+    /// Whether every cell has a slit on the base, and a detector of its own.
+    pub(super) fn is_of_slits(&self) -> bool {
+        self.scene.cells.iter().all(|cell| cell.opening() == Opening::Slit && cell.other_axis().is_none())
     }
 
     /// The scene without any noise: only arithmetic remains.

@@ -1,7 +1,9 @@
 //! One cell driven to extremes: no light, little light, light from far, from near and from aside.
 
 use glam::{DVec2, DVec3};
-use slitpose_model::{Pair, Plan, Pose, Profile, Response, Scalar, Scene, SceneError, Tier, Uncertainty};
+use slitpose_model::{
+    Cell, Effects, Pair, Plan, Pose, Profile, Response, Scalar, Scene, SceneError, Tier, Uncertainty,
+};
 
 use super::case::{Case, Expected, Reached};
 use super::reference::Reference;
@@ -16,7 +18,7 @@ const DARK_A: f64 = 20e-9;
 
 const CURRENT: &str = "current / relative";
 
-/// A cell of the head's dimensions, on its own and in its own frame.
+/// A slit of the head's dimensions on the base, on its own and in its own frame.
 struct Lone {
     scene: Scene,
     exponent: f64,
@@ -26,7 +28,7 @@ struct Lone {
 
 impl Lone {
     fn of(scene: &Scene) -> Self {
-        let mut cell = scene.cells[0].clone();
+        let mut cell = Cell { effects: Effects::default(), ..scene.cells[0].clone() };
         let height_m = (cell.emitter.position_tool_m - cell.detector.centre_base_m).dot(cell.detector.normal_base);
         let exponent = exponent(&cell.emitter.profile);
         let (detector, slit) = (&mut cell.detector, &mut cell.slit);

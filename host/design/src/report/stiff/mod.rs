@@ -33,6 +33,11 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
     cases.extend(time::front_ends(head));
     cases.extend(time::jumps(head, settings)?);
     let summary = summary(&cases);
+    let of_slits = if head.is_of_slits() {
+        ""
+    } else {
+        " Those of one cell are of a slit on the base with the dimensions of the first cell."
+    };
     Ok(Section {
         name: "stiff",
         title: TITLE,
@@ -43,7 +48,7 @@ pub(super) fn section(head: &Head<'_>, settings: &Settings) -> Result<Section, R
                  a case says by how much it magnifies a relative error of what goes in; what is attainable is what \
                  remains when every number that goes in is rounded once: the condition number times the number type's \
                  rounding. Currents of one cell are compared with an integration that shares nothing with the \
-                 model; poses, {} near home in each case, with the truth.",
+                 model; poses, {} near home in each case, with the truth.{of_slits}",
                 trial::POSES
             ),
             summary,
