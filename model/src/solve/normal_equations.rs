@@ -257,6 +257,7 @@ impl<S: Scalar> Problem<'_, S> {
 
     /// The row of a cell that saw light and should see none at `pose`: its currents have no derivatives
     /// there, but its plane leads back.
+    #[inline(never)]
     fn guide(&self, reading: &Usable<S>, pose: &Transform<S>) -> Row<S> {
         let (row, distance) = self.planes[reading.cell].row(reading, pose, self.length_scale_m);
         Row {

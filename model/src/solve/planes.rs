@@ -8,6 +8,7 @@
 //! A slit that rides with the emitter lies in a plane of the tool with it, and the light lands where that plane meets
 //! the detector: the same, seen from the tool.
 
+#[cfg(feature = "effects")]
 use crate::effects::Opening;
 use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar, Vector3};
@@ -44,6 +45,7 @@ pub(super) struct PlaneCell<S: Scalar> {
     dark: S,
     shortest: S,
     /// Whether the slit is on the tool; `slit` and `along` are then where they are at home.
+    #[cfg(feature = "effects")]
     rides: bool,
 }
 
@@ -53,6 +55,7 @@ enum Plane<S: Scalar> {
     /// Unit normal of the emitter's plane through the slit.
     Emitter(S::Vec3),
     /// Where the light lands, on the plane of a riding slit.
+    #[cfg(feature = "effects")]
     Landing(S::Vec3),
 }
 
@@ -78,6 +81,7 @@ impl<S: Scalar> PlaneCell<S> {
             unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
             shortest: S::of((height - slit.distance_m).abs().min(slit.distance_m)),
+            #[cfg(feature = "effects")]
             rides: cell.opening() == Opening::RidingSlit,
         }
     }
@@ -103,7 +107,8 @@ impl<S: Scalar> PlaneCell<S> {
         let x_a = x_a.max(-self.half_length).min(self.half_length);
         let landing = self.detector + self.x_axis * x_a;
         let weight = if x_a.abs() > self.unclipped { S::of(CLIPPED_WEIGHT) } else { S::one() };
-        if cfg!(feature = "effects") && self.rides {
+        #[cfg(feature = "effects")]
+        if self.rides {
             return (Plane::Landing(landing), weight);
         }
         let normal = (self.slit - landing).cross(self.along);
@@ -119,12 +124,14 @@ impl<S: Scalar> PlaneCell<S> {
     fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         match plane {
             Plane::Emitter(normal) => self.row_from(self.slit, normal, pose, length_scale_m),
+            #[cfg(feature = "effects")]
             Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
         }
     }
 
     /// Distance of the riding slit's plane from `landing` with the tool at `pose`, metres, and its derivatives by
     /// (δt, arm·δθ): the plane turns with the tool, so that the lever is that of the landing.
+    #[cfg(feature = "effects")]
     #[cold]
     fn row_to(&self, landing: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         let normal = (self.emitter_tool - self.slit).cross(self.along);
@@ -160,7 +167,8 @@ impl<S: Scalar> PlaneCell<S> {
     /// middle, along the slit: the light lands alike, and is as much. From a riding slit it cannot move away.
     pub(super) fn sides(&self, pose: &Transform<S>) -> [S::Vec3; 2] {
         let here = pose.rotate(self.emitter_tool) + pose.translation();
-        if cfg!(feature = "effects") && self.rides {
+        #[cfg(feature = "effects")]
+        if self.rides {
             return [here; 2];
         }
         let beyond = (here - self.slit).dot(self.along);
