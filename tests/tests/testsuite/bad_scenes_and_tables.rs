@@ -100,7 +100,7 @@ fn too_few_and_too_many_cells() {
 fn a_scene_that_is_not_there() {
     slitpose!()
         .run(["model", "no/such.toml", "--poses", "-"])
-        .assert_refused(1, &["no/such.toml", "wide, fine, redundant, base, bench"]);
+        .assert_refused(1, &["no/such.toml", "wide, fine, redundant, spacemouse, maglev, base, bench"]);
     for (typed, meant) in [("wied", "wide"), ("bas", "base"), ("bnech", "bench")] {
         slitpose!().run(["scene", "check", typed]).assert_refused(1, &[typed, &format!("did you mean `{meant}`?")]);
     }

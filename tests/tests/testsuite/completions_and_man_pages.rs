@@ -63,7 +63,7 @@ fn names_and_files_are_completed_where_both_are_taken() {
     }
     let zsh = slitpose!().run(["completions", "zsh"]).done();
     assert!(zsh.lines().any(|line| line.contains("--scene=")
-        && line.contains("(wide fine redundant base bench)")
+        && line.contains("(wide fine redundant spacemouse maglev base bench)")
         && line.contains("_files")));
     assert!(
         zsh.lines().any(|line| line.contains("':name -- ") && !line.contains("_files")),
@@ -73,7 +73,10 @@ fn names_and_files_are_completed_where_both_are_taken() {
     let option =
         |name: &str| fish.lines().any(|line| line.contains(&format!("-l {name} ")) && line.contains(" -r -F -a \""));
     assert!(["scene", "device", "trajectory"].iter().all(|name| option(name)), "{fish}");
-    assert!(fish.lines().any(|line| line.contains("from check\" -a \"wide fine redundant base bench\"")), "{fish}");
+    assert!(
+        fish.lines().any(|line| line.contains("from check\" -a \"wide fine redundant spacemouse maglev base bench\"")),
+        "{fish}"
+    );
 }
 
 /// Asserts that `command` has a page with all its options, and so have its verbs; gives how many there are.

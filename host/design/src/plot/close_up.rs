@@ -150,16 +150,17 @@ impl<'a> SideView<'a> {
         if let (Some([from, to]), Some(x_a_m)) = (self.spot, self.response.x_a_m) {
             let (from, to) = (self.place(dvec2(from, 0.0)), self.place(dvec2(to, 0.0)));
             let x_a = self.place(dvec2(1e3 * x_a_m, 0.0));
+            let mut ray = vec![emitter, x_a];
             if let Opening::Lens { .. } = self.cell.opening() {
                 let [left, right] = self.slit.map(|edge| self.place(edge));
                 canvas.area(&[emitter, left, right], self.colour, 0.18);
                 canvas.area(&[left, right, to, from], self.colour, 0.18);
-                canvas.path(&[emitter, 0.5 * (left + right), x_a], Stroke::new(self.colour, 1.2));
+                ray.insert(1, 0.5 * (left + right));
             } else {
                 canvas.area(&[emitter, from, to], self.colour, 0.18);
-                canvas.line(emitter, x_a, Stroke::new(self.colour, 1.2));
             }
             canvas.line(from, to, Stroke::new(self.colour, 5.0));
+            canvas.path(&ray, Stroke::new(self.colour, 1.2));
             canvas.disc(x_a, 3.4, self.colour, Stroke::new(INK, 0.8));
         }
         self.draw_gamma(canvas, emitter);
