@@ -9,7 +9,10 @@ mod plane;
 mod schedule;
 mod tolerances;
 
+use std::sync::Mutex;
+
 use slitpose_calibration::Head;
+use slitpose_head::threads::{lock, on_all_cores};
 use slitpose_model::{Pose, SceneError};
 
 pub use outlook::{NoiseOf, Outlook, View};
@@ -65,30 +68,30 @@ pub struct Map {
 }
 
 impl Map {
-    /// Looks at the workspace of `head`; `progress` is called for each pose, [`Fineness::poses`] in all.
+    /// Looks at the workspace of `head`, on all cores; `progress` is called for each pose, [`Fineness::poses`] in all.
     ///
     /// # Errors
     /// A scene that cannot be computed.
-    pub fn of(head: Head, fineness: Fineness, mut progress: impl FnMut()) -> Result<Self, SceneError> {
+    pub fn of(head: Head, fineness: Fineness, progress: impl FnMut() + Send) -> Result<Self, SceneError> {
         let workspace = head.file.workspace;
         let outlook = Outlook::of(head)?;
-        let mut view = |pose: &Pose| {
-            progress();
-            outlook.at(pose)
+        let progress = Mutex::new(progress);
+        let view = |pose: &Pose| {
+            let view = outlook.at(pose);
+            lock(&progress)();
+            view
         };
+        let poses: Vec<Pose> = workspace.poses(fineness.samples).collect();
+        let with_dark =
+            |cell| on_all_cores(&poses[..poses.len().min(DARK_POSES)], |pose| outlook.at_without(pose, Some(cell)));
         Ok(Self {
             noise: outlook.noise,
             frame_rate_hz: outlook.frame_rate_hz,
             home: outlook.at(&Pose::HOME),
-            samples: workspace.poses(fineness.samples).map(|pose| (pose, view(&pose))).collect(),
-            one_dark: (0..outlook.cells())
-                .map(|cell| {
-                    let poses = workspace.poses(fineness.samples.min(DARK_POSES));
-                    poses.map(|pose| outlook.at_without(&pose, Some(cell))).collect()
-                })
-                .collect(),
+            samples: on_all_cores(&poses, |pose| (*pose, view(pose))),
+            one_dark: (0..outlook.cells()).map(with_dark).collect(),
             planes: (plane::AXES.into_iter().filter(|_| fineness.side > 0))
-                .map(|axes| Plane::of(axes, &workspace, fineness, &mut view))
+                .map(|axes| Plane::of(axes, &workspace, fineness, view))
                 .collect(),
             behind: fineness.behind,
         })
