@@ -203,6 +203,32 @@ mod tests {
         ((a * d - b * c) / length).abs().as_f64()
     }
 
+    /// The photons and the gain of one emitter, read twice: both readings together know them as well as one does.
+    #[cfg(feature = "effects")]
+    #[test]
+    fn what_two_axes_share_is_known_no_better_than_by_one() {
+        let mut scene = super::super::fixture::head();
+        scene.noise = Some(crate::scene::Noise {
+            shot_bandwidth_hz: 1e5,
+            johnson_bandwidth_hz: 0.0,
+            temperature_k: 300.0,
+            adc_a: 1e-15,
+        });
+        let information = |scene: &Scene, gain: f64| {
+            let mut scene = scene.clone();
+            scene.uncertainty.emitter_gain_relative = gain;
+            let [a, b] = CellNoise::<f64>::compile(&scene, 0, 1e-15).whitener([2e-6, 4e-6]).apply([2e-6, 4e-6]);
+            a * a + b * b
+        };
+        for gain in [0.0, 0.01] {
+            let one = information(&scene, gain);
+            scene.cells[0].effects.other_axis = Some(1);
+            let both = 2.0 * information(&scene, gain);
+            scene.cells[0].effects.other_axis = None;
+            assert!((both / one - 1.0).abs() < 1e-6, "{gain}: {both} {one}");
+        }
+    }
+
     #[test]
     fn an_unknown_gain_leaves_the_ratio() {
         let reference = ratio_weight::<f64>(1.0);
