@@ -395,3 +395,16 @@ fn their_poses_are_found_from_anywhere_in_a_few_steps() {
         }
     }
 }
+
+#[test]
+fn the_paper_tier_takes_integrals_over_openings_to_a_millionth() {
+    let rng = &mut generator();
+    for trial in 0..60 {
+        let scene = if trial % 2 == 0 { riding(rng, Kind::Thin) } else { round(rng, true) };
+        let pose = pose(rng, &scene);
+        let [paper, exact] =
+            [Tier::Paper, EXACT].map(|tier| Plan::<f64>::compile(&scene, tier).expect("valid").photocurrents(0, &pose));
+        let difference = (paper.i_x1_a - exact.i_x1_a).abs().max((paper.i_x2_a - exact.i_x2_a).abs());
+        assert!(difference <= 1e-6 * exact.total_a(), "{trial}: {paper:?} {exact:?}");
+    }
+}

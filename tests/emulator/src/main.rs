@@ -107,7 +107,7 @@ fn run(args: &Args) -> Result<(), Failure> {
     let scene = SceneFile::open(&args.scene)?;
     let image = open_image(args.elf.as_deref())?;
     let trajectory = match TrajectoryKind::from_str(&args.trajectory, false) {
-        Ok(kind) => Trajectory::of_kind(kind, args.seed, HORIZON_S),
+        Ok(kind) => Trajectory::of_kind(kind, args.seed, HORIZON_S).within(&scene.workspace),
         Err(_) => Trajectory::from_table(&args.trajectory)?,
     };
     let noise = if args.quiet { NoiseSource::Off } else { NoiseSource::Seeded(args.seed) };
