@@ -2,8 +2,10 @@
 
 use std::fmt;
 
-use glam::{DQuat, DVec2, DVec3};
-use slitpose_model::{Cell, Converters, MAX_CONVERTER, MAX_NONLINEARITY, Profile, Stray, Window, rotation_exp};
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use slitpose_model::{
+    Cell, Converters, MAX_CONVERTER, MAX_NONLINEARITY, Opening, Profile, Stray, Window, rotation_exp,
+};
 
 /// Highest Legendre order of a detector's non-linearity.
 pub(crate) const NONLINEARITY_ORDERS: usize = MAX_NONLINEARITY - 1;
@@ -19,7 +21,7 @@ pub(crate) const RESIN_INDEX: f64 = 1.52;
 /// Detectors and slits shift and turn in the scene's own cell frame; emitters in the tool frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
-    /// The detector, and with it the slit, along the cell's x, y or z: metres.
+    /// The detector, and with it a slit on the base, along the cell's x, y or z: metres.
     DetectorShift(u8),
     /// Component of the detector's rotation vector, radians.
     DetectorTurn(u8),
@@ -293,7 +295,9 @@ impl Deviations {
     fn act_on(self, cell: &mut Cell, full_scale_a: f64) {
         let detector = &mut cell.detector;
         let (x, z) = (detector.x_axis_base, detector.normal_base);
-        let to_base = |v: DVec3| x * v.x + z.cross(x) * v.y + z * v.z;
+        let base_from_cell = |x: DVec3, z: DVec3| DMat3::from_cols(x, z.cross(x), z);
+        let nominal = (detector.centre_base_m, base_from_cell(x, z));
+        let to_base = |v: DVec3| nominal.1 * v;
         detector.centre_base_m += to_base(self.detector_shift);
         let turn = rotation_exp(to_base(self.detector_turn));
         detector.x_axis_base = (turn * x).normalize();
@@ -302,6 +306,16 @@ impl Deviations {
         // The slit's own rotation acts after that of the scene.
         let tilt: DQuat = rotation_exp(self.slit_tilt) * rotation_exp(cell.slit.tilt_rad);
         cell.slit.tilt_rad = slitpose_model::rotation_log(tilt);
+        if cell.effects.opening == Opening::RidingSlit {
+            // A slit on the tool stays where it is while its detector moves.
+            let slit = &mut cell.slit;
+            let cell_from_base = base_from_cell(detector.x_axis_base, detector.normal_base).transpose();
+            let place = nominal.0 + nominal.1 * slit.offset_m.extend(slit.distance_m) - detector.centre_base_m;
+            let place = cell_from_base * place;
+            (slit.offset_m, slit.distance_m) = (place.truncate(), place.z.max(LEAST_M));
+            let turned = DQuat::from_mat3(&(cell_from_base * nominal.1));
+            slit.tilt_rad = slitpose_model::rotation_log(turned * rotation_exp(slit.tilt_rad));
+        }
         cell.slit.thickness_m = cell.slit.thickness_m.min(1.9 * cell.slit.distance_m);
 
         let across = across(cell.emitter.axis_tool);
@@ -334,6 +348,8 @@ fn across(axis: DVec3) -> [DVec3; 2] {
 
 #[cfg(test)]
 mod tests {
+    use slitpose_head::scene_file::SPACEMOUSE;
+
     use super::*;
 
     #[test]
@@ -341,6 +357,25 @@ mod tests {
         for quantity in Quantity::of_cell().chain(Quantity::of_head()) {
             assert_eq!(Quantity::named(&quantity.to_string()), Some(quantity));
         }
+    }
+
+    /// What the tool carries does not move with the base's parts.
+    #[test]
+    fn a_slit_on_the_tool_stays_where_it_is_while_its_detector_moves() {
+        let nominal = SPACEMOUSE.read().expect("the scene").scene.cells[1].clone();
+        let place = |cell: &Cell| {
+            let (x, z) = (cell.detector.x_axis_base, cell.detector.normal_base);
+            let base_from_cell = DMat3::from_cols(x, z.cross(x), z);
+            let axes = base_from_cell * DMat3::from_quat(rotation_exp(cell.slit.tilt_rad));
+            (cell.detector.centre_base_m + base_from_cell * cell.slit.offset_m.extend(cell.slit.distance_m), axes)
+        };
+        let moved =
+            [(Quantity::DetectorShift(1), 1e-4), (Quantity::DetectorTurn(0), 0.02), (Quantity::DetectorTurn(2), 0.01)];
+        let (found, before) = (cell_with(&nominal, 1e-5, moved), place(&nominal));
+        assert!((found.detector.centre_base_m - nominal.detector.centre_base_m).length() > 0.9e-4);
+        let after = place(&found);
+        assert!((after.0 - before.0).length() < 1e-15, "{} {}", after.0, before.0);
+        assert!((after.1 - before.1).to_cols_array().iter().all(|part| part.abs() < 1e-12));
     }
 
     /// Each part goes where its parameter says, in the cell's own frame; the scene's own tilts and gains stay.

@@ -8,7 +8,6 @@
 //! A slit that rides with the emitter lies in a plane of the tool with it, and the light lands where that plane meets
 //! the detector: the same, seen from the tool.
 
-#[cfg(feature = "effects")]
 use crate::effects::Opening;
 use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar, Vector3};
@@ -71,6 +70,11 @@ impl<S: Scalar> PlaneCell<S> {
         let along = crate::pose::rotation_exp(slit.tilt_rad) * glam::DVec3::Y;
         let height = (cell.emitter.position_tool_m - detector.centre_base_m).dot(z);
         let magnification = if height > slit.distance_m { height / (height - slit.distance_m) } else { 1.0 };
+        // Of the width of a spot what a lens leaves.
+        let shrunk = match cell.opening() {
+            Opening::Lens { focal_length_m } => (1.0 - slit.distance_m / (focal_length_m * magnification)).abs(),
+            _ => 1.0,
+        };
         Self {
             detector: S::Vec3::of(detector.centre_base_m),
             x_axis: S::Vec3::of(x),
@@ -78,7 +82,7 @@ impl<S: Scalar> PlaneCell<S> {
             along: S::Vec3::of(to_base(along)),
             emitter_tool: S::Vec3::of(cell.emitter.position_tool_m),
             half_length: S::of(0.5 * detector.length_m),
-            unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification)),
+            unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification * shrunk)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
             shortest: S::of((height - slit.distance_m).abs().min(slit.distance_m)),
             #[cfg(feature = "effects")]

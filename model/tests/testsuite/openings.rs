@@ -430,3 +430,29 @@ fn nothing_passes_an_opening_that_is_not_between_emitter_and_detector() {
         }
     }
 }
+
+/// A slit on the tool is in front of its own emitter: what light of it falls on another detector has passed that slit.
+#[test]
+fn light_of_a_riding_slit_falls_on_any_detector_it_meets() {
+    let rng = &mut generator();
+    let mut scene = riding(rng, Kind::Thin);
+    let first = scene.cells[0].clone();
+    let axes = cell_axes(&first);
+    let apart = axes.y_axis * 3e-3;
+    let mut second = first.clone();
+    second.detector.centre_base_m += apart;
+    second.emitter.position_tool_m += apart;
+    // The first's slit and emitter before the second's detector, as one cell.
+    let mut across = first.clone();
+    across.detector.centre_base_m += apart;
+    across.slit.offset_m.y -= 3e-3;
+    scene.cells.push(second).expect("room");
+    let plan = Plan::<f64>::compile(&scene, EXACT).expect("valid");
+    let across = Scene { cells: [across].into_iter().collect(), ..scene.clone() };
+    let across = Plan::<f64>::compile(&across, EXACT).expect("valid");
+    for pose in [Pose::HOME, common::pose(rng, &scene, 0.5e-3, 0.1)] {
+        let (light, expected) = (plan.crosstalk(1, 0, &pose), across.photocurrents(0, &pose));
+        assert!(expected.total_a() > 1e-8, "{expected:?}");
+        assert!((light.i_x1_a - expected.i_x1_a).abs() < 2e-10 * expected.total_a(), "{light:?} {expected:?}");
+    }
+}

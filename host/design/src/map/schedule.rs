@@ -3,7 +3,7 @@
 use slitpose_calibration::Head;
 use slitpose_head::front_end::{TimingError, configuration};
 use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
-use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_model::{Cell, Plan, SceneError, Tier};
 
 use super::{Outlook, View, per_root_hz, quantiles_of};
 use crate::report::ReportError;
@@ -120,7 +120,6 @@ fn candidate(file: SceneFile, front_end: FrontEnd) -> Result<Candidate, SceneErr
 /// detectors.
 fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
     let plan = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
-    let cells = file.scene.cells.len();
     let poses: Vec<_> = file.workspace.poses(POSES).collect();
     let disturb = |a: usize, b: usize| {
         let worst = |cell, other| {
@@ -129,11 +128,14 @@ fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
         worst(a, b) > MOST_CROSSTALK || worst(b, a) > MOST_CROSSTALK
     };
     let mut together = Lighting { slots: Vec::new() };
-    for emitter in 0..cells {
+    // Both axes of a detector have one emitter, and one slot.
+    let others = file.scene.cells.iter().map(Cell::other_axis).enumerate();
+    for (emitter, second) in others.filter(|&(cell, other)| other.is_none_or(|other| other > cell)) {
         let free = together.slots.iter_mut().find(|slot| slot.iter().all(|other| !disturb(emitter, *other)));
+        let both = [emitter].into_iter().chain(second);
         match free {
-            Some(slot) => slot.push(emitter),
-            None => together.slots.push(vec![emitter]),
+            Some(slot) => slot.extend(both),
+            None => together.slots.push(both.collect()),
         }
     }
     together.slots.push(Vec::new());

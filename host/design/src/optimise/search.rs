@@ -101,6 +101,12 @@ impl Search {
     ) -> Result<Found, OptimiseError> {
         let own: Shares = self.free.iter().map(|free| share_of(free, current(&self.file, free.quantity))).collect();
         // What is wrong with the scene itself is told; a candidate may be impossible.
+        for free in &self.free {
+            let [from, to] = free.bounds;
+            // What cannot be changed at all in this scene is told, too.
+            let middle = free.quantity.rounded(0.5 * (from + to));
+            with_values(&self.file, &[(free.quantity, middle)])?;
+        }
         let judge = Judge::new(&self.file.workspace, self.goal, self.limits);
         let before = judge.score(&self.file)?;
         SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&own))?)?;

@@ -46,6 +46,19 @@ fn heads_with_other_openings_change_where_their_drawings_have_it() {
         let error = with_values(&file, &[(quantity, value)]).expect_err("refused").to_string();
         assert!(error.contains(part), "{error}");
     }
+    let search = Search {
+        file: MAGLEV.read().expect("a scene"),
+        free: free(&["cells"]),
+        goal: GOAL,
+        limits: Limits::default(),
+        seed: 1,
+    };
+    let refused = search.run(&mut |_, _| (), &AtomicBool::new(false)).expect_err("refused").to_string();
+    assert!(refused.contains("two axes"), "{refused}");
+    let mixed = WIDE.text.replacen("[[cell]]", "[[cell]]\nslit = { diameter_mm = 0.7 }", 1);
+    let mixed = SceneFile::parse("mixed.toml", &mixed).expect("a scene");
+    let error = with_values(&mixed, &[(Quantity::SlitWidth, 0.5)]).expect_err("refused").to_string();
+    assert!(error.contains("some cells have slits and some holes"), "{error}");
     let riding = set(&SPACEMOUSE.read().expect("a scene"), &[(Quantity::SlitWidth, 0.4)]);
     assert!(riding.scene.cells.iter().all(|cell| cell.opening() == slitpose_model::Opening::RidingSlit));
 }

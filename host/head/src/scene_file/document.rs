@@ -282,7 +282,13 @@ impl<'a> Document<'a> {
 
     /// What the model says of a value, at the place of that value, in the file's own unit.
     pub(super) fn optics_error(&self, error: SceneError) -> SceneFileError {
-        let path = KeyPath::from(error.place);
+        let mut path = KeyPath::from(error.place);
+        let diameter = KeyPath { key: "diameter_mm", ..path };
+        // The model has the diameter of a hole as its width and length.
+        let is_size = path.section == "slit" && matches!(path.key, "width_mm" | "length_mm");
+        if is_size && self.find(path).is_none() && self.find(diameter).is_some() {
+            path = diameter;
+        }
         let entry = self.find(path);
         let written = entry.and_then(|entry| self.as_number(path, entry).ok());
         let fault = match (error.fault, written) {

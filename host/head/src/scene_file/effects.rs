@@ -113,8 +113,9 @@ fn may_reach(other: &Cell, cell: &Cell, poses: &[Pose]) -> bool {
     let slit =
         detector.centre_base_m + detector.x_axis_base * offset.x + y_axis * offset.y + detector.normal_base * offset.z;
     poses.iter().any(|pose| {
-        let rides = cell.effects.opening == Opening::RidingSlit;
-        let slit = if rides { pose.rotation * slit + pose.translation_m } else { slit };
+        // Through a slit that rides with it an emitter shines on any detector in front.
+        let rides = other.effects.opening == Opening::RidingSlit;
+        let slit = if rides { detector.centre_base_m } else { slit };
         let emitter = pose.rotation * other.emitter.position_tool_m + pose.translation_m;
         (pose.rotation * other.emitter.axis_tool).dot((slit - emitter).normalize_or_zero()) >= FACING_AWAY
     })

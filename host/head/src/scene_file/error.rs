@@ -283,6 +283,14 @@ pub enum LightingFault {
         /// The emitter.
         emitter: usize,
     },
+    /// Both axes of a detector in different slots: they have one emitter.
+    #[error("cells {first} and {second} read both axes of one detector; give them one slot, for they have one emitter")]
+    Apart {
+        /// The cell of the first axis.
+        first: usize,
+        /// That of the second.
+        second: usize,
+    },
     /// More than one dark slot.
     #[error("slots {first} and {second} are both dark; keep one `[]`")]
     TwoDark {

@@ -62,8 +62,14 @@ pub(super) fn read(document: &Document<'_>, scene: &Scene) -> Result<Lighting, S
             lighting.slots[number].push(emitter);
         }
     }
-    match (0..cells).find(|emitter| lighting.slot_of(*emitter).is_none()) {
+    let refuse = |fault| Err(document.error(path, ContentFault::Lighting(fault)));
+    if let Some(emitter) = (0..cells).find(|emitter| lighting.slot_of(*emitter).is_none()) {
+        return refuse(LightingFault::Never { emitter });
+    }
+    let others = scene.cells.iter().map(Cell::other_axis).enumerate();
+    let mut pairs = others.filter_map(|(cell, other)| Some((cell, other?)));
+    match pairs.find(|&(cell, other)| lighting.slot_of(cell) != lighting.slot_of(other)) {
         None => Ok(lighting),
-        Some(emitter) => Err(document.error(path, ContentFault::Lighting(LightingFault::Never { emitter }))),
+        Some((first, second)) => refuse(LightingFault::Apart { first, second }),
     }
 }

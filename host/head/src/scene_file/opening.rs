@@ -37,7 +37,9 @@ impl Passage {
             Some("tool") => true,
             Some(_) => return refuse("mount", "give \"base\" or \"tool\""),
         };
-        let focal_length_mm = document.number(path("focal_length_mm"))?;
+        // A cell with sizes of its own has a lens of its own, too, if any.
+        let may_focus = !(own_hole || own_slit) || own("focal_length_mm");
+        let focal_length_mm = document.number(path("focal_length_mm"))?.filter(|_| may_focus);
         let opening = match (is_hole, rides, focal_length_mm) {
             (true, true, _) => return refuse("mount", "a round hole is on the base; give \"base\", or a slit"),
             (false, _, Some(_)) => {

@@ -171,6 +171,8 @@ struct Passed<S: Scalar> {
     slack_m: S,
     /// How far a window raises the detector, and its derivatives by the emitter's position.
     raise: (S, S::Vec3),
+    /// From the emitter to the middle of a hole, which all light passes; `None`: light lands near the middle line.
+    to_hole: Option<S::Vec3>,
 }
 
 /// Light of `emission` through what cell `cell` has in its way.
@@ -178,18 +180,26 @@ struct Passed<S: Scalar> {
 fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
-    imperfect: &Imperfect<S>,
+    passage: &Passage<S>,
     emitter: &CompiledEmitter<S>,
     emission: &E,
     source: &Source<S>,
     seen: &Seen<S>,
     pose: &Transform<S>,
 ) -> Result<Passed<S>, Status> {
-    match &imperfect.passage {
+    match passage {
         Passage::Beam(beam) => {
             let (spot, status) = beam.spot::<GRADIENT>(seen.position, cell.receiver.half)?;
             let (light, integration) = light::<S, E, GRADIENT>(plan, emitter, emission, seen, &spot);
-            Ok(Passed { light, turn: None, integration, status, slack_m: spot.slack_m, raise: spot.raise() })
+            Ok(Passed {
+                light,
+                turn: None,
+                integration,
+                status,
+                slack_m: spot.slack_m,
+                raise: spot.raise(),
+                to_hole: None,
+            })
         }
         Passage::Opening(opening) => {
             let spot = opening.spot(&cell.receiver, source, seen, pose)?;
@@ -200,7 +210,8 @@ fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             let (light, turn) = light.unzip();
             let raise = (S::zero(), S::Vec3::default());
             let integration = Some(integration);
-            Ok(Passed { light, turn, integration, status: spot.status, slack_m: S::zero(), raise })
+            let to_hole = opening.hole_centre().map(|centre| centre - seen.position);
+            Ok(Passed { light, turn, integration, status: spot.status, slack_m: S::zero(), raise, to_hole })
         }
     }
 }
@@ -282,6 +293,7 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
+    passage: &Passage<S>,
     emitter: &CompiledEmitter<S>,
     source: &Source<S>,
     extended: Option<&ExtendedSource<S>>,
@@ -293,7 +305,7 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
     let seen = receiver.see(source, pose);
     macro_rules! pass {
         ($profile:expr) => {
-            pass::<S, _, GRADIENT>(plan, cell, imperfect, emitter, $profile, source, &seen, pose)
+            pass::<S, _, GRADIENT>(plan, cell, passage, emitter, $profile, source, &seen, pose)
         };
     }
     let passed = match &emitter.profile {
@@ -302,7 +314,7 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
         CompiledProfile::ShapedCosine(profile) => pass!(profile),
         CompiledProfile::ShapedTable(profile) => pass!(profile),
     };
-    let Passed { light, turn, integration, status, slack_m, raise } = passed?;
+    let Passed { light, turn, integration, status, slack_m, raise, to_hole } = passed?;
     let Some(light) = light else {
         return Ok(Own { status, slack_m, photocurrent: S::zero(), x_a: None, integration });
     };
@@ -315,7 +327,7 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
     if let Some((extended, coefficients)) = extended.and_then(|it| Some((it, it.azimuthal.as_ref()?))) {
         // The ray to the spot's centre, base frame.
         let e = seen.position;
-        let to_spot = S::Vec3::new(x_a - e.x(), -e.y(), raise.0 - e.z());
+        let to_spot = to_hole.unwrap_or_else(|| S::Vec3::new(x_a - e.x(), -e.y(), raise.0 - e.z()));
         let per_distance = to_spot.length().recip();
         let ray = receiver.to_base(to_spot) * per_distance;
         let (factor, by_ray) = extended.factor(coefficients, pose, seen.axis_base, ray);
@@ -323,7 +335,7 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
             // The ray turns as its ends move, and the tool turns under it.
             let by_end = receiver.to_cell(by_ray - ray * ray.dot(by_ray)) * per_distance;
             let (mut by_position, mut by_axis) = (raise.1 * by_end.z() - by_end, S::Vec3::default());
-            if let Place::Weighted(x_a) = &light.x_a {
+            if let (Place::Weighted(x_a), None) = (&light.x_a, to_hole) {
                 by_position += x_a.by_position * by_end.x();
                 by_axis = x_a.by_axis * by_end.x();
             }
@@ -368,9 +380,13 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
     sums: &mut Sums<S>,
 ) -> Result<Own<S>, Status> {
     let emitter = &of.emitter;
-    let extended = plan.imperfect_of(of).map(|imperfect| &imperfect.source);
+    let its = plan.imperfect_of(of);
+    let extended = its.map(|imperfect| &imperfect.source);
+    // Light passes the slit that rides with its emitter, else the opening of the cell.
+    let rides = |it: &&Imperfect<S>| matches!(it.passage, Passage::Opening(Opening::Riding(_)));
+    let passage = &its.filter(rides).unwrap_or(imperfect).passage;
     let mut add = |source: &Source<S>, weight: S| {
-        add_point::<S, GRADIENT>(plan, cell, imperfect, emitter, source, extended, pose, weight, sums)
+        add_point::<S, GRADIENT>(plan, cell, imperfect, passage, emitter, source, extended, pose, weight, sums)
     };
     let Some(disc) = extended.filter(|source| source.radius > S::zero()) else {
         return add(&emitter.source, S::one());

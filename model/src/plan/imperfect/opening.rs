@@ -100,6 +100,14 @@ impl<S: Scalar> Opening<S> {
         })
     }
 
+    /// The middle of a round hole.
+    pub(super) fn hole_centre(&self) -> Option<S::Vec3> {
+        match self {
+            Self::Riding(_) => None,
+            Self::Round(hole) => Some(hole.centre),
+        }
+    }
+
     /// The spot of an emitter `seen` with the tool at `pose`.
     pub(super) fn spot(
         &self,

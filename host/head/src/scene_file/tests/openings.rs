@@ -30,6 +30,12 @@ fn a_cell_may_have_a_hole_among_slits_and_a_slit_among_holes() {
     assert_eq!(opening(&format!("{LEAST}slit = {{ diameter_mm = 0.4 }}\n")), (Opening::Pinhole, [0.4, 0.4]));
     let holes = changed(SIZES, "diameter_mm = 0.4\n", "slit = { width_mm = 0.5, length_mm = 8 }\n");
     assert_eq!(opening(&holes), (Opening::Slit, [0.5, 8.0]));
+    // The lens of the default is not that of a cell with sizes of its own.
+    let lens = "diameter_mm = 0.4\nfocal_length_mm = 9\n";
+    let lenses = |own: &str| opening(&changed(SIZES, lens, &format!("slit = {{ {own} }}\n")));
+    assert_eq!(lenses("width_mm = 0.5, length_mm = 8"), (Opening::Slit, [0.5, 8.0]));
+    assert_eq!(lenses("diameter_mm = 0.3"), (Opening::Pinhole, [0.3, 0.3]));
+    assert_eq!(lenses("distance_mm = 5.5").0, Opening::Lens { focal_length_m: 9.0 * 1e-3 });
 }
 
 #[test]
@@ -45,6 +51,8 @@ fn openings_that_cannot_be_are_refused_at_their_place() {
     assert_refused(&rides, &["scene.toml:8:9", "a round hole is on the base"]);
     let flat = changed(SIZES, "diameter_mm = 1\nfocal_length_mm = 0\n", "");
     assert_refused(&flat, &["scene.toml:8:19", "slit.focal_length_mm = 0: 0 is not positive"]);
+    let small = changed(SIZES, "diameter_mm = -5\n", "");
+    assert_refused(&small, &["scene.toml:7:15", "slit.diameter_mm = -5: -5 is negative"]);
     let tilted = changed(SIZES, "diameter_mm = 1\ntilt_deg = [0, 0, 1]\n", "");
     assert_refused(&tilted, &["scene.toml:8:12", "a tilt cannot be computed with a pinhole; leave it out"]);
 }
@@ -83,6 +91,8 @@ fn a_second_axis_reads_the_same_light_across() {
 fn second_axes_of_nothing_are_refused() {
     let with = |cells: &str| format!("{LEAST}{cells}");
     let second = "[[cell]]\nsecond_axis_of = ";
+    let apart = format!("{LEAST}{second}0\n[lighting]\nslots = [[0], [1], []]\n");
+    assert_refused(&apart, &["scene.toml:21:9", "cells 0 and 1 read both axes of one detector; give them one slot"]);
     assert_refused(
         &with(&format!("{second}1\n")),
         &["scene.toml:19:18", "second_axis_of = 1 is no earlier cell; give"],
