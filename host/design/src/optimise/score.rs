@@ -160,30 +160,29 @@ fn sigma(views: &[View], goal: &Goal) -> f64 {
 /// Of the central projection of the opening's edges along x (thin mask), drawn together by a lens, so that it is a smooth
 /// function of all dimensions.
 fn spots(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
-    let mut margins: Vec<f64> = poses
-        .iter()
-        .map(|pose| file.scene.cells.iter().map(|cell| margin_m(cell, pose)).fold(f64::INFINITY, f64::min))
-        .collect();
+    let masks: Vec<(&Cell, MaskFrame)> = file.scene.cells.iter().map(|cell| (cell, MaskFrame::at_home(cell))).collect();
+    let least = |pose| masks.iter().map(|(cell, home)| margin_m(cell, home, pose)).fold(f64::INFINITY, f64::min);
+    let mut margins: Vec<f64> = poses.iter().map(least).collect();
     margins.sort_by(f64::total_cmp);
     let counted = margins[index(margins.len(), 1.0 - limits.lit)];
     (-counted * 1e3).clamp(0.0, 10.0)
 }
 
-fn margin_m(cell: &Cell, pose: &Pose) -> f64 {
+fn margin_m(cell: &Cell, home: &MaskFrame, pose: &Pose) -> f64 {
     let (detector, slit) = (&cell.detector, &cell.slit);
     let (x_axis, z_axis) = (detector.x_axis_base, detector.normal_base);
     let in_cell = |v: DVec3| DVec3::new(v.dot(x_axis), v.dot(z_axis.cross(x_axis)), v.dot(z_axis));
     let emitter = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
     let e = in_cell(emitter - detector.centre_base_m);
-    let mask = MaskFrame::of(cell, pose);
+    let mask = home.carried(cell, pose);
     let ends = [-0.5, 0.5].map(|side| in_cell(mask.at(DVec2::new(side * slit.width_m, 0.0)) - detector.centre_base_m));
     let above_m = ends.map(|end| e.z - end.z).into_iter().fold(f64::INFINITY, f64::min);
     if above_m <= 0.0 {
         return above_m - detector.length_m;
     }
     // A long edge lands where its plane through the emitter meets the detector's middle line, the end of a hole alone.
-    let is_slit = matches!(cell.opening(), Opening::Slit | Opening::RidingSlit);
-    let along = if is_slit { in_cell(mask.at(DVec2::Y) - mask.at(DVec2::ZERO)) } else { DVec3::Y };
+    let is_hole = cell.opening().is_hole();
+    let along = if is_hole { DVec3::Y } else { in_cell(mask.at(DVec2::Y) - mask.at(DVec2::ZERO)) };
     let [low_m, high_m] = ends.map(|end| {
         let normal = (end - e).cross(along);
         normal.dot(e) / normal.x
@@ -264,10 +263,11 @@ mod tests {
             let (mut lit, mut not) = (0, 0);
             for pose in poses {
                 for (number, cell) in file.scene.cells.iter().enumerate() {
-                    let margin = margin_m(cell, &pose);
+                    let margin_m = |cell: &Cell| margin_m(cell, &MaskFrame::at_home(cell), &pose);
+                    let margin = margin_m(cell);
                     // The corners of a long slit reach a little farther than its middle. A light that misses a
                     // detector across says nothing of its ends.
-                    let across = cell.other_axis().map_or(1.0, |other| margin_m(&file.scene.cells[other], &pose));
+                    let across = cell.other_axis().map_or(1.0, |other| margin_m(&file.scene.cells[other]));
                     let tolerance = if cell.opening() == Opening::RidingSlit { 0.4e-3 } else { 0.1e-3 };
                     let status = plan.respond(number, &pose).status;
                     // Past the end of a slit that rides there is no light at all.
