@@ -37,6 +37,19 @@ pub enum Opening {
     },
 }
 
+impl Opening {
+    /// Whether it is a round hole, with a lens or without, and not a slit.
+    pub fn is_hole(&self) -> bool {
+        matches!(self, Self::Pinhole | Self::Lens { .. })
+    }
+}
+
+/// Whether the light of `emitter`, whose cell shares a detector with `other_axis`, counts on the detector of another cell
+/// `cell`: two cells that read one detector have one emitter, and each counts it as its own.
+pub(crate) fn counts_on(emitter: usize, other_axis: Option<usize>, cell: usize) -> bool {
+    other_axis.is_none_or(|other| other != cell && other > emitter)
+}
+
 impl core::fmt::Display for Opening {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
@@ -136,6 +149,16 @@ impl Cell {
     /// The cell that reads the other axis of the same detector.
     pub fn other_axis(&self) -> Option<usize> {
         self.effects().and_then(|effects| effects.other_axis)
+    }
+
+    /// Whether this cell, number `number`, reads the second axis of its detector: the emitter is that of another cell.
+    pub fn is_second_axis(&self, number: usize) -> bool {
+        self.other_axis().is_some_and(|other| other < number)
+    }
+
+    /// Whether the light of this cell's emitter, number `number`, counts on the detector of `cell` besides that of its own.
+    pub fn shines_on(&self, number: usize, cell: usize) -> bool {
+        number != cell && counts_on(number, self.other_axis(), cell)
     }
 
     /// What the cell does beyond the model.

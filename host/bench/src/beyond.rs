@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec2, DVec3};
 use slitpose_head::boxed::boxed_plan;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Cell, Effects, Opening, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
+use slitpose_model::{Cell, Effects, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
 
 use crate::chance::Chance;
 
@@ -91,8 +91,7 @@ impl BeyondOptics {
             point.emitter.position_tool_m += CHIP_M * (a * cos + b * sin);
             cells.push((share, point));
         }
-        let is_slit = matches!(opening, Opening::Slit | Opening::RidingSlit);
-        for side in [1.0, -1.0].into_iter().filter(|_| is_slit) {
+        for side in [1.0, -1.0].into_iter().filter(|_| !opening.is_hole()) {
             let half = half_slit(&usual, side);
             let mut stepped = half.clone();
             stepped.slit.width_m = (half.slit.width_m + 0.5 * side * beyond.slit_step_m).max(0.0);

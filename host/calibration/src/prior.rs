@@ -47,8 +47,8 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     let mut entries = Vec::new();
     for (number, cell) in file.scene.cells.iter().enumerate() {
         let stray_a = tolerance.stray_relative * plan.photocurrents(number, &Pose::HOME).total_a();
-        let of_another = Parameters::emitter_of(cell, number) != number;
-        for quantity in Quantity::of_cell().filter(|quantity| !(of_another && quantity.is_of_emitter())) {
+        let is_second = cell.is_second_axis(number);
+        for quantity in Quantity::of_cell().filter(|quantity| !(is_second && quantity.is_of_emitter())) {
             if let Some([mean, sigma]) = of_cell(&tolerance, cell, quantity, stray_a, extent_m) {
                 entries.push(Parameter::at_prior(Some(number), quantity, mean, sigma));
             }
@@ -64,11 +64,6 @@ pub(crate) fn parameters(file: &SceneFile) -> Result<Parameters, SceneError> {
     Ok(Parameters { entries, full_scale_a })
 }
 
-/// Whether light passes a round hole, which neither tilts nor is deep.
-fn is_hole(cell: &Cell) -> bool {
-    matches!(cell.opening(), Opening::Pinhole | Opening::Lens { .. })
-}
-
 /// Mean and standard deviation; `None`: no parameter.
 fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64, extent_m: f64) -> Option<[f64; 2]> {
     let [z, v] = EDGE;
@@ -78,7 +73,8 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
         Quantity::DetectorShift(_) | Quantity::SlitOffset | Quantity::SlitDistance | Quantity::EmitterShift(_) => {
             around_zero(tolerance.position_m)
         }
-        Quantity::SlitTilt(_) | Quantity::MaskThickness if is_hole(cell) => return None,
+        // A round hole neither tilts nor is deep.
+        Quantity::SlitTilt(_) | Quantity::MaskThickness if cell.opening().is_hole() => return None,
         Quantity::DetectorTurn(_) | Quantity::SlitTilt(_) => around_zero(tolerance.angle_rad),
         Quantity::SlitWidth => around_zero(tolerance.slit_width_m),
         Quantity::MaskThickness if tolerance.slit_width_m == 0.0 => return None,

@@ -226,7 +226,7 @@ fn check_opening(index: usize, cell: &Cell, effects: &Effects) -> Result<(), Sce
         at(slit).positive("focal_length_mm", focal_length_m)?;
         at(slit).within("focal_length_mm", &[focal_length_m], LONGEST_M)?;
     }
-    if matches!(effects.opening, Opening::Pinhole | Opening::Lens { .. }) {
+    if effects.opening.is_hole() {
         if cell.slit.tilt_rad != DVec3::ZERO {
             return Err(refused(slit, "tilt_deg", "a tilt"));
         }

@@ -9,7 +9,7 @@ mod pack;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::effects::MAX_IMPERFECT;
+use crate::effects::{MAX_IMPERFECT, counts_on};
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
@@ -138,11 +138,10 @@ impl<S: Scalar> Plan<S> {
         }
     }
 
-    /// Whether the light of `emitter` is to be counted on the detector of `cell`: two cells that read one detector have
-    /// one emitter, and each counts it as its own.
+    /// Whether the light of `emitter` is to be counted on the detector of `cell`.
     fn has_emitter(&self, cell: usize, emitter: usize) -> bool {
         let other = self.imperfect_of(&self.cells[emitter]).and_then(Imperfect::other_axis);
-        emitter == cell || other.is_none_or(|other| other != cell && other > emitter)
+        emitter == cell || counts_on(emitter, other, cell)
     }
 
     /// From the tool's origin to the emitter of cell `cell`, base frame, metres.

@@ -3,7 +3,7 @@
 use slitpose_calibration::Head;
 use slitpose_head::front_end::{TimingError, configuration};
 use slitpose_head::scene_file::{FrontEnd, Lighting, SceneFile};
-use slitpose_model::{Cell, Plan, SceneError, Tier};
+use slitpose_model::{Plan, SceneError, Tier};
 
 use super::{Outlook, View, per_root_hz, quantiles_of};
 use crate::report::ReportError;
@@ -129,10 +129,10 @@ fn groupings(file: &SceneFile) -> Result<Vec<Lighting>, SceneError> {
     };
     let mut together = Lighting { slots: Vec::new() };
     // Both axes of a detector have one emitter, and one slot.
-    let others = file.scene.cells.iter().map(Cell::other_axis).enumerate();
-    for (emitter, second) in others.filter(|&(cell, other)| other.is_none_or(|other| other > cell)) {
+    let cells = file.scene.cells.iter().enumerate();
+    for (emitter, cell) in cells.filter(|(number, cell)| !cell.is_second_axis(*number)) {
         let free = together.slots.iter_mut().find(|slot| slot.iter().all(|other| !disturb(emitter, *other)));
-        let both = [emitter].into_iter().chain(second);
+        let both = [emitter].into_iter().chain(cell.other_axis());
         match free {
             Some(slot) => slot.extend(both),
             None => together.slots.push(both.collect()),

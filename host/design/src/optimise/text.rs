@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Cell, Opening};
+use slitpose_model::Cell;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, Item, Table, value};
 
 use super::{OptimiseError, Quantity};
@@ -17,14 +17,14 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
         file.source.parse().map_err(|found: toml_edit::TomlError| error(found.message()))?;
     let mut cells: Vec<Cell> = file.scene.cells.iter().cloned().collect();
     let mut is_moved = false;
-    let is_round = |cell: &Cell| matches!(cell.opening(), Opening::Pinhole | Opening::Lens { .. });
+    let is_round = |cell: &Cell| cell.opening().is_hole();
     let is_hole = cells.iter().any(is_round);
     let is_size = |value: &(Quantity, f64)| matches!(value.0, Quantity::SlitWidth | Quantity::SlitLength);
     if is_hole && !cells.iter().all(is_round) && values.iter().any(is_size) {
         return Err(error("slit_width and slit_length cannot be free where some cells have slits and some holes"));
     }
     // Both axes of a detector are where its first one is.
-    let is_second = |(number, cell): &(usize, &mut Cell)| cell.other_axis().is_some_and(|other| other < *number);
+    let is_second = |(number, cell): &(usize, &mut Cell)| cell.is_second_axis(*number);
     for &(quantity, number) in values {
         match quantity {
             Quantity::SlitDistance => set(&mut document, "slit", "distance_mm", number),

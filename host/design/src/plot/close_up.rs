@@ -231,7 +231,7 @@ impl<'a> SideView<'a> {
         let width = 1e3 * self.cell.slit.width_m;
         let clear = if self.emitter.x > 0.0 { left - dvec2(30.0, -5.0) } else { right + dvec2(30.0, 5.0) };
         let anchor = if self.emitter.x > 0.0 { Anchor::End } else { Anchor::Start };
-        let name = if let Opening::Slit | Opening::RidingSlit = self.cell.opening() { "$w$ =" } else { "⌀" };
+        let name = if self.cell.opening().is_hole() { "⌀" } else { "$w$ =" };
         canvas.text(clear, &format!("{name} {} mm", quantity(width)), LABEL.anchored(anchor));
     }
 

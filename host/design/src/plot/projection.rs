@@ -53,7 +53,7 @@ impl CellShape {
             mask: rectangle(plate + MASK_MARGIN_MM * 1e-3).map(in_mask).collect(),
             slit: opening_outline(cell).into_iter().map(in_mask).collect(),
             bends: matches!(opening, Opening::Lens { .. }),
-            repeats: cell.other_axis().is_some_and(|other| other < number),
+            repeats: cell.is_second_axis(number),
             emitter: (pose.rotation * emitter.position_tool_m + pose.translation_m) * 1e3,
             emitter_axis: pose.rotation * emitter.axis_tool,
             spot: outline.iter().map(|[x, y]| base_from_cell(dvec3(*x, *y, 0.0))).collect(),
@@ -86,7 +86,7 @@ const CIRCLE: usize = 32;
 /// The outline of the opening in its mask, metres.
 fn opening_outline(cell: &Cell) -> Vec<DVec2> {
     let half = 0.5 * dvec2(cell.slit.width_m, cell.slit.length_m);
-    if matches!(cell.opening(), Opening::Slit | Opening::RidingSlit) {
+    if !cell.opening().is_hole() {
         return rectangle(half).collect();
     }
     let angles = (0..CIRCLE).map(|i| i as f64 * std::f64::consts::TAU / CIRCLE as f64);

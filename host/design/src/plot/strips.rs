@@ -23,7 +23,7 @@ const TICK: f64 = 36.0;
 
 /// Cells with a strip of their own: both axes of a detector share one.
 fn rows(scene: &Scene) -> impl Iterator<Item = (usize, &Cell)> {
-    scene.cells.iter().enumerate().filter(|(number, cell)| cell.other_axis().is_none_or(|other| other > *number))
+    scene.cells.iter().enumerate().filter(|(number, cell)| !cell.is_second_axis(*number))
 }
 
 /// Pixels per metre, and from one strip to the next.

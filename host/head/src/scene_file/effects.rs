@@ -94,11 +94,7 @@ pub(super) fn light_together(scene: &mut Scene, lighting: &Lighting, workspace: 
     let poses: std::vec::Vec<Pose> = workspace.corners().chain([Pose::HOME]).collect();
     for emitters in &lighting.slots {
         for &cell in emitters {
-            let is_another = |other: usize| {
-                let its_first = scene.cells[other].effects.other_axis;
-                other != cell && its_first.is_none_or(|first| first != cell && first > other)
-            };
-            let others = emitters.iter().filter(|&&other| is_another(other));
+            let others = emitters.iter().filter(|&&other| scene.cells[other].shines_on(other, cell));
             let reaching = others.filter(|&&other| may_reach(&scene.cells[other], &scene.cells[cell], &poses));
             scene.cells[cell].effects.lit_together = reaching.fold(0, |set, other| set | 1 << other);
         }

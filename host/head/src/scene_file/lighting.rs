@@ -15,9 +15,8 @@ pub struct Lighting {
 impl Lighting {
     /// Every emitter in a slot of its own, then the dark slot. Both axes of a detector share a slot.
     pub fn one_by_one(scene: &Scene) -> Self {
-        let others = scene.cells.iter().map(Cell::other_axis).enumerate();
-        let lit = others.filter(|&(cell, other)| other.is_none_or(|other| cell < other));
-        let slots = lit.map(|(cell, other)| [cell].into_iter().chain(other).collect());
+        let lit = scene.cells.iter().enumerate().filter(|(number, cell)| !cell.is_second_axis(*number));
+        let slots = lit.map(|(number, cell)| [number].into_iter().chain(cell.other_axis()).collect());
         Self { slots: slots.chain([Vec::new()]).collect() }
     }
 

@@ -18,7 +18,8 @@ pub(super) const TOP: &[&str] = &[
     "cell",
 ];
 
-/// Keys of a `[[cell]]`: its own five, or the cell whose detector it reads the second axis of; and the sections it may override key by key.
+/// Keys of a `[[cell]]`: its own five, or the cell whose detector it reads the second axis of; and the sections it may
+/// override key by key.
 pub(super) const CELL: &[&str] = &[
     "detector_mm",
     "x_axis",

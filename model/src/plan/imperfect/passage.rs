@@ -1,0 +1,153 @@
+//! The way of the light of one point through one cell, whatever stands in it: a slit on the base with or without a window,
+//! or another opening.
+
+use crate::exact::{self, Orders, Rules, Turn};
+use crate::paper;
+use crate::polygon::{EmitterGradient, Polygon};
+use crate::pose::Transform;
+use crate::profile::Emission;
+use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
+use crate::response::{Integration, Status};
+use crate::scalar::{Linear3, Scalar};
+
+use super::super::optics::{Light, Seen, Source};
+use super::super::{CompiledCell, CompiledEmitter, Plan};
+use super::beam::{Beam, Spot};
+use super::opening::Opening;
+
+/// What the light passes through.
+#[derive(Clone, Debug)]
+pub(super) enum Passage<S: Scalar> {
+    /// A slit on the base.
+    Beam(Beam<S>),
+    Opening(Opening<S>),
+}
+
+/// Step of differences by the sides of a spot, in units of its half extent.
+const STEP: f64 = 1e-4;
+
+/// The light of one point of an emitter through one cell.
+pub(super) struct Passed<S: Scalar> {
+    pub(super) light: Option<Light<S>>,
+    /// What a turn of a slit on the tool adds to the derivatives.
+    pub(super) turn: Option<Turn<S>>,
+    pub(super) integration: Option<Integration<S>>,
+    pub(super) status: Status,
+    pub(super) slack_m: S,
+    /// How far a window raises the detector, and its derivatives by the emitter's position.
+    pub(super) raise: (S, S::Vec3),
+    /// From the emitter to the middle of a hole, which all light passes; `None`: light lands near the middle line.
+    pub(super) to_hole: Option<S::Vec3>,
+}
+
+/// Light of `emission` through what cell `cell` has in its way.
+#[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
+pub(super) fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    cell: &CompiledCell<S>,
+    passage: &Passage<S>,
+    emitter: &CompiledEmitter<S>,
+    emission: &E,
+    source: &Source<S>,
+    seen: &Seen<S>,
+    pose: &Transform<S>,
+) -> Result<Passed<S>, Status> {
+    match passage {
+        Passage::Beam(beam) => {
+            let (spot, status) = beam.spot::<GRADIENT>(seen.position, cell.receiver.half)?;
+            let (light, integration) = light::<S, E, GRADIENT>(plan, emitter, emission, seen, &spot);
+            Ok(Passed {
+                light,
+                turn: None,
+                integration,
+                status,
+                slack_m: spot.slack_m,
+                raise: spot.raise(),
+                to_hole: None,
+            })
+        }
+        Passage::Opening(opening) => {
+            let spot = opening.spot(&cell.receiver, source, seen, pose)?;
+            let orders = emitter.orders.as_ref().or(cell.emitter.orders.as_ref());
+            // A plan with an opening has rules, and its cell orders.
+            let (Some(orders), Some(rules)) = (orders, &plan.rules) else { return Err(Status::Dark) };
+            let (light, integration) = spot.light::<E, GRADIENT>(seen, emission, orders, rules);
+            let (light, turn) = light.unzip();
+            let raise = (S::zero(), S::Vec3::default());
+            let integration = Some(integration);
+            let to_hole = opening.hole_centre().map(|centre| centre - seen.position);
+            Ok(Passed { light, turn, integration, status: spot.status, slack_m: S::zero(), raise, to_hole })
+        }
+    }
+}
+
+/// Light of `emission` through the beam's spot.
+fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    plan: &Plan<S>,
+    emitter: &CompiledEmitter<S>,
+    emission: &E,
+    seen: &Seen<S>,
+    spot: &Spot<S>,
+) -> (Option<Light<S>>, Option<Integration<S>>) {
+    let rectangle = &spot.rectangle;
+    let (Some(orders), Some(rules)) = (&emitter.orders, &plan.rules) else {
+        let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, seen.axis, emission);
+        return (Some(spot.of_sides::<GRADIENT>(&light)), None);
+    };
+    if exact::faces_away(rectangle, seen.axis) {
+        return (None, None);
+    }
+    if let Some((light, evaluations)) =
+        exact::rectangle_light::<S, E, GRADIENT>(rectangle, seen.axis, emission, orders, rules)
+    {
+        let integration = Integration { evaluations, relative_error: orders.tolerance() };
+        return (Some(spot.of_sides::<GRADIENT>(&light)), Some(integration));
+    }
+    divided::<S, E, GRADIENT>(spot, seen, emission, orders, rules)
+}
+
+/// The light of a spot that one tensor rule cannot integrate. Its derivatives by the sides are differences.
+#[cold]
+fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+    spot: &Spot<S>,
+    seen: &Seen<S>,
+    emission: &E,
+    orders: &Orders<S>,
+    rules: &Rules<S>,
+) -> (Option<Light<S>>, Option<Integration<S>>) {
+    let of = |rectangle: &Rectangle<S>| {
+        let polygon = Polygon::of_rectangle(rectangle);
+        let (light, integration) = exact::polygon_light::<S, E, GRADIENT>(polygon, seen.axis, emission, orders, rules);
+        // The centroid from the emitter's foot to the middle of the spot.
+        let light = light.map(|(power, centroid)| {
+            (power, EmitterGradient { value: centroid.value - rectangle.x.middle, ..centroid })
+        });
+        (light, integration)
+    };
+    let (light, integration) = of(&spot.rectangle);
+    let Some((power, centroid)) = light else {
+        return (None, Some(integration));
+    };
+    let quantity = |of: &EmitterGradient<S>| SideGradient {
+        value: of.value,
+        by_side: [S::zero(); 4],
+        by_height: of.by_position.z(),
+        by_axis: of.by_axis,
+    };
+    let mut light = RectangleLight { power: quantity(&power), centroid: quantity(&centroid) };
+    if GRADIENT {
+        let step = S::of(STEP) * spot.rectangle.x.half.min(spot.rectangle.y.half);
+        let per_step = (S::two() * step).recip();
+        for side in 0..4 {
+            let [after, before] = [step, -step].map(|by| {
+                let moved = spot.rectangle.with_side_moved(side, by);
+                of(&moved).0.map(|(power, centroid)| [power.value, centroid.value + moved.x.middle])
+            });
+            if let (Some(after), Some(before)) = (after, before) {
+                light.power.by_side[side] = (after[0] - before[0]) * per_step;
+                light.centroid.by_side[side] = (after[1] - before[1]) * per_step;
+            }
+        }
+    }
+    (Some(spot.of_sides::<GRADIENT>(&light)), Some(integration))
+}
