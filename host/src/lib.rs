@@ -13,8 +13,8 @@
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `capture` writes
-//! and reads captures, `sink` writes poses, `daemon` follows boards live, `service` notifies the service manager,
-//! `doctor` examines boards, heads and hosts.
+//! and reads captures, `sink` writes poses, `daemon` follows boards live, `live` shows them on a page, `http` guards the
+//! servers of both, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, on the command line
 //! and in pictures, with the unit in the name.
@@ -59,7 +59,9 @@ pub mod datagram;
 pub mod device;
 mod doctor;
 pub mod health;
+mod http;
 pub mod link;
+mod live;
 pub mod pipeline;
 mod service;
 mod sink;

@@ -39,3 +39,5 @@ pub mod paper;
 pub mod plot;
 pub mod report;
 pub mod survey;
+
+pub use mask_frame::{MaskFrame, mask_half_extents_m};

@@ -1,13 +1,18 @@
-//! Where the opening of a cell is: on the base, or where the tool has taken it.
+//! Where the mask of a cell is: on the base, or where the tool has taken it.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Cell, Opening, Pose, rotation_exp};
+
+/// How far a drawn mask reaches beyond detector and opening, metres. Scenes do not say how large their masks are.
+const MARGIN_M: f64 = 1e-3;
 
 /// Where a mask is, base frame, metres.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct MaskFrame {
-    centre: DVec3,
-    axes: [DVec3; 2],
+pub struct MaskFrame {
+    /// Centre of the opening, in the mask's mid-plane.
+    pub centre: DVec3,
+    /// Directions across and along the opening, unit length.
+    pub axes: [DVec3; 2],
 }
 
 impl MaskFrame {
@@ -16,8 +21,8 @@ impl MaskFrame {
         Self::at_home(cell).carried(cell, pose)
     }
 
-    /// That of `cell` with the tool at home.
-    pub(crate) fn at_home(cell: &Cell) -> Self {
+    /// That of `cell` with the tool at home, where frames base and tool agree.
+    pub fn at_home(cell: &Cell) -> Self {
         let (detector, slit) = (&cell.detector, &cell.slit);
         let (x, z) = (detector.x_axis_base, detector.normal_base);
         let to_base = |v: DVec3| x * v.x + z.cross(x) * v.y + z * v.z;
@@ -39,4 +44,14 @@ impl MaskFrame {
     pub(crate) fn at(&self, point_m: DVec2) -> DVec3 {
         self.centre + self.axes[0] * point_m.x + self.axes[1] * point_m.y
     }
+}
+
+/// Half extents of a mask as it is drawn, metres: a mask that rides is as large as its slit asks for, others cover their
+/// detectors.
+pub fn mask_half_extents_m(cell: &Cell) -> DVec2 {
+    let covered = match cell.opening() {
+        Opening::RidingSlit => DVec2::ZERO,
+        _ => dvec2(cell.detector.length_m, cell.detector.width_m),
+    };
+    0.5 * dvec2(cell.slit.width_m, cell.slit.length_m).max(covered) + MARGIN_M
 }

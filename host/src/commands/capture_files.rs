@@ -58,13 +58,26 @@ pub(super) fn tell_of_end(path: &Path, end: &End) -> Outcome {
 /// When the first bytes of a capture came.
 pub(super) fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
     let mut reader = CaptureReader::open(path)?;
-    let mut segment = Segment::default();
-    while let Some(entry) = reader.next(&mut segment)? {
+    Ok(next_log_ns(&mut reader, &mut Segment::default())?.unwrap_or(0))
+}
+
+/// When the last bytes of a capture came; reads all of it.
+pub(super) fn last_log_ns(path: &Path) -> Result<u64, CaptureError> {
+    let mut reader = CaptureReader::open(path)?;
+    let (mut segment, mut last_ns) = (Segment::default(), 0);
+    while let Some(log_ns) = next_log_ns(&mut reader, &mut segment)? {
+        last_ns = last_ns.max(log_ns);
+    }
+    Ok(last_ns)
+}
+
+fn next_log_ns(reader: &mut CaptureReader, segment: &mut Segment) -> Result<Option<u64>, CaptureError> {
+    while let Some(entry) = reader.next(segment)? {
         if let Entry::Link { log_ns, .. } = entry {
-            return Ok(log_ns);
+            return Ok(Some(log_ns));
         }
     }
-    Ok(0)
+    Ok(None)
 }
 
 /// The scene hash of the first hello in the bytes of a port.

@@ -22,7 +22,7 @@ const TOOL: [(&str, &str); 2] = [("trajectory", "smooth"), ("seed", "1")];
 fn of_verb(verb: &str) -> Vec<(&'static str, &'static str)> {
     match verb {
         "run" => [&STREAM[..], &TOOL, &[LOOKED_AT, ("speed", "1")], &RUN].concat(),
-        "replay" => [&RECORDED[..], &[LOOKED_AT]].concat(),
+        "replay" => [&RECORDED[..], &[LOOKED_AT, ("speed", "max; with --live 1")]].concat(),
         "export" => [&RECORDED[..], &[("format", "by the ending of --output")]].concat(),
         "simulate" => [&STREAM[..2], &TOOL, &[TOLERANCES]].concat(),
         "model" => vec![("tier", "exact"), ("tolerance", "1e-10"), ("calibration", "none")],

@@ -15,6 +15,7 @@ mod doctor;
 mod export;
 mod host_clock;
 mod identify;
+mod live;
 mod losses;
 mod man;
 mod model;
@@ -22,6 +23,7 @@ mod names;
 mod options;
 mod paper;
 mod playback;
+mod player;
 mod poses;
 mod publish;
 mod record;
@@ -52,6 +54,7 @@ use crate::capture::{CaptureError, ReadingsError};
 use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
+use crate::live::{AccessError, LiveError};
 use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
 use slitpose_bench::BenchError;
@@ -243,6 +246,12 @@ pub(crate) enum CommandError {
     /// Notifications to the service manager.
     #[error(transparent)]
     Status(#[from] StatusError),
+    /// The rules of the live page.
+    #[error(transparent)]
+    Access(#[from] AccessError),
+    /// The live page.
+    #[error(transparent)]
+    Live(#[from] LiveError),
     /// A service manager that cannot be told anything.
     #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
     Service(#[source] io::Error),

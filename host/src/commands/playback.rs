@@ -6,6 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use slitpose_calibration::Head;
 use thiserror::Error;
@@ -13,15 +14,17 @@ use thiserror::Error;
 use super::capture_files::{first_log_ns, scene_hash, tell_of_end, tell_of_scene};
 use super::host_clock::HostClock;
 use super::options::CalibrationOption;
+use super::player::Player;
 use super::poses::{PoseOptions, parse_duration};
 use super::{CommandError, Outcome, interrupt, losses, names, talk};
 use crate::capture::{CaptureReader, CapturedBasis, Entry, Setup};
 use crate::clock::HostInstant;
 use crate::comparison::Comparison;
 use crate::link::{DeviceId, Segment};
+use crate::live::{LiveBoard, Sampler};
 use crate::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
 use crate::sink::{Account, Format, Note, Sink};
-use crate::telemetry::{BoardReport, BoardStatistics, LinkReport, LinkState, RecorderReport};
+use crate::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 use crate::terminal::{Amount, Progress};
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::scene_file::{SceneFile, Shipped, WIDE};
@@ -29,6 +32,9 @@ use slitpose_head::table::OutputError;
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;
+
+/// A capture that rests looks this often for orders.
+const MOMENT: Duration = Duration::from_millis(20);
 
 /// Which part of captures is solved, and how.
 #[derive(clap::Args, Debug)]
@@ -124,8 +130,15 @@ pub(super) struct Playback<'a> {
     play: &'a PlayOptions,
     poses: &'a PoseOptions,
     speed: Speed,
-    /// From the first bytes on.
+    /// From the first bytes on, or from where the speed was changed.
     pace: Option<Pace>,
+    /// Device time at the beginning of that, seconds.
+    paced_from_s: f64,
+    /// Where it began, seconds after the beginning of the capture.
+    from_s: f64,
+    /// The page, if there is one.
+    player: Option<Player>,
+    began: HostInstant,
     sink: Option<Box<dyn Sink + Send + 'a>>,
     /// Where that writes.
     target: &'a str,
@@ -139,13 +152,25 @@ pub(super) struct Playback<'a> {
     progress: Option<Progress>,
 }
 
+/// What ended the play of a file.
+enum Played {
+    /// Its end.
+    File,
+    /// The end that was asked for.
+    Enough,
+    /// A leap to another place, seconds after the beginning.
+    Leap(f64),
+}
+
 /// A board of a capture.
 struct Board {
     /// `None` in the bytes of a port, which are of one board.
     device: Option<DeviceId>,
     setup: Option<Box<Setup>>,
+    head: Head,
     pipeline: Pipeline,
     statistics: RefCell<BoardStatistics>,
+    sampler: Option<Sampler>,
     host_clock: HostClock,
     /// Nothing more can be made of it until its link was opened anew.
     is_unusable: bool,
@@ -176,6 +201,10 @@ impl<'a> Playback<'a> {
             poses,
             speed,
             pace: None,
+            paced_from_s: 0.0,
+            from_s: play.from.unwrap_or(0.0),
+            player: None,
+            began: HostInstant::now(),
             sink,
             target,
             format,
@@ -187,58 +216,124 @@ impl<'a> Playback<'a> {
         })
     }
 
+    /// Plays as `player` says, until the program is interrupted.
+    pub(super) fn played_by(self, player: Player) -> Self {
+        Self { player: Some(player), ..self }
+    }
+
     /// Solves all of them.
     pub(super) fn run(mut self) -> Result<Outcome, CommandError> {
         let start_ns = self.files.first().map(|file| first_log_ns(file)).transpose()?.unwrap_or(0);
-        let at_ns = |offset_s: Option<f64>| offset_s.map(|offset_s| start_ns.saturating_add((offset_s * 1e9) as u64));
-        let (from_ns, to_ns) = (at_ns(self.play.from).unwrap_or(0), at_ns(self.play.to).unwrap_or(u64::MAX));
-        let mut outcome = Outcome::Done;
+        let at_ns = |offset_s: f64| start_ns.saturating_add((offset_s * 1e9) as u64);
+        let to_ns = self.play.to.map_or(u64::MAX, at_ns);
+        loop {
+            let mut outcome = Outcome::Done;
+            let from_ns = if self.from_s > 0.0 { at_ns(self.from_s) } else { 0 };
+            let mut played = self.play_all(from_ns, to_ns, &mut outcome)?;
+            self.progress = None;
+            while self.player.is_some() && !matches!(played, Played::Leap(_)) && !self.stop.load(Ordering::Relaxed) {
+                std::thread::sleep(MOMENT);
+                if let Some(from_s) = self.heed(true) {
+                    played = Played::Leap(from_s);
+                }
+            }
+            match played {
+                Played::Leap(from_s) => self.rewind(from_s),
+                Played::File => return self.end(outcome, false),
+                Played::Enough => return self.end(outcome, true),
+            }
+        }
+    }
+
+    /// Solves all files from a place on.
+    fn play_all(&mut self, from_ns: u64, to_ns: u64, outcome: &mut Outcome) -> Result<Played, CommandError> {
         let mut read_bytes = 0;
-        let mut is_over = false;
         for path in self.files {
             let mut reader = CaptureReader::open(path)?.starting_at(from_ns);
-            is_over = self.play_file(path, &mut reader, to_ns, read_bytes)?;
-            if is_over {
-                break;
+            match self.play_file(path, &mut reader, to_ns, read_bytes)? {
+                Played::File => {}
+                played => return Ok(played),
             }
             read_bytes += fs::metadata(path).map_or(0, |metadata| metadata.len());
             if tell_of_end(path, &reader.end()) == Outcome::DataLost {
-                outcome = Outcome::DataLost;
+                *outcome = Outcome::DataLost;
             }
         }
-        self.progress = None;
-        self.end(outcome, is_over)
+        Ok(Played::File)
     }
 
-    /// Solves one file; whether the end asked for has come.
+    /// Solves one file.
     fn play_file(
         &mut self,
         path: &Path,
         reader: &mut CaptureReader,
         to_ns: u64,
         read_bytes: u64,
-    ) -> Result<bool, CommandError> {
+    ) -> Result<Played, CommandError> {
         let mut segment = Segment::default();
         while let Some(entry) = reader.next(&mut segment)? {
             match entry {
                 Entry::Setup(setup) => self.set_up(setup)?,
                 Entry::Hello { device, .. } => self.feed(path, Some(device), &segment)?,
-                Entry::Link { log_ns, .. } if log_ns > to_ns.saturating_add(LATEST_NS) => return Ok(true),
+                Entry::Link { log_ns, .. } if log_ns > to_ns.saturating_add(LATEST_NS) => return Ok(Played::Enough),
                 Entry::Link { log_ns, .. } if log_ns > to_ns => {}
                 Entry::Link { device, .. } => self.feed(path, device, &segment)?,
             }
             if let Some(progress) = &mut self.progress {
                 progress.at(read_bytes + reader.end().whole_bytes);
             }
-            let elapsed_s = self.elapsed_s();
-            let speed = self.speed;
-            let pace = self.pace.get_or_insert_with(|| Pace::new(speed));
-            while !self.stop.load(Ordering::Relaxed) && !pace.nap(elapsed_s) {}
+            if let Some(from_s) = self.keep_pace() {
+                return Ok(Played::Leap(from_s));
+            }
             if self.is_over() {
-                return Ok(true);
+                return Ok(Played::Enough);
             }
         }
-        Ok(false)
+        Ok(Played::File)
+    }
+
+    /// Waits until it is time for the next bytes; returns where to go on from if that is elsewhere.
+    fn keep_pace(&mut self) -> Option<f64> {
+        while !self.stop.load(Ordering::Relaxed) {
+            let leap = self.heed(false);
+            if leap.is_some() {
+                return leap;
+            }
+            if self.player.as_ref().is_some_and(|player| !player.is_playing()) {
+                std::thread::sleep(MOMENT);
+                continue;
+            }
+            let due_s = self.elapsed_s() - self.paced_from_s;
+            let speed = self.speed;
+            if self.pace.get_or_insert_with(|| Pace::new(speed)).nap(due_s) {
+                break;
+            }
+        }
+        None
+    }
+
+    /// Does what the page asks for, and tells it where the capture is; returns where to go on from if that is elsewhere.
+    fn heed(&mut self, ended: bool) -> Option<f64> {
+        let elapsed_s = self.elapsed_s();
+        let player = self.player.as_mut()?;
+        let (was_playing, speed) = (player.is_playing(), self.speed);
+        let leap = player.obey(&mut self.speed);
+        if self.speed != speed || player.is_playing() != was_playing {
+            (self.pace, self.paced_from_s) = (None, elapsed_s);
+        }
+        let (began, boards) = (self.began, &self.boards);
+        player.tell(self.from_s + elapsed_s, self.speed, ended && leap.is_none(), || {
+            let Account { boards, recorder } = account(boards);
+            DaemonReport::of_now(began, boards, recorder)
+        });
+        leap
+    }
+
+    /// Begins anew, `from_s` after the beginning of the capture.
+    fn rewind(&mut self, from_s: f64) {
+        self.boards.clear();
+        self.unsettled.clear();
+        (self.pace, self.paced_from_s, self.from_s) = (None, 0.0, from_s);
     }
 
     fn is_over(&self) -> bool {
@@ -264,14 +359,26 @@ impl<'a> Playback<'a> {
         };
         tell_of_scene(&file, Some(setup.scene.hash), scene_match);
         let head = self.play.calibration.head(file, |file| head_of(file, &setup, self.play.scene.is_some()))?;
-        let pipeline = self.pipeline(head, scene_match, Some(&setup));
+        let pipeline = self.pipeline(head.clone(), scene_match, Some(&setup));
         let device = Some(setup.device);
-        let board = Board::new(device, Some(setup), pipeline);
+        let board = Board::new(device, Some(setup), head, pipeline);
         match known {
             Some(at) => self.boards[at] = board,
             None => self.boards.push(board),
         }
+        self.show_boards();
         Ok(())
+    }
+
+    /// Shows the page which boards there are.
+    fn show_boards(&mut self) {
+        let Some(player) = &self.player else { return };
+        let live = player.live();
+        for (number, board) in self.boards.iter_mut().enumerate() {
+            board.sampler = Some(Sampler::new(number, live.clone()));
+        }
+        let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
+        live.boards(self.boards.iter().map(shown).collect());
     }
 
     fn pipeline(&self, head: Head, scene_match: SceneMatch, setup: Option<&Setup>) -> Pipeline {
@@ -280,7 +387,7 @@ impl<'a> Playback<'a> {
             .until(self.poses.duration)
             .following(self.poses.following_or(settings.map(|settings| settings.following)));
         // Only people look at the cells.
-        if self.format == Format::Summary { pipeline.watched() } else { pipeline }
+        if self.format == Format::Summary || self.player.is_some() { pipeline.watched() } else { pipeline }
     }
 
     fn feed(&mut self, path: &Path, device: Option<DeviceId>, segment: &Segment) -> Result<(), CommandError> {
@@ -294,8 +401,9 @@ impl<'a> Playback<'a> {
             None => {
                 let (file, scene_match) = self.scene_of_bytes(path)?;
                 let head = self.play.calibration.head(file, Head::uncalibrated)?;
-                let pipeline = self.pipeline(head, scene_match, None);
-                self.boards.push(Board::new(device, None, pipeline));
+                let pipeline = self.pipeline(head.clone(), scene_match, None);
+                self.boards.push(Board::new(device, None, head, pipeline));
+                self.show_boards();
                 self.boards.len() - 1
             }
         };
@@ -304,7 +412,7 @@ impl<'a> Playback<'a> {
         }
         let Self { boards, sink, comparison, target, .. } = self;
         let printing = |source| OutputError::Write { target: (*target).to_owned(), source };
-        let Board { pipeline, statistics, host_clock, is_unusable, .. } = &mut boards[at];
+        let Board { pipeline, statistics, sampler, host_clock, is_unusable, .. } = &mut boards[at];
         let statistics = statistics.get_mut();
         *is_unusable &= !segment.opened;
         if *is_unusable {
@@ -319,6 +427,9 @@ impl<'a> Playback<'a> {
                 Item::Pose(record) => {
                     if let Some(comparison) = comparison {
                         comparison.add(record)?;
+                    }
+                    if let Some(sampler) = sampler {
+                        sampler.add(record);
                     }
                     if let Some(sink) = sink {
                         sink.pose(record).map_err(printing)?;
@@ -354,6 +465,9 @@ impl<'a> Playback<'a> {
                 *is_unusable = true;
             }
             fed => drop(fed?),
+        }
+        if let Some(sampler) = sampler {
+            sampler.send(pipeline.photocurrents(), HostInstant::now());
         }
         let account = || account(&self.boards);
         match &mut self.sink {
@@ -413,6 +527,8 @@ impl<'a> Playback<'a> {
             comparison.lines().iter().for_each(|line| talk(format_args!("{line}")));
         }
         match self.files.first() {
+            // Interrupted where the page had led it.
+            _ if self.player.is_some() => Ok(outcome),
             Some(path) if scans == 0 && self.play.from.is_some() => {
                 Err(PlaybackError::Beyond { path: path.clone(), from_s: self.play.from.unwrap_or_default() }.into())
             }
@@ -428,10 +544,14 @@ fn account(boards: &[Board]) -> Account {
 }
 
 impl Board {
-    fn new(device: Option<DeviceId>, setup: Option<Box<Setup>>, pipeline: Pipeline) -> Self {
-        let name = device.map_or_else(|| "capture".to_owned(), |device| device.to_string());
-        let statistics = RefCell::new(BoardStatistics::new(name, HostInstant::now()));
-        Self { device, setup, pipeline, statistics, host_clock: HostClock::default(), is_unusable: false }
+    fn new(device: Option<DeviceId>, setup: Option<Box<Setup>>, head: Head, pipeline: Pipeline) -> Self {
+        let statistics = RefCell::new(BoardStatistics::new(name_of(device), HostInstant::now()));
+        let host_clock = HostClock::default();
+        Self { device, setup, head, pipeline, statistics, sampler: None, host_clock, is_unusable: false }
+    }
+
+    fn name(&self) -> String {
+        name_of(self.device)
     }
 
     fn report(&self) -> BoardReport {
@@ -441,6 +561,10 @@ impl Board {
         let link = LinkReport { state: LinkState::Ended, since_utc_ns: now.utc_ns, ..LinkReport::default() };
         BoardReport { link, ..report }
     }
+}
+
+fn name_of(device: Option<DeviceId>) -> String {
+    device.map_or_else(|| "capture".to_owned(), |device| device.to_string())
 }
 
 impl From<PipelineError> for CommandError {

@@ -1,8 +1,8 @@
 //! Recording, as `run` and `simulate` offer it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use super::options::parse_number;
 use super::poses::parse_duration;
@@ -15,7 +15,7 @@ use crate::telemetry::report_schema;
 const POSES_HZ: f64 = 25.0;
 
 /// The recording asked for.
-#[derive(clap::Args, Debug)]
+#[derive(clap::Args, Clone, Debug)]
 pub(super) struct RecordOptions {
     /// Record all that comes, as it comes, in this capture (MCAP), from which `replay` finds the
     /// same poses again
@@ -36,17 +36,30 @@ pub(super) struct RecordOptions {
 }
 
 impl RecordOptions {
-    /// Begins the capture asked for.
-    pub(super) fn open(&self) -> Result<Option<CapturePlan>, CaptureError> {
-        let Some(path) = &self.record else { return Ok(None) };
+    /// Begins the capture asked for. `later`: others may begin while the daemon runs.
+    pub(super) fn open(&self, later: bool) -> Result<Option<CapturePlan>, CaptureError> {
+        let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
+        let series = self.record.as_ref().map(|path| self.create(path, existing)).transpose()?;
+        if series.is_none() && !later {
+            return Ok(None);
+        }
+        let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
+        Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
+    }
+
+    /// Begins another capture, named by the time, beside the one asked for, else in the working directory.
+    pub(super) fn another(&self) -> Result<CaptureSeries, CaptureError> {
+        let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string().replace(':', "");
+        let path = self.record.clone().unwrap_or_default().with_file_name(format!("slitpose-{now}.mcap"));
+        self.create(&path, Existing::Kept)
+    }
+
+    fn create(&self, path: &Path, existing: Existing) -> Result<CaptureSeries, CaptureError> {
         let limits = Limits {
             max_bytes: self.record_size,
             max_age: self.record_time.map(|time_s| Duration::try_from_secs_f64(time_s).unwrap_or(Duration::MAX)),
         };
-        let existing = if self.overwrite { Existing::Replaced } else { Existing::Kept };
-        let series = CaptureSeries::create(path, limits, existing, About { report_schema: report_schema() })?;
-        let poses_hz = if self.record_poses > 0.0 { self.record_poses } else { f64::INFINITY };
-        Ok(Some(CapturePlan { series, poses_hz, talk: Arc::new(talk) }))
+        CaptureSeries::create(path, limits, existing, About { report_schema: report_schema() })
     }
 }
 

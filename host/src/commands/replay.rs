@@ -3,9 +3,13 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
+use super::capture_files::{first_log_ns, last_log_ns};
+use super::live::LiveOptions;
 use super::playback::{PlayOptions, Playback, Printing};
+use super::player::{Orders, Player};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
+use crate::live::LivePlan;
 use crate::terminal;
 use slitpose_head::pace::Speed;
 
@@ -13,10 +17,12 @@ use slitpose_head::pace::Speed;
 ///
 /// The same bytes give the same poses, bit for bit. Scene, equations and filter are those of the
 /// recording unless given; files of a series are given together, in order. Files other than MCAP are
-/// taken for the bytes of a port. Ends with exit code 3 if a capture is damaged or incomplete.
+/// taken for the bytes of a port. Ends with exit code 3 if a capture is damaged or incomplete. With --live the
+/// capture is played on a page, to pause, seek and go on, until the program is interrupted.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose replay contact.mcap --format csv > poses.csv\n  \
                         slitpose replay contact.mcap --speed 0.1 --from 2s --to 3s\n  \
+                        slitpose replay contact.mcap --live --open\n  \
                         slitpose replay night-0001.mcap night-0002.mcap --compare truth.csv --format none")]
 pub(super) struct Args {
     /// Captures
@@ -26,9 +32,11 @@ pub(super) struct Args {
     play: PlayOptions,
     #[command(flatten)]
     poses: PoseOptions,
+    #[command(flatten)]
+    live: LiveOptions,
     /// Seconds of the recording per second, or max
-    #[arg(long, value_name = "N", default_value_t = Speed::Max, allow_negative_numbers = true)]
-    speed: Speed,
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    speed: Option<Speed>,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -37,5 +45,23 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = args.poses.open_sink(format, output, terminal::is_live());
     let printing = Printing { sink, target: "standard output", format, is_terminal };
-    Playback::new(&args.files, &args.play, &args.poses, args.speed, printing)?.run()
+    let access = args.live.access()?;
+    let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
+    let playback = Playback::new(&args.files, &args.play, &args.poses, args.speed.unwrap_or(usual), printing)?;
+    let Some(access) = access else { return playback.run() };
+    let (first, last) =
+        (args.files.first().map(|file| first_log_ns(file)), args.files.last().map(|file| last_log_ns(file)));
+    let span_ns = last.transpose()?.unwrap_or(0).saturating_sub(first.transpose()?.unwrap_or(0));
+    let orders = Orders::default();
+    let server = args.live.start(LivePlan {
+        access,
+        source: "replay",
+        boards: Vec::new(),
+        scene: None,
+        control: Box::new(orders.clone()),
+        report: None,
+    })?;
+    let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
+    let player = Player::new(orders, server.input(), names.join(", "), span_ns as f64 * 1e-9);
+    playback.played_by(player).run()
 }

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Hello;
 
+use super::live::{LiveOptions, Recordings};
 use super::options::head_by;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
@@ -18,10 +19,12 @@ use crate::clock::HostInstant;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
 use crate::device::{Search, Selector};
+use crate::http::Reach;
 use crate::link::DeviceId;
+use crate::live::{Access, LiveBoard, LivePlan, LiveServer};
 use crate::pipeline::{self, PipelineError, SceneMatch};
 use crate::service::{self, Service};
-use crate::telemetry::{DaemonReport, Reach, RecorderReport, RecorderState, StatusAddress, StatusServer};
+use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::terminal;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
@@ -69,6 +72,8 @@ pub(super) struct Args {
     /// Serve the state as text, as JSON and for Prometheus at 127.0.0.1:PORT, or unix:PATH
     #[arg(long, value_name = "ADDRESS")]
     status: Option<StatusAddress>,
+    #[command(flatten)]
+    live: LiveOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -115,21 +120,40 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let service = Service::from_environment().map_err(CommandError::Service)?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));
+    let reports = || {
+        let followed = Arc::clone(&followed);
+        move || match followed.get() {
+            Some(daemon) => daemon.report(),
+            None => DaemonReport::of_now(began, Vec::new(), RecorderReport::default()),
+        }
+    };
+    let access = args.live.access()?;
+    let is_recorded_later = access.as_ref().is_some_and(Access::may_write);
+    let live = match access {
+        Some(access) => {
+            let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
+            Some(args.live.start(LivePlan {
+                access,
+                source: "run",
+                boards: boards.iter().map(shown).collect(),
+                scene: None,
+                control: Box::new(Recordings { daemon: Arc::clone(&followed), options: args.record.clone() }),
+                report: Some(Box::new(reports())),
+            })?)
+        }
+        None => None,
+    };
     let status = match &args.status {
         Some(address) => {
-            let followed = Arc::clone(&followed);
-            let report = move || match followed.get() {
-                Some(daemon) => daemon.report(),
-                None => DaemonReport::of_now(began, Vec::new(), RecorderReport::default()),
-            };
-            let server = StatusServer::start(address, Reach::Loopback, report)?;
+            let server = StatusServer::start(address, Reach::Loopback, reports())?;
             talk(format_args!("status at {}", server.address()));
             Some(server)
         }
         None => None,
     };
-    let capture = args.record.open()?;
-    let plan = Plan { boards, sink, capture, datagrams, real_time: args.real_time };
+    let capture = args.record.open(is_recorded_later)?;
+    let input = live.as_ref().map(LiveServer::input);
+    let plan = Plan { boards, sink, capture, datagrams, live: input, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // A manager that does not listen at this moment will at the next.
@@ -149,7 +173,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     notify(service::STOPPING);
     let ended = daemon.end();
-    drop(status);
+    drop((status, live));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }

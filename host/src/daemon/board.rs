@@ -12,7 +12,7 @@ use slitpose_protocol::Configuration;
 
 use super::backlog::Backlog;
 use super::buffer_pool::{Producer, buffer_pool};
-use super::capture_queue::{CaptureChunk, CaptureQueue, Overflow};
+use super::capture_queue::{CaptureQueue, Overflow, RecorderEnds};
 use super::claims::Claims;
 use super::error::BoardError;
 use super::handoff::handoff;
@@ -28,6 +28,7 @@ use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::link::Segment;
+use crate::live::{LiveInput, Sampler};
 use crate::pipeline::{Counts, Following, Pipeline, SceneMatch};
 use crate::telemetry::BoardStatistics;
 use slitpose_head::threads::join;
@@ -76,8 +77,9 @@ pub(super) struct Shared {
     pub(super) outboxes: Option<Producer<Outbox>>,
     /// Whether each pose has to be printed.
     pub(super) prints_each: bool,
-    pub(super) chunks: Option<(Producer<CaptureChunk>, f64)>,
+    pub(super) recorder: Option<RecorderEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
+    pub(super) live: Option<LiveInput>,
     pub(super) real_time: Option<u8>,
     pub(super) claims: Claims,
 }
@@ -102,7 +104,7 @@ impl BoardThreads {
         let (tell, events) = bounded(EVENTS);
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = shared.prints_each || plan.until_s.is_some();
-        let capture_queue = |(chunks, every_s)| CaptureQueue::new(number, chunks, overflow, every_s);
+        let capture_queue = |ends| CaptureQueue::new(number, ends, overflow);
         let pipeline = Pipeline::new(plan.head, plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
@@ -117,7 +119,8 @@ impl BoardThreads {
                 shared.datagrams,
                 shared.outboxes,
                 keeps_all,
-                shared.chunks.map(capture_queue),
+                shared.recorder.map(capture_queue),
+                shared.live.map(|live| Sampler::new(number, live)),
             ),
             backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),

@@ -1,5 +1,7 @@
 //! The queue of one board to the recorder, in chunks of 20 ms.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{Hello, MAX_MESSAGE_BYTES, Message, encode};
@@ -56,11 +58,26 @@ pub(super) enum Overflow {
     Drop,
 }
 
+/// What a board needs of the recorder.
+#[derive(Clone, Debug)]
+pub(super) struct RecorderEnds {
+    /// The queue.
+    pub(super) chunks: Producer<CaptureChunk>,
+    /// Whether there is a capture now.
+    pub(super) recording: Arc<AtomicBool>,
+    /// Device time between recorded poses, seconds.
+    pub(super) pose_every_s: f64,
+}
+
 /// The board's end of the queue.
 #[derive(Debug)]
 pub(super) struct CaptureQueue {
     board: usize,
     chunks: Producer<CaptureChunk>,
+    /// Whether there is a capture now.
+    recording: Arc<AtomicBool>,
+    /// The same when the segment in hand began.
+    is_on: bool,
     overflow: Overflow,
     pose_every_s: f64,
     next_pose_s: f64,
@@ -78,11 +95,14 @@ pub(super) struct CaptureQueue {
 }
 
 impl CaptureQueue {
-    /// The queue of the board of this number; a pose is kept every `pose_every_s` of device time.
-    pub(super) fn new(board: usize, chunks: Producer<CaptureChunk>, overflow: Overflow, pose_every_s: f64) -> Self {
+    /// The queue of the board of this number.
+    pub(super) fn new(board: usize, ends: RecorderEnds, overflow: Overflow) -> Self {
+        let RecorderEnds { chunks, recording, pose_every_s } = ends;
         Self {
             board,
             chunks,
+            recording,
+            is_on: true,
             overflow,
             pose_every_s,
             next_pose_s: f64::NEG_INFINITY,
@@ -99,8 +119,14 @@ impl CaptureQueue {
 
     /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
-        if opened || self.is_full {
+        self.is_on = self.recording.load(Ordering::Relaxed);
+        if opened || self.is_full || !self.is_on {
             self.hand_over();
+        }
+        if !self.is_on {
+            // A capture that begins later begins within the stream.
+            self.has_gap = true;
+            return;
         }
         if self.under_way.is_some() {
             return;
@@ -161,8 +187,10 @@ impl CaptureQueue {
     /// Keeps the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
         let Some(chunk) = &mut self.under_way else {
-            self.bytes_dropped += segment.bytes.len() as u64;
-            self.has_gap = true;
+            if self.is_on {
+                self.bytes_dropped += segment.bytes.len() as u64;
+                self.has_gap = true;
+            }
             return;
         };
         chunk.segment.append(segment);

@@ -46,8 +46,10 @@ pub(crate) use link::Talk;
 pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
 
+use crate::capture::CaptureSeries;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
+use crate::live::LiveInput;
 use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
@@ -72,10 +74,12 @@ pub(crate) struct Plan {
     pub boards: Vec<BoardPlan>,
     /// The output that prints poses.
     pub sink: Option<Box<dyn Sink + Send>>,
-    /// The capture to record.
+    /// The captures to record, now or later.
     pub capture: Option<CapturePlan>,
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
+    /// The live page.
+    pub live: Option<LiveInput>,
     /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
 }
@@ -108,14 +112,14 @@ impl Daemon {
     /// # Errors
     /// If the system does not start a thread.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
-        let Plan { boards, sink, capture, datagrams, real_time } = plan;
+        let Plan { boards, sink, capture, datagrams, live, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
-        let (recorder, chunks) = match capture {
+        let (recorder, recorder_ends) = match capture {
             Some(capture) => {
-                let (thread, producer) = RecorderThread::start(capture, &boards)?;
-                (Some(thread), Some(producer))
+                let (thread, ends) = RecorderThread::start(capture, &boards)?;
+                (Some(thread), Some(ends))
             }
             None => (None, None),
         };
@@ -141,8 +145,9 @@ impl Daemon {
             let shared = board::Shared {
                 outboxes: outboxes.clone(),
                 prints_each,
-                chunks: chunks.clone(),
+                recorder: recorder_ends.clone(),
                 datagrams: datagrams.clone(),
+                live: live.clone(),
                 real_time,
                 claims: claims.clone(),
             };
@@ -162,10 +167,14 @@ impl Daemon {
     /// The state of the daemon.
     pub(crate) fn report(&self) -> DaemonReport {
         let boards = self.boards_report();
-        let recorder = self.recorder.as_ref().map(RecorderThread::report);
-        let recorder = with_unrecorded(recorder.unwrap_or_default(), &boards);
+        let recorder = with_unrecorded(self.recorder_report(), &boards);
         let datagrams = self.datagrams.as_ref().map(|datagrams| datagrams.counts());
         DaemonReport { datagrams, ..DaemonReport::of_now(self.started, boards, recorder) }
+    }
+
+    /// The state of the recorder alone.
+    pub(crate) fn recorder_report(&self) -> RecorderReport {
+        self.recorder.as_ref().map(RecorderThread::report).unwrap_or_default()
     }
 
     fn boards_report(&self) -> Vec<BoardReport> {
@@ -176,6 +185,20 @@ impl Daemon {
     pub(crate) fn record_report(&self) {
         if let Some(recorder) = &self.recorder {
             recorder.account(self.report());
+        }
+    }
+
+    /// Begins a recording, now or after the one that is ending.
+    pub(crate) fn begin_recording(&self, series: CaptureSeries) {
+        if let Some(recorder) = &self.recorder {
+            recorder.begin(series);
+        }
+    }
+
+    /// Ends the recording, if there is one.
+    pub(crate) fn end_recording(&self) {
+        if let Some(recorder) = &self.recorder {
+            recorder.end_capture();
         }
     }
 

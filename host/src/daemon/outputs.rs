@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
+use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
 use super::buffer_pool::Producer;
@@ -11,6 +12,7 @@ use super::capture_queue::CaptureQueue;
 use crate::clock::HostInstant;
 use crate::datagram::{DatagramServer, Publisher};
 use crate::link::{DeviceId, Segment};
+use crate::live::Sampler;
 use crate::pipeline::{Item, Record};
 use crate::sink::Note;
 use crate::telemetry::BoardStatistics;
@@ -43,6 +45,7 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<CaptureQueue>,
+    sampler: Option<Sampler>,
     outbox: Option<Outbox>,
     /// Poses about to be published, and the time when the first was solved.
     fresh: Vec<Record>,
@@ -65,6 +68,7 @@ impl Outputs {
         printer: Option<Producer<Outbox>>,
         prints_all: bool,
         capture: Option<CaptureQueue>,
+        sampler: Option<Sampler>,
     ) -> Self {
         Self {
             datagrams,
@@ -73,6 +77,7 @@ impl Outputs {
             printer,
             prints_all,
             capture,
+            sampler,
             outbox: None,
             fresh: Vec::with_capacity(TOGETHER),
             fresh_since_ns: 0,
@@ -136,8 +141,15 @@ impl Outputs {
         }
     }
 
-    /// Publishes a pose that is newer than all before, at once or together with the next few.
-    pub(super) fn publish(&mut self, record: &Record, now: HostInstant, is_behind: bool) {
+    /// Publishes a pose that is newer than all before, at once or together with the next few; and shows it with its
+    /// photocurrents.
+    pub(super) fn publish(
+        &mut self,
+        record: &Record,
+        photocurrents: Option<&Photocurrents>,
+        now: HostInstant,
+        is_behind: bool,
+    ) {
         if self.fresh.is_empty() {
             self.fresh_since_ns = now.monotonic_ns;
         }
@@ -147,6 +159,10 @@ impl Outputs {
         }
         if self.fresh.len() >= TOGETHER || now.monotonic_ns.saturating_sub(self.fresh_since_ns) >= TOGETHER_NS {
             self.send();
+        }
+        if let Some(sampler) = &mut self.sampler {
+            sampler.add(record);
+            sampler.send(photocurrents, now);
         }
     }
 

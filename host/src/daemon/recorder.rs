@@ -1,15 +1,16 @@
 //! The thread that records. No other thread waits for the disk.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
-use super::buffer_pool::{Consumer, Empty, Producer, buffer_pool};
-use super::capture_queue::CaptureChunk;
+use super::buffer_pool::{Consumer, Empty, buffer_pool};
+use super::capture_queue::{CaptureChunk, RecorderEnds};
 use super::error::{BoardError, with_causes};
 use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
@@ -27,10 +28,13 @@ const ACCOUNTS: usize = 4;
 /// Longest wait without anything to record.
 const IDLE: Duration = Duration::from_millis(100);
 
-/// A capture to be recorded.
+/// A board hands over its last chunk of an ended recording within this time.
+const LAST_CHUNK: Duration = Duration::from_millis(200);
+
+/// Captures to be recorded.
 pub(crate) struct CapturePlan {
-    /// The files.
-    pub series: CaptureSeries,
+    /// The files; `None`: the recording begins later.
+    pub series: Option<CaptureSeries>,
     /// Poses recorded per device second, in addition to the bytes from which all poses can be solved again.
     pub poses_hz: f64,
     /// Prints a message for the user.
@@ -41,6 +45,8 @@ pub(crate) struct CapturePlan {
 pub(super) struct RecorderThread {
     thread: Mutex<Option<JoinHandle<()>>>,
     accounts: Mutex<Option<Sender<DaemonReport>>>,
+    /// The next captures; `None` ends the present one.
+    captures: Sender<Option<CaptureSeries>>,
     report: Arc<Mutex<RecorderReport>>,
 }
 
@@ -54,7 +60,11 @@ struct Source {
 
 /// State of the thread.
 struct Recorder {
-    series: CaptureSeries,
+    series: Option<CaptureSeries>,
+    captures: Receiver<Option<CaptureSeries>>,
+    recording: Arc<AtomicBool>,
+    /// When the last chunks of an ended recording have come.
+    ends_at: Option<Instant>,
     sources: Vec<Source>,
     talk: Arc<Talk>,
     report: Arc<Mutex<RecorderReport>>,
@@ -64,11 +74,8 @@ struct Recorder {
 }
 
 impl RecorderThread {
-    /// Starts the thread; returns the boards' end of the queue and the device time between recorded poses, seconds.
-    pub(super) fn start(
-        plan: CapturePlan,
-        boards: &[BoardPlan],
-    ) -> Result<(Self, (Producer<CaptureChunk>, f64)), BoardError> {
+    /// Starts the thread; returns what boards need of it.
+    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> Result<(Self, RecorderEnds), BoardError> {
         let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), CaptureChunk::with_capacity);
         let (tell, accounts) = bounded(ACCOUNTS);
         let source = |board: &BoardPlan| Source {
@@ -77,10 +84,15 @@ impl RecorderThread {
             keeps_time: board.keeps_time,
             device: None,
         };
-        let recording = RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() };
-        let report = Arc::new(Mutex::new(recording));
+        let (order, captures) = unbounded();
+        let recording = Arc::new(AtomicBool::new(plan.series.is_some()));
+        let state = if plan.series.is_some() { RecorderState::Recording } else { RecorderState::Off };
+        let report = Arc::new(Mutex::new(RecorderReport { state, ..RecorderReport::default() }));
         let recorder = Recorder {
             series: plan.series,
+            captures,
+            recording: Arc::clone(&recording),
+            ends_at: None,
             sources: boards.iter().map(source).collect(),
             talk: plan.talk,
             report: Arc::clone(&report),
@@ -89,8 +101,8 @@ impl RecorderThread {
         };
         recorder.publish();
         let thread = spawn("record".to_owned(), move || recorder.run(&consumer, &accounts))?;
-        let this = Self { thread: Mutex::new(Some(thread)), accounts: Mutex::new(Some(tell)), report };
-        Ok((this, (producer, plan.poses_hz.recip())))
+        let this = Self { thread: Mutex::new(Some(thread)), accounts: Mutex::new(Some(tell)), captures: order, report };
+        Ok((this, RecorderEnds { chunks: producer, recording, pose_every_s: plan.poses_hz.recip() }))
     }
 }
 
@@ -104,6 +116,17 @@ impl RecorderThread {
     pub(super) fn reports(&self) -> impl Fn() -> RecorderReport + Send + use<> {
         let report = Arc::clone(&self.report);
         move || lock(&report).clone()
+    }
+
+    /// Begins a recording, after the present one if there is one.
+    pub(super) fn begin(&self, series: CaptureSeries) {
+        lock(&self.report).state = RecorderState::Recording;
+        let _ = self.captures.send(Some(series));
+    }
+
+    /// Ends the present recording.
+    pub(super) fn end_capture(&self) {
+        let _ = self.captures.send(None);
     }
 
     /// Records the daemon's report in the capture, unless the recorder is far behind.
@@ -132,7 +155,7 @@ impl Recorder {
                     chunks.give_back(chunk);
                     done
                 }
-                Err(Empty::ForNow) => self.series.tick(),
+                Err(Empty::ForNow) => self.series.as_mut().map_or(Ok(()), CaptureSeries::tick),
                 Err(Empty::Closed) => break,
             };
             self.report_failure(done);
@@ -140,6 +163,7 @@ impl Recorder {
                 let done = self.record_account(&report);
                 self.report_failure(done);
             }
+            self.change_captures();
             self.publish();
         }
         // The last report comes when all boards have ended.
@@ -148,19 +172,51 @@ impl Recorder {
             self.report_failure(done);
         }
         self.publish();
-        let Self { series, talk, report, bytes_missing, .. } = self;
+        self.finish();
+    }
+
+    /// Ends the present capture, and begins the next, as asked.
+    fn change_captures(&mut self) {
+        if self.ends_at.is_some_and(|at| Instant::now() < at) {
+            return;
+        }
+        if self.ends_at.take().is_some() {
+            self.finish();
+        }
+        match self.captures.try_recv() {
+            Ok(Some(series)) => {
+                self.finish();
+                self.series = Some(series);
+                // Each capture has the setup of its boards.
+                self.sources.iter_mut().for_each(|source| source.device = None);
+                let mut report = lock(&self.report);
+                *report = RecorderReport { state: RecorderState::Recording, ..RecorderReport::default() };
+                self.bytes_missing = 0;
+                self.recording.store(true, Ordering::Relaxed);
+            }
+            Ok(None) => {
+                self.recording.store(false, Ordering::Relaxed);
+                self.ends_at = Some(Instant::now() + LAST_CHUNK);
+            }
+            Err(_) => {}
+        }
+    }
+
+    /// Completes the present capture, if there is one.
+    fn finish(&mut self) {
+        let Some(series) = self.series.take() else { return };
         let finished = series.finish();
-        let mut report = lock(&report);
+        let mut report = lock(&self.report);
         match finished {
             Ok(recorded) => {
-                report.bytes_dropped = recorded.dropped_bytes + bytes_missing;
+                report.bytes_dropped = recorded.dropped_bytes + self.bytes_missing;
                 if report.state == RecorderState::Recording {
                     report.state = RecorderState::Off;
                 }
             }
             Err(error) => {
                 let reason = with_causes(&error);
-                talk(format_args!("{reason}"));
+                (self.talk)(format_args!("{reason}"));
                 report.state = RecorderState::Failed;
                 report.reason = Some(reason);
             }
@@ -168,6 +224,7 @@ impl Recorder {
     }
 
     fn record(&mut self, chunk: &CaptureChunk) -> Result<(), CaptureError> {
+        let Some(series) = &mut self.series else { return Ok(()) };
         let source = &mut self.sources[chunk.board];
         let now_ns = HostInstant::now().utc_ns;
         let log_ns = match chunk.segment.reads.first() {
@@ -180,7 +237,7 @@ impl Recorder {
             && (source.device != Some(device) || hello.is_some())
         {
             source.device = Some(device);
-            let added = self.series.add_device(Setup::new(device, &source.head, source.settings), hello, log_ns);
+            let added = series.add_device(Setup::new(device, &source.head, source.settings), hello, log_ns);
             if added.is_err() {
                 self.bytes_missing += chunk.segment.bytes.len() as u64;
                 return added;
@@ -191,21 +248,22 @@ impl Recorder {
             self.bytes_missing += chunk.segment.bytes.len() as u64;
             return Ok(());
         };
-        self.series.segment(device, &chunk.segment, log_ns)?;
-        chunk.poses.iter().try_for_each(|record| self.series.pose(record, log_ns))
+        series.segment(device, &chunk.segment, log_ns)?;
+        chunk.poses.iter().try_for_each(|record| series.pose(record, log_ns))
     }
 
     fn record_account(&mut self, report: &DaemonReport) -> Result<(), CaptureError> {
+        let Some(series) = &mut self.series else { return Ok(()) };
         // On one timeline with the boards.
         let keep_time = self.sources.iter().all(|source| source.keeps_time);
         let now_ns = if keep_time { HostInstant::now().utc_ns } else { self.log_ns };
         for board in &report.boards {
             if let Some(device) = board.device.filter(|device| self.sources.iter().any(|it| it.device == Some(*device)))
             {
-                self.series.report(Some(device), board, now_ns)?;
+                series.report(Some(device), board, now_ns)?;
             }
         }
-        self.series.report(None, report, now_ns)
+        series.report(None, report, now_ns)
     }
 
     /// Tells the user why the capture has ended.
@@ -219,12 +277,13 @@ impl Recorder {
     }
 
     fn publish(&self) {
-        let recorded = self.series.recorded();
+        let Some(series) = &self.series else { return };
+        let recorded = series.recorded();
         let mut report = lock(&self.report);
-        report.file = Some(self.series.path().display().to_string());
-        report.bytes = self.series.bytes();
+        report.file = Some(series.path().display().to_string());
+        report.bytes = series.bytes();
         report.files = recorded.files;
-        report.flushes = self.series.flushes();
+        report.flushes = series.flushes();
         report.bytes_dropped = recorded.dropped_bytes + self.bytes_missing;
     }
 }

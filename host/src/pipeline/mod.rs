@@ -21,7 +21,7 @@ use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
 use slitpose_calibration::Head;
-use slitpose_model::{Filtered, Pose, Solution, Tier, Tracked, TwistEstimate};
+use slitpose_model::{Filtered, Photocurrents, Pose, Solution, Tier, Tracked, TwistEstimate};
 use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
 };
@@ -323,6 +323,11 @@ impl Pipeline {
             }
         }
         Ok(length - bytes.len())
+    }
+
+    /// The photocurrents of the scan that was solved last; `None` before the first hello.
+    pub(crate) fn photocurrents(&self) -> Option<&Photocurrents> {
+        self.flow.session.as_ref().map(|session| session.photocurrents())
     }
 
     /// The health of the head, if it is [monitored](Self::watched).

@@ -1,7 +1,7 @@
 //! One board under one configuration: from a scan to a solution.
 
 use slitpose_calibration::{Basis, Head};
-use slitpose_model::{Solver, Tier, Tracked, Tracker};
+use slitpose_model::{Photocurrents, Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::{Following, PipelineError, SceneMatch};
@@ -22,6 +22,8 @@ pub(super) struct Session {
     reference_ticks: f64,
     last_sample_ticks: u64,
     stage: Stage,
+    /// Those of the scan that was solved last.
+    photocurrents: Photocurrents,
     head: Head,
     tracker: Tracker<f64>,
     /// Tracks the newest scans while older ones wait.
@@ -124,6 +126,7 @@ impl Session {
             ahead: None,
             health,
             stage,
+            photocurrents: Photocurrents::default(),
             schedule: hello.schedule.clone(),
             scaling: hello.scaling,
         })
@@ -186,18 +189,18 @@ impl Session {
 
     /// Solves the next scan in turn; `watched`: it counts for the health of the head.
     pub(super) fn solve(&mut self, scan: &RawScan, watched: bool) -> Tracked {
-        let photocurrents = self.stage.photocurrents(scan);
-        let mut tracked = self.tracker.track(scan.sequence, &photocurrents);
+        self.photocurrents = self.stage.photocurrents(scan);
+        let mut tracked = self.tracker.track(scan.sequence, &self.photocurrents);
         self.head.complete_tracked(&mut tracked);
         if let Some(health) = self.health.as_mut().filter(|_| watched) {
-            health.update(scan, &photocurrents, &tracked.solution);
+            health.update(scan, &self.photocurrents, &tracked.solution);
         }
         tracked
     }
 
     /// Solves a scan ahead of the waiting ones; `first`: none of these has been solved ahead.
     pub(super) fn solve_ahead(&mut self, scan: &RawScan, first: bool) -> Tracked {
-        let photocurrents = self.stage.photocurrents(scan);
+        self.photocurrents = self.stage.photocurrents(scan);
         let ahead = match &mut self.ahead {
             // Starts from the latest pose.
             Some(ahead) if first => {
@@ -206,12 +209,17 @@ impl Session {
             }
             ahead => ahead.get_or_insert_with(|| Box::new(self.tracker.clone())),
         };
-        let mut tracked = ahead.track(scan.sequence, &photocurrents);
+        let mut tracked = ahead.track(scan.sequence, &self.photocurrents);
         self.head.complete_tracked(&mut tracked);
         if let Some(health) = &mut self.health {
-            health.update(scan, &photocurrents, &tracked.solution);
+            health.update(scan, &self.photocurrents, &tracked.solution);
         }
         tracked
+    }
+
+    /// The photocurrents of the scan that was solved last.
+    pub(super) fn photocurrents(&self) -> &Photocurrents {
+        &self.photocurrents
     }
 
     /// The health of the head, if it is monitored.

@@ -6,12 +6,10 @@
 
 mod address;
 mod client;
-mod connection;
 mod findings;
 mod latency;
 mod losses;
 pub(crate) mod metrics;
-mod origin;
 mod process;
 mod report;
 mod server;
@@ -26,5 +24,5 @@ pub(crate) use report::{
     BoardReport, DaemonReport, HostLosses, LagReport, LinkReport, LinkState, RecorderReport, RecorderState,
     report_schema,
 };
-pub(crate) use server::{Reach, StatusError, StatusServer};
+pub(crate) use server::{StatusError, StatusServer};
 pub use statistics::BoardStatistics;

@@ -22,24 +22,15 @@ use thiserror::Error;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::oneshot;
 
-use super::connection::{Door, Socket};
-use super::{DaemonReport, StatusAddress, metrics, origin, view};
+use super::{DaemonReport, StatusAddress, metrics, view};
 use crate::clock::HostInstant;
+use crate::http::{self, Door, Reach, Socket};
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
 
 const TEXT: &str = "text/plain; charset=utf-8";
 const JSON: &str = "application/json";
-
-/// The hosts that may connect over TCP.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Reach {
-    /// Programs of this host.
-    Loopback,
-    /// Every host that can reach the address, as permitted by the user.
-    Anywhere,
-}
 
 /// Why the status cannot be served.
 #[derive(Debug, Error)]
@@ -130,7 +121,7 @@ impl StatusServer {
         // Browsers cannot reach a Unix socket: any host name is allowed there.
         let named = if matches!(address, StatusAddress::Unix(_)) { Reach::Anywhere } else { reach };
         let routes = routes(&source).layer(from_fn(move |request: Request, next: Next| async move {
-            if origin::is_own(request.headers(), named) {
+            if http::is_own(request.headers(), named) {
                 next.run(request).await
             } else {
                 let text =

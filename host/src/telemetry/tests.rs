@@ -14,6 +14,7 @@ use super::*;
 use crate::clock::{HostInstant, HostTime};
 use crate::datagram::DatagramCounts;
 use crate::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares, Verdict};
+use crate::http::{self, Reach};
 use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
 use slitpose_head::finding::Finding;
@@ -349,7 +350,7 @@ fn clients_that_hang_keep_nobody_waiting_and_are_closed() {
     // The server closes silent connections: reading ends long before the timeout here.
     silent[0].set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     assert!(matches!(silent[0].read(&mut [0; 16]), Ok(0) | Err(_)));
-    assert!(begun.elapsed() >= connection::LIFETIME - Duration::from_millis(100), "{:?}", begun.elapsed());
+    assert!(begun.elapsed() >= http::LIFETIME - Duration::from_millis(100), "{:?}", begun.elapsed());
     assert!(begun.elapsed() < Duration::from_secs(55), "closed by the server, not by the time limit");
     // When dropped, the server ends in spite of hanging clients.
     let _hanging = TcpStream::connect(tcp(&server)).unwrap();
@@ -362,7 +363,7 @@ fn more_connections_than_there_is_room_for_are_closed_at_once() {
     let path = folder.path().join("status");
     let server = serve(&format!("unix:{}", path.display())).unwrap();
     let connect = || UnixStream::connect(&path).unwrap();
-    let _room: Vec<UnixStream> = (0..connection::MOST).map(|_| connect()).collect();
+    let _room: Vec<UnixStream> = (0..http::MOST).map(|_| connect()).collect();
     let begun = Instant::now();
     let mut beyond = connect();
     beyond.set_read_timeout(Some(Duration::from_secs(60))).unwrap();

@@ -2,7 +2,10 @@
 
 use slitpose_calibration::Head;
 use slitpose_head::boxed::{boxed_plan, boxed_solver};
-use slitpose_model::{MotionPrior, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solver, Start, Status, Tier};
+use slitpose_model::{
+    Estimate, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Response, SceneError, Solution, Solver,
+    Start, Status, Tier,
+};
 
 use crate::report::frame_scene;
 
@@ -115,31 +118,59 @@ impl Outlook {
             saturation: f64::INFINITY,
             faint: f64::INFINITY,
         };
-        let read = |cell: usize| {
-            if dark == Some(cell) {
-                return Reading::Missing;
-            }
-            let response = self.plan.respond(cell, pose);
+        let (_, solution) = self.measure(pose, dark, |cell, response, full_scale| {
             let detector = &self.head.file.scene.cells[cell].detector;
-            let above_dark = |current_a: f64| current_a - 0.5 * detector.dark_current_a;
-            let [i_x1_a, i_x2_a] = [response.currents.i_x1_a, response.currents.i_x2_a].map(above_dark);
-            let full_scale = self.full_scale_a / i_x1_a.max(i_x2_a);
             view.lit += usize::from(response.status == Status::Lit);
             view.full_scale = view.full_scale.min(full_scale);
             view.saturation = view.saturation.min(detector.saturation_a.unwrap_or(f64::INFINITY) / response.i_o_a);
-            view.faint = view.faint.min((i_x1_a + i_x2_a) / detector.faint_a);
-            if full_scale < 1.0 { Reading::Saturated } else { Reading::Light(Pair { i_x1_a, i_x2_a }) }
-        };
-        let readings = Photocurrents { cells: (0..self.cells()).map(read).collect() };
-        let mut solution = self.solver.solve(&readings, Start::Near(pose), &MotionPrior::AT_REST);
-        self.head.complete(&mut solution);
+            view.faint = view.faint.min((response.i_o_a - detector.dark_current_a) / detector.faint_a);
+        });
         // Far from the pose that the light came from is another one.
-        let estimate = solution.estimate.filter(|estimate| estimate.nees(pose).is_some_and(|nees| nees < 1.0));
-        view.sigma = estimate.map(|estimate| estimate.sigma());
+        view.sigma = solution.estimate.filter(|estimate| is_at(estimate, pose)).map(|estimate| estimate.sigma());
         if view.sigma.is_some() {
             view.condition = solution.condition();
             view.unnoticed_sigmas = solution.unnoticed_sigmas;
         }
         view
     }
+
+    /// A frame without noise, and its solution, with the tool at rest at `pose`. A solution elsewhere, which such a frame
+    /// does not tell from this pose, is [`Outcome::Ambiguous`].
+    pub fn frame_at(&self, pose: &Pose) -> (Photocurrents, Solution) {
+        let (readings, mut solution) = self.measure(pose, None, |_, _, _| ());
+        if solution.estimate.is_some_and(|estimate| !is_at(&estimate, pose)) {
+            (solution.outcome, solution.estimate) = (Outcome::Ambiguous, None);
+        }
+        (readings, solution)
+    }
+
+    /// Reads all cells but `dark` and solves; `note` gets each response, and full scale over its greater current.
+    fn measure(
+        &self,
+        pose: &Pose,
+        dark: Option<usize>,
+        mut note: impl FnMut(usize, &Response<f64>, f64),
+    ) -> (Photocurrents, Solution) {
+        let mut read = |cell: usize| {
+            if dark == Some(cell) {
+                return Reading::Missing;
+            }
+            let response = self.plan.respond(cell, pose);
+            let above_dark =
+                |current_a: f64| current_a - 0.5 * self.head.file.scene.cells[cell].detector.dark_current_a;
+            let [i_x1_a, i_x2_a] = [response.currents.i_x1_a, response.currents.i_x2_a].map(above_dark);
+            let full_scale = self.full_scale_a / i_x1_a.max(i_x2_a);
+            note(cell, &response, full_scale);
+            if full_scale < 1.0 { Reading::Saturated } else { Reading::Light(Pair { i_x1_a, i_x2_a }) }
+        };
+        let readings = Photocurrents { cells: (0..self.cells()).map(&mut read).collect() };
+        let mut solution = self.solver.solve(&readings, Start::Near(pose), &MotionPrior::AT_REST);
+        self.head.complete(&mut solution);
+        (readings, solution)
+    }
+}
+
+/// Whether an estimate without noise is that of `pose`, not of a pose with the same light.
+fn is_at(estimate: &Estimate, pose: &Pose) -> bool {
+    estimate.nees(pose).is_some_and(|nees| nees < 1.0)
 }

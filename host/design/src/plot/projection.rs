@@ -3,11 +3,7 @@
 use glam::{DVec2, DVec3, dvec2, dvec3};
 use slitpose_model::{Cell, Opening, Plan, Pose, Scene};
 
-use crate::mask_frame::MaskFrame;
-
-/// How far the drawn mask reaches beyond detector and slit, millimetres. Scenes do not say how
-/// large their masks are.
-const MASK_MARGIN_MM: f64 = 1.0;
+use crate::mask_frame::{MaskFrame, mask_half_extents_m};
 
 /// Outlines of one cell in the base frame, millimetres.
 pub(super) struct CellShape {
@@ -29,17 +25,13 @@ pub(super) struct CellShape {
 
 impl CellShape {
     pub(super) fn of(number: usize, cell: &Cell, plan: &Plan<f64>, pose: &Pose) -> Self {
-        let (detector, slit, emitter) = (&cell.detector, &cell.slit, &cell.emitter);
+        let (detector, emitter) = (&cell.detector, &cell.emitter);
         let (x, z) = (detector.x_axis_base, detector.normal_base);
         let y = z.cross(x);
         let base_from_cell = |p: DVec3| (detector.centre_base_m + x * p.x + y * p.y + z * p.z) * 1e3;
         let mask = MaskFrame::of(cell, pose);
         let in_mask = |corner: DVec2| mask.at(corner) * 1e3;
         let opening = cell.opening();
-        // A mask that rides is drawn as large as its slit asks for; others cover their detectors.
-        let covered =
-            if opening == Opening::RidingSlit { 0.0 } else { 1.0 } * dvec2(detector.length_m, detector.width_m);
-        let plate = 0.5 * dvec2(slit.width_m, slit.length_m).max(covered);
         let position = |number: usize| plan.respond(number, pose).x_a_m;
         // On the centre line, or where the second axis has it.
         let across_m = cell.other_axis().and_then(position).unwrap_or_default();
@@ -50,7 +42,7 @@ impl CellShape {
             detector: rectangle(0.5 * dvec2(detector.length_m, detector.width_m))
                 .map(|corner| base_from_cell(corner.extend(0.0)))
                 .collect(),
-            mask: rectangle(plate + MASK_MARGIN_MM * 1e-3).map(in_mask).collect(),
+            mask: rectangle(mask_half_extents_m(cell)).map(in_mask).collect(),
             slit: opening_outline(cell).into_iter().map(in_mask).collect(),
             bends: matches!(opening, Opening::Lens { .. }),
             repeats: cell.is_second_axis(number),

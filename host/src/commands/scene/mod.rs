@@ -6,6 +6,7 @@ mod map;
 mod optimise;
 mod plot;
 mod show;
+mod view;
 
 use clap::Subcommand;
 
@@ -28,6 +29,7 @@ enum Verb {
     Optimise(optimise::Args),
     Plot(plot::Args),
     Show(show::Args),
+    View(view::Args),
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -38,5 +40,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Verb::Optimise(args) => optimise::run(args),
         Verb::Plot(args) => plot::run(args),
         Verb::Show(args) => show::run(args),
+        Verb::View(args) => view::run(args),
     }
 }

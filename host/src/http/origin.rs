@@ -9,10 +9,10 @@ use std::net::IpAddr;
 use axum::http::HeaderMap;
 use axum::http::header::{HOST, ORIGIN};
 
-use super::server::Reach;
+use super::Reach;
 
 /// Whether these are the headers of a program's request to a name of this host.
-pub(super) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
+pub(crate) fn is_own(headers: &HeaderMap, reach: Reach) -> bool {
     let mut hosts = headers.get_all(HOST).iter();
     let host = hosts.next().map(|host| host.as_bytes());
     if hosts.next().is_some() {

@@ -1,40 +1,42 @@
-//! Connections to the status server, with limits on their number and duration.
+//! Connections to a server of the daemon, with limits on their number and duration.
 
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::serve::Listener;
+use axum::extract::connect_info::Connected;
+use axum::serve::{IncomingStream, Listener};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream, UnixListener, UnixStream};
 use tokio::time::{Sleep, sleep};
 
-/// Every connection is closed after this time: an answer takes milliseconds.
-pub(super) const LIFETIME: Duration = Duration::from_secs(3);
+/// A connection is closed after this time unless its [`Leash`] was released: an answer takes milliseconds.
+pub(crate) const LIFETIME: Duration = Duration::from_secs(3);
 
 /// Most simultaneous connections; more are closed at once.
-pub(super) const MOST: usize = 100;
+pub(crate) const MOST: usize = 100;
 
 /// Pause before a failed accept is tried again: file descriptors may have run out.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// A listening socket of either kind.
-pub(super) enum Socket {
+pub(crate) enum Socket {
     Tcp(TcpListener),
     Unix(UnixListener),
 }
 
 /// Accepts no more than [`MOST`] connections at a time.
-pub(super) struct Door {
+pub(crate) struct Door {
     socket: Socket,
     /// Has one more reference than there are connections.
     open: Arc<()>,
 }
 
 impl Door {
-    pub(super) fn new(socket: Socket) -> Self {
+    pub(crate) fn new(socket: Socket) -> Self {
         Self { socket, open: Arc::new(()) }
     }
 }
@@ -52,7 +54,8 @@ impl Listener for Door {
             match accepted {
                 Ok(stream) if Arc::strong_count(&self.open) <= MOST => {
                     let end = Box::pin(sleep(LIFETIME));
-                    return (Connection { stream, end, _open: Arc::clone(&self.open) }, ());
+                    let leash = Leash::default();
+                    return (Connection { stream, end, leash, _open: Arc::clone(&self.open) }, ());
                 }
                 Ok(_) => {}
                 Err(_) => sleep(PAUSE).await,
@@ -70,10 +73,32 @@ enum Stream {
     Unix(UnixStream),
 }
 
+/// Ends the lifetime's limit of one connection.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Leash(Arc<AtomicBool>);
+
+impl Leash {
+    /// From now on the connection may last.
+    pub(crate) fn release(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    fn is_released(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl Connected<IncomingStream<'_, Door>> for Leash {
+    fn connect_info(stream: IncomingStream<'_, Door>) -> Self {
+        stream.io().leash.clone()
+    }
+}
+
 /// A connection that fails at the end of its lifetime.
-pub(super) struct Connection {
+pub(crate) struct Connection {
     stream: Stream,
     end: Pin<Box<Sleep>>,
+    leash: Leash,
     _open: Arc<()>,
 }
 
@@ -85,7 +110,7 @@ impl Connection {
         poll: impl FnOnce(&mut Stream, &mut Context<'_>) -> Poll<io::Result<T>>,
     ) -> Poll<io::Result<T>> {
         let polled = poll(&mut self.stream, context);
-        if polled.is_pending() && self.end.as_mut().poll(context).is_ready() {
+        if polled.is_pending() && !self.leash.is_released() && self.end.as_mut().poll(context).is_ready() {
             return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
         }
         polled

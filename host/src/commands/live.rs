@@ -1,0 +1,100 @@
+//! The live page, as `run`, `replay` and `scene view` offer it.
+
+use std::sync::{Arc, OnceLock};
+
+use super::record::RecordOptions;
+use super::{CommandError, talk};
+use crate::daemon::Daemon;
+use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LivePlan, LiveServer, Order, Refusal};
+use crate::telemetry::RecorderState;
+
+/// The page asked for.
+#[derive(clap::Args, Debug)]
+pub(super) struct LiveOptions {
+    /// Show a live page: tool, cells, poses and health in a browser
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = DEFAULT_LIVE_ADDRESS)]
+    live: Option<LiveAddress>,
+    #[command(flatten)]
+    access: AccessOptions,
+}
+
+/// Who may look at a page.
+#[derive(clap::Args, Debug)]
+pub(super) struct AccessOptions {
+    /// A secret that the page asks for, 16 characters or more; needed where other hosts can reach the address
+    #[arg(long, value_name = "TOKEN")]
+    live_token: Option<String>,
+    /// Let pages at an address that other hosts can reach start and end recordings, and move a replay
+    #[arg(long)]
+    live_writes: bool,
+    /// Open the page in a browser
+    #[arg(long)]
+    open: bool,
+}
+
+impl LiveOptions {
+    /// The rules of the page; `None` if none is asked for.
+    pub(super) fn access(&self) -> Result<Option<Access>, CommandError> {
+        let address = match (self.live, self.access.open) {
+            (Some(address), _) => address,
+            (None, true) => DEFAULT_LIVE_ADDRESS.parse()?,
+            (None, false) => return Ok(None),
+        };
+        self.access.at(address).map(Some)
+    }
+
+    /// Serves the page, and opens it if asked.
+    pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
+        self.access.start(plan)
+    }
+}
+
+impl AccessOptions {
+    /// The rules of a page at `address`.
+    pub(super) fn at(&self, address: LiveAddress) -> Result<Access, CommandError> {
+        Ok(Access::new(address, self.live_token.clone(), self.live_writes)?)
+    }
+
+    /// Serves a page, and opens it if asked.
+    pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
+        let server = LiveServer::start(plan)?;
+        let url = server.url();
+        talk(format_args!("live page at {url}"));
+        if self.open
+            && let Err(error) = opener::open_browser(url)
+        {
+            talk(format_args!("no browser could be opened ({error}); open {url} yourself"));
+        }
+        Ok(server)
+    }
+}
+
+/// Recordings of a daemon, started and ended from the page.
+pub(super) struct Recordings {
+    pub(super) daemon: Arc<OnceLock<Arc<Daemon>>>,
+    pub(super) options: RecordOptions,
+}
+
+impl Control for Recordings {
+    fn order(&self, order: Order) -> Result<(), Refusal> {
+        let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
+        let daemon = self.daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
+        let is_recording = daemon.recorder_report().state == RecorderState::Recording;
+        match (order, is_recording) {
+            (Order::Record(true), false) => {
+                let series = self.options.another().map_err(|error| refused(&error.to_string()))?;
+                daemon.begin_recording(series);
+                Ok(())
+            }
+            (Order::Record(true), true) => Err(refused("a recording is under way already; end it first")),
+            (Order::Record(false), true) => {
+                daemon.end_recording();
+                Ok(())
+            }
+            (Order::Record(false), false) => Err(refused("nothing is being recorded")),
+            (Order::Player(_), _) => {
+                Err(Refusal::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" })
+            }
+        }
+    }
+}

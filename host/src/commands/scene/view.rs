@@ -1,0 +1,63 @@
+//! `slitpose scene view`: a scene on a page, with a tool to drag.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::{CommandError, Outcome};
+use crate::commands::live::AccessOptions;
+use crate::commands::options::CalibrationOption;
+use crate::commands::{interrupt, names};
+use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LiveBoard, LivePlan, Order, Refusal, SceneView};
+use slitpose_head::scene_file::SceneFile;
+
+/// Shows a scene on a page: drag the tool, and see the light on each detector and the accuracy of a frame there.
+///
+/// Accuracy is the Cramér–Rao bound of one frame; a scene without front end and noise has none. Runs until it is
+/// interrupted.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  slitpose scene view wide --open\n  \
+                        slitpose scene view head.toml --calibration calibration.toml --live 127.0.0.1:8000")]
+pub(super) struct Args {
+    /// Scene file, or the name of a shipped scene
+    #[arg(value_parser = names::scenes(), hide_possible_values = true)]
+    scene: String,
+    #[command(flatten)]
+    calibration: CalibrationOption,
+    /// Where the page is served
+    #[arg(long, value_name = "ADDRESS", default_value = DEFAULT_LIVE_ADDRESS)]
+    live: LiveAddress,
+    #[command(flatten)]
+    access: AccessOptions,
+}
+
+/// Nothing of a scene can be changed.
+struct Still;
+
+impl Control for Still {
+    fn order(&self, order: Order) -> Result<(), Refusal> {
+        Err(match order {
+            Order::Record(_) => Refusal::NotHere { what: "recorder", instead: "`slitpose run --live` has one" },
+            Order::Player(_) => Refusal::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" },
+        })
+    }
+}
+
+/// Longest time until an interrupt is answered.
+const MOMENT: Duration = Duration::from_millis(50);
+
+pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    let head = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?;
+    let stop = interrupt()?;
+    let _server = args.access.start(LivePlan {
+        access: args.access.at(args.live)?,
+        source: "scene",
+        scene: Some(SceneView::of(&head)?),
+        boards: vec![LiveBoard { name: head.file.name.clone(), head: Some(head) }],
+        control: Box::new(Still),
+        report: None,
+    })?;
+    while !stop.load(Ordering::Relaxed) {
+        std::thread::sleep(MOMENT);
+    }
+    Ok(Outcome::Done)
+}

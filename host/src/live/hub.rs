@@ -1,0 +1,265 @@
+//! The state that all clients share: heads, the frames of the last minute, reports.
+
+use std::collections::VecDeque;
+use std::sync::Mutex;
+
+use axum::extract::ws::Utf8Bytes;
+use serde::Serialize;
+use slitpose_calibration::Head;
+use slitpose_head::threads::lock;
+use tokio::sync::broadcast;
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+
+use super::control::PlayerState;
+use super::frame::Optics;
+use super::head::HeadMessage;
+use super::sampler::{FRAMES_HZ, Sample};
+use crate::clock::HostInstant;
+use crate::telemetry::DaemonReport;
+use slitpose_head::finding::Finding;
+
+/// The frames of the last minute are kept.
+pub(super) const HISTORY_S: u64 = 60;
+const HISTORY: usize = (HISTORY_S * FRAMES_HZ) as usize;
+
+/// Most samples on their way to the server's thread: a quarter of a second of one board.
+const INPUTS: usize = 16;
+
+/// Most frames on their way to a client; one that is further behind misses the oldest.
+const EVENTS: usize = 256;
+
+/// A board shown on the page.
+#[derive(Clone, Debug)]
+pub(crate) struct LiveBoard {
+    /// The user's name for it.
+    pub name: String,
+    /// Its head; `None` while unknown.
+    pub head: Option<Head>,
+}
+
+/// An input of the server.
+#[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "a box would be allocated for each sample")]
+pub(super) enum Input {
+    /// A new sample of a board.
+    Sample(usize, Sample),
+    /// The heads of all boards, anew; their histories end.
+    Boards(Vec<LiveBoard>),
+    /// The state of the daemon.
+    Report(Box<DaemonReport>),
+    /// A capture is played otherwise.
+    Player(PlayerState),
+}
+
+/// The server's end for samples and changes.
+#[derive(Clone, Debug)]
+pub(crate) struct LiveInput(Sender<Input>);
+
+impl LiveInput {
+    /// Both ends.
+    pub(super) fn new() -> (Self, Receiver<Input>) {
+        let (sender, receiver) = channel(INPUTS);
+        (Self(sender), receiver)
+    }
+
+    /// Sends a sample; `false` if the server is busy.
+    pub(super) fn sample(&self, board: usize, sample: Sample) -> bool {
+        self.0.try_send(Input::Sample(board, sample)).is_ok()
+    }
+
+    /// Whether a sample would be taken now.
+    #[cfg(test)]
+    pub(super) fn has_room(&self) -> bool {
+        self.0.capacity() > 0
+    }
+
+    /// Shows these boards from now on. Waits for the server.
+    pub(crate) fn boards(&self, boards: Vec<LiveBoard>) {
+        // The server ends after all who send.
+        let _ = self.0.blocking_send(Input::Boards(boards));
+    }
+
+    /// Shows a report. Waits for the server.
+    pub(crate) fn report(&self, report: DaemonReport) {
+        let _ = self.0.blocking_send(Input::Report(Box::new(report)));
+    }
+
+    /// Shows how a capture is played. Waits for the server.
+    pub(crate) fn player(&self, state: PlayerState) {
+        let _ = self.0.blocking_send(Input::Player(state));
+    }
+}
+
+/// News for all clients.
+#[derive(Clone, Debug)]
+pub(super) enum Event {
+    /// A frame of a history.
+    Frame {
+        /// The history's number.
+        history: u64,
+        /// The message.
+        text: Utf8Bytes,
+    },
+    /// A message that stands for itself: a report, the state of a player.
+    State(Utf8Bytes),
+    /// Another history has begun.
+    Changed,
+}
+
+/// What a client has to know before the next frame.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Snapshot {
+    /// The number of the present history; frames of others are void.
+    pub(super) history: u64,
+    /// Names of the boards.
+    pub(super) names: Vec<String>,
+    /// Heads of the boards.
+    pub(super) heads: Vec<Utf8Bytes>,
+    /// The newest report and player.
+    pub(super) states: Vec<Utf8Bytes>,
+    /// The frames of each board so far.
+    pub(super) frames: Vec<Vec<Utf8Bytes>>,
+}
+
+/// The shared state.
+pub(super) struct Hub {
+    events: broadcast::Sender<Event>,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    boards: Vec<Board>,
+    history: u64,
+    report: Option<Utf8Bytes>,
+    player: Option<Utf8Bytes>,
+}
+
+struct Board {
+    name: String,
+    head: Option<Utf8Bytes>,
+    optics: Option<Optics>,
+    frames: VecDeque<Utf8Bytes>,
+    next: u64,
+    time_s: f64,
+}
+
+#[derive(Serialize)]
+#[serde(tag = "kind", rename = "report")]
+struct ReportMessage<'a> {
+    report: &'a DaemonReport,
+    findings: Vec<Finding>,
+}
+
+impl Hub {
+    pub(super) fn new() -> Self {
+        Self { events: broadcast::channel(EVENTS).0, state: Mutex::default() }
+    }
+
+    /// The news from now on, and what was before.
+    pub(super) fn subscribe(&self) -> (broadcast::Receiver<Event>, Snapshot) {
+        let state = lock(&self.state);
+        (self.events.subscribe(), state.snapshot())
+    }
+
+    /// The number of the present history.
+    pub(super) fn history(&self) -> u64 {
+        lock(&self.state).history
+    }
+
+    /// Passes an input on to the clients.
+    pub(super) fn accept(&self, input: Input) {
+        let mut state = lock(&self.state);
+        match input {
+            Input::Sample(number, sample) => {
+                if let Some(event) = state.frame(number, &sample) {
+                    let _ = self.events.send(event);
+                }
+            }
+            Input::Boards(boards) => {
+                state.boards =
+                    boards.into_iter().enumerate().map(|(number, board)| Board::new(number, board)).collect();
+                state.history += 1;
+                let _ = self.events.send(Event::Changed);
+            }
+            Input::Report(report) => {
+                drop(state);
+                self.report(&report);
+            }
+            Input::Player(player) => {
+                state.player = text_of(&player);
+                self.pass_on(state.player.clone());
+            }
+        }
+    }
+
+    /// Passes a report on to the clients.
+    pub(super) fn report(&self, report: &DaemonReport) {
+        let text = text_of(&ReportMessage { findings: report.findings(HostInstant::now()), report });
+        lock(&self.state).report.clone_from(&text);
+        self.pass_on(text);
+    }
+
+    fn pass_on(&self, text: Option<Utf8Bytes>) {
+        if let Some(text) = text {
+            // Without clients there is nobody to tell.
+            let _ = self.events.send(Event::State(text));
+        }
+    }
+}
+
+impl State {
+    fn frame(&mut self, number: usize, sample: &Sample) -> Option<Event> {
+        let board = self.boards.get_mut(number)?;
+        // A board that has restarted begins a new history, so that time only goes on.
+        if sample.record.device_time_s < board.time_s {
+            self.clear();
+        }
+        let board = self.boards.get_mut(number)?;
+        board.time_s = sample.record.device_time_s;
+        let text = text_of(&board.optics.as_ref()?.frame(number, board.next, sample))?;
+        board.next += 1;
+        if board.frames.len() == HISTORY {
+            board.frames.pop_front();
+        }
+        board.frames.push_back(text.clone());
+        Some(Event::Frame { history: self.history, text })
+    }
+
+    fn clear(&mut self) {
+        self.history += 1;
+        for board in &mut self.boards {
+            board.frames.clear();
+            board.time_s = f64::NEG_INFINITY;
+        }
+    }
+
+    fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            history: self.history,
+            names: self.boards.iter().map(|board| board.name.clone()).collect(),
+            heads: self.boards.iter().filter_map(|board| board.head.clone()).collect(),
+            states: self.report.iter().chain(&self.player).cloned().collect(),
+            frames: self.boards.iter().map(|board| board.frames.iter().cloned().collect()).collect(),
+        }
+    }
+}
+
+impl Board {
+    fn new(number: usize, LiveBoard { name, head }: LiveBoard) -> Self {
+        Self {
+            // A scene that cannot be computed has been refused before.
+            optics: head.as_ref().and_then(|head| Optics::of(head).ok()),
+            head: head.and_then(|head| text_of(&HeadMessage::new(number, &head))),
+            frames: VecDeque::with_capacity(HISTORY),
+            next: 0,
+            time_s: f64::NEG_INFINITY,
+            name,
+        }
+    }
+}
+
+/// A message as JSON.
+pub(super) fn text_of(message: &impl Serialize) -> Option<Utf8Bytes> {
+    serde_json::to_string(message).ok().map(Utf8Bytes::from)
+}

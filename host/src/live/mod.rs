@@ -1,0 +1,33 @@
+//! The live page: heads, poses and health in a browser.
+//!
+//! ```text
+//!  solver ──▶ Sampler ──samples, 60/s──▶ Hub ──text──▶ Session ──WebSocket──▶ page
+//!            (one a board)              (history)      (one a client)
+//! ```
+//!
+//! A [`Sampler`] condenses the poses of a board: the newest, and the range of all since the sample before. The
+//! [`LiveServer`] has a thread of its own, which turns samples into JSON once for all clients and keeps those of the last
+//! minute. No client can delay a pose: a sample that finds the thread busy goes into the next one, and a client that does
+//! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
+//! messages.
+
+mod access;
+mod control;
+mod frame;
+mod head;
+mod hub;
+mod page;
+mod request;
+mod sampler;
+mod scene_view;
+mod server;
+mod session;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use access::{Access, AccessError, DEFAULT_LIVE_ADDRESS, LiveAddress};
+pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal};
+pub(crate) use hub::{LiveBoard, LiveInput};
+pub(crate) use sampler::Sampler;
+pub(crate) use scene_view::SceneView;
+pub(crate) use server::{LiveError, LivePlan, LiveServer};

@@ -1,0 +1,92 @@
+/**
+ * Board and daemon: link, rates, losses by place, latency, lag, clock; and the recording.
+ */
+import { byId, show, write } from "./dom.js";
+import { bytes, count, engineering, fixed } from "./format.js";
+import { facts } from "./numbers.js";
+
+const FACTS = [
+  "Board", "Link", "Rate", "Scans", "Lost on the board", "Lost on the link", "Lost on the host", "Latency",
+  "of it link, host", "Lag", "Clock", "Health of the board", "Its last message", "Daemon",
+];
+
+export class Daemon {
+  #write = facts(byId("facts"), FACTS);
+
+  /** @param {object | null} report @param {number} board */
+  draw(report, board) {
+    const state = report?.boards[board];
+    show(byId("facts"), Boolean(state));
+    if (!state) return;
+    const { link, losses, lag, clock, vitals, complaint, rates } = state;
+    const { board: onBoard, link: onLink, host: onHost } = losses;
+    const damaged = onLink.bad_checksum + onLink.misframed + onLink.overlong;
+    this.#write({
+      "Board": `${state.name}: ${state.board || "unknown"}, firmware ${state.firmware || "unknown"}`,
+      "Link": `${link.state}${link.reason ? `: ${link.reason}` : ""}${link.reconnects ? `, ${link.reconnects} reconnects` : ""}`,
+      "Rate": `${rates.device_hz == null ? "–" : fixed(rates.device_hz, 1)} Hz by the board, ${fixed(rates.host_hz, 1)} Hz by the host`,
+      "Scans": count(state.scans),
+      "Lost on the board": `${count(onBoard.scans_dropped)} dropped, ${count(onBoard.scans_lost)} in acquisition, ${count(onBoard.adc_overruns)} overruns`,
+      "Lost on the link": `${count(onLink.scans)} scans, ${count(damaged)} packets damaged, ${count(onLink.unreadable)} unreadable`,
+      "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
+      "Latency": quantiles(state.latencies.total),
+      "of it link, host": `${quantiles(state.latencies.link)}; ${quantiles(state.latencies.host)}`,
+      "Lag": lag.behind
+        ? `behind for ${engineering(lag.behind_s, "s")}, ${count(lag.waiting_scans)} scans wait`
+        : lag.output_blocked ? "standard output is read too slowly" : "none",
+      "Clock": clock.uncertainty_s == null
+        ? "not known yet"
+        : `± ${engineering(clock.uncertainty_s, "s")}, drift ${fixed(clock.drift_ppm, 2, { plus: true })} ppm${clock.contradicts_crystal ? ", contradicts its crystal" : ""}`,
+      "Health of the board": vitals && `${fixed(vitals.supply_v, 2)} V, ${fixed(vitals.temperature_k - 273.15, 0)} °C, ${fixed(vitals.cpu_load * 100, 0)} % CPU`,
+      "Its last message": complaint && complaint.text,
+      "Daemon": `${report.program} ${report.version}, up ${duration(report.uptime_s)}${report.process ? `, ${bytes(report.process.resident_bytes)}` : ""}`,
+    });
+  }
+}
+
+/** Of the last interval if it had poses. */
+function quantiles({ recent, total }) {
+  const latency = recent?.count ? recent : total;
+  if (!latency?.count) return "–";
+  return `${engineering(latency.p50_s, "s")} median, ${engineering(latency.p99_s, "s")} for 99 %`;
+}
+
+function duration(seconds) {
+  const whole = Math.floor(seconds);
+  const parts = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]].map(([size, unit], i, all) => [
+    Math.floor((i === 0 ? whole : whole % all[i - 1][0]) / size),
+    unit,
+  ]);
+  const first = Math.max(parts.findIndex(([amount]) => amount > 0), 0);
+  return (parts[first][0] ? parts.slice(first, first + 2) : parts.slice(-1)).map(([amount, unit]) => `${amount} ${unit}`).join(" ");
+}
+
+/** The button that records, and what is recorded. */
+export class Recorder {
+  #isRecording = false;
+
+  /** @param {(request: object) => void} send */
+  constructor(send) {
+    byId("record").addEventListener("click", () => send({ kind: "record", on: !this.#isRecording }));
+  }
+
+  /** @param {object | null} recorder of the report @param {object | null} hello @param {boolean} isOpen */
+  draw(recorder, hello, isOpen) {
+    const isLive = hello?.source === "run";
+    show(byId("recorder"), isLive);
+    if (!isLive) return;
+    this.#isRecording = recorder?.state === "recording";
+    const button = byId("record");
+    write(button, this.#isRecording ? "■ Stop recording" : "● Record");
+    const obstacle = !isOpen ? "not connected" : !hello.may_write ? "this page may only look: its address had no token" : "";
+    button.disabled = obstacle !== "";
+    button.title = obstacle;
+    const words = [
+      obstacle,
+      this.#isRecording || recorder?.bytes ? `${recorder.file ?? ""}, ${bytes(recorder.bytes)}` : "",
+      recorder?.state === "failed" ? `the recording failed: ${recorder.reason ?? "no reason given"}` : "",
+      recorder?.bytes_dropped ? `${bytes(recorder.bytes_dropped)} not recorded` : "",
+    ];
+    write(byId("recording"), words.filter(Boolean).join("; ") || "not recording");
+  }
+}

@@ -1,0 +1,218 @@
+/**
+ * The live page of slitpose: takes messages, keeps what was last said of every board, and draws it.
+ *
+ * One animation frame draws all that has changed since the last one; while nothing changes, none is asked for. Numbers
+ * are renewed ten times a second, as people cannot read them faster.
+ */
+import { Banner } from "./banner.js";
+import { Daemon, Recorder } from "./daemon.js";
+import { byId, make, show, takesKeys, write } from "./dom.js";
+import { Findings } from "./findings.js";
+import { CELL_STATES } from "./format.js";
+import { attachGestures } from "./gestures.js";
+import { History } from "./history.js";
+import { Link } from "./link.js";
+import { Numbers } from "./numbers.js";
+import { followTheme } from "./palette.js";
+import { Placement } from "./placement.js";
+import { Player } from "./player.js";
+import { Plots } from "./plots.js";
+import { Strips } from "./strips.js";
+import { Timeline } from "./timeline.js";
+import { View3d } from "./view3d.js";
+
+const NUMBERS_EVERY_MS = 100;
+
+let hello = null;
+let report = { report: null, findings: null };
+let playerState = null;
+let board = 0;
+/** @type {(object | null)[]} by board */
+let heads = [null];
+let histories = [new History()];
+let numbersAt_ms = -Infinity;
+let numbersTimer = 0;
+let isScheduled = false;
+/** What the animation frame has to draw besides the frame. */
+let isReportNew = true;
+
+const isScene = () => hello?.source === "scene";
+const send = (request) => {
+  const isSent = link.send(request);
+  if (!isSent && request.kind !== "pose") banner.notice("request", "Not connected: the request was not sent.");
+  return isSent;
+};
+
+const banner = new Banner(reportChanged);
+const numbers = new Numbers();
+const daemon = new Daemon();
+const findings = new Findings();
+const recorder = new Recorder(send);
+const player = new Player(send);
+const view = new View3d(byId("view"), byId("view-words"), byId("view-notes"), schedule);
+const strips = new Strips(byId("strips"), schedule);
+const plots = new Plots(byId("plots"), schedule);
+const timeline = new Timeline(() => histories, () => board, () => {
+  numbersAt_ms = -Infinity;
+  reportChanged();
+});
+const placement = new Placement(send, schedule);
+const goHome = attachGestures(byId("view"), view, schedule, placement);
+followTheme(byId("theme"), () => {
+  plots.redraw();
+  schedule();
+});
+const link = new Link(received, (state) => {
+  if (state.state !== "open") placement.answered();
+  reportChanged();
+});
+
+function received(message) {
+  const take = takers[message.kind];
+  // A newer daemon may say more than this page knows.
+  if (take) take(message);
+  schedule();
+}
+
+const takers = {
+  hello(message) {
+    hello = message;
+    heads = message.boards.map(() => null);
+    histories = message.boards.map(() => new History(message.history_s, message.frames_hz));
+    board = Math.min(board, Math.max(message.boards.length - 1, 0));
+    playerState = null;
+    report = { report: null, findings: null };
+    if (heads.length === 0) [heads, histories] = [[null], [new History()]];
+    timeline.live();
+    byId("board").replaceChildren(...message.boards.map((name, i) => new Option(name, i)));
+    byId("board").value = board;
+    show(byId("board-choice"), message.boards.length > 1);
+    document.body.dataset.source = message.source;
+    for (const id of ["timeline", "plot-panel"]) show(byId(id), !isScene());
+    show(byId("drag-panel"), isScene());
+    setHead();
+  },
+  head(message) {
+    heads[message.board] = message;
+    histories[message.board]?.clear();
+    if (message.board === board) setHead();
+  },
+  frame(frame) {
+    histories[frame.board]?.push(frame);
+    if (isScene()) placement.answered();
+  },
+  history(message) {
+    histories[message.board]?.merge(message.frames);
+  },
+  report(message) {
+    report = message;
+    isReportNew = true;
+  },
+  player(message) {
+    playerState = message;
+    isReportNew = true;
+  },
+  cleared(message) {
+    timeline.live();
+    histories[message.board]?.clear();
+  },
+  missed: ({ frames }) => banner.missed(frames),
+  refused({ reason }) {
+    banner.notice("request", `Refused: ${reason}.`);
+    if (isScene()) placement.answered();
+  },
+};
+
+function setHead() {
+  const head = heads[board] ?? null;
+  view.setHead(head);
+  strips.setHead(head);
+  const name = head && `${head.scene}${head.calibrated ? ", calibrated" : isScene() ? "" : ", not calibrated"}`;
+  write(byId("scene-name"), name ?? "");
+  if (head && isScene()) placement.setHead(head);
+  numbersAt_ms = -Infinity;
+  reportChanged();
+}
+
+function choose(next) {
+  board = next;
+  byId("board").value = next;
+  timeline.boardChanged();
+  setHead();
+}
+
+function reportChanged() {
+  isReportNew = true;
+  schedule();
+}
+
+function schedule() {
+  if (isScheduled) return;
+  isScheduled = true;
+  requestAnimationFrame(draw);
+}
+
+function draw(now_ms) {
+  isScheduled = false;
+  link.acknowledge();
+  const { history, index } = timeline.shown;
+  const frame = history.at(index);
+  const isDue = now_ms - numbersAt_ms >= NUMBERS_EVERY_MS;
+  view.draw(frame, isScene() ? null : { history, index }, isScene() ? placement.pose : null);
+  strips.draw(frame, isDue);
+  if (!isScene()) plots.draw(history, index);
+  clearTimeout(numbersTimer);
+  if (isDue) {
+    numbers.draw(frame, isScene());
+    timeline.draw();
+    numbersAt_ms = now_ms;
+  } else {
+    // Should this be the last frame for a while, its numbers come as well.
+    numbersTimer = setTimeout(schedule, NUMBERS_EVERY_MS);
+  }
+  if (!isReportNew) return;
+  isReportNew = false;
+  drawReport(frame);
+}
+
+function drawReport(frame) {
+  const state = report.report?.boards[board];
+  const faults = state?.head?.findings ?? [];
+  strips.setFindings(faults);
+  findings.draw(report.findings, faults);
+  daemon.draw(report.report, board);
+  recorder.draw(report.report?.recorder, hello, link.state.state === "open");
+  player.draw(playerState, hello);
+  banner.draw({ link: link.state, hello, board: isScene() ? null : state, frame, isPaused: timeline.isPaused });
+}
+
+byId("board").addEventListener("change", ({ target }) => choose(Number(target.value)));
+byId("quantity").addEventListener("change", ({ target }) => {
+  plots.quantity = target.value;
+  schedule();
+});
+byId("span").addEventListener("change", ({ target }) => {
+  plots.span_s = Number(target.value);
+  schedule();
+});
+byId("help").addEventListener("click", () => byId("keys").showModal());
+for (const [name, sign] of CELL_STATES) byId("signs").append(make("dt", "", sign), make("dd", "", name));
+
+const keys = {
+  " ": () => timeline.toggle(),
+  l: () => timeline.live(),
+  ",": () => timeline.step(-1),
+  ".": () => timeline.step(1),
+  b: () => choose((board + 1) % heads.length),
+  p: () => player.toggle(),
+  "?": () => byId("keys").showModal(),
+};
+addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || takesKeys(event.target)) return;
+  const isPress = event.key === " " && event.target.tagName === "BUTTON";
+  const act = keys[event.key.toLowerCase()];
+  if (isPress) return;
+  if (act && !(isScene() && " l,.".includes(event.key.toLowerCase()))) act();
+  else if (!goHome(event.key)) return;
+  event.preventDefault();
+});

@@ -1,0 +1,245 @@
+//! The server of the page: its files over HTTP, everything else over one WebSocket.
+
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::{ConnectInfo, Request, State};
+use axum::http::StatusCode;
+use axum::http::header::{
+    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::middleware::{Next, from_fn};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use thiserror::Error;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::mpsc::Receiver;
+use tokio::sync::{Semaphore, oneshot};
+use tokio::time::{MissedTickBehavior, interval};
+
+use super::access::Access;
+use super::control::Control;
+use super::hub::{Hub, Input, LiveBoard, LiveInput};
+use super::page::{FILES, PageFile, VERSION_MARK};
+use super::scene_view::SceneView;
+use super::session;
+use crate::http::{self, Door, Leash, Reach, Socket};
+use crate::telemetry::DaemonReport;
+
+/// Most clients at a time.
+pub(super) const MOST_CLIENTS: usize = 32;
+
+/// Longest message of a client, bytes: requests have less than 200.
+pub(super) const LONGEST_REQUEST: usize = 4096;
+
+/// Time between reports.
+const REPORT_EVERY: Duration = Duration::from_millis(500);
+
+/// Nothing but the page's own files, and no page of others around it.
+const POLICY: &str = "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; \
+                      frame-ancestors 'none'";
+
+/// What a server shows.
+pub(crate) struct LivePlan {
+    /// Where, and to whom.
+    pub access: Access,
+    /// What it shows: `run`, `replay` or `scene`.
+    pub source: &'static str,
+    /// Its boards, as far as they are known.
+    pub boards: Vec<LiveBoard>,
+    /// The tool can be dragged.
+    pub scene: Option<SceneView>,
+    /// Carries out what clients ask for.
+    pub control: Box<dyn Control>,
+    /// The state of the daemon, if there is one.
+    pub report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
+}
+
+/// Why the page cannot be served.
+#[derive(Debug, Error)]
+pub(crate) enum LiveError {
+    /// Another program listens there.
+    #[error("another program serves {address}; give another address with --live, or end that program")]
+    InUse {
+        /// The address.
+        address: SocketAddr,
+    },
+    /// The address cannot be bound.
+    #[error("cannot serve the live page at {address}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// The system's error.
+        source: io::Error,
+    },
+}
+
+/// What all clients share.
+pub(super) struct Shared {
+    pub(super) access: Access,
+    pub(super) source: &'static str,
+    pub(super) hub: Hub,
+    pub(super) scene: Option<SceneView>,
+    pub(super) control: Box<dyn Control>,
+    clients: Arc<Semaphore>,
+}
+
+/// Serves the page until dropped.
+pub(crate) struct LiveServer {
+    #[cfg(test)]
+    pub(super) address: SocketAddr,
+    url: String,
+    input: LiveInput,
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl LiveServer {
+    /// Serves the page.
+    ///
+    /// # Errors
+    /// If the address cannot be bound.
+    pub(crate) fn start(plan: LivePlan) -> Result<Self, LiveError> {
+        let LivePlan { access, source, boards, scene, control, report } = plan;
+        let address = access.address;
+        let listen = |source: io::Error| match source.kind() {
+            io::ErrorKind::AddrInUse => LiveError::InUse { address },
+            _ => LiveError::Listen { address, source },
+        };
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
+        let listener = TcpListener::bind(address).map_err(listen)?;
+        let address = listener.local_addr().map_err(listen)?;
+        listener.set_nonblocking(true).map_err(listen)?;
+        let socket = {
+            // Sockets belong to the runtime in which they are created.
+            let _entered = runtime.enter();
+            Socket::Tcp(tokio::net::TcpListener::from_std(listener).map_err(listen)?)
+        };
+        let (url, reach) = (access.url(address), access.reach());
+        let clients = Arc::new(Semaphore::new(MOST_CLIENTS));
+        let shared = Arc::new(Shared { access, source, hub: Hub::new(), scene, control, clients });
+        shared.hub.accept(Input::Boards(boards));
+        let routes = routes(&shared, reach);
+        let (input, inputs) = LiveInput::new();
+        let (end, ended) = oneshot::channel();
+        let thread = std::thread::Builder::new()
+            .name("live".to_owned())
+            .spawn(move || serve(runtime, socket, routes, &shared, inputs, report, ended))
+            .map_err(listen)?;
+        Ok(Self {
+            #[cfg(test)]
+            address,
+            url,
+            input,
+            end: Some(end),
+            thread: Some(thread),
+        })
+    }
+
+    /// The address of the page, for a browser.
+    pub(crate) fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Where samples go.
+    pub(crate) fn input(&self) -> LiveInput {
+        self.input.clone()
+    }
+}
+
+impl Drop for LiveServer {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread has already been reported on standard error.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn serve(
+    runtime: Runtime,
+    socket: Socket,
+    routes: Router,
+    shared: &Arc<Shared>,
+    mut inputs: Receiver<Input>,
+    report: Option<Box<dyn Fn() -> DaemonReport + Send + Sync>>,
+    ended: oneshot::Receiver<()>,
+) {
+    let routes = routes.into_make_service_with_connect_info::<Leash>();
+    runtime.spawn(async move { axum::serve(Door::new(socket), routes).await });
+    let of_inputs = Arc::clone(shared);
+    runtime.spawn(async move {
+        while let Some(input) = inputs.recv().await {
+            of_inputs.hub.accept(input);
+        }
+    });
+    if let Some(report) = report {
+        let shared = Arc::clone(shared);
+        runtime.spawn(async move {
+            let mut ticks = interval(REPORT_EVERY);
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            loop {
+                ticks.tick().await;
+                shared.hub.report(&report());
+            }
+        });
+    }
+    // Either way the server has been dropped; clients see their connections end.
+    let _ = runtime.block_on(ended);
+    drop(runtime);
+}
+
+fn routes(shared: &Arc<Shared>, reach: Reach) -> Router {
+    let mut router = Router::new().route("/live", get(upgrade)).with_state(Arc::clone(shared));
+    for (number, file) in FILES.iter().enumerate() {
+        let path = if number == 0 { "/".to_owned() } else { format!("/{}", file.0) };
+        router = router.route(&path, get(move || async move { page_file(file) }));
+    }
+    let guard = move |request: Request, next: Next| async move {
+        if http::is_own(request.headers(), reach) {
+            next.run(request).await
+        } else {
+            let text = "pages of other sites get no answer; open this page by 127.0.0.1, [::1] or localhost\n";
+            refusal(StatusCode::FORBIDDEN, text)
+        }
+    };
+    router.fallback(|| async { refusal(StatusCode::NOT_FOUND, "there is / and /live\n") }).layer(from_fn(guard))
+}
+
+fn page_file((_, media, text): &PageFile) -> Response {
+    let headers = [
+        (CONTENT_TYPE, *media),
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (REFERRER_POLICY, "no-referrer"),
+        (CACHE_CONTROL, "no-cache"),
+        (CONNECTION, "close"),
+    ];
+    (headers, text.replace(VERSION_MARK, env!("CARGO_PKG_VERSION"))).into_response()
+}
+
+fn refusal(status: StatusCode, text: impl IntoResponse) -> Response {
+    (status, [(CONNECTION, "close")], text).into_response()
+}
+
+async fn upgrade(
+    State(shared): State<Arc<Shared>>,
+    ConnectInfo(leash): ConnectInfo<Leash>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let Ok(place) = Arc::clone(&shared.clients).try_acquire_owned() else {
+        let text = format!("{MOST_CLIENTS} clients look already; close one of them\n");
+        return refusal(StatusCode::SERVICE_UNAVAILABLE, text);
+    };
+    let upgrade = upgrade.max_message_size(LONGEST_REQUEST).max_frame_size(LONGEST_REQUEST);
+    upgrade.on_upgrade(async move |socket| {
+        session::serve(socket, shared, leash).await;
+        drop(place);
+    })
+}

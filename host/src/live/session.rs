@@ -1,0 +1,293 @@
+//! One client of the page.
+//!
+//! A client acknowledges messages. At most [`WINDOW`] of them are unacknowledged, so that neither the daemon nor the
+//! network holds more of a client that is slow, asleep or gone. Behind that, the newest win: a client that is far behind
+//! goes on with the present, and is told how many frames it has missed.
+
+use std::collections::VecDeque;
+use std::future::ready;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
+use glam::DVec3;
+use serde::Serialize;
+use slitpose_model::Pose;
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::{RecvError, TryRecvError};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
+
+use super::control::{Order, PlayerOrder, Refusal};
+use super::hub::{Event, HISTORY_S, Snapshot, text_of};
+use super::request::Request;
+use super::sampler::FRAMES_HZ;
+use super::server::Shared;
+use crate::http::Leash;
+
+/// Most messages that a client has not acknowledged.
+pub(super) const WINDOW: u64 = 64;
+
+/// Most of these when frames of the past are sent, which are long.
+const PAST_WINDOW: u64 = 4;
+
+/// Frames of the past in one message.
+const PAST: usize = 60;
+
+/// A client for which more frames wait goes on with the present: half a second of one board.
+const MOST_WAITING: usize = (FRAMES_HZ / 2) as usize;
+
+/// A client from which nothing came for this long is asked whether it is there; …
+const ASK_AFTER: Duration = Duration::from_secs(15);
+
+/// … and is gone if it takes or answers nothing for this long.
+const GONE_AFTER: Duration = Duration::from_secs(40);
+
+/// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
+const FARTHEST: f64 = 10.0;
+
+/// Before a wrong token is answered: against guessing.
+const PENALTY: Duration = Duration::from_secs(1);
+
+#[derive(Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+enum Answer<'a> {
+    Hello {
+        program: &'a str,
+        version: &'a str,
+        source: &'a str,
+        may_write: bool,
+        frames_hz: u64,
+        history_s: u64,
+        boards: &'a [String],
+    },
+    Cleared {
+        board: usize,
+    },
+    Missed {
+        frames: u64,
+    },
+    Refused {
+        reason: String,
+    },
+}
+
+/// The connection has ended.
+struct Gone;
+
+/// Serves a client until it goes. `leash` is released when it has shown that it may look.
+pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, leash: Leash) {
+    let hello = match socket.recv().await {
+        Some(Ok(Message::Text(text))) => serde_json::from_str(&text).ok(),
+        _ => None,
+    };
+    let Some(Request::Hello { token }) = hello else { return };
+    let mut session = Session::new(socket, shared);
+    if !session.shared.access.admits(token.as_deref()) {
+        sleep(PENALTY).await;
+        let _ = session.refuse(&Refusal::Token).await;
+        return;
+    }
+    leash.release();
+    let _ = session.run().await;
+}
+
+/// A client that may look.
+struct Session {
+    socket: WebSocket,
+    shared: Arc<Shared>,
+    sent: u64,
+    acknowledged: u64,
+    missed: u64,
+    history: u64,
+    /// Names of the boards.
+    boards: Vec<String>,
+    /// Frames of the past that are still to be sent, by board.
+    past: VecDeque<(usize, Vec<Utf8Bytes>)>,
+    /// Frames of a scene without a board.
+    drawn: u64,
+}
+
+impl Session {
+    fn new(socket: WebSocket, shared: Arc<Shared>) -> Self {
+        let (boards, past) = (Vec::new(), VecDeque::new());
+        Self { socket, shared, sent: 0, acknowledged: 0, missed: 0, history: 0, boards, past, drawn: 0 }
+    }
+
+    async fn run(&mut self) -> Result<(), Gone> {
+        let (mut news, snapshot) = self.shared.hub.subscribe();
+        self.greet(&snapshot).await?;
+        self.begin(snapshot).await?;
+        let (mut heard, mut asked) = (Instant::now(), Instant::now());
+        loop {
+            if self.shared.hub.history() != self.history {
+                let snapshot;
+                (news, snapshot) = self.shared.hub.subscribe();
+                if snapshot.names == self.boards {
+                    for board in 0..self.boards.len() {
+                        self.answer(&Answer::Cleared { board }).await?;
+                    }
+                } else {
+                    self.greet(&snapshot).await?;
+                }
+                self.begin(snapshot).await?;
+            }
+            let waiting = self.sent.saturating_sub(self.acknowledged);
+            let has_room = waiting < WINDOW;
+            if has_room {
+                self.skip_to_newest(&mut news);
+                self.tell_missed().await?;
+            }
+            let sends_past = waiting < PAST_WINDOW && !self.past.is_empty() && news.is_empty();
+            tokio::select! {
+                request = self.socket.recv() => {
+                    heard = Instant::now();
+                    match request {
+                        Some(Ok(Message::Text(text))) => self.accept(&text).await?,
+                        Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                        _ => return Err(Gone),
+                    }
+                }
+                event = news.recv(), if has_room => match event {
+                    Ok(Event::Frame { history, text }) if history == self.history => self.send(text).await?,
+                    Ok(Event::State(text)) => self.send(text).await?,
+                    Ok(Event::Frame { .. } | Event::Changed) => {}
+                    Err(RecvError::Lagged(count)) => self.missed += count,
+                    Err(RecvError::Closed) => return Err(Gone),
+                },
+                () = ready(()), if sends_past => self.send_past().await?,
+                () = sleep_until(asked.max(heard) + ASK_AFTER) => {
+                    if heard.elapsed() >= GONE_AFTER {
+                        return Err(Gone);
+                    }
+                    asked = Instant::now();
+                    self.put(Message::Ping(Default::default())).await?;
+                }
+            }
+        }
+    }
+
+    async fn greet(&mut self, snapshot: &Snapshot) -> Result<(), Gone> {
+        self.answer(&Answer::Hello {
+            program: env!("CARGO_PKG_NAME"),
+            version: env!("CARGO_PKG_VERSION"),
+            source: self.shared.source,
+            may_write: self.shared.access.may_write(),
+            frames_hz: FRAMES_HZ,
+            history_s: HISTORY_S,
+            boards: &snapshot.names,
+        })
+        .await
+    }
+
+    /// What has to be known before frames of a history.
+    async fn begin(&mut self, snapshot: Snapshot) -> Result<(), Gone> {
+        let Snapshot { history, names, heads, states, frames } = snapshot;
+        (self.history, self.boards) = (history, names);
+        self.past = frames.into_iter().enumerate().filter(|(_, frames)| !frames.is_empty()).collect();
+        for text in heads.into_iter().chain(states) {
+            self.send(text).await?;
+        }
+        Ok(())
+    }
+
+    /// Passes over frames if too many wait. Other news come again by themselves.
+    fn skip_to_newest(&mut self, news: &mut Receiver<Event>) {
+        if news.len() <= MOST_WAITING * self.boards.len().max(1) {
+            return;
+        }
+        while news.len() > self.boards.len() {
+            match news.try_recv() {
+                Ok(event) => self.missed += u64::from(matches!(event, Event::Frame { .. })),
+                Err(TryRecvError::Lagged(count)) => self.missed += count,
+                Err(_) => return,
+            }
+        }
+    }
+
+    async fn tell_missed(&mut self) -> Result<(), Gone> {
+        match std::mem::take(&mut self.missed) {
+            0 => Ok(()),
+            frames => self.answer(&Answer::Missed { frames }).await,
+        }
+    }
+
+    /// Sends some frames of the past, the oldest first.
+    async fn send_past(&mut self) -> Result<(), Gone> {
+        let Some((board, mut frames)) = self.past.pop_front() else { return Ok(()) };
+        let later = frames.split_off(frames.len().min(PAST));
+        if !later.is_empty() {
+            self.past.push_front((board, later));
+        }
+        let frames: Vec<&str> = frames.iter().map(Utf8Bytes::as_str).collect();
+        let text = format!(r#"{{"kind":"history","board":{board},"frames":[{}]}}"#, frames.join(","));
+        self.send(text.into()).await
+    }
+
+    /// Does what the client asks for.
+    async fn accept(&mut self, text: &str) -> Result<(), Gone> {
+        let request = match serde_json::from_str(text) {
+            Ok(request) => request,
+            Err(error) => return self.refuse(&Refusal::Unreadable { reason: error.to_string() }).await,
+        };
+        let done = match request {
+            Request::Hello { .. } => Ok(()),
+            Request::Ack { messages } => {
+                self.acknowledged = messages.min(self.sent);
+                Ok(())
+            }
+            Request::Record { on } => self.order(Order::Record(on)),
+            Request::Player { playing, speed, seek_s } => {
+                self.order(Order::Player(PlayerOrder { playing, speed, seek_s }))
+            }
+            Request::Pose { t_m, r_rad } => match self.drawn_at(t_m, r_rad) {
+                Ok(text) => return self.send(text).await,
+                Err(refusal) => Err(refusal),
+            },
+        };
+        match done {
+            Ok(()) => Ok(()),
+            Err(refusal) => self.refuse(&refusal).await,
+        }
+    }
+
+    fn order(&self, order: Order) -> Result<(), Refusal> {
+        if !self.shared.access.may_write() {
+            return Err(Refusal::ReadOnly);
+        }
+        self.shared.control.order(order)
+    }
+
+    fn drawn_at(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Utf8Bytes, Refusal> {
+        let instead = "`slitpose scene view SCENE` has one";
+        let view = self.shared.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
+        for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
+            if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
+                return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
+            }
+        }
+        self.drawn += 1;
+        let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
+        view.frame(self.drawn, &pose)
+            .ok_or_else(|| Refusal::Unreadable { reason: "no frame of this pose can be written".to_owned() })
+    }
+
+    async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {
+        self.answer(&Answer::Refused { reason: refusal.to_string() }).await
+    }
+
+    async fn answer(&mut self, answer: &Answer<'_>) -> Result<(), Gone> {
+        self.send(text_of(answer).ok_or(Gone)?).await
+    }
+
+    async fn send(&mut self, text: Utf8Bytes) -> Result<(), Gone> {
+        self.sent += 1;
+        self.put(Message::Text(text)).await
+    }
+
+    async fn put(&mut self, message: Message) -> Result<(), Gone> {
+        match timeout(GONE_AFTER, self.socket.send(message)).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(_)) | Err(_) => Err(Gone),
+        }
+    }
+}

@@ -1,0 +1,429 @@
+//! The server as clients see it.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use slitpose_head::scene_file::WIDE;
+use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_model::{Photocurrents, Tier};
+use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+use tungstenite::client::IntoClientRequest;
+use tungstenite::stream::MaybeTlsStream;
+use tungstenite::{Message, WebSocket};
+
+use super::hub::LiveBoard;
+use super::server::{LONGEST_REQUEST, MOST_CLIENTS};
+use super::session::WINDOW;
+use super::*;
+use crate::clock::HostInstant;
+use crate::http::LIFETIME;
+use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
+
+const TOKEN: &str = "correct-horse-battery";
+
+const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
+
+/// Longer than any answer takes on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Orders that have come.
+#[derive(Clone, Default)]
+struct Orders(Arc<Mutex<Vec<Order>>>);
+
+impl Control for Orders {
+    fn order(&self, order: Order) -> Result<(), Refusal> {
+        self.0.lock().unwrap().push(order);
+        Ok(())
+    }
+}
+
+fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
+    let orders = Orders::default();
+    let access = Access::new(address.parse().unwrap(), token.map(str::to_owned), false).unwrap();
+    let server = LiveServer::start(LivePlan {
+        access,
+        source: "run",
+        boards: vec![LiveBoard { name: "sim".to_owned(), head: Some(WIDE.read().unwrap().into()) }],
+        scene: None,
+        control: Box::new(orders.clone()),
+        report: None,
+    });
+    (server.unwrap(), orders)
+}
+
+struct Client(WebSocket<MaybeTlsStream<TcpStream>>);
+
+impl Client {
+    /// Connects to the server's port on this host.
+    fn connect(server: &LiveServer) -> Result<Self, tungstenite::Error> {
+        let url = format!("ws://127.0.0.1:{}/live", server.address.port());
+        let (socket, _) = tungstenite::connect(url)?;
+        if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
+            stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        }
+        Ok(Self(socket))
+    }
+
+    /// Connects and introduces itself.
+    fn greeted(server: &LiveServer) -> Self {
+        let mut client = Self::connect(server).unwrap();
+        client.say(&json!({"kind": "hello"}));
+        client
+    }
+
+    fn say(&mut self, request: &Value) {
+        self.0.send(Message::text(request.to_string())).unwrap();
+    }
+
+    /// The next message; `None` if the server has closed the connection.
+    fn hear(&mut self) -> Option<Value> {
+        let since = Instant::now();
+        loop {
+            match self.0.read() {
+                Ok(Message::Text(text)) => return Some(serde_json::from_str(&text).unwrap()),
+                Ok(Message::Ping(_) | Message::Pong(_)) if since.elapsed() < PATIENCE => {}
+                Ok(Message::Ping(_) | Message::Pong(_)) => panic!("nothing came"),
+                Ok(_) => return None,
+                Err(tungstenite::Error::Io(error)) if error.kind() == std::io::ErrorKind::WouldBlock => {
+                    panic!("nothing came")
+                }
+                Err(_) => return None,
+            }
+        }
+    }
+
+    /// The next message of this kind, and all before it.
+    fn hear_of(&mut self, kind: &str) -> Vec<Value> {
+        let mut heard = Vec::new();
+        loop {
+            let message = self.hear().unwrap_or_else(|| panic!("closed before any {kind}"));
+            let is_found = message["kind"] == kind;
+            heard.push(message);
+            if is_found {
+                return heard;
+            }
+        }
+    }
+}
+
+/// `count` poses of a simulated tool, each with its photocurrents: of the newest scans in packets.
+fn poses(count: usize) -> Vec<(Record, Photocurrents)> {
+    let head = WIDE.read().unwrap();
+    let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 1, f64::INFINITY);
+    let mut board = SimulatedBoard::new(&head, smooth, TIER, 1).unwrap();
+    let ask = |board: &mut SimulatedBoard, command| {
+        board.write(encode(&Request { number: 1, command }, &mut [0; MAX_REQUEST_BYTES]).unwrap());
+    };
+    ask(&mut board, Command::Start);
+    let mut pipeline = Pipeline::new(head, TIER, SceneMatch::Required);
+    let mut poses: Vec<(Record, Photocurrents)> = Vec::new();
+    let mut bytes = Vec::new();
+    while poses.len() < count {
+        bytes.clear();
+        // A board whose host is silent stops.
+        ask(&mut board, Command::Ping { token: 0 });
+        board.step(&mut bytes);
+        let mut newest = None;
+        let found = pipeline.push(&bytes, |item| {
+            if let Item::Pose(record) = item {
+                newest = Some(*record);
+            }
+            Ok::<_, PipelineError>(())
+        });
+        found.unwrap();
+        poses.extend(newest.map(|record| (record, pipeline.photocurrents().unwrap().clone())));
+    }
+    poses
+}
+
+/// Samples each of `poses` at the pace of frames, as soon as the server takes it.
+fn play(server: &LiveServer, poses: &[(Record, Photocurrents)]) {
+    let mut sampler = Sampler::new(0, server.input());
+    for (number, (record, photocurrents)) in poses.iter().enumerate() {
+        sampler.add(record);
+        let now = HostInstant { monotonic_ns: (number as u64 + 1) * 20_000_000, utc_ns: 0 };
+        while !server.input().has_room() {
+            std::thread::yield_now();
+        }
+        sampler.send(Some(photocurrents), now);
+    }
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+}
+
+#[test]
+fn a_client_gets_head_and_frames_with_the_numbers_of_the_poses() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let mut client = Client::greeted(&server);
+    let begun = client.hear_of("head");
+    assert_eq!((&begun[0]["kind"], &begun[0]["may_write"]), (&json!("hello"), &json!(true)));
+    assert_eq!(begun[0]["boards"], json!(["sim"]));
+    let head = &begun[1];
+    let scene = WIDE.read().unwrap().scene;
+    assert_eq!(head["cells"].as_array().unwrap().len(), scene.cells.len());
+    assert_eq!(numbers(&head["cells"][2]["emitter"]["position_m"]), scene.cells[2].emitter.position_tool_m.to_array());
+    let poses = poses(5);
+    play(&server, &poses);
+    for (n, (record, photocurrents)) in poses.iter().enumerate() {
+        let frame = client.hear_of("frame").pop().unwrap();
+        assert_eq!((&frame["n"], &frame["seq"]), (&json!(n), &json!(record.sequence)));
+        let estimate = record.solution.estimate.unwrap();
+        for (found, expected) in numbers(&frame["t_m"]).iter().zip(estimate.pose.translation_m.to_array()) {
+            assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+        }
+        for (found, expected) in numbers(&frame["sigma"]).iter().zip(estimate.sigma()) {
+            assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
+        }
+        for (cell, reading) in frame["cells"].as_array().unwrap().iter().zip(&photocurrents.cells) {
+            let slitpose_model::Reading::Light(pair) = reading else { panic!("a dark cell") };
+            let found = numbers(&cell["i_a"]);
+            assert!((found[1] / pair.i_x2_a - 1.0).abs() < 1e-3, "{found:?} {pair:?}");
+            // The position follows from the currents as the model's does from the pose, within noise.
+            let [measured, expected] = ["x_m", "expected_x_m"].map(|key| cell[key].as_f64().unwrap());
+            assert!((measured - expected).abs() < 50e-6, "{measured} {expected}");
+            let spot = numbers(&cell["spot_m"]);
+            assert!(spot[0] < expected && expected < spot[1], "{spot:?} {expected}");
+            assert_eq!(cell["state"], json!(["used"]));
+        }
+    }
+}
+
+#[test]
+fn a_frame_covers_all_scans_since_the_one_before() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let mut client = Client::greeted(&server);
+    let poses = poses(90);
+    let mut sampler = Sampler::new(0, server.input());
+    for (number, (record, photocurrents)) in poses.iter().enumerate() {
+        sampler.add(record);
+        // One in thirty is due.
+        sampler.send(Some(photocurrents), HostInstant { monotonic_ns: number as u64 * 600_000, utc_ns: 0 });
+    }
+    let frames: Vec<Value> = (0..3).map(|_| client.hear_of("frame").pop().unwrap()).collect();
+    let mut covered = 0;
+    for frame in &frames {
+        let scans = frame["scans"].as_u64().unwrap() as usize;
+        let part = &poses[covered..covered + scans];
+        covered += scans;
+        assert_eq!(frame["seq"], json!(part[scans - 1].0.sequence));
+        let x = |(record, _): &(Record, Photocurrents)| record.solution.estimate.unwrap().pose.translation_m.x;
+        let [least, most] = [f64::min, f64::max].map(|pick| part.iter().map(x).reduce(pick).unwrap());
+        assert!((numbers(&frame["low"])[0] - least).abs() < 1e-9, "{frame} {least}");
+        assert!((numbers(&frame["high"])[0] - most).abs() < 1e-9, "{frame} {most}");
+    }
+    assert!(covered > 50, "{covered}");
+}
+
+#[test]
+fn a_client_that_acknowledges_nothing_costs_no_more_than_its_window_and_goes_on_with_the_newest() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let mut asleep = Client::greeted(&server);
+    asleep.hear_of("head");
+    let mut awake = Client::greeted(&server);
+    awake.hear_of("head");
+    let poses = poses(400);
+    play(&server, &poses);
+    // The one that acknowledges gets the last frame.
+    let mut heard = 2_u64;
+    let mut last = 0;
+    while last + 1 < poses.len() as u64 {
+        let message = awake.hear().unwrap();
+        heard += 1;
+        awake.say(&json!({"kind": "ack", "messages": heard}));
+        if message["kind"] == "frame" {
+            last = message["n"].as_u64().unwrap();
+        }
+    }
+    // The other gets its window, then nothing until it acknowledges.
+    let mut frames: Vec<u64> = Vec::new();
+    for _ in 2..WINDOW {
+        let message = asleep.hear().unwrap();
+        if message["kind"] == "frame" {
+            frames.push(message["n"].as_u64().unwrap());
+        }
+    }
+    assert_eq!(frames, (0..WINDOW - 2).collect::<Vec<_>>());
+    asleep.say(&json!({"kind": "ack", "messages": WINDOW}));
+    let missed = asleep.hear_of("missed").pop().unwrap()["frames"].as_u64().unwrap();
+    let next = asleep.hear_of("frame").pop().unwrap()["n"].as_u64().unwrap();
+    assert_eq!(next, frames.len() as u64 + missed, "each frame has come or is counted");
+    assert!(next + 2 >= poses.len() as u64, "{next}: the newest");
+}
+
+#[test]
+fn a_client_that_comes_later_gets_the_last_minute_and_a_restart_begins_anew() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let poses = poses(150);
+    play(&server, &poses);
+    let mut watcher = Client::greeted(&server);
+    let mut past: Vec<u64> = Vec::new();
+    let mut heard = 0_u64;
+    while past.len() < poses.len() {
+        let message = watcher.hear().unwrap();
+        heard += 1;
+        watcher.say(&json!({"kind": "ack", "messages": heard}));
+        match message["kind"].as_str() {
+            Some("history") => {
+                let frames = message["frames"].as_array().unwrap();
+                assert!(frames.len() <= 60);
+                let numbers = frames.iter().map(|frame| frame["n"].as_u64().unwrap());
+                assert!(numbers.clone().is_sorted());
+                past.extend(numbers);
+            }
+            // Frames that were on their way come before the past.
+            Some("frame") => past.push(message["n"].as_u64().unwrap()),
+            _ => {}
+        }
+    }
+    past.sort_unstable();
+    assert_eq!(past, (0..poses.len() as u64).collect::<Vec<_>>());
+    // The board's clock goes back.
+    play(&server, &poses[..1]);
+    let cleared = watcher.hear_of("history");
+    let kinds: Vec<_> = cleared.iter().map(|message| message["kind"].as_str().unwrap()).collect();
+    assert_eq!(kinds, ["cleared", "head", "history"]);
+    assert_eq!(cleared[2]["frames"][0]["seq"], json!(poses[0].0.sequence));
+}
+
+#[test]
+fn pages_of_others_and_wrong_tokens_see_nothing() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let request = |host: &str, origin: Option<&str>| {
+        let mut request = format!("ws://127.0.0.1:{}/live", server.address.port()).into_client_request().unwrap();
+        let own = format!("{host}:{}", server.address.port());
+        request.headers_mut().insert("host", own.parse().unwrap());
+        if let Some(origin) = origin {
+            let origin = origin.replace("PORT", &server.address.port().to_string());
+            request.headers_mut().insert("origin", origin.parse().unwrap());
+        }
+        tungstenite::connect(request).map(|_| ())
+    };
+    assert!(request("127.0.0.1", Some("http://127.0.0.1:PORT")).is_ok());
+    assert!(request("localhost", None).is_ok());
+    for (host, origin) in [
+        ("evil.example", None),
+        ("evil.example", Some("http://evil.example:PORT")),
+        ("127.0.0.1", Some("http://evil.example")),
+        ("127.0.0.1", Some("https://127.0.0.1:PORT")),
+        ("127.0.0.1", Some("null")),
+    ] {
+        let refused = request(host, origin);
+        assert!(
+            matches!(&refused, Err(tungstenite::Error::Http(answer)) if answer.status() == 403),
+            "{host} {origin:?} {refused:?}"
+        );
+    }
+
+    let (guarded, orders) = start("0.0.0.0:0", Some(TOKEN));
+    for token in [json!(null), json!("wrong"), json!("correct-horse-batterz")] {
+        let mut client = Client::connect(&guarded).unwrap();
+        client.say(&json!({"kind": "hello", "token": token}));
+        let refused = client.hear().unwrap();
+        assert_eq!(refused["kind"], "refused");
+        assert!(refused["reason"].as_str().unwrap().contains("token"));
+        assert_eq!(client.hear(), None);
+    }
+    let mut client = Client::connect(&guarded).unwrap();
+    client.say(&json!({"kind": "hello", "token": TOKEN}));
+    assert_eq!(client.hear().unwrap()["may_write"], json!(false));
+    client.say(&json!({"kind": "record", "on": true}));
+    let refused = client.hear_of("refused").pop().unwrap();
+    assert!(refused["reason"].as_str().unwrap().contains("--live-writes"), "{refused}");
+    assert!(orders.0.lock().unwrap().is_empty());
+}
+
+#[test]
+fn orders_are_passed_on_and_nonsense_is_refused() {
+    let (server, orders) = start("127.0.0.1:0", None);
+    let mut client = Client::greeted(&server);
+    client.say(&json!({"kind": "record", "on": true}));
+    client.say(&json!({"kind": "player", "playing": false, "seek_s": 2.5}));
+    for (nonsense, reason) in [
+        ("{", "request"),
+        (r#"{"kind":"shutdown"}"#, "shutdown"),
+        (r#"{"kind":"pose","t_m":[0,0,0],"r_rad":[0,0,0]}"#, "scene view"),
+    ] {
+        client.0.send(Message::text(nonsense)).unwrap();
+        let refused = client.hear_of("refused").pop().unwrap();
+        assert!(refused["reason"].as_str().unwrap().contains(reason), "{refused}");
+    }
+    let player = PlayerOrder { playing: Some(false), speed: None, seek_s: Some(2.5) };
+    assert_eq!(*orders.0.lock().unwrap(), [Order::Record(true), Order::Player(player)]);
+    client.0.send(Message::text("x".repeat(LONGEST_REQUEST + 1))).unwrap();
+    while client.hear().is_some() {}
+}
+
+#[test]
+fn clients_are_limited_and_those_who_say_nothing_are_dropped() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let mut silent = Client::connect(&server).unwrap();
+    let since = Instant::now();
+    assert_eq!(silent.hear(), None);
+    assert!(since.elapsed() >= LIFETIME - Duration::from_millis(100), "{:?}", since.elapsed());
+    // Its place is free again.
+    let mut clients: Vec<Client> = (0..MOST_CLIENTS).map(|_| Client::greeted(&server)).collect();
+    clients.iter_mut().for_each(|client| drop(client.hear_of("head")));
+    let refused = Client::connect(&server).err();
+    assert!(matches!(&refused, Some(tungstenite::Error::Http(answer)) if answer.status() == 503), "{refused:?}");
+    // They last longer than a connection that only asks for a file.
+    std::thread::sleep(LIFETIME);
+    play(&server, &poses(1));
+    clients.iter_mut().for_each(|client| drop(client.hear_of("frame")));
+}
+
+#[test]
+fn files_come_with_a_policy_that_lets_them_fetch_nothing_else() {
+    let (server, _) = start("127.0.0.1:0", None);
+    let fetch = |path: &str| {
+        let mut stream = TcpStream::connect(server.address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let page = fetch("/");
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("content-type: text/html"), "{page}");
+    assert!(page.contains("content-security-policy: default-src 'self'") && page.contains(env!("CARGO_PKG_VERSION")));
+    assert!(!page.contains("SLITPOSE_VERSION"));
+    for path in ["/index.html", "/../Cargo.toml", "/page/main.js"] {
+        assert!(fetch(path).starts_with("HTTP/1.1 404"), "{path}");
+    }
+}
+
+#[test]
+fn a_tool_is_dragged_where_a_frame_sees_it_or_says_why_not() {
+    let head = WIDE.read().unwrap().into();
+    let server = LiveServer::start(LivePlan {
+        access: Access::new("127.0.0.1:0".parse().unwrap(), None, false).unwrap(),
+        source: "scene",
+        scene: Some(SceneView::of(&head).unwrap()),
+        boards: vec![LiveBoard { name: "wide".to_owned(), head: Some(head) }],
+        control: Box::new(Orders::default()),
+        report: None,
+    })
+    .unwrap();
+    let mut client = Client::greeted(&server);
+    let mut drag = |t_m: [f64; 3]| {
+        client.say(&json!({"kind": "pose", "t_m": t_m, "r_rad": [0.0, 0.1, 0.0]}));
+        loop {
+            let message = client.hear().unwrap();
+            if message["kind"] == "frame" || message["kind"] == "refused" {
+                return message;
+            }
+        }
+    };
+    let seen = drag([1e-3, 0.0, -1e-3]);
+    assert_eq!((&seen["status"], &seen["truth"]), (&json!("converged"), &json!(null)));
+    assert!((numbers(&seen["t_m"])[0] - 1e-3).abs() < 1e-9, "{seen}");
+    let sigma_m = numbers(&seen["sigma"])[0];
+    assert!((0.5e-6..5e-6).contains(&sigma_m), "{sigma_m}");
+    let lost = drag([0.5, 0.0, 0.0]);
+    assert_eq!((&lost["t_m"], &lost["sigma"]), (&json!(null), &json!(null)), "{lost}");
+    assert_eq!(drag([f64::from(f32::MAX), 0.0, 0.0])["kind"], "refused");
+}
