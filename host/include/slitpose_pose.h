@@ -22,6 +22,7 @@
 
 #include <arpa/inet.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <netinet/in.h>
 #include <poll.h>
 #include <stddef.h>
@@ -37,10 +38,15 @@
 #error "datagrams are little endian: swap the bytes of every field on this host"
 #endif
 
+/* Of this file, as `pkg-config --modversion slitpose-pose` prints it. */
+#define SLITPOSE_HEADER_MAJOR 0
+#define SLITPOSE_HEADER_MINOR 1
+#define SLITPOSE_HEADER_PATCH 0
+
 #define SLITPOSE_POSE_MAGIC 0x50504c53u    /* "SLPP" */
 #define SLITPOSE_REQUEST_MAGIC 0x51504c53u /* "SLPQ" */
 #define SLITPOSE_ANSWER_MAGIC 0x41504c53u  /* "SLPA" */
-#define SLITPOSE_VERSION 1u
+#define SLITPOSE_VERSION 1u /* of the datagrams */
 
 /* Bits of `flags`. */
 #define SLITPOSE_HAS_POSE 1u      /* translation, rotation and covariance are numbers, not NaN */
@@ -151,7 +157,7 @@ SLITPOSE_CHECK(answer_bytes, sizeof(struct slitpose_answer) == 24);
 
 /* A socket to the daemon. */
 struct slitpose_link {
-    int fd;               /* readable when a datagram waits: for poll() and its like */
+    int fd;               /* non-blocking; readable when a datagram waits: for poll() and its like */
     uint64_t followed_ns; /* when datagrams were last asked for; 0: not yet */
     uint64_t cookie;      /* proves to the daemon that this socket receives */
     uint16_t mode;        /* what was asked for last */
@@ -219,8 +225,8 @@ static inline int slitpose_open(struct slitpose_link *link, const char *address,
     link->fd = socket(daemon.any.sa_family, SOCK_DGRAM, 0);
     if (link->fd < 0)
         return -1;
-    failed = 0;
-    if (daemon.any.sa_family == AF_UNIX) {
+    failed = fcntl(link->fd, F_SETFL, O_NONBLOCK) != 0 || fcntl(link->fd, F_SETFD, FD_CLOEXEC) != 0;
+    if (failed == 0 && daemon.any.sa_family == AF_UNIX) {
 #ifdef __linux__
         /* The system chooses a name, without which the daemon could not answer. */
         struct sockaddr_un own;
@@ -261,7 +267,7 @@ static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mo
     request.cookie = link->cookie;
     link->mode = request.mode;
     memcpy(request.device, link->device, sizeof request.device);
-    return send(link->fd, &request, sizeof request, MSG_DONTWAIT) == (ssize_t)sizeof request ? 0 : -1;
+    return send(link->fd, &request, sizeof request, 0) == (ssize_t)sizeof request ? 0 : -1;
 }
 
 /* Takes the next pose that waits, and does what the daemon asks for besides. 1; 0 if none does; or -1 with errno:
@@ -270,7 +276,7 @@ static inline int slitpose_receive(struct slitpose_link *link, struct slitpose_p
 {
     struct slitpose_answer answer;
     for (;;) {
-        ssize_t bytes = recv(link->fd, pose, sizeof *pose, MSG_DONTWAIT);
+        ssize_t bytes = recv(link->fd, pose, sizeof *pose, 0);
         if (bytes < 0 && errno == EINTR)
             continue;
         if (bytes < 0)
