@@ -1,6 +1,6 @@
 /* Prints poses as they come, with their age:
  *
- *     cc -O2 -std=c11 -I host/include -o follow_pose host/examples/c/follow_pose.c
+ *     cc -O2 -std=c11 $(pkg-config --cflags slitpose-pose) -o follow_pose follow_pose.c
  *     ./follow_pose unix:/run/slitpose/pose        (or udp:127.0.0.1:7440)
  *     ./follow_pose unix:/run/slitpose/pose 100    (ends after 100)
  */
@@ -23,7 +23,8 @@ static void print(const struct slitpose_pose *pose)
     if (pose->flags & SLITPOSE_HAS_TWIST)
         printf("  v %+.4f %+.4f %+.4f m/s", pose->linear_m_per_s[0], pose->linear_m_per_s[1], pose->linear_m_per_s[2]);
     /* Without host time the age only counts from the arrival of the scan: it is at least that. */
-    printf("  age %s%.0f us", pose->flags & SLITPOSE_HAS_HOST_TIME ? "" : "over ", slitpose_age_ns(pose) / 1e3);
+    printf("  age %s%.0f us", pose->flags & SLITPOSE_HAS_HOST_TIME ? "" : "over ",
+           (double)slitpose_age_ns(pose) / 1e3);
     printf("%s\n", pose->flags & SLITPOSE_SIMULATED ? "  simulated" : "");
 }
 

@@ -13,21 +13,22 @@ use crate::datagram::{PoseDatagram, Publisher};
 use crate::pipeline::Record;
 
 /// What a test compiles and runs.
-fn compile(source: &Path, folder: &TempDir) -> PathBuf {
+pub(super) fn compile(source: &Path, folder: &TempDir) -> PathBuf {
     let program = folder.path().join(source.file_stem().unwrap());
     let include = Path::new(env!("CARGO_MANIFEST_DIR")).join("include");
     let output = Command::new("cc")
-        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c11", "-I"])
+        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c11", "-pthread", "-I"])
         .arg(include)
         .arg("-o")
         .args([&program, source])
+        .arg("-lm")
         .output()
         .expect("a C compiler, as `cc`");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     program
 }
 
-fn compile_text(name: &str, text: &str, folder: &TempDir) -> PathBuf {
+pub(super) fn compile_text(name: &str, text: &str, folder: &TempDir) -> PathBuf {
     let source = folder.path().join(name).with_extension("c");
     std::fs::write(&source, text).unwrap();
     compile(&source, folder)

@@ -1,7 +1,9 @@
 //! What the tests of this folder share.
 
 mod c;
+mod installed;
 mod server;
+mod wall;
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::os::unix::net::UnixDatagram;

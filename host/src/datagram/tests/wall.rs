@@ -1,0 +1,365 @@
+//! The virtual wall in `examples/c`: its force against the same equations in Rust, and when it lets go.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+use slitpose_model::{DegradedReason, Outcome};
+use tempfile::TempDir;
+
+use super::c::{compile, compile_text};
+use super::{Bench, DEVICE, PATIENCE, record};
+use crate::clock::{HostInstant, HostTime};
+use crate::datagram::{PoseDatagram, Publisher};
+use crate::pipeline::Record;
+
+const POSITION_M: f64 = 1e-3;
+const STIFFNESS: f64 = 2000.0;
+const DAMPING: f64 = 2.0;
+const LIMIT_N: f64 = 10.0;
+const OLDEST_NS: u64 = 5_000_000;
+const RELEASE_NS: u64 = 4_000_000;
+
+/// Of the options of the example, that of the constants above.
+const OPTIONS: [&str; 10] = ["--wall", "1", "--stiffness", "2000", "--damping", "2", "--limit", "10", "--release", "4"];
+
+/// Reads steps, each an instant, whether a pose has come, and the pose; prints what became of it.
+const STEPS: &str = r#"
+#define _POSIX_C_SOURCE 200809L
+#include <stdio.h>
+#include "virtual_wall.h"
+int main(int argc, char **argv)
+{
+    struct wall wall = {1e-3, 2000, 2, 10, 5e-3, 4e-3};
+    struct wall_state state = {0, 0, 0, 0};
+    struct slitpose_pose pose;
+    uint64_t head[2];
+    if (argc == 5) {
+        wall.stiffness_n_per_m = atof(argv[1]), wall.damping_ns_per_m = atof(argv[2]);
+        printf("%.17g\n", wall_passive_ns_per_m(&wall, atof(argv[3]), atof(argv[4])));
+    }
+    while (fread(head, sizeof head, 1, stdin) == 1 && fread(&pose, sizeof pose, 1, stdin) == 1) {
+        enum wall_input input = wall_step(&wall, &state, head[1] ? &pose : NULL, head[0]);
+        printf("%.17g %s\n", state.force_n, WALL_INPUT_NAMES[input]);
+    }
+    return 0;
+}
+"#;
+
+fn example(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/c").join(name)
+}
+
+fn steps(folder: &TempDir) -> PathBuf {
+    std::fs::copy(example("virtual_wall.h"), folder.path().join("virtual_wall.h")).unwrap();
+    compile_text("steps", STEPS, folder)
+}
+
+/// A pose at `x_m` with the velocity `v_m_per_s` along x, of the instant `at_ns`.
+fn pose(x_m: f64, v_m_per_s: f64, at_ns: u64) -> Record {
+    let mut record = record();
+    record.host_time = Some(HostTime { monotonic_ns: at_ns, utc_ns: 0, uncertainty_ns: 0 });
+    record.solution.estimate.as_mut().unwrap().pose.translation_m = DVec3::new(x_m, 0.3e-3, -0.2e-3);
+    record.twist.as_mut().unwrap().twist.linear_m_per_s = DVec3::new(v_m_per_s, 0.1, -0.1);
+    record
+}
+
+/// Spring and damper, pushing only, and no more than the limit.
+fn force_n(x_m: f64, v_m_per_s: f64) -> f64 {
+    let depth_m = x_m - POSITION_M;
+    if depth_m > 0.0 { (STIFFNESS * depth_m + DAMPING * v_m_per_s).clamp(0.0, LIMIT_N) } else { 0.0 }
+}
+
+type Step = (u64, Option<PoseDatagram>);
+
+fn step(now_ns: u64, record: &Record) -> Step {
+    (now_ns, Some(PoseDatagram::new(record, 1, HostInstant { monotonic_ns: now_ns, utc_ns: 0 })))
+}
+
+/// Forces, and what became of each pose.
+fn run(program: &Path, steps: &[Step]) -> Vec<(f64, String)> {
+    let mut bytes = Vec::new();
+    for (now_ns, datagram) in steps {
+        bytes.extend(now_ns.to_le_bytes());
+        bytes.extend(u64::from(datagram.is_some()).to_le_bytes());
+        bytes.extend(datagram.as_ref().map_or([0; PoseDatagram::BYTES], |datagram| *datagram.as_bytes()));
+    }
+    let mut child = Command::new(program).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    let writer = std::thread::spawn(move || stdin.write_all(&bytes).unwrap());
+    let text = String::from_utf8(child.wait_with_output().unwrap().stdout).unwrap();
+    writer.join().unwrap();
+    let row = |line: &str| line.split_once(' ').map(|(force, input)| (force.parse().unwrap(), input.to_owned()));
+    let rows: Vec<_> = text.lines().map(|line| row(line).unwrap()).collect();
+    assert_eq!(rows.len(), steps.len());
+    rows
+}
+
+#[test]
+fn the_wall_pushes_as_spring_and_damper_once_the_tool_was_outside() {
+    let folder = TempDir::new().unwrap();
+    let program = steps(&folder);
+    let mut now_ns = 1_000_000_000;
+    let mut next = |x_m, v_m_per_s| {
+        now_ns += 250_000;
+        step(now_ns, &pose(x_m, v_m_per_s, now_ns - 700_000))
+    };
+    // It starts inside: no force before the tool has been outside.
+    let mut script = vec![next(1.5e-3, 0.0), next(2e-3, 0.3), next(0.9e-3, 0.0)];
+    let mut expected = vec![0.0; 3];
+    for depth in -3..=20 {
+        for speed in -4..=4 {
+            let (x_m, v_m_per_s) = (POSITION_M + f64::from(depth) * 0.4e-3, f64::from(speed) * 0.25);
+            script.push(next(x_m, v_m_per_s));
+            expected.push(force_n(x_m, v_m_per_s));
+        }
+    }
+    assert!(
+        [0.0, LIMIT_N].iter().all(|bound| expected.contains(bound)) && expected.iter().any(|&f| f > 0.0 && f < 9.0)
+    );
+    for (index, ((force, input), expected)) in run(&program, &script).iter().zip(expected).enumerate() {
+        assert_eq!(input, "used");
+        assert!((force - expected).abs() < 1e-12, "step {index}: {force} N, not {expected} N");
+    }
+}
+
+/// Every way for a pose to be of no use, as the example names it.
+fn useless(now_ns: u64) -> Vec<(&'static str, Step)> {
+    let good = pose(1.4e-3, 0.0, now_ns - 700_000);
+    let with = |change: &dyn Fn(&mut Record)| {
+        let mut record = good;
+        change(&mut record);
+        step(now_ns, &record)
+    };
+    let (_, mut behind) = step(now_ns, &good);
+    behind.as_mut().unwrap().mark_behind();
+    vec![
+        ("nothing came", (now_ns, None)),
+        ("no pose", with(&|record| record.solution.estimate = None)),
+        ("degraded", with(&|record| record.solution.outcome = Outcome::Degraded(DegradedReason::FewerCells))),
+        ("no twist", with(&|record| record.twist = None)),
+        ("behind", (now_ns, behind)),
+        ("of unknown age", with(&|record| record.host_time = None)),
+        ("too old", step(now_ns, &pose(1.4e-3, 0.0, now_ns - OLDEST_NS))),
+    ]
+}
+
+#[test]
+fn without_usable_poses_the_force_is_held_then_falls_to_zero_and_stays_there() {
+    const PERIOD_NS: u64 = 250_000;
+    let folder = TempDir::new().unwrap();
+    let program = steps(&folder);
+    let start_ns = 1_000_000_000;
+    for kind in 0..useless(start_ns).len() {
+        let good = |number: u64, x_m| {
+            let now_ns = start_ns + number * PERIOD_NS;
+            step(now_ns, &pose(x_m, 0.0, now_ns - 700_000))
+        };
+        let held_n = force_n(3e-3, 0.0);
+        let mut script = vec![good(0, 0.0), good(1, 3e-3)];
+        script.extend((2..60).map(|number| useless(start_ns + number * PERIOD_NS).swap_remove(kind).1));
+        script.extend([good(60, 3e-3), good(61, 0.5e-3), good(62, 3e-3)]);
+        let rows = run(&program, &script);
+        let name = useless(start_ns)[kind].0;
+        assert_eq!(rows[1].0, held_n);
+        for (number, (force, input)) in (2..60).zip(&rows[2..60]) {
+            assert_eq!(input, name);
+            // The pose is 0.7 ms old in step 1.
+            let age_ns = 700_000 + (number - 1) * PERIOD_NS;
+            let expected = if age_ns < OLDEST_NS {
+                held_n
+            } else {
+                let first = (OLDEST_NS - 700_000).div_ceil(PERIOD_NS) + 1;
+                let falling_ns = (number - first + 1) * PERIOD_NS;
+                (held_n - LIMIT_N * falling_ns as f64 / RELEASE_NS as f64).max(0.0)
+            };
+            assert!((force - expected).abs() < 1e-9, "{name}, step {number}: {force} N, not {expected} N");
+        }
+        let last: Vec<f64> = rows[59..].iter().map(|row| row.0).collect();
+        assert_eq!(last, [0.0, 0.0, 0.0, held_n], "{name}: it comes back from outside only");
+    }
+}
+
+/// Least damping by the condition itself (Colgate and Schenkel 1997, equation 3), over frequencies up to Nyquist's, for
+/// H(z) = (K + B (z - 1) / (T z)) / z^periods.
+fn least_damping(stiffness: f64, damping: f64, period_s: f64, periods: i32) -> f64 {
+    let at = |angle: f64| {
+        // (1 - 1/z) H(z), each term a cosine.
+        let cosine = |power: i32| (angle * f64::from(power)).cos();
+        let spring = stiffness * (cosine(periods) - cosine(periods + 1));
+        let damper = damping / period_s * (cosine(periods) - 2.0 * cosine(periods + 1) + cosine(periods + 2));
+        period_s / 2.0 / (1.0 - angle.cos()) * (spring + damper)
+    };
+    (1..=20_000).map(|i| at(std::f64::consts::PI * f64::from(i) / 20_000.0)).fold(f64::MIN, f64::max)
+}
+
+#[test]
+fn the_damping_for_passivity_satisfies_the_condition_and_is_not_needlessly_large() {
+    let folder = TempDir::new().unwrap();
+    let program = steps(&folder);
+    let (stiffness, period_s) = (1500.0, 250e-6);
+    for (damping, periods) in [(0.0, 0), (0.0, 1), (0.0, 6), (3.0, 0), (3.0, 1), (3.0, 6)] {
+        let delay_s = f64::from(periods) * period_s;
+        let arguments = [stiffness, damping, period_s, delay_s].map(|number| number.to_string());
+        let output = Command::new(&program).args(arguments).stdin(Stdio::null()).output().unwrap();
+        let printed: f64 = String::from_utf8(output.stdout).unwrap().trim().parse().unwrap();
+        let least = least_damping(stiffness, damping, period_s, periods);
+        assert!(printed >= least * (1.0 - 1e-9), "{printed} is under {least}, B {damping}, {periods} periods");
+        // Without delay, or without damper, it is the least.
+        if damping == 0.0 || periods == 0 {
+            assert!(printed < least * (1.0 + 1e-4), "{printed} is over {least}, B {damping}, {periods} periods");
+        }
+    }
+}
+
+/// The example as it runs, and the table it leaves.
+struct Running {
+    child: Child,
+    csv: PathBuf,
+}
+
+/// A line of its table.
+struct Row {
+    input: String,
+    datagram: u64,
+    age_s: f64,
+    x_m: f64,
+    force_n: f64,
+}
+
+impl Running {
+    fn start(bench: &Bench, options: &[&str]) -> Self {
+        let program = compile(&example("virtual_wall.c"), &bench.folder);
+        let csv = bench.folder.path().join("wall.csv");
+        let mut command = Command::new(program);
+        command.arg(bench.server.addresses()[0].to_string()).args(OPTIONS).args(options).arg("--csv").arg(&csv);
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        Self { child, csv }
+    }
+
+    fn has_ended(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
+    }
+
+    fn interrupt(&self) {
+        let pid = self.child.id().to_string();
+        assert!(Command::new("sh").args(["-c", "kill -INT $0", &pid]).status().unwrap().success());
+    }
+
+    /// Exit code, both outputs, table.
+    fn end(mut self) -> (Option<i32>, String, Vec<Row>) {
+        let since = Instant::now();
+        while !self.has_ended() {
+            if since.elapsed() > PATIENCE {
+                self.child.kill().unwrap();
+                panic!("the wall hangs: {:?}", self.child.wait_with_output());
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let output = self.child.wait_with_output().unwrap();
+        let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        let text = std::fs::read_to_string(self.csv).unwrap();
+        let rows = text.lines().skip(1).map(|line| {
+            let words: Vec<&str> = line.split(',').collect();
+            let number = |at: usize| words[at].parse::<f64>().unwrap();
+            let datagram = words[2].parse().unwrap();
+            Row { input: words[1].to_owned(), datagram, age_s: number(3), x_m: number(4), force_n: number(6) }
+        });
+        (output.status.code(), said, rows.collect())
+    }
+}
+
+/// Publishes until the client has been sent `count` more.
+fn publish(bench: &Bench, publisher: &mut Publisher, count: u64, record: impl Fn(u64, u64) -> Record) {
+    let (since, until) = (Instant::now(), bench.server.counts().sent + count);
+    for number in 1.. {
+        let now = HostInstant::now();
+        publisher.publish(&record(number, now.monotonic_ns), now);
+        if bench.server.counts().sent >= until {
+            return;
+        }
+        assert!(since.elapsed() < PATIENCE, "the client takes no poses");
+        std::thread::sleep(Duration::from_micros(500));
+    }
+}
+
+#[test]
+fn the_running_wall_sets_the_force_of_each_pose_and_lets_go_at_an_interrupt() {
+    let x_m = |datagram: u64| [0.4e-3, 1.6e-3, 3.1e-3, 2.2e-3, 9e-3][datagram as usize % 5];
+    let v_m_per_s = |datagram: u64| datagram as f64 * 1e-4;
+    let bench = Bench::new();
+    let mut publisher = bench.server.publisher(DEVICE);
+    // Poses of any age are used, so that nothing depends on how busy the machine is.
+    let running = Running::start(&bench, &["--oldest", "1e6", "--duration", "1e6"]);
+    publish(&bench, &mut publisher, 400, |number, now_ns| pose(x_m(number), v_m_per_s(number), now_ns));
+    running.interrupt();
+    let (code, said, rows) = running.end();
+    assert_eq!(code, Some(0), "{said}");
+    let (mut is_engaged, mut pushes, mut releasing) = (false, 0, f64::INFINITY);
+    for (index, row) in rows.iter().enumerate() {
+        assert!(["used", "nothing came"].contains(&row.input.as_str()), "{}", row.input);
+        if row.datagram > 0 {
+            assert_eq!(row.x_m, x_m(row.datagram));
+            is_engaged |= row.x_m <= POSITION_M;
+        }
+        let expected = if is_engaged { force_n(x_m(row.datagram), v_m_per_s(row.datagram)) } else { 0.0 };
+        if releasing.is_finite() || (row.force_n - expected).abs() > 1e-12 {
+            // After the interrupt the force only falls, and nothing more is read.
+            assert!(
+                row.input == "nothing came" && row.force_n < releasing.min(expected),
+                "row {index}: {}",
+                row.force_n
+            );
+            releasing = row.force_n;
+        } else {
+            pushes += u32::from(expected > 0.0);
+        }
+    }
+    assert!(pushes > 0 && rows.last().unwrap().force_n == 0.0, "{said}");
+    assert!(said.contains("passive if the mechanism's own damping exceeds"), "{said}");
+}
+
+#[test]
+fn a_stalled_publisher_leaves_no_force_and_does_not_hang_the_wall() {
+    let bench = Bench::new();
+    let mut publisher = bench.server.publisher(DEVICE);
+    let running = Running::start(&bench, &["--oldest", "5", "--duration", "2"]);
+    publish(&bench, &mut publisher, 100, |number, now_ns| pose([0.5e-3, 3e-3][number as usize % 2], 0.0, now_ns));
+    let (code, said, rows) = running.end();
+    assert_eq!(code, Some(0), "{said}");
+    for pair in rows.windows(2).filter(|pair| pair[1].input != "used" && pair[1].age_s > 5e-3) {
+        let (before, after) = (pair[0].force_n, pair[1].force_n);
+        assert!(after < before || after == 0.0, "{before} N, then {after} N");
+    }
+    assert_eq!(rows.last().unwrap().force_n, 0.0);
+}
+
+#[test]
+fn useless_poses_give_no_force_and_a_daemon_that_ends_is_reported() {
+    let bench = Bench::new();
+    let mut publisher = bench.server.publisher(DEVICE);
+    let running = Running::start(&bench, &["--oldest", "1e3", "--duration", "1e6"]);
+    publish(&bench, &mut publisher, 100, |number, now_ns| {
+        let x_m = [0.5e-3, 3e-3][number as usize / 5 % 2];
+        let mut record = pose(x_m, 0.2, now_ns);
+        match number % 5 {
+            0 => record.solution.outcome = Outcome::Degraded(DegradedReason::Misfit),
+            1 => record.solution.estimate = None,
+            2 => record.twist = None,
+            3 => record.host_time = None,
+            _ => record.host_time = pose(x_m, 0.2, now_ns - 30_000_000_000).host_time,
+        }
+        record
+    });
+    drop(publisher);
+    let address = bench.server.addresses()[0].to_string();
+    let Bench { folder, server, .. } = bench;
+    drop(server);
+    let (code, said, rows) = running.end();
+    drop(folder);
+    assert!(code == Some(1) && said.contains(&address) && said.contains("refused"), "{code:?}: {said}");
+    assert!(rows.iter().any(|row| row.datagram > 0), "{said}");
+    assert!(rows.iter().all(|row| row.force_n == 0.0 && row.input != "used"), "{said}");
+}
