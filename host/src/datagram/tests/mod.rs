@@ -4,6 +4,7 @@ mod c;
 mod installed;
 mod server;
 mod wall;
+mod wall_loop;
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::os::unix::net::UnixDatagram;
