@@ -100,7 +100,7 @@ impl Player {
         };
         if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
             self.told = Some(Instant::now());
-            self.live.player(self.state.clone());
+            self.live.player(PlayerState { playing: self.is_playing(), ..self.state.clone() });
             self.live.report(report());
         }
     }

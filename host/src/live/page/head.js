@@ -44,7 +44,7 @@ export function maskOutlines({ centre_m, x, y, half_m, opening }) {
 
 /** Whether the daemon gives a place to the light of a cell. */
 export const hasLight = (reading) =>
-  Boolean(reading?.spot_m) && !reading.state.some((s) => s === "dark" || s === "missing" || s === "behind");
+  Boolean(reading?.spot_m) && !reading.state.some((s) => s === "dark" || s === "missed" || s === "missing" || s === "behind");
 
 /** The second axis of each detector that has one: a map from the first cell to the second. */
 export const secondAxes = (cells) =>
