@@ -8,6 +8,8 @@
 //! * [`device`] finds boards, and exchanges bytes and commands with them;
 //! * [`health`] monitors the cells of a head;
 //! * [`pipeline`] turns bytes into poses;
+//! * [`playback`] takes captures through it again, [`solving`] has the choices in common;
+//! * [`measurements`] reads what calibrations rest on;
 //! * [`datagram`] sends the newest pose to control loops;
 //! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
 //! * [`commands`] has one file for each verb of the `slitpose` command.
@@ -62,9 +64,12 @@ pub mod health;
 mod http;
 pub mod link;
 mod live;
+pub mod measurements;
 pub mod pipeline;
+pub mod playback;
 mod service;
 mod sink;
+pub mod solving;
 pub mod telemetry;
 mod terminal;
 

@@ -9,7 +9,7 @@ use crate::link::DeviceId;
 
 /// Why a capture cannot be written or read.
 #[derive(Debug, Error)]
-pub(crate) enum CaptureError {
+pub enum CaptureError {
     /// A capture of an earlier run would be lost.
     #[error("{} is there already; give another name, or --overwrite to replace it", path.display())]
     Exists {

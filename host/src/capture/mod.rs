@@ -36,10 +36,11 @@ mod tests;
 mod window;
 
 pub(crate) use entry::Entry;
-pub(crate) use error::CaptureError;
+pub use error::CaptureError;
 pub(crate) use naming::Existing;
 pub(crate) use reader::{CaptureReader, End};
-pub(crate) use readings::{Readings, ReadingsError, read as readings};
+pub use readings::ReadingsError;
+pub(crate) use readings::{Readings, read as readings};
 pub(crate) use series::{CaptureSeries, Limits};
 pub(crate) use setup::{CapturedBasis, Settings, Setup, SetupError};
 

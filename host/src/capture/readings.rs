@@ -15,7 +15,7 @@ use slitpose_head::scene_file::SceneFile;
 
 /// Why a capture gives no readings.
 #[derive(Debug, Error)]
-pub(crate) enum ReadingsError {
+pub enum ReadingsError {
     /// The file.
     #[error(transparent)]
     Capture(#[from] CaptureError),

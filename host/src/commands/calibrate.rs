@@ -5,29 +5,15 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use clap::ValueEnum;
-use slitpose_calibration::{
-    Calibration, CellValidity, Constraint, Data, Progress as Step, Request, Row, Validity, calibrate, measured_noise,
-    read_tracked, tables, validity,
-};
+use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request, Validity, calibrate, validity};
 
 use super::options::parse_number;
 use super::{CommandError, Outcome, interrupt, names, talk};
-use crate::capture::{Readings, readings};
+use crate::measurements::Measurements;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, calibration_report};
-use slitpose_head::front_end::{Stage, configuration};
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::simulator::Electronics;
-use slitpose_head::table::{Output, is_capture};
-
-/// How well the tip of a tool stays in a cone, and a tool returns to a stop: metres and radians.
-const CONTACT: [f64; 2] = [3e-6, 100e-6];
-
-/// How true the steps of a stage are, and how little its carriage turns: metres and radians.
-const STAGE: [f64; 2] = [1e-6, 20e-6];
-
-/// Ratio of measured to stated noise, or its inverse, from which it is said.
-const OTHER_NOISE: f64 = 1.3;
+use slitpose_head::table::Output;
 
 /// Finds the parameters of a real head from measurements on it.
 ///
@@ -103,80 +89,22 @@ fn parse_sigma(text: &str) -> Result<f64, &'static str> {
 }
 
 impl Args {
-    fn data(&self, file: &SceneFile) -> Result<Data, CommandError> {
-        let known = match self.frames {
-            FramesOf::Scene => Constraint::Known,
-            FramesOf::Own => Constraint::KnownInOwnFrames,
-        };
-        let instrument = [self.known_sigma_um * 1e-6, self.known_sigma_urad * 1e-6];
-        let mut data = Data::default();
-        if let Some(capture) = self.known_capture.get(self.known.len()) {
-            return Err(CommandError::NoPosesOfCapture { capture: capture.clone() });
+    fn measurements(&self) -> Measurements {
+        Measurements {
+            known: self.known.clone(),
+            known_captures: self.known_capture.clone(),
+            free: self.free.clone(),
+            pivot: self.pivot.clone(),
+            stage: self.stage.clone(),
+            rest: self.rest.clone(),
+            has_own_frames: self.frames == FramesOf::Own,
+            known_sigmas: [self.known_sigma_um * 1e-6, self.known_sigma_urad * 1e-6],
         }
-        let (tracked, listed) = self.known.split_at(self.known_capture.len());
-        for (table, capture) in tracked.iter().zip(&self.known_capture) {
-            let rows = read_capture(file, capture, &mut data)?;
-            read_tracked(file, [table, capture], rows, known, instrument, &mut data)?;
-        }
-        for (files, constraint, sigmas) in [
-            (listed, known, instrument),
-            (&self.free, Constraint::Free, CONTACT),
-            (&self.pivot, Constraint::Pivot, CONTACT),
-            (&self.stage, Constraint::Stage, STAGE),
-            (&self.rest, Constraint::Rest, CONTACT),
-        ] {
-            for name in files {
-                read(file, name, constraint, sigmas, &mut data)?;
-            }
-        }
-        with_noise(file, &mut data)?;
-        Ok(data)
     }
 }
 
-/// Adds a table, or a capture where no poses are needed.
-fn read(
-    file: &SceneFile,
-    name: &str,
-    constraint: Constraint,
-    sigmas: [f64; 2],
-    data: &mut Data,
-) -> Result<(), CommandError> {
-    let has_poses = matches!(constraint, Constraint::Known | Constraint::KnownInOwnFrames | Constraint::Stage);
-    if has_poses || !is_capture(Path::new(name)) {
-        return Ok(tables::read(file, name, constraint, sigmas, data)?);
-    }
-    let rows = read_capture(file, name, data)?;
-    data.add(name, constraint, sigmas, tables::thinned(rows));
-    Ok(())
-}
-
-/// The frames of a capture, whose noise is then that of the data.
-fn read_capture(file: &SceneFile, name: &str, data: &mut Data) -> Result<Vec<Row>, CommandError> {
-    let Readings { rows, noise } = readings(Path::new(name), file)?;
-    data.noise = noise.map(|stated| match measured_noise(&rows, &file.scene, &stated) {
-        None => stated,
-        Some(ratio) => {
-            if !(OTHER_NOISE.recip()..OTHER_NOISE).contains(&ratio) {
-                talk(format_args!("{name}: its noise is {ratio:.1} times what the scene says; counted as it is"));
-            }
-            stated.averaged(ratio.powi(-2))
-        }
-    });
-    Ok(rows)
-}
-
-/// Tables of a scene that has no [noise] have the noise of the board that it asks for.
-fn with_noise(file: &SceneFile, data: &mut Data) -> Result<(), CommandError> {
-    if data.noise.is_none()
-        && file.scene.noise.is_none()
-        && let Some(front_end) = file.front_end
-    {
-        let configuration = configuration(file)?;
-        let scaling = Electronics::new(&file.scene, &front_end).scaling();
-        data.noise = Stage::weighted_scene(file, &configuration.schedule, &scaling).noise;
-    }
-    Ok(())
+fn say(remark: &str) {
+    talk(format_args!("{remark}"));
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -193,9 +121,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
     let calibration = Calibration::open(path)?;
     let file = calibration.scene_file()?;
     let scene = calibration.apply(&file)?;
-    let mut data = Data::default();
-    read(&file, readings, Constraint::Free, CONTACT, &mut data)?;
-    with_noise(&file, &mut data)?;
+    let data = Measurements { free: vec![readings.to_owned()], ..Measurements::default() }.read(&file, &mut say)?;
     let found = validity(&scene, data.noise.or(scene.noise), data.rows())?;
     let mut text = format!("{:>4} {:>10} {:>12} {:>12} {:>14}\n", "cell", "light", "position", "rms", "chi2 without");
     for (number, cell) in found.cells.iter().enumerate() {
@@ -224,7 +150,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
 fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     let file = SceneFile::open(&args.scene)?;
     let start = args.start.as_deref().map(Calibration::open).transpose()?;
-    let data = args.data(&file)?;
+    let data = args.measurements().read(&file, &mut say)?;
     let output = Output::open(Some(path))?;
     let folder = args.report.as_deref().map(Folder::create).transpose()?;
     let stop = interrupt()?;

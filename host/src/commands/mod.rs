@@ -5,7 +5,6 @@
 
 mod bench;
 mod calibrate;
-mod capture_files;
 mod compare;
 mod completions;
 mod config;
@@ -13,7 +12,6 @@ mod defaults;
 mod device;
 mod doctor;
 mod export;
-mod host_clock;
 mod identify;
 mod live;
 mod losses;
@@ -48,13 +46,15 @@ use thiserror::Error;
 
 pub(crate) use config::ConfigError;
 pub(crate) use identify::CellProfileError;
-pub(crate) use playback::PlaybackError;
+pub(crate) use playback::SeveralBoards;
 
-use crate::capture::{CaptureError, ReadingsError};
+use crate::capture::CaptureError;
 use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
 use crate::live::{AccessError, LiveError};
+use crate::measurements::MeasurementsError;
+use crate::playback::PlaybackError;
 use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
 use slitpose_bench::BenchError;
@@ -164,23 +164,15 @@ pub(crate) enum CommandError {
     /// Currents from which no profile follows.
     #[error(transparent)]
     Profile(#[from] CellProfileError),
-    /// A capture without readings.
+    /// Measurements for a calibration.
     #[error(transparent)]
-    Readings(#[from] ReadingsError),
+    Measurements(#[from] MeasurementsError),
     /// A virtual bench.
     #[error(transparent)]
     Bench(#[from] BenchError),
     /// Data that give no calibration.
     #[error(transparent)]
     Calibrate(#[from] CalibrateError),
-    /// A capture without the poses that belong to it.
-    #[error(
-        "--known-capture {capture} is one more than the tables of --known; give --known with the instrument's poses of each capture"
-    )]
-    NoPosesOfCapture {
-        /// The capture.
-        capture: String,
-    },
     /// The schedule of a scene.
     #[error(transparent)]
     Timing(#[from] TimingError),
@@ -240,6 +232,9 @@ pub(crate) enum CommandError {
     /// A capture that cannot be solved.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
+    /// A reference for one board, and several of them.
+    #[error(transparent)]
+    SeveralBoards(#[from] SeveralBoards),
     /// The way poses are sent on.
     #[error(transparent)]
     Datagram(#[from] DatagramError),

@@ -7,11 +7,9 @@ use slitpose_model::{Plan, Response, Tier};
 use super::options::{CalibrationOption, TierOptions};
 use super::talk::talk;
 use super::{CommandError, Outcome, names};
+pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
-
-/// Tables are made once and kept, so they get nearly all the digits there are.
-pub(super) const DEFAULT_TOLERANCE: f64 = 1e-10;
 
 /// Evaluates every cell of a scene at every pose of a table.
 ///

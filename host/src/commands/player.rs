@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use slitpose_head::pace::Speed;
 use slitpose_head::threads::lock;
 
-use crate::live::{Control, LiveInput, Order, PlayerOrder, PlayerState, Refusal};
+use crate::live::{Control, LiveBoard, LiveInput, Order, PlayerOrder, PlayerState, Refusal, Sampler};
+use crate::playback::Board;
 use crate::telemetry::DaemonReport;
 
 /// Time between messages on the state of the player.
@@ -15,6 +16,9 @@ const TELL_EVERY: Duration = Duration::from_millis(250);
 /// Orders that are not carried out yet; a later one overrides an earlier one.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Orders(Arc<Mutex<PlayerOrder>>);
+
+/// What is left to play at least, seconds.
+const LEAST_S: f64 = 0.05;
 
 /// Slowest and fastest speeds.
 const SPEEDS: [f64; 2] = [1e-3, 1e3];
@@ -59,9 +63,11 @@ impl Player {
         Self { orders, live, state, told: None }
     }
 
-    /// Where samples go.
-    pub(super) fn live(&self) -> &LiveInput {
-        &self.live
+    /// Shows these boards from now on, by the samplers that are returned.
+    pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
+        let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
+        self.live.boards(boards.iter().map(shown).collect());
+        (0..boards.len()).map(|number| Sampler::new(number, self.live.clone())).collect()
     }
 
     /// Whether it goes on.
@@ -78,7 +84,8 @@ impl Player {
         // Played again from the beginning.
         let again = (self.state.ended && playing == Some(true)).then_some(0.0);
         self.state.playing = playing.unwrap_or(self.state.playing);
-        let seek_s = seek_s.map(|seek_s| seek_s.min(self.state.duration_s)).or(again);
+        // Not so near the end that nothing is left to play.
+        let seek_s = seek_s.map(|seek_s| seek_s.min(self.state.duration_s - LEAST_S).max(0.0)).or(again);
         if let Some(seek_s) = seek_s {
             (self.state.position_s, self.state.ended) = (seek_s, false);
         }

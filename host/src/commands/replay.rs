@@ -3,13 +3,13 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
-use super::capture_files::{first_log_ns, last_log_ns};
 use super::live::LiveOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
 use crate::live::LivePlan;
+use crate::playback;
 use crate::terminal;
 use slitpose_head::pace::Speed;
 
@@ -49,9 +49,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
     let playback = Playback::new(&args.files, &args.play, &args.poses, args.speed.unwrap_or(usual), printing)?;
     let Some(access) = access else { return playback.run() };
-    let (first, last) =
-        (args.files.first().map(|file| first_log_ns(file)), args.files.last().map(|file| last_log_ns(file)));
-    let span_ns = last.transpose()?.unwrap_or(0).saturating_sub(first.transpose()?.unwrap_or(0));
+    let length_s = args.play.to().unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
     let orders = Orders::default();
     let server = args.live.start(LivePlan {
         access,
@@ -62,6 +60,6 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         report: None,
     })?;
     let names: Vec<_> = args.files.iter().map(|file| file.display().to_string()).collect();
-    let player = Player::new(orders, server.input(), names.join(", "), span_ns as f64 * 1e-9);
-    playback.played_by(player).run()
+    let player = Player::new(orders, server.input(), names.join(", "), length_s);
+    playback.played_by(player)?.run()
 }

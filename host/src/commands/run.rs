@@ -10,7 +10,6 @@ use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Hello;
 
 use super::live::{LiveOptions, Recordings};
-use super::options::head_by;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::tool::ToolOptions;
@@ -24,6 +23,7 @@ use crate::link::DeviceId;
 use crate::live::{Access, LiveBoard, LivePlan, LiveServer};
 use crate::pipeline::{self, PipelineError, SceneMatch};
 use crate::service::{self, Service};
+use crate::solving::head_by;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::terminal;
 use slitpose_head::front_end;
@@ -256,7 +256,8 @@ impl Args {
         let selector: Selector = device.parse()?;
         // A head is within its tolerances, given or usual.
         let head = head_by(self.calibration.get(number).map(PathBuf::as_path), file.clone(), |file| {
-            if selector == Selector::Sim { Head::as_scene_says(file) } else { Head::uncalibrated(file) }
+            let head = if selector == Selector::Sim { Head::as_scene_says(file) } else { Head::uncalibrated(file) };
+            Ok::<_, CommandError>(head?)
         })?;
         let (opener, keeps_time): (Box<dyn Opener>, _) = if selector == Selector::Sim {
             let duration_s = self.poses.duration.unwrap_or(f64::INFINITY);

@@ -58,7 +58,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let head = args.calibration.head(SceneFile::open(&args.scene)?, Head::as_scene_says)?;
+    let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
     let schedule = front_end::configuration(&head.file)?.schedule;
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);

@@ -1,18 +1,13 @@
 //! `slitpose solve`: currents of all cells in, poses out.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
-
-use slitpose_calibration::Head;
-use slitpose_model::{MotionPrior, Pair, Photocurrents, Scene, SceneError, Solver, Start, Tier};
 
 use super::options::{CalibrationOption, TierOptions};
 use super::{CommandError, Outcome, names};
+use crate::solving::RowSolver;
+pub(super) use crate::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{CurrentColumns, Output, SOLUTION_COLUMNS, SolutionRow, TableReader, TableWriter};
-
-/// A measured current is worth no more digits.
-pub(super) const DEFAULT_TOLERANCE: f64 = 1e-6;
 
 /// Finds the pose behind each row of currents, each from a cold start.
 ///
@@ -46,56 +41,18 @@ pub(super) struct Args {
     output: Option<PathBuf>,
 }
 
-/// Most numbers of averaged frames whose solvers are kept.
-const MOST_SOLVERS: usize = 64;
-
-/// Solvers by the frames that a reading is the mean of.
-struct Solvers {
-    scene: Scene,
-    tier: Tier,
-    without_clipped: bool,
-    ready: BTreeMap<u64, Solver<f64>>,
-}
-
-impl Solvers {
-    /// That for readings of `frames` frames.
-    fn of(&mut self, frames: f64) -> Result<&Solver<f64>, SceneError> {
-        let key = frames.to_bits();
-        if !self.ready.contains_key(&key) {
-            if self.ready.len() >= MOST_SOLVERS {
-                self.ready.clear();
-            }
-            let noise = self.scene.noise.map(|noise| noise.averaged(frames));
-            let solver = Solver::new(&Scene { noise, ..self.scene.clone() }, self.tier)?;
-            self.ready.insert(key, if self.without_clipped { solver.without_clipped() } else { solver });
-        }
-        Ok(&self.ready[&key])
-    }
-}
-
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let head = args.calibration.head(SceneFile::open(&args.scene)?, Head::as_scene_says)?;
-    let scene = head.file.scene.clone();
-    let half_dark: Vec<f64> = scene.cells.iter().map(|cell| 0.5 * cell.detector.dark_current_a).collect();
-    let mut solvers = Solvers {
-        scene,
-        tier: args.tier.tier(DEFAULT_TOLERANCE),
-        without_clipped: args.without_clipped,
-        ready: BTreeMap::new(),
-    };
-    solvers.of(1.0)?;
+    let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
+    let mut solver = RowSolver::new(head, args.tier.tier(DEFAULT_TOLERANCE), args.without_clipped)?;
+    let cells = solver.cells();
     let mut currents = TableReader::open(&args.currents)?;
     let id = currents.column("id")?;
-    let columns = CurrentColumns::find(&currents, half_dark.len())?;
+    let columns = CurrentColumns::find(&currents, cells)?;
     let frames_column = currents.optional_column("frames")?;
     let header = std::iter::once("id").chain(SOLUTION_COLUMNS);
     let mut table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
     while let Some(row) = currents.next_row()? {
-        let mut pairs = Vec::with_capacity(half_dark.len());
-        for (cell, half_dark) in half_dark.iter().enumerate() {
-            let pair = columns.pair(&row, cell)?;
-            pairs.push(Pair { i_x1_a: pair.i_x1_a - half_dark, i_x2_a: pair.i_x2_a - half_dark });
-        }
+        let pairs = (0..cells).map(|cell| columns.pair(&row, cell)).collect::<Result<Vec<_>, _>>()?;
         let frames = match frames_column {
             Some(column) => match row.number(column)? {
                 frames if frames >= 1.0 => frames,
@@ -103,9 +60,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             },
             None => 1.0,
         };
-        let solver = solvers.of(frames)?;
-        let mut solution = solver.solve(&Photocurrents::of_pairs(pairs), Start::Cold, &MotionPrior::AT_REST);
-        head.complete(&mut solution);
+        let solution = solver.with_frames(frames)?.solve(pairs.into_iter().map(Some));
         let solution = SolutionRow::of(&solution);
         table.text(row.text(id))?;
         table.text(solution.status)?;

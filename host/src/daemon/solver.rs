@@ -248,7 +248,7 @@ impl Solver {
         self.state.now = HostInstant::now();
         // The most urgent first.
         if queue.passed == 0 {
-            self.outputs.publish(&record, self.pipeline.photocurrents(), self.state.now, self.backlog.is_behind());
+            self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, self.backlog.is_behind());
         }
         self.outputs.print(&record);
     }
@@ -258,7 +258,7 @@ impl Solver {
             return;
         };
         self.state.now = HostInstant::now();
-        self.outputs.publish(&record, self.pipeline.photocurrents(), self.state.now, true);
+        self.outputs.publish(&record, self.pipeline.last_photocurrents(), self.state.now, true);
     }
 
     fn skip(&mut self, count: usize) {

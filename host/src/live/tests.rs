@@ -134,7 +134,7 @@ fn poses(count: usize) -> Vec<(Record, Photocurrents)> {
             Ok::<_, PipelineError>(())
         });
         found.unwrap();
-        poses.extend(newest.map(|record| (record, pipeline.photocurrents().unwrap().clone())));
+        poses.extend(newest.map(|record| (record, pipeline.last_photocurrents().unwrap().clone())));
     }
     poses
 }

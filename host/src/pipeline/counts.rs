@@ -64,6 +64,26 @@ impl Counts {
             || self.batches_unreadable > 0
             || self.decoder.bytes_skipped > 0
     }
+
+    /// What was damaged or lost, in words; `None`: nothing. A packet under way when the end was `wanted` is not lost: it
+    /// was not waited for.
+    pub fn losses(&self, wanted: bool) -> Option<String> {
+        let is_lossy = if wanted { self.has_loss_before_end() } else { self.has_loss() };
+        let decoder = self.decoder;
+        is_lossy.then(|| {
+            format!(
+                "data were damaged or lost: {} scans missing, {} restarts of the board, {} damaged and {} unreadable \
+                 packets ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello",
+                self.scans_lost,
+                self.restarts,
+                decoder.damaged(),
+                decoder.unknown + decoder.malformed + self.batches_unreadable,
+                decoder.bytes_skipped,
+                self.pending_bytes,
+                self.batches_without_hello,
+            )
+        })
+    }
 }
 
 #[cfg(test)]

@@ -21,6 +21,7 @@ use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
 use slitpose_calibration::Head;
+use slitpose_head::scene_file::fnv1a_64;
 use slitpose_model::{Filtered, Photocurrents, Pose, Solution, Tier, Tracked, TwistEstimate};
 use slitpose_protocol::{
     Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
@@ -262,6 +263,29 @@ impl Pipeline {
         self.flow.solve_newest()
     }
 
+    /// Takes the oldest waiting scan unsolved, with its photocurrents, and counts it as skipped.
+    pub fn take_currents(&mut self) -> Option<(Scan, Photocurrents)> {
+        let (scan, _) = self.flow.waiting.pop()?;
+        self.flow.counts.scans_skipped += 1;
+        let session = session_of(&mut self.flow.earlier, &mut self.flow.session, scan.session)?;
+        Some((scan, session.photocurrents(&scan.raw)))
+    }
+
+    /// How many sessions have begun: a board introduced itself for the first time, or with another configuration. Each
+    /// begins with a new tracker.
+    pub fn sessions(&self) -> u64 {
+        self.flow.sessions
+    }
+
+    /// Digest of the state that later poses depend on besides later bytes and what scans say of themselves: that of the
+    /// tracker. Of two pipelines that have decoded the same bytes and have the same digest, all later poses are the same,
+    /// bit for bit, whichever scans each has solved before (but for a chance of 2⁻⁶⁴). `None` before the first hello.
+    pub fn state(&self) -> Option<u64> {
+        let session = self.flow.session.as_ref()?;
+        // The text of a float says all its bits, and a field that is added to the tracker is in it.
+        Some(fnv1a_64(format!("{} {:?}", session.number(), session.tracker()).as_bytes()))
+    }
+
     /// Drops the `count` oldest waiting scans unsolved, and counts them.
     pub fn skip(&mut self, count: usize) {
         let skipped = (0..count).map_while(|_| self.flow.waiting.pop()).count();
@@ -326,8 +350,8 @@ impl Pipeline {
     }
 
     /// The photocurrents of the scan that was solved last; `None` before the first hello.
-    pub(crate) fn photocurrents(&self) -> Option<&Photocurrents> {
-        self.flow.session.as_ref().map(|session| session.photocurrents())
+    pub(crate) fn last_photocurrents(&self) -> Option<&Photocurrents> {
+        self.flow.session.as_ref().map(|session| session.last_photocurrents())
     }
 
     /// The health of the head, if it is [monitored](Self::watched).

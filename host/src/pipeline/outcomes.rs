@@ -48,7 +48,7 @@ impl Outcomes {
     }
 
     /// The number of an outcome in datagrams.
-    pub(crate) fn number_of(outcome: &Outcome) -> u16 {
+    pub fn number_of(outcome: &Outcome) -> u16 {
         let is_other = |kind: &Outcome| discriminant(kind) != discriminant(outcome);
         Self::kinds().into_iter().take_while(is_other).count() as u16
     }
@@ -59,7 +59,7 @@ impl Outcomes {
     }
 
     /// The word for each outcome and its count, in the order of their numbers in datagrams.
-    pub(crate) fn by_name(mut self) -> [(&'static str, u64); 6] {
+    pub fn by_name(mut self) -> [(&'static str, u64); 6] {
         Self::kinds().map(|kind| (kind.as_str(), *self.of_kind(&kind)))
     }
 

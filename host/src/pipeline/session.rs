@@ -198,6 +198,16 @@ impl Session {
         tracked
     }
 
+    /// The photocurrents of a scan.
+    pub(super) fn photocurrents(&self, scan: &RawScan) -> Photocurrents {
+        self.stage.photocurrents(scan)
+    }
+
+    /// All that the next pose depends on, besides its scan.
+    pub(super) fn tracker(&self) -> &Tracker<f64> {
+        &self.tracker
+    }
+
     /// Solves a scan ahead of the waiting ones; `first`: none of these has been solved ahead.
     pub(super) fn solve_ahead(&mut self, scan: &RawScan, first: bool) -> Tracked {
         self.photocurrents = self.stage.photocurrents(scan);
@@ -218,7 +228,7 @@ impl Session {
     }
 
     /// The photocurrents of the scan that was solved last.
-    pub(super) fn photocurrents(&self) -> &Photocurrents {
+    pub(super) fn last_photocurrents(&self) -> &Photocurrents {
         &self.photocurrents
     }
 

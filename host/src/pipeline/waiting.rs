@@ -13,7 +13,8 @@ const USUAL: usize = 128;
 /// A scan that is not solved yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
-    pub(super) raw: RawScan,
+    /// As it was sampled: ADC counts.
+    pub raw: RawScan,
     /// Number of its session.
     pub(super) session: u64,
     /// The instant of its pose by the board's clock, seconds.

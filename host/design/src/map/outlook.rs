@@ -46,6 +46,8 @@ pub struct View {
     /// Standard deviations of the pose, metres and radians: the Cramér–Rao bound, with what a calibration left open;
     /// `None` where a frame gives no pose.
     pub sigma: Option<[f64; 6]>,
+    /// The covariance that they belong to, of (δt, δθ): m², m·rad, rad².
+    pub covariance: Option<[[f64; 6]; 6]>,
     /// See [`slitpose_model::Solution::condition`].
     pub condition: Option<f64>,
     /// See [`slitpose_model::Solution::unnoticed_sigmas`].
@@ -112,6 +114,7 @@ impl Outlook {
         let mut view = View {
             lit: 0,
             sigma: None,
+            covariance: None,
             condition: None,
             unnoticed_sigmas: f64::INFINITY,
             full_scale: f64::INFINITY,
@@ -126,7 +129,9 @@ impl Outlook {
             view.faint = view.faint.min((response.i_o_a - detector.dark_current_a) / detector.faint_a);
         });
         // Far from the pose that the light came from is another one.
-        view.sigma = solution.estimate.filter(|estimate| is_at(estimate, pose)).map(|estimate| estimate.sigma());
+        let estimate = solution.estimate.filter(|estimate| is_at(estimate, pose));
+        view.sigma = estimate.map(|estimate| estimate.sigma());
+        view.covariance = estimate.map(|estimate| estimate.covariance);
         if view.sigma.is_some() {
             view.condition = solution.condition();
             view.unnoticed_sigmas = solution.unnoticed_sigmas;

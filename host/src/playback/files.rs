@@ -4,58 +4,55 @@ use std::path::Path;
 
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
-use super::{Outcome, talk};
 use crate::capture::{CaptureError, CaptureReader, End, Entry};
 use crate::link::Segment;
 use crate::pipeline::SceneMatch;
 use slitpose_head::scene_file::SceneFile;
 
-/// Says that another scene is used than the capture was made with.
-pub(super) fn tell_of_scene(file: &SceneFile, hash: Option<u64>, scene_match: SceneMatch) {
-    if let (Some(hash), SceneMatch::Waived) = (hash, scene_match)
-        && hash != file.hash
-    {
-        talk(format_args!(
-            "the capture was made with the scene of hash {hash:016x}; solving it with `{}` ({:016x}) as asked",
-            file.name, file.hash
-        ));
-    }
+/// That another scene is used than the capture was made with, if so.
+pub(super) fn other_scene(file: &SceneFile, hash: Option<u64>, scene_match: SceneMatch) -> Option<String> {
+    let hash = hash.filter(|hash| scene_match == SceneMatch::Waived && *hash != file.hash)?;
+    Some(format!(
+        "the capture was made with the scene of hash {hash:016x}; solving it with `{}` ({:016x}) as asked",
+        file.name, file.hash
+    ))
 }
 
-/// Reports the missing parts of a file.
-pub(super) fn tell_of_end(path: &Path, end: &End) -> Outcome {
+/// The missing parts of a file.
+pub(super) fn losses(path: &Path, end: &End) -> Vec<String> {
+    let mut losses = Vec::new();
     if !end.has_loss() {
-        return Outcome::Done;
+        return losses;
     }
     let path = path.display();
     if end.damaged_records > 0 {
-        talk(format_args!(
+        losses.push(format!(
             "{path} is damaged in {} places, {} bytes together: what stood there, up to a second each time, is missing",
             end.damaged_records, end.lost_bytes
         ));
     } else if end.checksum_failed {
-        talk(format_args!("{path} is damaged, as its checksum says, in a place that holds nothing of a board"));
+        losses.push(format!("{path} is damaged, as its checksum says, in a place that holds nothing of a board"));
     }
     if end.index_damaged {
-        talk(format_args!(
+        losses.push(format!(
             "the index at the end of {path} is damaged: nothing is missing, but other programs may refuse the file; \
              `mcap recover` writes another"
         ));
     }
     if let Some(refused) = &end.refused {
-        talk(format_args!("{path}: {refused}"));
+        losses.push(format!("{path}: {refused}"));
     }
     if !end.finished {
-        talk(format_args!(
+        losses.push(format!(
             "{path} was not ended by its recorder: it was cut off, or is still being recorded; what came after its \
              last flush is missing ({} bytes of the file are whole, {} cannot be read)",
             end.whole_bytes, end.lost_bytes
         ));
     }
-    Outcome::DataLost
+    losses
 }
 
-/// When the first bytes of a capture came.
+/// When the first bytes of a capture came; 0 in bytes of a port.
 pub(super) fn first_log_ns(path: &Path) -> Result<u64, CaptureError> {
     let mut reader = CaptureReader::open(path)?;
     Ok(next_log_ns(&mut reader, &mut Segment::default())?.unwrap_or(0))

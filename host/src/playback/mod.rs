@@ -1,0 +1,470 @@
+//! Captures through the pipeline again, as `replay` and `export` do.
+//!
+//! [`Playback::step`] takes the next entry of the captures and tells of what comes of it, [`Playback::end`] of what was
+//! lost. The same bytes give the same poses, bit for bit, with one exception: a part that does not begin at the beginning
+//! finds its first pose from nothing. [`Yields::PosesOfPart`] is for parts that are to give what the whole gives.
+
+mod board;
+mod choice;
+mod error;
+mod files;
+mod host_clock;
+
+use std::collections::BTreeSet;
+use std::collections::VecDeque;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use slitpose_calibration::Head;
+use slitpose_head::scene_file::{SceneFile, Shipped, WIDE};
+use slitpose_model::Photocurrents;
+
+pub use crate::capture::CaptureError;
+use crate::capture::{CaptureReader, CapturedBasis, Entry, Setup};
+use crate::link::{DeviceId, Segment};
+use crate::pipeline::{Item, Pipeline, PipelineError, Scan, SceneMatch};
+use crate::solving::head_by;
+pub use board::{Board, Seam};
+pub use choice::{Choice, Yields};
+pub use error::PlaybackError;
+
+use board::Phase;
+
+/// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
+const LATEST_NS: u64 = 1_000_000_000;
+
+/// Time between bytes and a part that begins right behind them: reads are farther apart.
+const AFTER_S: f64 = 1e-6;
+
+/// What comes of captures.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// There is a board, or it begins anew with other settings.
+    Board {
+        /// Its number in [`Playback::boards`].
+        number: usize,
+        /// `None` in the bytes of a port.
+        device: Option<DeviceId>,
+    },
+    /// What the pipeline of a board gave.
+    Item {
+        /// Its number in [`Playback::boards`].
+        number: usize,
+        /// `None` in the bytes of a port.
+        device: Option<DeviceId>,
+        /// A pose, and more.
+        item: Item<'a>,
+    },
+    /// A scan that is not solved.
+    Currents {
+        /// The number of its board in [`Playback::boards`].
+        number: usize,
+        /// `None` in the bytes of a port.
+        device: Option<DeviceId>,
+        /// When it was taken, and its counts.
+        scan: &'a Scan,
+        /// Its photocurrents.
+        currents: &'a Photocurrents,
+    },
+    /// Something the user wants to know.
+    Remark(&'a str),
+    /// Data that were damaged or lost.
+    Loss(&'a str),
+}
+
+/// Captures being solved.
+pub struct Playback {
+    choice: Choice,
+    files: VecDeque<PathBuf>,
+    first: Option<PathBuf>,
+    reader: Option<(PathBuf, CaptureReader)>,
+    segment: Segment,
+    /// UTC of warm-up, beginning and end.
+    turns_ns: [u64; 3],
+    /// UTC of the first bytes.
+    start_ns: u64,
+    boards: Vec<Board>,
+    /// Boards that the capture names without data.
+    unsettled: BTreeSet<DeviceId>,
+    /// Bytes of the files before.
+    read_bytes: u64,
+    is_over: bool,
+}
+
+impl Playback {
+    /// The captures `files`, those of a series in their order.
+    ///
+    /// # Errors
+    /// A first file that cannot be read, and a part that ends before it begins.
+    pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
+        choice.check()?;
+        let start_ns = files.first().map(|file| files::first_log_ns(file)).transpose()?.unwrap_or(0);
+        let at_ns = |offset_s: f64| start_ns.saturating_add((offset_s * 1e9) as u64);
+        let warm_up_s = match choice.yields {
+            Yields::PosesOfPart { warm_up_s } => warm_up_s,
+            Yields::Poses | Yields::Currents => 0.0,
+        };
+        // A part without a beginning has everything from the first byte on.
+        let from_ns = choice.from_s.map_or(0, at_ns);
+        let warm_ns = choice.from_s.map_or(0, |from_s| if from_s > warm_up_s { at_ns(from_s - warm_up_s) } else { 0 });
+        let turns_ns = [warm_ns, from_ns, choice.to_s.map_or(u64::MAX, at_ns)];
+        Ok(Self {
+            choice,
+            first: files.first().cloned(),
+            files: files.into(),
+            reader: None,
+            segment: Segment::default(),
+            turns_ns,
+            start_ns,
+            boards: Vec::new(),
+            unsettled: BTreeSet::new(),
+            read_bytes: 0,
+            is_over: false,
+        })
+    }
+
+    /// Time between the first bytes and the last, seconds; reads the last of `files`. Zero where bytes have no times.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn length_s(files: &[PathBuf]) -> Result<f64, PlaybackError> {
+        let (Some(first), Some(last)) = (files.first(), files.last()) else { return Ok(0.0) };
+        let length_ns = files::last_log_ns(last)?.saturating_sub(files::first_log_ns(first)?);
+        Ok(length_ns as f64 * 1e-9)
+    }
+
+    /// The boards so far.
+    pub fn boards(&self) -> &[Board] {
+        &self.boards
+    }
+
+    /// Bytes of the files that have been read.
+    pub fn read_bytes(&self) -> u64 {
+        self.read_bytes + self.reader.as_ref().map_or(0, |(_, reader)| reader.end().whole_bytes)
+    }
+
+    /// Device time since the first scan, of the board with the most, seconds.
+    pub fn elapsed_s(&self) -> f64 {
+        self.boards.iter().map(|board| board.pipeline.elapsed_s()).fold(0.0, f64::max)
+    }
+
+    /// Of each board, what its poses depended on at both ends of the part.
+    pub fn seams(&self) -> impl Iterator<Item = (Option<DeviceId>, Seam)> {
+        self.boards.iter().map(|board| (board.device, board.seam))
+    }
+
+    /// Of each board, when its sessions began, seconds after the beginning of the captures. A part that begins then, and
+    /// is warmed up for a moment, has a tracker without a past, as the whole has. The first session is not among them.
+    pub fn sessions(&self) -> impl Iterator<Item = (Option<DeviceId>, &[f64])> {
+        self.boards.iter().map(|board| (board.device, board.sessions_s.as_slice()))
+    }
+
+    /// Takes the next entry of the captures and tells of what comes of it; whether there was one.
+    ///
+    /// # Errors
+    /// Files that cannot be read, boards that do not suit the scene, and errors of `hear`.
+    pub fn step<E: From<PlaybackError>>(
+        &mut self,
+        mut hear: impl FnMut(Event<'_>) -> Result<(), E>,
+    ) -> Result<bool, E> {
+        let hear: Hear<'_, E> = &mut hear;
+        while !self.is_over {
+            let Some((path, mut reader)) = self.reader.take() else {
+                let Some(path) = self.files.pop_front() else { return Ok(false) };
+                let reader = CaptureReader::open(&path).map_err(PlaybackError::from)?;
+                // A part is decoded from the beginning.
+                let from_ns = if self.is_part() { 0 } else { self.turns_ns[1] };
+                self.reader = Some((path, reader.starting_at(from_ns)));
+                continue;
+            };
+            let mut segment = std::mem::take(&mut self.segment);
+            let next = reader.next(&mut segment).map_err(PlaybackError::from)?;
+            let taken = match next {
+                Some(entry) => self.take(entry, &path, &segment, hear),
+                None => {
+                    self.read_bytes += fs::metadata(&path).map_or(0, |metadata| metadata.len());
+                    files::losses(&path, &reader.end()).iter().try_for_each(|loss| hear(Event::Loss(loss)))?;
+                    continue;
+                }
+            };
+            (self.reader, self.segment) = (Some((path, reader)), segment);
+            taken?;
+            let is_complete = !self.boards.is_empty() && self.boards.iter().all(|board| board.pipeline.is_complete());
+            self.is_over |= is_complete;
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    /// Tells of what is missing.
+    ///
+    /// # Errors
+    /// No scan, and errors of `hear`.
+    pub fn end<E: From<PlaybackError>>(&mut self, mut hear: impl FnMut(Event<'_>) -> Result<(), E>) -> Result<(), E> {
+        // Then the bytes after that were not waited for.
+        let is_cut = self.is_over || self.reader.is_some();
+        let (mut scans, mut bytes, mut packets) = (0, 0, 0);
+        for board in &mut self.boards {
+            let counts = board.pipeline.counts();
+            scans += counts.scans;
+            bytes += counts.decoder.bytes;
+            packets += counts.decoder.packets;
+            if board.phase == Phase::Within {
+                board.seam.behind = board.pipeline.state();
+            }
+            if let Some(losses) = counts.losses(is_cut) {
+                hear(Event::Loss(&format!("{}: {losses}", board.name())))?;
+            }
+        }
+        match (&self.first, self.choice.from_s) {
+            (Some(path), Some(from_s)) if scans == 0 => {
+                Err(PlaybackError::Beyond { path: path.clone(), from_s }.into())
+            }
+            (Some(path), None) if scans == 0 => {
+                Err(PlaybackError::NoScan { path: path.clone(), bytes, packets }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn is_part(&self) -> bool {
+        matches!(self.choice.yields, Yields::PosesOfPart { .. })
+    }
+
+    fn take<E: From<PlaybackError>>(
+        &mut self,
+        entry: Entry,
+        path: &Path,
+        segment: &Segment,
+        hear: Hear<'_, E>,
+    ) -> Result<(), E> {
+        let [_, _, to_ns] = self.turns_ns;
+        match entry {
+            Entry::Setup(setup) => self.set_up(setup, hear),
+            Entry::Hello { device, .. } => self.feed(path, Some(device), None, segment, hear),
+            Entry::Link { device, log_ns } => {
+                let is_late = log_ns > to_ns.saturating_add(LATEST_NS);
+                if self.is_part() {
+                    self.feed(path, device, Some(log_ns), segment, hear)?;
+                    self.is_over = is_late && self.boards.iter().all(|board| board.phase == Phase::Behind);
+                    return Ok(());
+                }
+                self.is_over = is_late;
+                if log_ns > to_ns { Ok(()) } else { self.feed(path, device, Some(log_ns), segment, hear) }
+            }
+        }
+    }
+
+    /// Prepares for a board, unless it goes on as it was.
+    fn set_up<E: From<PlaybackError>>(&mut self, setup: Box<Setup>, hear: Hear<'_, E>) -> Result<(), E> {
+        let known = self.boards.iter().position(|board| board.device == Some(setup.device));
+        if known.is_some_and(|at| self.boards[at].setup.as_ref() == Some(&setup)) {
+            return Ok(());
+        }
+        let is_scene_given = self.choice.scene.is_some();
+        let (file, scene_match) = self.scene_of(&setup)?;
+        if let Some(remark) = files::other_scene(&file, Some(setup.scene.hash), scene_match) {
+            hear(Event::Remark(&remark))?;
+        }
+        let head = head_by(self.choice.calibration.as_deref(), file, |file| head_of(file, &setup, is_scene_given))?;
+        let pipeline = self.pipeline(head.clone(), scene_match, Some(&setup));
+        let phase = known.map_or(self.first_phase(), |at| self.boards[at].phase);
+        let board = Board::new(Some(setup.device), Some(setup), head, pipeline, phase);
+        match known {
+            // Seams are those of the part, not of a setup.
+            Some(at) => {
+                let Board { seam, sessions_s, has_begun, .. } = &mut self.boards[at];
+                let (seam, sessions_s, has_begun) = (*seam, std::mem::take(sessions_s), *has_begun);
+                self.boards[at] = Board { seam, sessions_s, has_begun, ..board };
+            }
+            None => self.boards.push(board),
+        }
+        let number = known.unwrap_or(self.boards.len() - 1);
+        hear(Event::Board { number, device: self.boards[number].device })
+    }
+
+    fn first_phase(&self) -> Phase {
+        if self.is_part() { Phase::Before } else { Phase::Within }
+    }
+
+    fn scene_of(&self, setup: &Setup) -> Result<(SceneFile, SceneMatch), PlaybackError> {
+        Ok(match &self.choice.scene {
+            Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
+            // Also by another calibration than the board belongs to.
+            None if self.choice.calibration.is_some() => (setup.scene.parse()?, SceneMatch::Waived),
+            None => (setup.scene.parse()?, SceneMatch::Required),
+        })
+    }
+
+    fn pipeline(&self, head: Head, scene_match: SceneMatch, setup: Option<&Setup>) -> Pipeline {
+        let (settings, solving) = (setup.map(|setup| setup.settings), &self.choice.solving);
+        let pipeline = Pipeline::new(head, solving.tier_or(settings.map(|settings| settings.tier)), scene_match)
+            .until(self.choice.duration_s)
+            .following(solving.following_or(settings.map(|settings| settings.following)));
+        if self.choice.is_watched { pipeline.watched() } else { pipeline }
+    }
+
+    fn feed<E: From<PlaybackError>>(
+        &mut self,
+        path: &Path,
+        device: Option<DeviceId>,
+        log_ns: Option<u64>,
+        segment: &Segment,
+        hear: Hear<'_, E>,
+    ) -> Result<(), E> {
+        let Some(number) = self.number_of(path, device, hear)? else { return Ok(()) };
+        let turns_ns = self.turns_ns;
+        let (yields, is_part, start_ns) = (self.choice.yields, self.is_part(), self.start_ns);
+        let board = &mut self.boards[number];
+        let sessions = board.pipeline.sessions();
+        if let Some(log_ns) = log_ns.filter(|_| is_part) {
+            if device.is_none() && turns_ns != [0, 0, u64::MAX] {
+                return Err(PlaybackError::Timeless { path: path.to_owned() }.into());
+            }
+            board.advance(log_ns, turns_ns);
+        }
+        if board.phase == Phase::Behind {
+            return Ok(());
+        }
+        board.is_unusable &= !segment.opened;
+        if board.is_unusable {
+            return Ok(());
+        }
+        let is_heard = board.phase == Phase::Within;
+        for set_by_s in segment.reads.iter().filter_map(|read| board.host_clock.set_by_s(read.at?)) {
+            if is_heard {
+                let remark = format!("the clock of the host was set by {set_by_s:+.3} s while it recorded");
+                hear(Event::Remark(&remark))?;
+            }
+        }
+        let listen = |item: Item<'_>| match is_heard {
+            true => hear(Event::Item { number, device, item }).map_err(Broken::Heard),
+            false => Ok(()),
+        };
+        let pipeline = &mut board.pipeline;
+        let fed = if yields == Yields::Currents || board.phase == Phase::Before {
+            pipeline.receive(segment, listen)
+        } else {
+            pipeline.feed(segment, listen)
+        };
+        match fed {
+            Ok(_) => {}
+            // Then the daemon had lost its board, and looked for it again.
+            Err(Broken::Board(error)) if pipeline.counts().scans > 0 => {
+                board.is_unusable = true;
+                if is_heard {
+                    hear(Event::Remark(&format!("{error}; going on where the link was opened anew")))?;
+                }
+            }
+            Err(Broken::Board(error)) => return Err(PlaybackError::Board(error).into()),
+            Err(Broken::Heard(error)) => return Err(error),
+        }
+        let begins = pipeline.sessions() > sessions;
+        board.begins_anew |= begins && std::mem::replace(&mut board.has_begun, true);
+        if let Some(log_ns) = log_ns.filter(|_| board.begins_anew) {
+            board.begins_anew = false;
+            // Behind these bytes, ahead of the next.
+            board.sessions_s.push(log_ns.saturating_sub(start_ns) as f64 * 1e-9 + AFTER_S);
+        }
+        if yields == Yields::Currents {
+            while let Some((scan, currents)) = pipeline.take_currents() {
+                hear(Event::Currents { number, device, scan: &scan, currents: &currents })?;
+            }
+        } else {
+            pipeline.skip(pipeline.queue().waiting);
+        }
+        Ok(())
+    }
+
+    /// The number of a board; `None` if nothing can be made of its bytes.
+    fn number_of<E: From<PlaybackError>>(
+        &mut self,
+        path: &Path,
+        device: Option<DeviceId>,
+        hear: Hear<'_, E>,
+    ) -> Result<Option<usize>, E> {
+        if let Some(number) = self.boards.iter().position(|board| board.device == device) {
+            return Ok(Some(number));
+        }
+        if let Some(device) = device
+            && self.choice.scene.is_none()
+        {
+            if self.unsettled.insert(device) {
+                hear(Event::Loss(&format!(
+                    "{}: the settings of board {device} cannot be read anywhere, and its bytes are passed over; \
+                     give --scene, and --tier, --tolerance and --filter as they were",
+                    path.display()
+                )))?;
+            }
+            return Ok(None);
+        }
+        // Bytes of a port, whose nothing says; or of a board, of which no more is known.
+        let hash = files::scene_hash(path).map_err(PlaybackError::from)?;
+        let (file, scene_match) = self.scene_of_bytes(hash)?;
+        if let Some(remark) = files::other_scene(&file, hash, scene_match) {
+            hear(Event::Remark(&remark))?;
+        }
+        let head = head_by(self.choice.calibration.as_deref(), file, |file| {
+            Head::uncalibrated(file).map_err(PlaybackError::from)
+        })?;
+        let pipeline = self.pipeline(head.clone(), scene_match, None);
+        self.boards.push(Board::new(device, None, head, pipeline, self.first_phase()));
+        let number = self.boards.len() - 1;
+        hear(Event::Board { number, device })?;
+        Ok(Some(number))
+    }
+
+    /// The scene for the bytes of a port: that asked for, else the shipped one that the board names.
+    fn scene_of_bytes(&self, hash: Option<u64>) -> Result<(SceneFile, SceneMatch), PlaybackError> {
+        Ok(match &self.choice.scene {
+            Some(scene) => (SceneFile::open(scene)?, SceneMatch::Waived),
+            None => (hash.and_then(Shipped::with_hash).map_or_else(|| WIDE.read(), Ok)?, SceneMatch::Required),
+        })
+    }
+}
+
+type Hear<'a, E> = &'a mut dyn FnMut(Event<'_>) -> Result<(), E>;
+
+/// Why a segment was not taken whole.
+enum Broken<E> {
+    Board(PipelineError),
+    Heard(E),
+}
+
+impl<E> From<PipelineError> for Broken<E> {
+    fn from(error: PipelineError) -> Self {
+        Self::Board(error)
+    }
+}
+
+impl Board {
+    /// Goes on to the phase of `log_ns`, never back: UTC may be set back.
+    fn advance(&mut self, log_ns: u64, [warm_ns, from_ns, to_ns]: [u64; 3]) {
+        let phase = match log_ns {
+            _ if log_ns >= to_ns => Phase::Behind,
+            _ if log_ns >= from_ns => Phase::Within,
+            _ if log_ns >= warm_ns => Phase::WarmUp,
+            _ => Phase::Before,
+        };
+        if self.phase < Phase::Within && phase == Phase::Within {
+            self.seam.before = self.pipeline.state();
+        }
+        if self.phase == Phase::Within && phase == Phase::Behind {
+            self.seam.behind = self.pipeline.state();
+        }
+        self.phase = self.phase.max(phase);
+    }
+}
+
+/// The head of `file` as it was known in the recording. With another scene than the recorded one, its calibration says
+/// nothing.
+fn head_of(file: SceneFile, setup: &Setup, is_scene_given: bool) -> Result<Head, PlaybackError> {
+    Ok(match &setup.basis {
+        CapturedBasis::Calibration(calibration) if file.hash == setup.scene.hash => {
+            Head::calibrated(file, calibration.parse()?)?
+        }
+        CapturedBasis::Tolerances => Head::uncalibrated(file)?,
+        CapturedBasis::Scene if !is_scene_given => file.into(),
+        CapturedBasis::Scene | CapturedBasis::Calibration(_) => Head::as_scene_says(file)?,
+    })
+}
