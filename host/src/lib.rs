@@ -15,8 +15,8 @@
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `capture` writes
-//! and reads captures, `sink` writes poses, `daemon` follows boards live, `live` shows them on a page, `http` guards the
-//! servers of both, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
+//! and reads captures, `sink` writes poses, `daemon` follows boards live, `live` shows them on a page, `spacenav` makes a mouse
+//! of the tool, `http` and `socket_file` guard the servers, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, on the command line
 //! and in pictures, with the unit in the name.
@@ -69,7 +69,9 @@ pub mod pipeline;
 pub mod playback;
 mod service;
 mod sink;
+mod socket_file;
 pub mod solving;
+mod spacenav;
 pub mod telemetry;
 mod terminal;
 

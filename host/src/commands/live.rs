@@ -6,6 +6,7 @@ use super::record::RecordOptions;
 use super::{CommandError, talk};
 use crate::daemon::Daemon;
 use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LivePlan, LiveServer, Order, Refusal};
+use crate::spacenav::SpacenavInput;
 use crate::telemetry::RecorderState;
 
 /// The page asked for.
@@ -69,13 +70,14 @@ impl AccessOptions {
     }
 }
 
-/// Recordings of a daemon, started and ended from the page.
-pub(super) struct Recordings {
+/// What the page may change in a daemon.
+pub(super) struct Changes {
     pub(super) daemon: Arc<OnceLock<Arc<Daemon>>>,
     pub(super) options: RecordOptions,
+    pub(super) mouse: Option<SpacenavInput>,
 }
 
-impl Control for Recordings {
+impl Control for Changes {
     fn order(&self, order: Order) -> Result<(), Refusal> {
         let refused = |reason: &str| Refusal::Recording { reason: reason.to_owned() };
         let daemon = self.daemon.get().ok_or_else(|| refused("the daemon is still starting; try again"))?;
@@ -92,6 +94,10 @@ impl Control for Recordings {
                 Ok(())
             }
             (Order::Record(false), false) => Err(refused("nothing is being recorded")),
+            (Order::Zero, _) => {
+                self.mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero();
+                Ok(())
+            }
             (Order::Player(_), _) => {
                 Err(Refusal::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" })
             }

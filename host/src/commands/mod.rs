@@ -17,6 +17,7 @@ mod live;
 mod losses;
 mod man;
 mod model;
+mod mouse;
 mod names;
 mod options;
 mod paper;
@@ -55,6 +56,7 @@ use crate::device::DeviceError;
 use crate::live::{AccessError, LiveError};
 use crate::measurements::MeasurementsError;
 use crate::playback::PlaybackError;
+use crate::spacenav::SpacenavError;
 use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
 use slitpose_bench::BenchError;
@@ -82,7 +84,7 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Run(run::Args),
+    Run(Box<run::Args>),
     Replay(replay::Args),
     Export(export::Args),
     Device(device::Args),
@@ -244,6 +246,9 @@ pub(crate) enum CommandError {
     /// The rules of the live page.
     #[error(transparent)]
     Access(#[from] AccessError),
+    /// The 6-DoF mouse.
+    #[error(transparent)]
+    Spacenav(#[from] SpacenavError),
     /// The live page.
     #[error(transparent)]
     Live(#[from] LiveError),

@@ -25,8 +25,12 @@ const SPEEDS: [f64; 2] = [1e-3, 1e3];
 
 impl Control for Orders {
     fn order(&self, order: Order) -> Result<(), Refusal> {
-        let Order::Player(order) = order else {
-            return Err(Refusal::NotHere { what: "recorder", instead: "`slitpose run --live` has one" });
+        let order = match order {
+            Order::Player(order) => order,
+            Order::Record(_) => {
+                return Err(Refusal::NotHere { what: "recorder", instead: "`slitpose run --live` has one" });
+            }
+            Order::Zero => return Err(Refusal::NO_MOUSE),
         };
         if let Some(Some(value)) = order.speed
             && !(SPEEDS[0]..=SPEEDS[1]).contains(&value)
@@ -67,7 +71,7 @@ impl Player {
     pub(super) fn show(&self, boards: &[Board]) -> Vec<Sampler> {
         let shown = |board: &Board| LiveBoard { name: board.name(), head: Some(board.head.clone()) };
         self.live.boards(boards.iter().map(shown).collect());
-        (0..boards.len()).map(|number| Sampler::new(number, self.live.clone())).collect()
+        (0..boards.len()).map(|number| Sampler::new(number, Arc::new(self.live.clone()))).collect()
     }
 
     /// Whether it goes on.

@@ -54,6 +54,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let server = args.live.start(LivePlan {
         access,
         source: "replay",
+        has_zero: false,
         boards: Vec::new(),
         scene: None,
         control: Box::new(orders.clone()),

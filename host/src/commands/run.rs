@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Hello;
 
-use super::live::{LiveOptions, Recordings};
+use super::live::{Changes, LiveOptions};
+use super::mouse::MouseOptions;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::tool::ToolOptions;
@@ -20,10 +21,11 @@ use crate::datagram::{Address, DatagramServer};
 use crate::device::{Search, Selector};
 use crate::http::Reach;
 use crate::link::DeviceId;
-use crate::live::{Access, LiveBoard, LivePlan, LiveServer};
+use crate::live::{Access, LiveBoard, LivePlan, TakesSamples};
 use crate::pipeline::{self, PipelineError, SceneMatch};
 use crate::service::{self, Service};
 use crate::solving::head_by;
+use crate::spacenav::SpacenavServer;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
 use crate::terminal;
 use slitpose_head::front_end;
@@ -74,6 +76,8 @@ pub(super) struct Args {
     status: Option<StatusAddress>,
     #[command(flatten)]
     live: LiveOptions,
+    #[command(flatten)]
+    mouse: MouseOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -127,6 +131,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             None => DaemonReport::of_now(began, Vec::new(), RecorderReport::default()),
         }
     };
+    // The first board is the mouse.
+    let workspace = boards.first().map(|board| board.head.file.workspace);
+    let mouse = workspace.map(|workspace| args.mouse.start(workspace)).transpose()?.flatten();
     let access = args.live.access()?;
     let is_recorded_later = access.as_ref().is_some_and(Access::may_write);
     let live = match access {
@@ -135,9 +142,14 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             Some(args.live.start(LivePlan {
                 access,
                 source: "run",
+                has_zero: mouse.is_some(),
                 boards: boards.iter().map(shown).collect(),
                 scene: None,
-                control: Box::new(Recordings { daemon: Arc::clone(&followed), options: args.record.clone() }),
+                control: Box::new(Changes {
+                    daemon: Arc::clone(&followed),
+                    options: args.record.clone(),
+                    mouse: mouse.as_ref().map(SpacenavServer::input),
+                }),
                 report: Some(Box::new(reports())),
             })?)
         }
@@ -152,8 +164,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         None => None,
     };
     let capture = args.record.open(is_recorded_later)?;
-    let input = live.as_ref().map(LiveServer::input);
-    let plan = Plan { boards, sink, capture, datagrams, live: input, real_time: args.real_time };
+    let mut takers: Vec<Arc<dyn TakesSamples>> = Vec::new();
+    takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn TakesSamples>));
+    takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn TakesSamples>));
+    let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // A manager that does not listen at this moment will at the next.
@@ -173,7 +187,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     notify(service::STOPPING);
     let ended = daemon.end();
-    drop((status, live));
+    drop((status, live, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }

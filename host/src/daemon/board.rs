@@ -28,7 +28,7 @@ use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
 use crate::link::Segment;
-use crate::live::{LiveInput, Sampler};
+use crate::live::{Sampler, TakesSamples};
 use crate::pipeline::{Counts, Following, Pipeline, SceneMatch};
 use crate::telemetry::BoardStatistics;
 use slitpose_head::threads::join;
@@ -79,7 +79,7 @@ pub(super) struct Shared {
     pub(super) prints_each: bool,
     pub(super) recorder: Option<RecorderEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
-    pub(super) live: Option<LiveInput>,
+    pub(super) takers: Vec<Arc<dyn TakesSamples>>,
     pub(super) real_time: Option<u8>,
     pub(super) claims: Claims,
 }
@@ -120,7 +120,7 @@ impl BoardThreads {
                 shared.outboxes,
                 keeps_all,
                 shared.recorder.map(capture_queue),
-                shared.live.map(|live| Sampler::new(number, live)),
+                shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
             ),
             backlog: Backlog::new(keeps_all),
             slot: Arc::clone(slot),

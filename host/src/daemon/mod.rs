@@ -49,7 +49,7 @@ pub(crate) use recorder::CapturePlan;
 use crate::capture::CaptureSeries;
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
-use crate::live::LiveInput;
+use crate::live::TakesSamples;
 use crate::pipeline::Counts;
 use crate::sink::{Account, Sink};
 use crate::telemetry::{BoardReport, DaemonReport, LinkState, RecorderReport};
@@ -78,8 +78,8 @@ pub(crate) struct Plan {
     pub capture: Option<CapturePlan>,
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
-    /// The live page.
-    pub live: Option<LiveInput>,
+    /// Takers of samples: the live page, and others.
+    pub takers: Vec<Arc<dyn TakesSamples>>,
     /// Real-time priority of readers and solvers.
     pub real_time: Option<u8>,
 }
@@ -112,7 +112,7 @@ impl Daemon {
     /// # Errors
     /// If the system does not start a thread.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
-        let Plan { boards, sink, capture, datagrams, live, real_time } = plan;
+        let Plan { boards, sink, capture, datagrams, takers, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
@@ -147,7 +147,7 @@ impl Daemon {
                 prints_each,
                 recorder: recorder_ends.clone(),
                 datagrams: datagrams.clone(),
-                live: live.clone(),
+                takers: takers.clone(),
                 real_time,
                 claims: claims.clone(),
             };

@@ -45,7 +45,7 @@ pub(super) struct Outputs {
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
     pub(super) capture: Option<CaptureQueue>,
-    sampler: Option<Sampler>,
+    samplers: Vec<Sampler>,
     outbox: Option<Outbox>,
     /// Poses about to be published, and the time when the first was solved.
     fresh: Vec<Record>,
@@ -68,7 +68,7 @@ impl Outputs {
         printer: Option<Producer<Outbox>>,
         prints_all: bool,
         capture: Option<CaptureQueue>,
-        sampler: Option<Sampler>,
+        samplers: Vec<Sampler>,
     ) -> Self {
         Self {
             datagrams,
@@ -77,7 +77,7 @@ impl Outputs {
             printer,
             prints_all,
             capture,
-            sampler,
+            samplers,
             outbox: None,
             fresh: Vec::with_capacity(TOGETHER),
             fresh_since_ns: 0,
@@ -160,7 +160,7 @@ impl Outputs {
         if self.fresh.len() >= TOGETHER || now.monotonic_ns.saturating_sub(self.fresh_since_ns) >= TOGETHER_NS {
             self.send();
         }
-        if let Some(sampler) = &mut self.sampler {
+        for sampler in &mut self.samplers {
             sampler.add(record);
             sampler.send(photocurrents, now);
         }

@@ -10,6 +10,8 @@ pub(crate) enum Order {
     Record(bool),
     /// Play a capture otherwise.
     Player(PlayerOrder),
+    /// Make the present pose the zero of the 6-DoF mouse.
+    Zero,
 }
 
 /// How a capture is to be played; what is `None` stays as it is.
@@ -80,6 +82,12 @@ pub(crate) enum Refusal {
         /// Why, with the next step.
         reason: String,
     },
+}
+
+impl Refusal {
+    /// There is no 6-DoF mouse.
+    pub(crate) const NO_MOUSE: Self =
+        Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };
 }
 
 /// Carries out orders.

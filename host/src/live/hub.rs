@@ -13,7 +13,7 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use super::control::PlayerState;
 use super::frame::Optics;
 use super::head::HeadMessage;
-use super::sampler::{FRAMES_HZ, Sample};
+use super::sampler::{FRAMES_HZ, Sample, TakesSamples};
 use crate::clock::HostInstant;
 use crate::telemetry::DaemonReport;
 use slitpose_head::finding::Finding;
@@ -62,11 +62,6 @@ impl LiveInput {
         (Self(sender), receiver)
     }
 
-    /// Sends a sample; `false` if the server is busy.
-    pub(super) fn sample(&self, board: usize, sample: Sample) -> bool {
-        self.0.try_send(Input::Sample(board, sample)).is_ok()
-    }
-
     /// Whether a sample would be taken now.
     #[cfg(test)]
     pub(super) fn has_room(&self) -> bool {
@@ -87,6 +82,12 @@ impl LiveInput {
     /// Shows how a capture is played. Waits for the server.
     pub(crate) fn player(&self, state: PlayerState) {
         let _ = self.0.blocking_send(Input::Player(state));
+    }
+}
+
+impl TakesSamples for LiveInput {
+    fn sample(&self, board: usize, sample: &Sample) -> bool {
+        self.0.try_reserve().map(|room| room.send(Input::Sample(board, sample.clone()))).is_ok()
     }
 }
 

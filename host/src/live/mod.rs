@@ -28,6 +28,6 @@ mod tests;
 pub(crate) use access::{Access, AccessError, DEFAULT_LIVE_ADDRESS, LiveAddress};
 pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal};
 pub(crate) use hub::{LiveBoard, LiveInput};
-pub(crate) use sampler::Sampler;
+pub(crate) use sampler::{Sample, Sampler, TakesSamples};
 pub(crate) use scene_view::SceneView;
 pub(crate) use server::{LiveError, LivePlan, LiveServer};

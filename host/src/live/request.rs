@@ -31,6 +31,8 @@ pub(super) enum Request {
         /// Go on from here, seconds after the beginning.
         seek_s: Option<f64>,
     },
+    /// Make the present pose the zero of the 6-DoF mouse.
+    Zero {},
     /// The tool was dragged here.
     Pose {
         /// Translation, metres.

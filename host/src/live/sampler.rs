@@ -1,8 +1,10 @@
 //! Condenses a stream of poses to the pace of a screen.
 
+use std::fmt::Debug;
+use std::sync::Arc;
+
 use slitpose_model::{Photocurrents, Pose};
 
-use super::hub::LiveInput;
 use crate::clock::HostInstant;
 use crate::pipeline::Record;
 
@@ -24,11 +26,24 @@ pub(crate) struct Sample {
     pub(super) range: Option<[[f64; 6]; 2]>,
 }
 
-/// Makes the samples of one board. Never blocks; allocates nothing.
+impl Sample {
+    /// The pose of the newest scan; `None` if it has none.
+    pub(crate) fn pose(&self) -> Option<Pose> {
+        self.record.solution.estimate.map(|estimate| estimate.pose)
+    }
+}
+
+/// Takes samples from the threads that solve.
+pub(crate) trait TakesSamples: Debug + Send + Sync {
+    /// Takes a sample of a board; `false` if it has no time. Never blocks.
+    fn sample(&self, board: usize, sample: &Sample) -> bool;
+}
+
+/// Makes the samples of one board. Never blocks.
 #[derive(Debug)]
 pub(crate) struct Sampler {
     board: usize,
-    input: LiveInput,
+    taker: Arc<dyn TakesSamples>,
     due_ns: u64,
     newest: Option<Record>,
     scans: u32,
@@ -37,9 +52,9 @@ pub(crate) struct Sampler {
 }
 
 impl Sampler {
-    /// Samples of the board of this number, for `input`.
-    pub(crate) fn new(board: usize, input: LiveInput) -> Self {
-        Self { board, input, due_ns: 0, newest: None, scans: 0, poses: 0, range: None }
+    /// Samples of the board of this number, for `taker`.
+    pub(crate) fn new(board: usize, taker: Arc<dyn TakesSamples>) -> Self {
+        Self { board, taker, due_ns: 0, newest: None, scans: 0, poses: 0, range: None }
     }
 
     /// Adds the next solved scan.
@@ -67,7 +82,7 @@ impl Sampler {
         let Self { board, scans, poses, range, .. } = *self;
         let photocurrents = photocurrents.clone();
         // A sample that is not taken in time is part of the next one.
-        if self.input.sample(board, Sample { record, photocurrents, scans, poses, range }) {
+        if self.taker.sample(board, &Sample { record, photocurrents, scans, poses, range }) {
             (self.newest, self.scans, self.poses, self.range) = (None, 0, 0, None);
         }
         self.due_ns = (self.due_ns + PERIOD_NS).max(now.monotonic_ns + PERIOD_NS / 2);

@@ -52,6 +52,8 @@ pub(crate) struct LivePlan {
     pub source: &'static str,
     /// Its boards, as far as they are known.
     pub boards: Vec<LiveBoard>,
+    /// Whether there is a 6-DoF mouse, whose zero can be set.
+    pub has_zero: bool,
     /// The tool can be dragged.
     pub scene: Option<SceneView>,
     /// Carries out what clients ask for.
@@ -83,6 +85,7 @@ pub(crate) enum LiveError {
 pub(super) struct Shared {
     pub(super) access: Access,
     pub(super) source: &'static str,
+    pub(super) has_zero: bool,
     pub(super) hub: Hub,
     pub(super) scene: Option<SceneView>,
     pub(super) control: Box<dyn Control>,
@@ -105,7 +108,7 @@ impl LiveServer {
     /// # Errors
     /// If the address cannot be bound.
     pub(crate) fn start(plan: LivePlan) -> Result<Self, LiveError> {
-        let LivePlan { access, source, boards, scene, control, report } = plan;
+        let LivePlan { access, source, has_zero, boards, scene, control, report } = plan;
         let address = access.address;
         let listen = |source: io::Error| match source.kind() {
             io::ErrorKind::AddrInUse => LiveError::InUse { address },
@@ -122,7 +125,7 @@ impl LiveServer {
         };
         let (url, reach) = (access.url(address), access.reach());
         let clients = Arc::new(Semaphore::new(MOST_CLIENTS));
-        let shared = Arc::new(Shared { access, source, hub: Hub::new(), scene, control, clients });
+        let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
         let routes = routes(&shared, reach);
         let (input, inputs) = LiveInput::new();

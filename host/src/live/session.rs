@@ -55,6 +55,7 @@ enum Answer<'a> {
         program: &'a str,
         version: &'a str,
         source: &'a str,
+        has_zero: bool,
         may_write: bool,
         frames_hz: u64,
         history_s: u64,
@@ -171,6 +172,7 @@ impl Session {
             program: env!("CARGO_PKG_NAME"),
             version: env!("CARGO_PKG_VERSION"),
             source: self.shared.source,
+            has_zero: self.shared.has_zero,
             may_write: self.shared.access.may_write(),
             frames_hz: FRAMES_HZ,
             history_s: HISTORY_S,
@@ -239,6 +241,7 @@ impl Session {
             Request::Player { playing, speed, seek_s } => {
                 self.order(Order::Player(PlayerOrder { playing, speed, seek_s }))
             }
+            Request::Zero {} => self.order(Order::Zero),
             Request::Pose { t_m, r_rad } => match self.drawn_at(t_m, r_rad) {
                 Ok(text) => return self.send(text).await,
                 Err(refusal) => Err(refusal),

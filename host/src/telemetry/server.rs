@@ -3,11 +3,7 @@
 //! The server has its own thread and makes a report for each request. It has no authentication: by default it listens
 //! for programs on its own host only, and never answers pages in browsers.
 
-use std::fs::{self, Permissions};
 use std::io;
-use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
-use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
@@ -25,6 +21,7 @@ use tokio::sync::oneshot;
 use super::{DaemonReport, StatusAddress, metrics, view};
 use crate::clock::HostInstant;
 use crate::http::{self, Door, Reach, Socket};
+use crate::socket_file::{SocketFile, SocketFileError};
 
 /// Mode of the Unix socket: owner and group may connect, other users may not.
 const SOCKET_MODE: u32 = 0o660;
@@ -44,17 +41,14 @@ pub(crate) enum StatusError {
         /// The address.
         address: StatusAddress,
     },
-    /// Another program answers at the socket.
+    /// A Unix socket.
+    #[error(transparent)]
+    Socket(#[from] SocketFileError),
+    /// Another program answers at the port.
     #[error("another program serves {address}; give another address, or end that program")]
     InUse {
         /// The address.
         address: StatusAddress,
-    },
-    /// The path is that of another file.
-    #[error("{} is no socket and is left alone; give another path", path.display())]
-    NotASocket {
-        /// The path.
-        path: PathBuf,
     },
     /// The address cannot be bound.
     #[error("cannot listen on {address}")]
@@ -72,8 +66,7 @@ pub(crate) struct StatusServer {
     address: StatusAddress,
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
-    /// Path, device and inode of the server's socket, which may have been replaced.
-    file: Option<(PathBuf, [u64; 2])>,
+    _file: Option<SocketFile>,
 }
 
 type Source = Arc<dyn Fn() -> DaemonReport + Send + Sync>;
@@ -108,11 +101,9 @@ impl StatusServer {
                     (Socket::Tcp(listener), StatusAddress::Tcp(bound), None)
                 }
                 StatusAddress::Unix(path) => {
-                    make_room(path, address)?;
-                    let listener = tokio::net::UnixListener::bind(path).map_err(listen)?;
-                    fs::set_permissions(path, Permissions::from_mode(SOCKET_MODE)).map_err(listen)?;
-                    let file = identity(path).map_err(listen)?;
-                    (Socket::Unix(listener), address.clone(), Some((path.clone(), file)))
+                    let (listener, file) =
+                        SocketFile::bind(path, SOCKET_MODE, |path| tokio::net::UnixListener::bind(path))?;
+                    (Socket::Unix(listener), address.clone(), Some(file))
                 }
             }
         };
@@ -133,7 +124,7 @@ impl StatusServer {
             .name("status".to_owned())
             .spawn(move || serve(runtime, socket, routes, ended))
             .map_err(|source| StatusError::Listen { address: address.clone(), source })?;
-        Ok(Self { address, end: Some(end), thread: Some(thread), file })
+        Ok(Self { address, end: Some(end), thread: Some(thread), _file: file })
     }
 
     /// The address it listens on, with the port that the system chose for port 0.
@@ -149,31 +140,7 @@ impl Drop for StatusServer {
             // A panic of the thread has already been reported on standard error.
             let _ = thread.join();
         }
-        if let Some((path, file)) = self.file.take()
-            && identity(&path).is_ok_and(|found| found == file)
-        {
-            let _ = fs::remove_file(&path);
-        }
     }
-}
-
-/// Removes a socket at `path` that no program listens on.
-fn make_room(path: &Path, address: &StatusAddress) -> Result<(), StatusError> {
-    let listen = |source| StatusError::Listen { address: address.clone(), source };
-    match fs::symlink_metadata(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        Err(source) => Err(listen(source)),
-        Ok(found) if !found.file_type().is_socket() => Err(StatusError::NotASocket { path: path.to_owned() }),
-        Ok(_) => match UnixStream::connect(path) {
-            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => fs::remove_file(path).map_err(listen),
-            Err(source) => Err(listen(source)),
-            Ok(_) => Err(StatusError::InUse { address: address.clone() }),
-        },
-    }
-}
-
-fn identity(path: &Path) -> io::Result<[u64; 2]> {
-    fs::symlink_metadata(path).map(|found| [found.dev(), found.ino()])
 }
 
 fn serve(runtime: Runtime, socket: Socket, routes: Router, ended: oneshot::Receiver<()>) {

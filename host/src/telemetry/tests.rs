@@ -17,6 +17,7 @@ use crate::health::{CellHealth, CellTotals, Diagnosis, Fault, HeadHealth, Shares
 use crate::http::{self, Reach};
 use crate::link::DeviceId;
 use crate::pipeline::{Counts, Item, Outcomes, Record};
+use crate::socket_file::SocketFileError;
 use slitpose_head::finding::Finding;
 
 /// A name with all characters that a label must escape.
@@ -276,7 +277,7 @@ fn the_status_is_served_over_a_unix_socket() {
     let server = serve(&address).unwrap();
     is_served(&server);
     assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o660);
-    assert!(matches!(serve(&address), Err(StatusError::InUse { .. })), "a daemon that lives keeps its socket");
+    assert!(matches!(serve(&address), Err(StatusError::Socket(SocketFileError::InUse { .. }))), "a daemon that lives keeps its socket");
     drop(server);
     assert!(!path.exists(), "the socket is removed");
 
@@ -290,7 +291,7 @@ fn the_status_is_served_over_a_unix_socket() {
     fs::write(&path, "precious").unwrap();
     drop(server);
     assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
-    assert!(matches!(serve(&address), Err(StatusError::NotASocket { .. })));
+    assert!(matches!(serve(&address), Err(StatusError::Socket(SocketFileError::NotASocket { .. }))));
 }
 
 #[test]

@@ -37,6 +37,7 @@ impl Control for Still {
     fn order(&self, order: Order) -> Result<(), Refusal> {
         Err(match order {
             Order::Record(_) => Refusal::NotHere { what: "recorder", instead: "`slitpose run --live` has one" },
+            Order::Zero => Refusal::NO_MOUSE,
             Order::Player(_) => Refusal::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" },
         })
     }
@@ -51,6 +52,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let _server = args.access.start(LivePlan {
         access: args.access.at(args.live)?,
         source: "scene",
+        has_zero: false,
         scene: Some(SceneView::of(&head)?),
         boards: vec![LiveBoard { name: head.file.name.clone(), head: Some(head) }],
         control: Box::new(Still),

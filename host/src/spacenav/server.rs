@@ -1,0 +1,225 @@
+//! The socket that spacenavd's clients connect to.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use slitpose_head::scene_file::Workspace;
+use slitpose_model::Pose;
+use thiserror::Error;
+
+use super::motion::Feel;
+use crate::live::{Sample, TakesSamples};
+use crate::socket_file::{SocketFile, SocketFileError};
+
+/// Most clients; more are not let in.
+pub(super) const MOST_CLIENTS: usize = 16;
+
+/// Longest wait for a pose: then new clients are let in, and the tool counts as at rest.
+const MOMENT: Duration = Duration::from_millis(100);
+
+/// The request for another version of the protocol, and the mask of its version.
+const CHANGE_VERSION: u32 = 0x7faa_5500;
+const VERSION: u32 = 0xff;
+
+/// Why the socket cannot be served.
+#[derive(Debug, Error)]
+pub(crate) enum SpacenavError {
+    /// The socket.
+    #[error(transparent)]
+    Socket(#[from] SocketFileError),
+    /// The thread.
+    #[error("cannot serve {}", path.display())]
+    Thread {
+        /// The socket.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+}
+
+/// Owner and group may connect, other users may not.
+const SOCKET_MODE: u32 = 0o660;
+
+/// Poses on their way to the clients.
+const SIGHTINGS: usize = 4;
+
+/// Serves the socket until dropped.
+#[derive(Debug)]
+pub(crate) struct SpacenavServer {
+    input: SpacenavInput,
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    _file: SocketFile,
+}
+
+/// The server's end for poses.
+#[derive(Clone, Debug)]
+pub(crate) struct SpacenavInput {
+    sightings: Sender<Option<Pose>>,
+    is_zeroed: Arc<AtomicBool>,
+}
+
+impl SpacenavInput {
+    /// Makes the next pose the one at which nothing moves.
+    pub(crate) fn zero(&self) {
+        self.is_zeroed.store(true, Ordering::Relaxed);
+    }
+
+    /// Shows the newest pose; `false` if the server has no time.
+    pub(super) fn see(&self, pose: Option<Pose>) -> bool {
+        self.sightings.try_send(pose).is_ok()
+    }
+}
+
+impl TakesSamples for SpacenavInput {
+    fn sample(&self, board: usize, sample: &Sample) -> bool {
+        // The first board is the mouse.
+        board > 0 || self.see(sample.pose())
+    }
+}
+
+impl SpacenavServer {
+    /// Serves `path`, for a tool in `workspace`.
+    ///
+    /// # Errors
+    /// If the socket cannot be bound.
+    pub(crate) fn start(path: &Path, feel: Feel, workspace: Workspace) -> Result<Self, SpacenavError> {
+        let (listener, file) = SocketFile::bind(path, SOCKET_MODE, |path| UnixListener::bind(path))?;
+        let failed = |source| SpacenavError::Thread { path: path.to_owned(), source };
+        listener.set_nonblocking(true).map_err(failed)?;
+        let (sender, sightings) = bounded(SIGHTINGS);
+        let (end, is_zeroed) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+        let mouse = Mouse {
+            feel,
+            workspace,
+            zero: Pose::HOME,
+            is_zeroed: Arc::clone(&is_zeroed),
+            clients: Vec::new(),
+            at_rest: true,
+            last_event: Instant::now(),
+        };
+        let ended = Arc::clone(&end);
+        let thread = std::thread::Builder::new()
+            .name("spacenav".to_owned())
+            .spawn(move || mouse.serve(&listener, &sightings, &ended))
+            .map_err(failed)?;
+        Ok(Self { input: SpacenavInput { sightings: sender, is_zeroed }, end, thread: Some(thread), _file: file })
+    }
+
+    /// Where samples go.
+    pub(crate) fn input(&self) -> SpacenavInput {
+        self.input.clone()
+    }
+}
+
+impl Drop for SpacenavServer {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread has already been reported on standard error.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What a pose is turned into.
+struct Mouse {
+    feel: Feel,
+    workspace: Workspace,
+    zero: Pose,
+    is_zeroed: Arc<AtomicBool>,
+    clients: Vec<Client>,
+    /// Whether the last event was of a tool at rest.
+    at_rest: bool,
+    last_event: Instant,
+}
+
+impl Mouse {
+    fn serve(mut self, listener: &UnixListener, sightings: &Receiver<Option<Pose>>, end: &AtomicBool) {
+        while !end.load(Ordering::Relaxed) {
+            // Without scans the tool is where nobody knows.
+            let pose = match sightings.recv_timeout(MOMENT) {
+                Ok(pose) => pose,
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
+            while let Ok((stream, _)) = listener.accept() {
+                if self.clients.len() < MOST_CLIENTS && stream.set_nonblocking(true).is_ok() {
+                    self.clients.push(Client { stream, sensitivity: 1.0, part: Vec::new() });
+                }
+            }
+            self.clients.retain_mut(Client::listen);
+            self.pass_on(pose);
+        }
+    }
+
+    /// Tells all clients of the motion; of a tool at rest once.
+    fn pass_on(&mut self, pose: Option<Pose>) {
+        if let Some(pose) = &pose
+            && self.is_zeroed.swap(false, Ordering::Relaxed)
+        {
+            self.zero = *pose;
+        }
+        let motion = pose.map_or([0; 6], |pose| self.feel.motion(&self.workspace, &self.zero, &pose));
+        let is_at_rest = motion == [0; 6];
+        if is_at_rest && self.at_rest {
+            return;
+        }
+        self.at_rest = is_at_rest;
+        let period_ms = self.last_event.elapsed().as_millis().min(1000) as i32;
+        self.last_event = Instant::now();
+        self.clients.retain_mut(|client| client.tell(motion, period_ms));
+    }
+}
+
+/// A program that uses the mouse.
+struct Client {
+    stream: UnixStream,
+    sensitivity: f64,
+    /// Bytes of a message that is not whole.
+    part: Vec<u8>,
+}
+
+impl Client {
+    /// Takes what the client has said; whether it is still there.
+    fn listen(&mut self) -> bool {
+        let mut buffer = [0; 64];
+        loop {
+            match self.stream.read(&mut buffer) {
+                Ok(0) => return false,
+                Ok(count) => self.part.extend_from_slice(&buffer[..count]),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return true,
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(_) => return false,
+            }
+            let whole = self.part.len() / 4 * 4;
+            for word in self.part.drain(..whole).collect::<Vec<_>>().as_chunks().0 {
+                let bits = u32::from_ne_bytes(*word);
+                if bits & !VERSION == CHANGE_VERSION {
+                    // Version 0 it stays.
+                    if self.stream.write_all(&CHANGE_VERSION.to_ne_bytes()).is_err() {
+                        return false;
+                    }
+                } else if f32::from_bits(bits).is_finite() {
+                    self.sensitivity = f64::from(f32::from_bits(bits));
+                }
+            }
+        }
+    }
+
+    /// Sends an event; whether the client is still there. One that does not read misses events.
+    fn tell(&mut self, motion: [i32; 6], period_ms: i32) -> bool {
+        let [x, y, z, rx, ry, rz] = motion.map(|value| (f64::from(value) * self.sensitivity) as i32);
+        let event = [0, x, y, z, rx, ry, rz, period_ms].map(i32::to_ne_bytes);
+        match self.stream.write(event.as_flattened()) {
+            Ok(count) => count == event.as_flattened().len(),
+            Err(error) => matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted),
+        }
+    }
+}
