@@ -217,6 +217,8 @@ impl Playback {
             }
         }
         match (&self.first, self.choice.from_s) {
+            // A part may hold nothing.
+            _ if self.is_part() => Ok(()),
             (Some(path), Some(from_s)) if scans == 0 => {
                 Err(PlaybackError::Beyond { path: path.clone(), from_s }.into())
             }

@@ -1,0 +1,187 @@
+"""Captures: poses solved again, and photocurrents."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import Any, Iterable, Iterator, Optional, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+from .poses import DataLossWarning, Poses, SlitposeWarning
+
+Paths = Union[str, "os.PathLike[str]", Iterable[Union[str, "os.PathLike[str]"]]]
+
+#: Rows of a chunk: some 60 MB.
+CHUNK = 100_000
+
+
+def series(folder: Union[str, os.PathLike[str]]) -> list[list[Path]]:
+    """The captures of a folder: files ``NAME.mcap``, and series ``NAME-0001.mcap``, ``NAME-0002.mcap``, …, each in order."""
+    found: dict[str, list[tuple[int, Path]]] = {}
+    for path in sorted(Path(folder).glob("*.mcap")):
+        numbered = re.fullmatch(r"(.+)-(\d{4,})", path.stem)
+        stem, number = (numbered[1] + "-", int(numbered[2])) if numbered else (path.stem, 0)
+        found.setdefault(stem, []).append((number, path))
+    if not found:
+        raise FileNotFoundError(f"{folder} holds no file *.mcap; give a folder with captures")
+    return [[path for _, path in sorted(files)] for files in found.values()]
+
+
+def _files(paths: Paths) -> list[Path]:
+    """The files of one recording."""
+    if not isinstance(paths, (str, os.PathLike)):
+        files = [Path(path) for path in paths]
+    elif Path(paths).is_dir():
+        recordings = series(paths)
+        if len(recordings) > 1:
+            names = ", ".join(files[0].name for files in recordings)
+            raise ValueError(f"{paths} holds {len(recordings)} recordings, which begin with {names}; give one of them")
+        files = recordings[0]
+    else:
+        files = [Path(paths)]
+    if not files:
+        raise ValueError("no file; give at least one capture")
+    return files
+
+
+def replay(
+    paths: Paths,
+    *,
+    scene: Optional[str] = None,
+    calibration: Union[str, os.PathLike[str], None] = None,
+    tier: Optional[str] = None,
+    tolerance: Optional[float] = None,
+    filter_s: Optional[float] = None,
+    without_clipped: bool = False,
+    from_s: Optional[float] = None,
+    to_s: Optional[float] = None,
+    duration_s: Optional[float] = None,
+) -> Poses:
+    """Solves a recording again: the same bits as ``slitpose replay`` with the same options.
+
+    `paths`: a capture, the files of a series in their order, or a folder with one recording. Scene, calibration, equations
+    and filter are those of the recording unless given.
+
+    :param scene: scene file, or the name of a shipped scene.
+    :param calibration: calibration file, or ``"none"``: the head is as its scene says.
+    :param tier: ``"paper"`` or ``"exact"``; `tolerance`: relative error of the exact tier's integrals.
+    :param filter_s: memory of the filter, s; 0: no filter.
+    :param without_clipped: leave out cells whose light falls on an end of the detector.
+    :param from_s: begin this long after the beginning of the first file, s; the first poses are then found from nothing,
+        unlike in the whole. For parts that are to be joined see :func:`slitpose.replay_part`.
+    :param to_s: end this long after the beginning, s.
+    :param duration_s: end after so much of the board's time, s.
+    :raises slitpose.SlitposeError: a file that cannot be read, or a board that does not suit the scene.
+    :warns slitpose.DataLossWarning: data were damaged or lost; :attr:`Poses.losses` says what.
+
+    Some 0.6 kB of memory a scan; :func:`replay_chunks` holds a chunk at a time.
+    """
+    options = {name: value for name, value in locals().items() if name != "paths"}
+    return _finished(_native.Captures(_files(paths), **_native_options(options)))
+
+
+def replay_chunks(paths: Paths, rows: int = CHUNK, **options: Any) -> Iterator[Poses]:
+    """The poses of :func:`replay`, at least `rows` at a time (the last ones fewer); takes its options.
+
+    The same bits, in bounded memory. Losses are known, and warned of, with the last chunk.
+    """
+    if rows < 1:
+        raise ValueError(f"rows = {rows}; give at least 1")
+    captures = _native.Captures(_files(paths), **_native_options(options))
+    said = 0
+    while (columns := captures.read(rows)) is not None:
+        losses, remarks = tuple(captures.losses), tuple(captures.remarks[said:])
+        said = len(captures.remarks)
+        _warn(remarks, ())
+        yield Poses(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
+    _warn((), tuple(captures.losses))
+
+
+def sessions(paths: Paths) -> list[float]:
+    """When sessions began in a recording, seconds after its beginning, but for the first of each board; unsolved, so quick.
+
+    A session begins when a link was opened anew, or the board got another configuration. Nothing before it matters to the
+    poses: that is where a recording can be split into parts for :func:`slitpose.replay_part`.
+    """
+    captures = _native.Captures(_files(paths), currents=True)
+    while captures.read(CHUNK) is not None:
+        pass
+    return sorted(captures.sessions)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Scans:
+    """The raw scans of a recording, a row each (N), of K cells."""
+
+    #: (N,) the board: index of :attr:`devices`.
+    device: NDArray[np.uint8]
+    #: (N,) number of the scan, counted by the board.
+    sequence: NDArray[np.uint64]
+    #: (N,) the instant that a pose of the scan would have, by the board's clock, s.
+    time_s: NDArray[np.float64]
+    #: (N,) the same by UTC, ns since 1970; 0 while unknown.
+    host_utc_ns: NDArray[np.uint64]
+    #: (N, K, 2) photocurrents above dark at nominal emitter drive, A; NaN where a cell was not measured. The cells are
+    #: exposed one after the other, so those of a moving tool belong to slightly different instants.
+    currents_a: NDArray[np.float64]
+    #: (N, K) numbers of :class:`slitpose.Reading`.
+    reading: NDArray[np.uint8]
+    #: The boards: 24 hexadecimal digits each.
+    devices: tuple[str, ...] = ()
+    #: What was damaged or lost, in words; empty: nothing.
+    losses: tuple[str, ...] = ()
+    #: What else was remarkable.
+    remarks: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"<Scans: {len(self)} rows of {self.currents_a.shape[1]} cells>"
+
+
+def open(
+    paths: Paths,
+    *,
+    scene: Optional[str] = None,
+    from_s: Optional[float] = None,
+    to_s: Optional[float] = None,
+    duration_s: Optional[float] = None,
+) -> Scans:
+    """The raw scans of a recording, unsolved; `paths` and options as for :func:`replay`.
+
+    :raises slitpose.SlitposeError: a file that cannot be read, or a board that does not suit the scene.
+    :warns slitpose.DataLossWarning: data were damaged or lost; :attr:`Scans.losses` says what.
+    """
+    captures = _native.Captures(
+        _files(paths), scene=scene, from_s=from_s, to_s=to_s, duration_s=duration_s, currents=True
+    )
+    columns = captures.read() or {}
+    losses, remarks = tuple(captures.losses), tuple(captures.remarks)
+    _warn(remarks, losses)
+    return Scans(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
+
+
+def _native_options(options: dict[str, Any]) -> dict[str, Any]:
+    calibration = options.get("calibration")
+    return {**options, "calibration": None if calibration is None else Path(calibration)}
+
+
+def _finished(captures: _native.Captures) -> Poses:
+    columns = captures.read() or {}
+    losses, remarks = tuple(captures.losses), tuple(captures.remarks)
+    _warn(remarks, losses)
+    return Poses(**columns, devices=tuple(captures.devices), losses=losses, remarks=remarks)
+
+
+def _warn(remarks: tuple[str, ...], losses: tuple[str, ...]) -> None:
+    for text in remarks:
+        warnings.warn(text, SlitposeWarning, stacklevel=4)
+    for text in losses:
+        warnings.warn(text, DataLossWarning, stacklevel=4)

@@ -1,0 +1,248 @@
+//! Columns that become numpy arrays.
+
+use numpy::{Element, IntoPyArray, PyArray, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use slitpose::link::DeviceId;
+use slitpose::pipeline::{Outcomes, Record};
+use slitpose_model::{AXES, DegradedReason, Outcome, Pose, Solution, TwistEstimate, Verified};
+
+/// The numbers of `verified`.
+pub(crate) const VERIFIED: [Verified; 3] = [Verified::Not, Verified::Weakly, Verified::Well];
+
+/// Why a pose is degraded, in the order of the numbers, from 1.
+const REASONS: [DegradedReason; 5] = [
+    DegradedReason::FewerCells,
+    DegradedReason::CellExcluded,
+    DegradedReason::Misfit,
+    DegradedReason::Unfinished,
+    DegradedReason::Uncalibrated,
+];
+
+/// The words for them; nothing for zero.
+pub(crate) fn reasons() -> Vec<&'static str> {
+    std::iter::once("").chain(REASONS.map(|reason| reason.as_str())).collect()
+}
+
+/// `values` as an array of this shape, without a copy.
+pub(crate) fn matrix<T: Element, D: numpy::ndarray::Dimension>(
+    py: Python<'_>,
+    values: Vec<T>,
+    shape: impl numpy::ndarray::IntoDimension<Dim = D>,
+) -> PyResult<Bound<'_, PyArray<T, D>>> {
+    values.into_pyarray(py).reshape(shape)
+}
+
+/// A dictionary of arrays that is being filled.
+pub(crate) struct Columns<'py> {
+    pub(crate) dict: Bound<'py, PyDict>,
+    pub(crate) rows: usize,
+}
+
+impl<'py> Columns<'py> {
+    pub(crate) fn new(py: Python<'py>, rows: usize) -> Self {
+        Self { dict: PyDict::new(py), rows }
+    }
+
+    /// A column with one value a row.
+    pub(crate) fn put<T: Element>(&self, name: &str, values: Vec<T>) -> PyResult<()> {
+        self.dict.set_item(name, values.into_pyarray(self.dict.py()))
+    }
+
+    /// A column with an array of this shape in each row.
+    pub(crate) fn put_shaped<T: Element>(&self, name: &str, values: Vec<T>, shape: &[usize]) -> PyResult<()> {
+        let shape = [&[self.rows], shape].concat();
+        self.dict.set_item(name, values.into_pyarray(self.dict.py()).reshape(shape)?)
+    }
+}
+
+/// Solutions, one a row. What a row lacks is NaN, or zero in columns of integers.
+#[derive(Default)]
+pub(crate) struct SolutionColumns {
+    status: Vec<u8>,
+    reason: Vec<u8>,
+    free_directions: Vec<u8>,
+    translation_m: Vec<f64>,
+    rotation_xyzw: Vec<f64>,
+    covariance: Vec<f64>,
+    condition: Vec<f64>,
+    chi2: Vec<f64>,
+    redundancy: Vec<u16>,
+    iterations: Vec<u16>,
+    cells_used: Vec<u16>,
+    excluded_cells: Vec<u16>,
+    verified: Vec<u8>,
+    unnoticed_sigmas: Vec<f64>,
+}
+
+impl SolutionColumns {
+    pub(crate) fn push(&mut self, solution: &Solution) {
+        let outcome = &solution.outcome;
+        self.status.push(Outcomes::number_of(outcome) as u8);
+        let reason = match outcome {
+            Outcome::Degraded(why) => REASONS.iter().position(|reason| reason == why).map_or(0, |at| at + 1),
+            _ => 0,
+        };
+        self.reason.push(reason as u8);
+        let free = |name: &str| AXES.iter().position(|axis| *axis == name).map_or(0, |axis| 1_u8 << axis);
+        self.free_directions.push(match outcome {
+            Outcome::Unobservable(directions) => directions.names().map(free).fold(0, |set, bit| set | bit),
+            _ => 0,
+        });
+        put_pose(&mut self.translation_m, &mut self.rotation_xyzw, solution.estimate.map(|estimate| estimate.pose));
+        put_matrix(&mut self.covariance, solution.estimate.map(|estimate| estimate.covariance));
+        self.condition.push(solution.condition().filter(|_| solution.estimate.is_some()).unwrap_or(f64::NAN));
+        self.chi2.push(if solution.chi2.is_finite() { solution.chi2 } else { f64::NAN });
+        self.redundancy.push(solution.redundancy as u16);
+        self.iterations.push(solution.iterations as u16);
+        self.cells_used.push(solution.cells_used.count() as u16);
+        self.excluded_cells.push(solution.excluded.iter().fold(0, |set, cell| set | 1 << cell));
+        let verified = VERIFIED.iter().position(|verified| *verified == solution.verified());
+        self.verified.push(verified.unwrap_or(0) as u8);
+        self.unnoticed_sigmas.push(solution.unnoticed_sigmas);
+    }
+
+    pub(crate) fn put(self, columns: &Columns<'_>) -> PyResult<()> {
+        columns.put("status", self.status)?;
+        columns.put("reason", self.reason)?;
+        columns.put("free_directions", self.free_directions)?;
+        columns.put_shaped("translation_m", self.translation_m, &[3])?;
+        columns.put_shaped("rotation_xyzw", self.rotation_xyzw, &[4])?;
+        columns.put_shaped("covariance", self.covariance, &[6, 6])?;
+        columns.put("condition", self.condition)?;
+        columns.put("chi2", self.chi2)?;
+        columns.put("redundancy", self.redundancy)?;
+        columns.put("iterations", self.iterations)?;
+        columns.put("cells_used", self.cells_used)?;
+        columns.put("excluded_cells", self.excluded_cells)?;
+        columns.put("verified", self.verified)?;
+        columns.put("unnoticed_sigmas", self.unnoticed_sigmas)
+    }
+
+    pub(crate) fn rows(&self) -> usize {
+        self.status.len()
+    }
+}
+
+/// Poses of a stream, one a row.
+#[derive(Default)]
+pub(crate) struct RecordColumns {
+    solutions: SolutionColumns,
+    sequence: Vec<u64>,
+    time_s: Vec<f64>,
+    host_monotonic_ns: Vec<u64>,
+    host_utc_ns: Vec<u64>,
+    host_uncertainty_ns: Vec<u64>,
+    twist: Vec<f64>,
+    twist_sigma: Vec<f64>,
+    simulated: Vec<bool>,
+    truth_translation_m: Vec<f64>,
+    truth_rotation_xyzw: Vec<f64>,
+    /// With a row for each, or none as long as there is no filter.
+    filtered: FilteredColumns,
+    device: Vec<u8>,
+}
+
+#[derive(Default)]
+struct FilteredColumns {
+    rows: usize,
+    translation_m: Vec<f64>,
+    rotation_xyzw: Vec<f64>,
+    covariance: Vec<f64>,
+    twist: Vec<f64>,
+    twist_sigma: Vec<f64>,
+    lag_s: Vec<f64>,
+    is_present: bool,
+}
+
+impl RecordColumns {
+    pub(crate) fn push(&mut self, record: &Record, devices: &mut Vec<DeviceId>) {
+        let device = devices.iter().position(|device| *device == record.device).unwrap_or_else(|| {
+            devices.push(record.device);
+            devices.len() - 1
+        });
+        self.device.push(device as u8);
+        self.solutions.push(&record.solution);
+        self.sequence.push(record.sequence);
+        self.time_s.push(record.device_time_s);
+        let time = record.host_time;
+        self.host_monotonic_ns.push(time.map_or(0, |time| time.monotonic_ns));
+        self.host_utc_ns.push(time.map_or(0, |time| time.utc_ns));
+        self.host_uncertainty_ns.push(time.map_or(0, |time| time.uncertainty_ns));
+        put_twist(&mut self.twist, &mut self.twist_sigma, record.twist);
+        self.simulated.push(record.simulated);
+        put_pose(&mut self.truth_translation_m, &mut self.truth_rotation_xyzw, record.truth);
+        let filtered = &mut self.filtered;
+        filtered.rows += 1;
+        let Some(found) = record.filtered else {
+            if filtered.is_present {
+                filtered.put_nothing();
+            }
+            return;
+        };
+        if !std::mem::replace(&mut filtered.is_present, true) {
+            (1..filtered.rows).for_each(|_| filtered.put_nothing());
+        }
+        put_pose(&mut filtered.translation_m, &mut filtered.rotation_xyzw, Some(found.estimate.pose));
+        put_matrix(&mut filtered.covariance, Some(found.estimate.covariance));
+        put_twist(&mut filtered.twist, &mut filtered.twist_sigma, Some(found.twist));
+        filtered.lag_s.push(found.lag_s);
+    }
+
+    pub(crate) fn put(self, columns: &Columns<'_>) -> PyResult<()> {
+        self.solutions.put(columns)?;
+        columns.put("device", self.device)?;
+        columns.put("sequence", self.sequence)?;
+        columns.put("time_s", self.time_s)?;
+        columns.put("host_monotonic_ns", self.host_monotonic_ns)?;
+        columns.put("host_utc_ns", self.host_utc_ns)?;
+        columns.put("host_uncertainty_ns", self.host_uncertainty_ns)?;
+        columns.put_shaped("twist", self.twist, &[6])?;
+        columns.put_shaped("twist_sigma", self.twist_sigma, &[6])?;
+        columns.put("simulated", self.simulated)?;
+        columns.put_shaped("truth_translation_m", self.truth_translation_m, &[3])?;
+        columns.put_shaped("truth_rotation_xyzw", self.truth_rotation_xyzw, &[4])?;
+        let filtered = self.filtered;
+        if filtered.is_present {
+            columns.put_shaped("filtered_translation_m", filtered.translation_m, &[3])?;
+            columns.put_shaped("filtered_rotation_xyzw", filtered.rotation_xyzw, &[4])?;
+            columns.put_shaped("filtered_covariance", filtered.covariance, &[6, 6])?;
+            columns.put_shaped("filtered_twist", filtered.twist, &[6])?;
+            columns.put_shaped("filtered_twist_sigma", filtered.twist_sigma, &[6])?;
+            columns.put("filtered_lag_s", filtered.lag_s)?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn rows(&self) -> usize {
+        self.time_s.len()
+    }
+}
+
+impl FilteredColumns {
+    fn put_nothing(&mut self) {
+        put_pose(&mut self.translation_m, &mut self.rotation_xyzw, None);
+        put_matrix(&mut self.covariance, None);
+        put_twist(&mut self.twist, &mut self.twist_sigma, None);
+        self.lag_s.push(f64::NAN);
+    }
+}
+
+fn put_pose(translation_m: &mut Vec<f64>, rotation_xyzw: &mut Vec<f64>, pose: Option<Pose>) {
+    translation_m.extend(pose.map_or([f64::NAN; 3], |pose| pose.translation_m.to_array()));
+    rotation_xyzw.extend(pose.map_or([f64::NAN; 4], |pose| pose.rotation.to_array()));
+}
+
+pub(crate) fn put_matrix(values: &mut Vec<f64>, matrix: Option<[[f64; 6]; 6]>) {
+    values.extend(matrix.unwrap_or([[f64::NAN; 6]; 6]).as_flattened());
+}
+
+fn put_twist(values: &mut Vec<f64>, sigmas: &mut Vec<f64>, found: Option<TwistEstimate>) {
+    let Some(TwistEstimate { twist, covariance }) = found else {
+        values.extend([f64::NAN; 6]);
+        return sigmas.extend([f64::NAN; 6]);
+    };
+    values.extend(twist.linear_m_per_s.to_array());
+    values.extend(twist.angular_rad_per_s.to_array());
+    sigmas.extend((0..6).map(|axis| covariance[axis][axis].sqrt()));
+}

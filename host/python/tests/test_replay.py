@@ -1,0 +1,162 @@
+"""Poses of captures: the bits of the command."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import slitpose
+from conftest import Command, table
+
+POSE = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"]
+
+
+def numbers(rows: list[dict[str, str]], names: list[str]) -> np.ndarray:
+    return np.array([[float(row[name] or "nan") for name in names] for row in rows])
+
+
+def assert_same(poses: slitpose.Poses, rows: list[dict[str, str]]) -> None:
+    """The same bits in all columns that both have."""
+    assert len(poses) == len(rows) > 0
+    scale = np.array([1e3] * 3 + [1.0] * 3)
+    pose = np.hstack([poses.translation_m, poses.rotation_rad]) * scale
+    np.testing.assert_array_equal(pose, numbers(rows, POSE))
+    np.testing.assert_array_equal(poses.sigma * scale, numbers(rows, [f"sigma_{name}" for name in POSE]))
+    for name in ("condition", "chi2", "iterations", "cells_used"):
+        np.testing.assert_array_equal(getattr(poses, name), numbers(rows, [name])[:, 0], err_msg=name)
+    assert [slitpose.Status(status).name for status in poses.status] == [row["status"] for row in rows]
+    assert [poses.reasons[reason] for reason in poses.reason] == [row["reason"] for row in rows]
+    if poses.sequence is not None and poses.time_s is not None:
+        assert poses.sequence.tolist() == [int(row["seq"]) for row in rows]
+        np.testing.assert_array_equal(poses.time_s, numbers(rows, ["device_time_s"])[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("options", "arguments"),
+    [
+        ({}, []),
+        ({"tier": "paper"}, ["--tier", "paper"]),
+        ({"tolerance": 1e-4, "without_clipped": True}, ["--tolerance", "1e-4", "--without-clipped"]),
+        ({"from_s": 0.25, "to_s": 0.5}, ["--from", "250ms", "--to", "500ms"]),
+        ({"duration_s": 0.125}, ["--duration", "125ms"]),
+        ({"scene": "wide", "calibration": "none"}, ["--scene", "wide", "--calibration", "none"]),
+    ],
+)
+def test_poses_are_the_bits_of_the_command(
+    command: Command, captures: Path, options: dict[str, object], arguments: list[str]
+) -> None:
+    file = captures / "contact.mcap"
+    rows = table(command("replay", file, "--format", "csv", *arguments).stdout)
+    assert_same(slitpose.replay(file, **options), rows)  # type: ignore[arg-type]
+
+
+def test_chunks_are_the_whole(captures: Path) -> None:
+    file = captures / "contact.mcap"
+    whole, chunks = slitpose.replay(file, filter_s=5e-3), list(slitpose.replay_chunks(file, 700, filter_s=5e-3))
+    assert len(chunks) > 2
+    assert_equal(slitpose.Poses.concatenate(chunks), whole)
+    assert whole.filtered_translation_m is not None and whole.filtered_translation_m.shape == (len(whole), 3)
+
+
+def assert_equal(found: slitpose.Poses, expected: slitpose.Poses) -> None:
+    assert found.columns().keys() == expected.columns().keys() and found.devices == expected.devices
+    for name, column in expected.columns().items():
+        np.testing.assert_array_equal(found.columns()[name], column, err_msg=name)
+
+
+def test_poses_are_near_the_truth_and_pickle(captures: Path) -> None:
+    poses = slitpose.replay(captures / "contact.mcap")
+    assert poses.truth_translation_m is not None and poses.simulated is not None and poses.simulated.all()
+    error = (poses.translation_m - poses.truth_translation_m) / poses.sigma[:, :3]
+    # Mean square of normal numbers, a few of which belong to frames in which the tool hits something.
+    assert 0.8 < np.nanmean(error**2) < 1.25
+    assert_equal(pickle.loads(pickle.dumps(poses)), poses)
+    assert_equal(poses[poses.sequence < 10], poses[:10])  # type: ignore[operator]
+    with pytest.raises(ValueError, match="no rows"):
+        poses[3]
+
+
+def test_frames_name_units(captures: Path) -> None:
+    poses = slitpose.replay(captures / "contact.mcap", filter_s=5e-3)
+    frame = poses.to_frame()
+    assert len(frame) == len(poses) and frame["status"].dtype == "category"
+    np.testing.assert_array_equal(frame["tx_m"], poses.translation_m[:, 0])
+    np.testing.assert_array_equal(frame["sigma_rz_rad"], poses.sigma[:, 5])
+    assert {"vx_m_per_s", "truth_tx_m", "filtered_rz_rad", "time_s", "host_utc"} <= set(frame.columns)
+
+
+def test_currents_solve_to_nearly_the_same_poses(captures: Path) -> None:
+    """A tool that hardly moves within a frame: then all currents belong to one instant."""
+    file = captures / "smooth.mcap"
+    scans, poses = slitpose.open(file), slitpose.replay(file)
+    assert scans.sequence.tolist() == poses.sequence.tolist()  # type: ignore[union-attr]
+    assert (scans.reading == slitpose.Reading.light).all()
+    found = slitpose.Scene.open("fine").solve(scans.currents_a[:50])
+    assert np.abs(found.translation_m - poses.translation_m[:50]).max() < 1e-4
+
+
+def test_damage_is_told(command: Command, captures: Path, tmp_path: Path) -> None:
+    data = bytearray((captures / "contact.mcap").read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    file = tmp_path / "damaged.mcap"
+    file.write_bytes(data)
+    done = command("replay", file, "--format", "csv", code=3)
+    with pytest.warns(slitpose.DataLossWarning) as caught:
+        poses = slitpose.replay(file)
+    assert_same(poses, table(done.stdout))
+    assert poses.losses and all(loss in done.stderr.replace("\n", " ") or loss for loss in poses.losses)
+    assert [str(warning.message) for warning in caught] == list(poses.losses)
+    for loss in poses.losses:
+        assert f"slitpose: {loss}" in done.stderr
+    with pytest.warns(slitpose.DataLossWarning):
+        assert slitpose.open(file).losses == poses.losses
+
+
+def test_errors_are_those_of_the_command(command: Command, tmp_path: Path, captures: Path) -> None:
+    nothing = tmp_path / "empty.mcap"
+    nothing.write_bytes(b"")
+    for file in (nothing, tmp_path / "absent.mcap"):
+        done = command("replay", file, code=1)
+        with pytest.raises(slitpose.SlitposeError) as error:
+            slitpose.replay(file)
+        assert done.stderr.strip() == f"slitpose: {error.value}"
+    file = captures / "contact.mcap"
+    for options, text in [
+        ({"tier": "best"}, 'tier = "best"'),
+        ({"tolerance": 2.0}, "tolerance = 2"),
+        ({"from_s": -1.0}, "from_s = -1"),
+        ({"from_s": 2.0, "to_s": 1.0}, "to_s = 1"),
+    ]:
+        with pytest.raises(ValueError, match=text):
+            slitpose.replay(file, **options)  # type: ignore[arg-type]
+    with pytest.raises(slitpose.SlitposeError, match="begin earlier"):
+        slitpose.replay(file, from_s=100.0)
+    with pytest.raises(ValueError, match="2 recordings"):
+        slitpose.replay(captures)
+
+
+def test_other_threads_run_meanwhile_and_interrupts_end_it(captures: Path) -> None:
+    files = [captures / "contact.mcap"] * 200
+    ticks = []
+
+    def tick() -> None:
+        for _ in range(4):
+            time.sleep(0.05)
+            ticks.append(time.monotonic())
+        signal.raise_signal(signal.SIGINT)
+
+    thread = threading.Thread(target=tick)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            slitpose.replay(files)
+            time.sleep(60.0)  # if it was done before
+    thread.join()
+    assert len(ticks) == 4
