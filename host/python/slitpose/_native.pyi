@@ -4,7 +4,23 @@ from typing import Any, Optional, Sequence, Tuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__: list[str]
+__all__ = [
+    "AXES",
+    "CELL_STATUSES",
+    "Calibration",
+    "Captures",
+    "READINGS",
+    "REASONS",
+    "SCENES",
+    "STATUSES",
+    "Scene",
+    "SlitposeError",
+    "VERIFIED",
+    "__version__",
+    "calibrate",
+    "quaternions",
+    "rotation_vectors",
+]
 __version__: str
 STATUSES: list[str]
 REASONS: list[str]
