@@ -6,7 +6,7 @@ Each recording becomes a file poses/NAME.npz with the arrays of slitpose.Poses. 
 readable at the same paths on all workers.
 
 A recording is split where its sessions begin, which gives the same bits as one replay of the whole. --split also cuts it
-every so many seconds: for long recordings, where the same poses to rounding are enough.
+every so many seconds: for long recordings, where poses that differ far less than their noise are enough.
 """
 
 from __future__ import annotations
