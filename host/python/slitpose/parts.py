@@ -7,8 +7,8 @@ state before a part is that behind the part before, all poses that follow are th
 
 A seam is closed where a session begins (:func:`slitpose.sessions`), because its tracker has no past, and where the warm-up
 reaches back to the beginning of the session. Anywhere else it stays open however long the warm-up is: the states approach
-each other, and then wander in the last bits. Such
-parts agree with the whole far below its noise (differences up to 1e-13 m and 1e-11 rad were seen), but are not the same bits.
+each other, and then wander in the last bits. Such parts agree with the whole far below its noise (differences up to 1e-13 m
+and 1e-11 rad were seen), but are not the same bits.
 """
 
 from __future__ import annotations
