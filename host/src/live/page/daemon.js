@@ -61,19 +61,21 @@ function duration(seconds) {
   return (parts[first][0] ? parts.slice(first, first + 2) : parts.slice(-1)).map(([amount, unit]) => `${amount} ${unit}`).join(" ");
 }
 
-/** The button that records, and what is recorded. */
+/** The buttons that change something: recording, and the zero of the mouse. */
 export class Recorder {
   #isRecording = false;
 
   /** @param {(request: object) => void} send */
   constructor(send) {
     byId("record").addEventListener("click", () => send({ kind: "record", on: !this.#isRecording }));
+    byId("zero").addEventListener("click", () => send({ kind: "zero" }));
   }
 
   /** @param {object | null} recorder of the report @param {object | null} hello @param {boolean} isOpen */
   draw(recorder, hello, isOpen) {
     const isLive = hello?.source === "run";
     show(byId("recorder"), isLive);
+    show(byId("mouse"), Boolean(hello?.has_zero && hello.may_write));
     if (!isLive) return;
     this.#isRecording = recorder?.state === "recording";
     const button = byId("record");
