@@ -277,7 +277,10 @@ fn the_status_is_served_over_a_unix_socket() {
     let server = serve(&address).unwrap();
     is_served(&server);
     assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o660);
-    assert!(matches!(serve(&address), Err(StatusError::Socket(SocketFileError::InUse { .. }))), "a daemon that lives keeps its socket");
+    assert!(
+        matches!(serve(&address), Err(StatusError::Socket(SocketFileError::InUse { .. }))),
+        "a daemon that lives keeps its socket"
+    );
     drop(server);
     assert!(!path.exists(), "the socket is removed");
 
