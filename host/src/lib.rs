@@ -15,8 +15,9 @@
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
 //! Behind the commands: `terminal` draws for the user, `comparison` compares poses with a reference, `capture` writes
-//! and reads captures, `sink` writes poses, `daemon` follows boards live, `live` shows them on a page, `spacenav` makes a mouse
-//! of the tool, `http` and `socket_file` guard the servers, `service` notifies the service manager, `doctor` examines boards, heads and hosts.
+//! and reads captures, `sink` writes poses, `ros` has poses and heads as messages, `daemon` follows boards live, `live`
+//! shows them on a page and to Foxglove, `spacenav` makes a mouse of the tool, `http` and `socket_file` guard the servers,
+//! `service` notifies the service manager, `doctor` examines boards, heads and hosts.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, on the command line
 //! and in pictures, with the unit in the name.
@@ -67,6 +68,7 @@ mod live;
 pub mod measurements;
 pub mod pipeline;
 pub mod playback;
+mod ros;
 mod service;
 mod sink;
 mod socket_file;

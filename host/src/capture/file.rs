@@ -1,8 +1,8 @@
 //! One file of a capture, on any medium.
 //!
 //! Scenes, metadata and hellos are repeated, so that damage affects only the chunk it is in: metadata before
-//! each chunk, the last hello of each board at the beginning of each chunk, scenes before every
-//! [`SCENE_EVERY`]th chunk, and scenes, calibrations and metadata at the end of the file.
+//! each chunk, the last hello of each board at the beginning of each chunk, heads as shapes in the first and in
+//! each [`SCENE_EVERY`]th, scenes before these, and scenes, calibrations and metadata at the end of the file.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -14,13 +14,14 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use serde::Serialize;
 
-use super::cdr::Encoder;
 use super::medium::{Medium, Sink};
-use super::schemas::{LINK_BYTES, POSE, POSE_STAMPED, REPORT, REPORT_SCHEMA, RosType, TRANSFORMS, TWIST};
+use super::schemas::{LINK_BYTES, REPORT_SCHEMA};
 use super::setup::{LinkChannels, METADATA, Setup};
-use super::{About, geometry, link_bytes};
+use super::{About, link_bytes};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
+use crate::ros::cdr::Encoder;
+use crate::ros::{self, MARKERS, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORMS, TWIST};
 
 /// Level 3 makes captures 4 % shorter and takes twice as long (six cells at 4 kHz).
 const ZSTD_LEVEL: u32 = 1;
@@ -31,9 +32,6 @@ const CHUNK_BYTES: u64 = 1 << 17;
 
 /// Scenes are repeated before each chunk with a number divisible by this: some 10 s apart.
 const SCENE_EVERY: u64 = 32;
-
-/// Name of the tool's frame.
-const TOOL: &str = "tool";
 
 /// Metadata of the channels of reports.
 const REPORT_CONTENT: (&str, &str) = ("content", "JSON; its schema is the attachment report.schema.json");
@@ -47,6 +45,7 @@ pub(super) struct Channels {
     pose_stamped: u16,
     twist: u16,
     report: u16,
+    head: u16,
     /// Whether the board was the first of its file: the frames of others are named with their number.
     is_first: bool,
 }
@@ -57,6 +56,10 @@ struct Board {
     metadata: Metadata,
     /// Its last hello, delimiter included; empty if there was none.
     hello: Vec<u8>,
+    /// Its head as shapes; empty if its scene cannot be read.
+    head: Vec<u8>,
+    /// The file does not have the head yet.
+    is_new: bool,
 }
 
 /// A file that is being written.
@@ -158,13 +161,18 @@ impl<M: Medium> CaptureFile<M> {
                 ],
             )?,
             report: channel(REPORT, "report", &[REPORT_CONTENT])?,
+            head: channel(MARKERS, "head", &[("content", "detectors, masks with their openings, emitters; metres")])?,
             is_first: self.boards.keys().all(|device| *device == setup.device),
         };
+        let mut head = Vec::new();
+        if let Some(cells) = setup.cells() {
+            ros::encode_head(&cells, &ros::tool_frame(setup.device, channels.is_first), &mut head);
+        }
         let link_channels = LinkChannels { link: channels.link, hello: channels.hello };
         let metadata = Metadata { name: METADATA.to_owned(), metadata: setup.to_metadata(&attachment, link_channels) };
         self.writer.write_metadata(&metadata)?;
         self.chunk_bytes = 0;
-        self.boards.insert(setup.device, Board { channels, metadata, hello: hello.to_owned() });
+        self.boards.insert(setup.device, Board { channels, metadata, hello: hello.to_owned(), head, is_new: true });
         Ok(channels)
     }
 
@@ -191,24 +199,20 @@ impl<M: Medium> CaptureFile<M> {
 
     /// Writes a pose and a velocity, if the record has them.
     pub(super) fn pose(&mut self, channels: Channels, record: &Record, log_ns: u64) -> Result<(), McapError> {
-        // Saturates; times are never negative.
-        let device_ns = (record.device_time_s * 1e9) as u64;
-        let (stamp_ns, publish_ns) = match record.host_time {
-            Some(time) => (time.utc_ns, time.utc_ns),
-            None => (device_ns, log_ns),
-        };
+        let stamp_ns = ros::stamp_ns(record);
+        let publish_ns = record.host_time.map_or(log_ns, |time| time.utc_ns);
         let sequence = record.sequence as u32;
         if let Some(estimate) = &record.solution.estimate {
-            geometry::encode_pose(stamp_ns, estimate, &mut self.message);
+            ros::encode_pose(stamp_ns, estimate, &mut self.message);
             self.write(channels.pose, sequence, log_ns, publish_ns)?;
-            geometry::encode_pose_stamped(stamp_ns, &estimate.pose, &mut self.message);
+            ros::encode_pose_stamped(stamp_ns, &estimate.pose, &mut self.message);
             self.write(channels.pose_stamped, sequence, log_ns, publish_ns)?;
-            let child = if channels.is_first { TOOL.to_owned() } else { format!("{TOOL}_{}", record.device) };
-            geometry::encode_transform(stamp_ns, &child, &estimate.pose, &mut self.message);
+            let child = ros::tool_frame(record.device, channels.is_first);
+            ros::encode_transform(stamp_ns, &child, &estimate.pose, &mut self.message);
             self.write(self.transforms, sequence, log_ns, publish_ns)?;
         }
         if let Some(twist) = &record.twist {
-            geometry::encode_twist(stamp_ns, twist, &mut self.message);
+            ros::encode_twist(stamp_ns, twist, &mut self.message);
             self.write(channels.twist, sequence, log_ns, publish_ns)?;
         }
         Ok(())
@@ -238,14 +242,22 @@ impl<M: Medium> CaptureFile<M> {
         // Copies for all boards, even for one just written: they stand together before each chunk.
         self.write_copies(self.chunks.is_multiple_of(SCENE_EVERY), log_ns)?;
         let (mut hello, mut message) = (Segment::default(), Vec::new());
-        for board in self.boards.values().filter(|board| !board.hello.is_empty()) {
-            hello.clear();
-            hello.push(&board.hello, None);
-            link_bytes::encode(&hello, &mut message);
-            let channel_id = board.channels.hello;
-            let header = MessageHeader { channel_id, sequence: 0, log_time: log_ns, publish_time: log_ns };
-            self.chunk_bytes += message.len() as u64;
-            self.writer.write_to_known_channel(&header, &message)?;
+        let is_due = self.chunks.is_multiple_of(SCENE_EVERY);
+        for board in self.boards.values_mut() {
+            let mut write = |channel_id, message: &[u8]| {
+                self.chunk_bytes += message.len() as u64;
+                let header = MessageHeader { channel_id, sequence: 0, log_time: log_ns, publish_time: log_ns };
+                self.writer.write_to_known_channel(&header, message)
+            };
+            if !board.hello.is_empty() {
+                hello.clear();
+                hello.push(&board.hello, None);
+                link_bytes::encode(&hello, &mut message);
+                write(board.channels.hello, &message)?;
+            }
+            if !board.head.is_empty() && (std::mem::take(&mut board.is_new) || is_due) {
+                write(board.channels.head, &board.head)?;
+            }
         }
         Ok(())
     }

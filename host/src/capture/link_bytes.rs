@@ -1,8 +1,8 @@
 //! A [`Segment`] as the message `slitpose_msgs/msg/LinkBytes`, without loss.
 
-use super::cdr::{Decoder, Encoder};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Read, Segment};
+use crate::ros::cdr::{Decoder, Encoder};
 
 /// Time of a read without time: a clock reaches it after 584 years.
 const NO_TIME: u64 = u64::MAX;

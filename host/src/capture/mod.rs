@@ -14,11 +14,9 @@
 //!   a packet is never split between two files, because incomplete packets are held back.
 //! * *A full disk ends the recording, not the program*: the file is cut back to its last flush.
 
-mod cdr;
 mod entry;
 mod error;
 mod file;
-mod geometry;
 mod index;
 mod link_bytes;
 mod medium;

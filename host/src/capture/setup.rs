@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use slitpose_calibration::{Basis, Calibration, CalibrationFileError, Head};
-use slitpose_model::Tier;
+use slitpose_model::{Cell, Tier};
 use thiserror::Error;
 
 use crate::link::DeviceId;
@@ -122,6 +122,17 @@ impl Setup {
             source: file.source.clone(),
         };
         Self { device, scene, basis, settings, program: env!("CARGO_PKG_VERSION").to_owned() }
+    }
+
+    /// The cells of the head, for pictures; `None` if scene or calibration cannot be read.
+    pub(super) fn cells(&self) -> Option<Vec<Cell>> {
+        let file = self.scene.parse().ok()?;
+        let scene = match &self.basis {
+            CapturedBasis::Calibration(calibration) => calibration.parse().ok()?.apply(&file).ok()?,
+            // Tolerances leave the parts where they are.
+            CapturedBasis::Scene | CapturedBasis::Tolerances => file.scene,
+        };
+        Some(scene.cells.to_vec())
     }
 
     /// The calibration as an attachment: name and text.

@@ -5,9 +5,12 @@ use std::sync::{Arc, OnceLock};
 use super::record::RecordOptions;
 use super::{CommandError, talk};
 use crate::daemon::Daemon;
-use crate::live::{Access, Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LivePlan, LiveServer, Order, Refusal};
+use crate::live::{
+    Access, Control, DEFAULT_FOXGLOVE_ADDRESS, DEFAULT_LIVE_ADDRESS, FoxgloveAddress, FoxgloveServer, LiveAddress,
+    LiveBoard, LivePlan, LiveServer, Order, Refusal,
+};
 use crate::spacenav::SpacenavInput;
-use crate::telemetry::RecorderState;
+use crate::telemetry::{DaemonReport, RecorderState};
 
 /// The page asked for.
 #[derive(clap::Args, Debug)]
@@ -31,6 +34,34 @@ pub(super) struct AccessOptions {
     /// Open the page in a browser
     #[arg(long)]
     open: bool,
+}
+
+/// Foxglove as a viewer. The option is hidden where the build has no server, and then says which build has it.
+#[derive(clap::Args, Debug)]
+pub(super) struct FoxgloveOptions {
+    /// Serve poses, head and health to Foxglove on this host, by its WebSocket protocol
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        num_args = 0..=1,
+        default_missing_value = DEFAULT_FOXGLOVE_ADDRESS,
+        hide = !cfg!(feature = "foxglove")
+    )]
+    foxglove: Option<FoxgloveAddress>,
+}
+
+impl FoxgloveOptions {
+    /// Serves Foxglove, if asked.
+    pub(super) fn start(
+        &self,
+        boards: Vec<LiveBoard>,
+        report: impl Fn() -> DaemonReport + Send + 'static,
+    ) -> Result<Option<FoxgloveServer>, CommandError> {
+        let Some(address) = self.foxglove else { return Ok(None) };
+        let server = FoxgloveServer::start(address, boards, report)?;
+        talk(format_args!("Foxglove connects to {}", server.url()));
+        Ok(Some(server))
+    }
 }
 
 impl LiveOptions {

@@ -53,7 +53,7 @@ use crate::capture::CaptureError;
 use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
-use crate::live::{AccessError, LiveError};
+use crate::live::{AccessError, FoxgloveError, LiveError};
 use crate::measurements::MeasurementsError;
 use crate::playback::PlaybackError;
 use crate::spacenav::SpacenavError;
@@ -252,6 +252,9 @@ pub(crate) enum CommandError {
     /// The live page.
     #[error(transparent)]
     Live(#[from] LiveError),
+    /// The server for Foxglove.
+    #[error(transparent)]
+    Foxglove(#[from] FoxgloveError),
     /// A service manager that cannot be told anything.
     #[error("the service manager that NOTIFY_SOCKET names cannot be reached; start the program without it")]
     Service(#[source] io::Error),

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use slitpose_calibration::{Basis, Head};
 use slitpose_protocol::Hello;
 
-use super::live::{Changes, LiveOptions};
+use super::live::{Changes, FoxgloveOptions, LiveOptions};
 use super::mouse::MouseOptions;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
@@ -78,6 +78,8 @@ pub(super) struct Args {
     live: LiveOptions,
     #[command(flatten)]
     mouse: MouseOptions,
+    #[command(flatten)]
+    foxglove: FoxgloveOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -136,25 +138,27 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mouse = workspace.map(|workspace| args.mouse.start(workspace)).transpose()?.flatten();
     let access = args.live.access()?;
     let is_recorded_later = access.as_ref().is_some_and(Access::may_write);
+    let shown = || {
+        let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
+        boards.iter().map(shown).collect()
+    };
     let live = match access {
-        Some(access) => {
-            let shown = |board: &BoardPlan| LiveBoard { name: board.opener.name(), head: Some(board.head.clone()) };
-            Some(args.live.start(LivePlan {
-                access,
-                source: "run",
-                has_zero: mouse.is_some(),
-                boards: boards.iter().map(shown).collect(),
-                scene: None,
-                control: Box::new(Changes {
-                    daemon: Arc::clone(&followed),
-                    options: args.record.clone(),
-                    mouse: mouse.as_ref().map(SpacenavServer::input),
-                }),
-                report: Some(Box::new(reports())),
-            })?)
-        }
+        Some(access) => Some(args.live.start(LivePlan {
+            access,
+            source: "run",
+            has_zero: mouse.is_some(),
+            boards: shown(),
+            scene: None,
+            control: Box::new(Changes {
+                daemon: Arc::clone(&followed),
+                options: args.record.clone(),
+                mouse: mouse.as_ref().map(SpacenavServer::input),
+            }),
+            report: Some(Box::new(reports())),
+        })?),
         None => None,
     };
+    let foxglove = args.foxglove.start(shown(), reports())?;
     let status = match &args.status {
         Some(address) => {
             let server = StatusServer::start(address, Reach::Loopback, reports())?;
@@ -166,6 +170,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let capture = args.record.open(is_recorded_later)?;
     let mut takers: Vec<Arc<dyn TakesSamples>> = Vec::new();
     takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn TakesSamples>));
+    takers.extend(foxglove.iter().map(|foxglove| Arc::new(foxglove.input()) as Arc<dyn TakesSamples>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn TakesSamples>));
     let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
@@ -187,7 +192,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     notify(service::STOPPING);
     let ended = daemon.end();
-    drop((status, live, mouse));
+    drop((status, live, foxglove, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
 }

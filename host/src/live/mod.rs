@@ -9,10 +9,11 @@
 //! [`LiveServer`] has a thread of its own, which turns samples into JSON once for all clients and keeps those of the last
 //! minute. No client can delay a pose: a sample that finds the thread busy goes into the next one, and a client that does
 //! not acknowledge what it got is sent the newest frames only, and how many it has missed. `LIVE.md` describes the
-//! messages.
+//! messages. With the feature `foxglove` a second server takes the same samples and speaks Foxglove's protocol.
 
 mod access;
 mod control;
+mod foxglove;
 mod frame;
 mod head;
 mod hub;
@@ -27,6 +28,7 @@ mod tests;
 
 pub(crate) use access::{Access, AccessError, DEFAULT_LIVE_ADDRESS, LiveAddress};
 pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal};
+pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveError, FoxgloveServer};
 pub(crate) use hub::{LiveBoard, LiveInput};
 pub(crate) use sampler::{Sample, Sampler, TakesSamples};
 pub(crate) use scene_view::SceneView;

@@ -300,7 +300,9 @@ fn poses_and_reports_are_there_for_other_programs() {
     };
     let report = |topic: &str, log_ns| (topic.to_owned(), "std_msgs/msg/String", "cdr", log_ns);
     let reports = [report("/slitpose/ID/report", 4), report("/slitpose/report", 5)];
-    assert_eq!(told, [&of_pose(2)[..], &of_pose(3), &reports].concat());
+    let head = ("/slitpose/ID/head".to_owned(), "visualization_msgs/msg/MarkerArray", "cdr", 2);
+    assert_eq!(told, [&[head], &of_pose(2)[..], &of_pose(3), &reports].concat());
+    let messages = &messages[1..];
     assert_eq!(messages[0].sequence, 20);
     assert_eq!((messages[0].publish_time, messages[4].publish_time), (2, BEGIN.utc_ns));
     // Stamps: device time while the host's is not known.

@@ -1,20 +1,20 @@
 //! CDR as used by ROS 2: four bytes that name the encoding, then values in little-endian order,
 //! each aligned to its size from the end of those four bytes.
 //!
-//! Written here because only five kinds of value are needed and the bulk is one long `uint8[]`,
+//! Written here because only six kinds of value are needed and the bulk of a capture is one long `uint8[]`,
 //! which the existing crates, through serde, would copy byte by byte.
 
 /// Plain CDR, little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
 /// Writes one message into a reused buffer.
-pub(super) struct Encoder<'a> {
+pub(crate) struct Encoder<'a> {
     bytes: &'a mut Vec<u8>,
 }
 
 impl<'a> Encoder<'a> {
     /// Begins a message; clears `bytes`.
-    pub(super) fn new(bytes: &'a mut Vec<u8>) -> Self {
+    pub(crate) fn new(bytes: &'a mut Vec<u8>) -> Self {
         bytes.clear();
         bytes.extend_from_slice(&ENCAPSULATION);
         Self { bytes }
@@ -26,40 +26,44 @@ impl<'a> Encoder<'a> {
         self.bytes.extend_from_slice(&value);
     }
 
-    pub(super) fn bool(&mut self, value: bool) {
+    pub(crate) fn bool(&mut self, value: bool) {
         self.put([u8::from(value)]);
     }
 
-    pub(super) fn i32(&mut self, value: i32) {
+    pub(crate) fn i32(&mut self, value: i32) {
         self.put(value.to_le_bytes());
     }
 
-    pub(super) fn u32(&mut self, value: u32) {
+    pub(crate) fn u32(&mut self, value: u32) {
         self.put(value.to_le_bytes());
     }
 
-    pub(super) fn u64(&mut self, value: u64) {
+    pub(crate) fn u64(&mut self, value: u64) {
         self.put(value.to_le_bytes());
     }
 
-    pub(super) fn f64(&mut self, value: f64) {
+    pub(super) fn f32(&mut self, value: f32) {
+        self.put(value.to_le_bytes());
+    }
+
+    pub(crate) fn f64(&mut self, value: f64) {
         self.put(value.to_le_bytes());
     }
 
     /// The number of elements of a sequence, which follow one by one.
-    pub(super) fn length(&mut self, length: usize) {
+    pub(crate) fn length(&mut self, length: usize) {
         debug_assert!(u32::try_from(length).is_ok(), "a sequence of {length} elements");
         self.u32(length as u32);
     }
 
     /// `uint8[]`.
-    pub(super) fn bytes(&mut self, value: &[u8]) {
+    pub(crate) fn bytes(&mut self, value: &[u8]) {
         self.length(value.len());
         self.bytes.extend_from_slice(value);
     }
 
     /// A text; its length includes a final zero.
-    pub(super) fn text(&mut self, value: &str) {
+    pub(crate) fn text(&mut self, value: &str) {
         self.length(value.len() + 1);
         self.bytes.extend_from_slice(value.as_bytes());
         self.bytes.push(0);
@@ -67,14 +71,14 @@ impl<'a> Encoder<'a> {
 }
 
 /// Reads one message; all methods return `None` if it ends too soon.
-pub(super) struct Decoder<'a> {
+pub(crate) struct Decoder<'a> {
     body: &'a [u8],
     at: usize,
 }
 
 impl<'a> Decoder<'a> {
     /// `None` if the message is in another encoding.
-    pub(super) fn new(bytes: &'a [u8]) -> Option<Self> {
+    pub(crate) fn new(bytes: &'a [u8]) -> Option<Self> {
         let (header, body) = bytes.split_first_chunk::<4>()?;
         // The last two bytes are options, which plain CDR does not use.
         (header[..2] == ENCAPSULATION[..2]).then_some(Self { body, at: 0 })
@@ -91,20 +95,20 @@ impl<'a> Decoder<'a> {
         self.take(N)?.first_chunk().copied()
     }
 
-    pub(super) fn bool(&mut self) -> Option<bool> {
+    pub(crate) fn bool(&mut self) -> Option<bool> {
         self.get().map(|[value]: [u8; 1]| value != 0)
     }
 
-    pub(super) fn u32(&mut self) -> Option<u32> {
+    pub(crate) fn u32(&mut self) -> Option<u32> {
         self.get().map(u32::from_le_bytes)
     }
 
-    pub(super) fn u64(&mut self) -> Option<u64> {
+    pub(crate) fn u64(&mut self) -> Option<u64> {
         self.get().map(u64::from_le_bytes)
     }
 
     /// `uint8[]`.
-    pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
+    pub(crate) fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = self.length::<1>()?;
         self.take(length)
     }
@@ -117,7 +121,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// `uint32[]`, element by element.
-    pub(super) fn each_u32(&mut self, mut take: impl FnMut(u32)) -> Option<usize> {
+    pub(crate) fn each_u32(&mut self, mut take: impl FnMut(u32)) -> Option<usize> {
         let length = self.length::<4>()?;
         for _ in 0..length {
             take(self.u32()?);
@@ -126,7 +130,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// `uint64[]` and `int64[]`, element by element.
-    pub(super) fn each_u64(&mut self, mut take: impl FnMut(usize, u64)) -> Option<usize> {
+    pub(crate) fn each_u64(&mut self, mut take: impl FnMut(usize, u64)) -> Option<usize> {
         let length = self.length::<8>()?;
         for index in 0..length {
             take(index, self.u64()?);

@@ -5,58 +5,58 @@ use slitpose_model::{Estimate, Pose, TwistEstimate};
 
 use super::cdr::Encoder;
 
-/// The reference frame of poses and velocities.
-const FRAME: &str = "base";
+/// The reference frame of poses, velocities and what stands still of a head.
+pub(super) const BASE: &str = "base";
 
 /// `geometry_msgs/msg/PoseWithCovarianceStamped`.
-pub(super) fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
+pub(crate) fn encode_pose(stamp_ns: u64, estimate: &Estimate, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
-    header(&mut encoder, stamp_ns);
+    header(&mut encoder, stamp_ns, BASE);
     pose(&mut encoder, &estimate.pose);
     covariance(&mut encoder, &estimate.covariance);
 }
 
 /// `geometry_msgs/msg/PoseStamped`.
-pub(super) fn encode_pose_stamped(stamp_ns: u64, of: &Pose, bytes: &mut Vec<u8>) {
+pub(crate) fn encode_pose_stamped(stamp_ns: u64, of: &Pose, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
-    header(&mut encoder, stamp_ns);
+    header(&mut encoder, stamp_ns, BASE);
     pose(&mut encoder, of);
 }
 
 /// `tf2_msgs/msg/TFMessage` with one transform; `child` is the name of the tool's frame.
-pub(super) fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mut Vec<u8>) {
+pub(crate) fn encode_transform(stamp_ns: u64, child: &str, of: &Pose, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
     encoder.length(1);
-    header(&mut encoder, stamp_ns);
+    header(&mut encoder, stamp_ns, BASE);
     encoder.text(child);
     pose(&mut encoder, of);
 }
 
 /// `geometry_msgs/msg/TwistWithCovarianceStamped`.
-pub(super) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
+pub(crate) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut Vec<u8>) {
     let mut encoder = Encoder::new(bytes);
-    header(&mut encoder, stamp_ns);
+    header(&mut encoder, stamp_ns, BASE);
     vector(&mut encoder, estimate.twist.linear_m_per_s);
     vector(&mut encoder, estimate.twist.angular_rad_per_s);
     covariance(&mut encoder, &estimate.covariance);
 }
 
-fn header(encoder: &mut Encoder<'_>, stamp_ns: u64) {
+pub(super) fn header(encoder: &mut Encoder<'_>, stamp_ns: u64, frame: &str) {
     const S: u64 = 1_000_000_000;
     encoder.i32(i32::try_from(stamp_ns / S).unwrap_or(i32::MAX));
     encoder.u32((stamp_ns % S) as u32);
-    encoder.text(FRAME);
+    encoder.text(frame);
 }
 
 /// Translation, then rotation as x, y, z, w: poses and transforms alike.
-fn pose(encoder: &mut Encoder<'_>, pose: &Pose) {
+pub(super) fn pose(encoder: &mut Encoder<'_>, pose: &Pose) {
     vector(encoder, pose.translation_m);
     for value in pose.rotation.to_array() {
         encoder.f64(value);
     }
 }
 
-fn vector(encoder: &mut Encoder<'_>, vector: DVec3) {
+pub(super) fn vector(encoder: &mut Encoder<'_>, vector: DVec3) {
     for value in vector.to_array() {
         encoder.f64(value);
     }

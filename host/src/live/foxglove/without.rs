@@ -1,0 +1,32 @@
+//! Builds without the server.
+
+use super::{FoxgloveAddress, FoxgloveError};
+use crate::live::{LiveBoard, LiveInput};
+use crate::telemetry::DaemonReport;
+
+/// There is none.
+pub(crate) enum FoxgloveServer {}
+
+impl FoxgloveServer {
+    /// Starts none.
+    ///
+    /// # Errors
+    /// Always [`FoxgloveError::NotBuilt`].
+    pub(crate) fn start(
+        FoxgloveAddress(_): FoxgloveAddress,
+        _: Vec<LiveBoard>,
+        _: impl Fn() -> DaemonReport + Send + 'static,
+    ) -> Result<Self, FoxgloveError> {
+        Err(FoxgloveError::NotBuilt)
+    }
+
+    /// Where it would be found.
+    pub(crate) fn url(&self) -> &str {
+        match *self {}
+    }
+
+    /// Where samples would go.
+    pub(crate) fn input(&self) -> LiveInput {
+        match *self {}
+    }
+}

@@ -1,0 +1,133 @@
+//! A head as shapes: detectors, masks with their openings, emitters.
+
+use std::f64::consts::{FRAC_PI_4, TAU};
+
+use glam::{DVec2, DVec3, dvec2};
+use slitpose_design::{MaskFrame, mask_half_extents_m};
+use slitpose_model::{Cell, Opening, Pose};
+
+use super::cdr::Encoder;
+use super::geometry::{BASE, header, pose, vector};
+
+/// Shapes by their numbers in `visualization_msgs/msg/Marker`.
+const LINE_LIST: i32 = 5;
+const SPHERE_LIST: i32 = 7;
+const TRIANGLE_LIST: i32 = 11;
+
+/// Length of an emitter's axis, diameter of its ball and width of the line, as they are drawn, metres.
+const AXIS_M: f64 = 4e-3;
+const BALL_M: f64 = 1e-3;
+const LINE_M: f64 = 0.3e-3;
+
+/// Corners of a round opening. A multiple of four: the corners of the mask are among those around it.
+const ROUND: usize = 16;
+
+/// Shapes of one kind and frame.
+struct Marker<'a> {
+    namespace: &'static str,
+    frame: &'a str,
+    kind: i32,
+    scale_m: f64,
+    /// Red, green, blue, opacity.
+    colour: [f32; 4],
+    points: Vec<DVec3>,
+}
+
+/// `visualization_msgs/msg/MarkerArray` of a head. Detectors and masks are in frame base; emitters, and masks that ride, in
+/// frame `tool`, with which they move.
+pub(crate) fn encode_head(cells: &[Cell], tool: &str, bytes: &mut Vec<u8>) {
+    // Both axes of a detector have its parts in common.
+    let cells =
+        || cells.iter().enumerate().filter(|(number, cell)| !cell.is_second_axis(*number)).map(|(_, cell)| cell);
+    let rides = |cell: &&Cell| cell.opening() == Opening::RidingSlit;
+    let triangles = |namespace, frame, colour, points| {
+        // Points of triangles are to scale.
+        Marker { namespace, frame, kind: TRIANGLE_LIST, scale_m: 1.0, colour, points }
+    };
+    let emitters = |kind, scale_m, points| {
+        let namespace = if kind == LINE_LIST { "emitter_axes" } else { "emitters" };
+        Marker { namespace, frame: tool, kind, scale_m, colour: [0.9, 0.2, 0.15, 1.0], points }
+    };
+    let mask_colour = [0.45, 0.48, 0.55, 0.6];
+    let markers = [
+        triangles("detectors", BASE, [0.1, 0.45, 0.7, 1.0], cells().flat_map(detector).collect()),
+        triangles("masks", BASE, mask_colour, cells().filter(|cell| !rides(cell)).flat_map(mask).collect()),
+        triangles("masks_on_tool", tool, mask_colour, cells().filter(rides).flat_map(mask).collect()),
+        emitters(SPHERE_LIST, BALL_M, cells().map(|cell| cell.emitter.position_tool_m).collect()),
+        emitters(LINE_LIST, LINE_M, cells().flat_map(axis).collect()),
+    ];
+    let drawn = || markers.iter().filter(|marker| !marker.points.is_empty());
+    let mut encoder = Encoder::new(bytes);
+    encoder.length(drawn().count());
+    drawn().for_each(|marker| marker.encode(&mut encoder));
+}
+
+/// Two triangles.
+fn detector(cell: &Cell) -> [DVec3; 6] {
+    let detector = &cell.detector;
+    let (x, y) = (detector.x_axis_base, detector.normal_base.cross(detector.x_axis_base));
+    let half_m = 0.5 * dvec2(detector.length_m, detector.width_m);
+    let [a, b, c, d] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|corner| {
+        let at = DVec2::from_array(corner) * half_m;
+        detector.centre_base_m + x * at.x + y * at.y
+    });
+    [a, b, c, a, c, d]
+}
+
+/// Triangles between the edge of a mask and that of its opening.
+fn mask(cell: &Cell) -> Vec<DVec3> {
+    let frame = MaskFrame::at_home(cell);
+    let is_slit = matches!(cell.opening(), Opening::Slit | Opening::RidingSlit);
+    let corners = if is_slit { 4 } else { ROUND };
+    let (outer_m, inner_m) = (mask_half_extents_m(cell), 0.5 * dvec2(cell.slit.width_m, cell.slit.length_m));
+    // Both edges at a corner, the outer first.
+    let edges = |corner: usize| {
+        let round = DVec2::from_angle(FRAC_PI_4 + TAU * corner as f64 / corners as f64);
+        let square = round / round.abs().max_element();
+        [square * outer_m, if is_slit { square } else { round } * inner_m]
+            .map(|at| frame.centre + frame.axes[0] * at.x + frame.axes[1] * at.y)
+    };
+    let between = |corner| {
+        let ([a, b], [d, c]) = (edges(corner), edges((corner + 1) % corners));
+        [a, b, c, a, c, d]
+    };
+    (0..corners).flat_map(between).collect()
+}
+
+/// Both ends of an emitter's axis.
+fn axis(cell: &Cell) -> [DVec3; 2] {
+    let emitter = &cell.emitter;
+    [emitter.position_tool_m, emitter.position_tool_m + AXIS_M * emitter.axis_tool]
+}
+
+impl Marker<'_> {
+    fn encode(&self, encoder: &mut Encoder<'_>) {
+        // Zero: whenever it is looked at.
+        header(encoder, 0, self.frame);
+        encoder.text(self.namespace);
+        // Number; kind; add or replace.
+        [0, self.kind, 0].into_iter().for_each(|value| encoder.i32(value));
+        pose(encoder, &Pose::HOME);
+        vector(encoder, DVec3::splat(self.scale_m));
+        self.colour.into_iter().for_each(|value| encoder.f32(value));
+        // No end of its life.
+        encoder.i32(0);
+        encoder.u32(0);
+        // It moves with its frame.
+        encoder.bool(true);
+        encoder.length(self.points.len());
+        self.points.iter().for_each(|point| vector(encoder, *point));
+        // No colours of points; no texture: name, image, coordinates; no text; no mesh: name, file, materials.
+        encoder.length(0);
+        encoder.text("");
+        header(encoder, 0, "");
+        encoder.text("");
+        encoder.length(0);
+        encoder.length(0);
+        encoder.text("");
+        encoder.text("");
+        encoder.text("");
+        encoder.length(0);
+        encoder.bool(false);
+    }
+}
