@@ -23,10 +23,11 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+HEAD = "visualization_msgs/msg/MarkerArray"
 REPORT = "std_msgs/msg/String"
 SCHEMAS = {
     "link": LINK, "hello": LINK, "pose": POSE, "pose_stamped": POSE_STAMPED, "tf": TRANSFORMS, "twist": TWIST,
-    "report": REPORT,
+    "head": HEAD, "report": REPORT,
 }
 NO_TIME = 2**64 - 1
 
@@ -73,6 +74,7 @@ class Contents:
         self.timed_reads = 0
         self.positions_m = []
         self.reports = []
+        self.heads = {}
         self.report_schema = None
         self.scenes, self.devices, self.schemas, self.channels, self.topics = {}, [], {}, {}, {}
         self._ros = DecoderFactory()
@@ -123,6 +125,11 @@ class Contents:
             if channel.topic.endswith("/link"):
                 self.raw_bytes += len(message.data)
                 self.timed_reads += sum(time != NO_TIME for time in message.read_monotonic_ns)
+            return
+        if schema.name == HEAD:
+            shapes = {marker.ns: (marker.header.frame_id, [vector(at) for at in marker.points]) for marker in message.markers}
+            # Copies further on are for files whose beginning is damaged.
+            check(self.heads.setdefault(channel.topic, shapes) == shapes, "two heads of one board")
             return
         if schema.name == TRANSFORMS:
             (message,) = message.transforms

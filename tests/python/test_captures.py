@@ -2,9 +2,11 @@
 
 import csv
 import io
+import math
 import os
 import subprocess
 import tempfile
+import tomllib
 import unittest
 from pathlib import Path
 
@@ -88,8 +90,9 @@ class Captures(unittest.TestCase):
             for connection, _, data in reader.messages():
                 message = reader.deserialize(data, connection.msgtype)
                 found.setdefault(connection.topic.rsplit("/", 1)[1], []).append(message)
-        self.assertEqual(set(found), {"link", "hello", "pose", "pose_stamped", "tf", "twist", "report"})
+        self.assertEqual(set(found), {"link", "hello", "head", "pose", "pose_stamped", "tf", "twist", "report"})
         self.assertEqual(len(found["pose"]), 2 * POSES_HZ)
+        self.assertEqual([marker.header.frame_id for marker in found["head"][0].markers], ["base", "base", "tool", "tool"])
         self.assertEqual({len(found[kind]) for kind in ("pose_stamped", "tf")}, {2 * POSES_HZ})
         for pose, stamped, transforms in zip(found["pose"], found["pose_stamped"], found["tf"]):
             (transform,) = transforms.transforms
@@ -98,6 +101,42 @@ class Captures(unittest.TestCase):
             self.assertEqual(stamped.pose, pose.pose.pose)
             self.assertEqual(self._numbers(transform.transform.rotation), self._numbers(stamped.pose.orientation))
             self.assertEqual(self._numbers(transform.transform.translation), self._numbers(stamped.pose.position)[:3])
+
+    def test_the_head_as_the_scene_says(self):
+        for path in (self.simulated, self.followed):
+            contents = read(path)
+            (head,), (scene,) = contents.heads.values(), contents.scenes.values()
+            scene = tomllib.loads(scene.data.decode())
+            (of_detectors, detectors), (of_masks, masks), (of_emitters, emitters) = (
+                head[kind] for kind in ("detectors", "masks", "emitters")
+            )
+            self.assertEqual((of_detectors, of_masks, of_emitters), ("base", "base", "tool"))
+            sizes = [[scene[part][f"{size}_mm"] for size in ("width", "length")] for part in ("detector", "slit")]
+            # Two triangles a detector, eight a mask: two between each edge of the mask and that of the slit.
+            for cell, corners, mask, emitter in zip(scene["cell"], self._by(6, detectors), self._by(24, masks), emitters):
+                self._are_close(emitter, cell["emitter_mm"])
+                self._are_close(self._centre(corners), cell["detector_mm"])
+                slit = [at_mm + scene["slit"]["distance_mm"] * z for at_mm, z in zip(cell["detector_mm"], cell["normal"])]
+                inner = [point for index, point in enumerate(mask) if index % 6 in (2, 4)]
+                self._are_close(self._centre(inner), slit)
+                for (width_mm, length_mm), points in zip(sizes, (corners, inner)):
+                    # The farthest corners are a diagonal apart.
+                    diagonal_mm = max(math.dist(a, b) for a in points for b in points) * 1e3
+                    self.assertAlmostEqual(diagonal_mm, math.hypot(width_mm, length_mm), places=9)
+
+    @staticmethod
+    def _by(count, points):
+        return [points[start : start + count] for start in range(0, len(points), count)]
+
+    @staticmethod
+    def _centre(points):
+        """Half way between the two farthest: the centre of a rectangle, whichever corners come twice."""
+        a, b = max(((a, b) for a in points for b in points), key=lambda ends: math.dist(*ends))
+        return [(x + y) / 2 for x, y in zip(a, b)]
+
+    def _are_close(self, found_m, expected_mm):
+        for metres, millimetres in zip(found_m, expected_mm, strict=True):
+            self.assertAlmostEqual(metres * 1e3, millimetres, places=9)
 
     @staticmethod
     def _numbers(message):
