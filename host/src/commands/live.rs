@@ -93,7 +93,7 @@ impl AccessOptions {
         let url = server.url();
         talk(format_args!("live page at {url}"));
         if self.open
-            && let Err(error) = opener::open_browser(url)
+            && let Err(error) = open::that_detached(url)
         {
             talk(format_args!("no browser could be opened ({error}); open {url} yourself"));
         }
