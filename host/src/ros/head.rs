@@ -131,3 +131,49 @@ impl Marker<'_> {
         encoder.bool(false);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, WIDE};
+
+    use super::*;
+
+    fn area_m2(points: &[DVec3]) -> f64 {
+        let (triangles, rest) = points.as_chunks();
+        assert_eq!(rest.len(), 0);
+        triangles.iter().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
+    }
+
+    #[test]
+    fn masks_cover_all_but_their_openings() {
+        for scene in [WIDE, SPACEMOUSE, MAGLEV] {
+            for cell in &scene.read().unwrap().scene.cells {
+                let half_m = mask_half_extents_m(cell);
+                let opening_m2 = match cell.opening() {
+                    Opening::Slit | Opening::RidingSlit => cell.slit.width_m * cell.slit.length_m,
+                    // A polygon of `ROUND` corners.
+                    _ => 0.125 * cell.slit.width_m.powi(2) * ROUND as f64 * (TAU / ROUND as f64).sin(),
+                };
+                let expected_m2 = 4.0 * half_m.x * half_m.y - opening_m2;
+                assert!((area_m2(&mask(cell)) / expected_m2 - 1.0).abs() < 1e-9);
+                let (detector_m2, found_m2) =
+                    (cell.detector.length_m * cell.detector.width_m, area_m2(&detector(cell)));
+                assert!((found_m2 / detector_m2 - 1.0).abs() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn masks_that_ride_are_in_the_frame_of_their_tool() {
+        for (scene, with_masks, with_riding) in [(WIDE, true, false), (SPACEMOUSE, false, true), (MAGLEV, true, false)]
+        {
+            let mut bytes = Vec::new();
+            encode_head(&scene.read().unwrap().scene.cells, "tool_7", &mut bytes);
+            let has = |text: &[u8]| bytes.windows(text.len()).any(|window| window == text);
+            assert_eq!((has(b"\x06\0\0\0masks\0"), has(b"\0masks_on_tool\0")), (with_masks, with_riding));
+            assert!(has(b"\0tool_7\0") && has(b"\0base\0"));
+            // Markers without points are left out.
+            assert_eq!(bytes[4..8], 4_u32.to_le_bytes());
+        }
+    }
+}

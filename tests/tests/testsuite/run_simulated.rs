@@ -128,6 +128,14 @@ fn abrupt_reversals_cost_no_pose() {
 }
 
 #[test]
+fn a_build_without_foxglove_says_which_build_has_it() {
+    assert!(!slitpose!().run(["run", "--help"]).done().contains("foxglove"));
+    let run = ["run", "--config", "none", "--device", "sim", "--foxglove"];
+    slitpose!().run(run).assert_refused(1, &["--features foxglove"]);
+    slitpose!().run(run.into_iter().chain(["0.0.0.0:8765"])).assert_refused(2, &["0.0.0.0:8765", "ssh -L"]);
+}
+
+#[test]
 fn the_seed_decides_every_byte() {
     let bytes = |seed| run(&["--duration", "200ms", "--seed", seed]).stdout;
     let first = bytes("7");
