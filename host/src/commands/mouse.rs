@@ -16,13 +16,13 @@ pub(super) struct MouseOptions {
     #[arg(long, value_name = "PATH")]
     spacenav: Option<PathBuf>,
     /// Full deflections at the edge of the workspace
-    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = parse_gain, requires = "spacenav")]
+    #[arg(long, value_name = "GAIN", default_value_t = 1.0, value_parser = parse_gain)]
     spacenav_gain: f64,
     /// Share of the workspace around zero in which an axis gives nothing
-    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share, requires = "spacenav")]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_share)]
     spacenav_dead_zone: f64,
     /// Axes of the base that point to the right, up, and into the screen
-    #[arg(long, value_name = "AXES", default_value = "x,z,y", allow_hyphen_values = true, requires = "spacenav")]
+    #[arg(long, value_name = "AXES", default_value = "x,z,y", allow_hyphen_values = true)]
     spacenav_axes: Axes,
 }
 

@@ -24,6 +24,7 @@ mod kill;
 mod lag;
 mod latency;
 mod lit_cells;
+mod live_page;
 mod monte_carlo;
 mod outputs;
 mod physics_chain;

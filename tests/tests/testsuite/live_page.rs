@@ -1,0 +1,140 @@
+//! The live page of a daemon and of a replay, through the socket that the page uses.
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, ChildStderr};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::{Value, json};
+use slitpose_tests::slitpose;
+use tungstenite::stream::MaybeTlsStream;
+use tungstenite::{Message, WebSocket};
+
+/// A busy machine may take its time.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A program that serves a page, and a client of it.
+struct Page {
+    program: Child,
+    _talk: BufReader<ChildStderr>,
+    socket: WebSocket<MaybeTlsStream<TcpStream>>,
+    heard: u64,
+}
+
+impl Page {
+    fn of<'a>(folder: &Path, arguments: impl IntoIterator<Item = &'a str>) -> Self {
+        let arguments = arguments.into_iter().chain(["--format", "none", "--live", "127.0.0.1:0"]);
+        let mut program = slitpose!().command(arguments).current_dir(folder).spawn().expect("slitpose starts");
+        let mut talk = BufReader::new(program.stderr.take().expect("piped"));
+        let mut line = String::new();
+        talk.read_line(&mut line).expect("UTF-8");
+        let url = line.trim_end().strip_prefix("slitpose: live page at http://").unwrap_or_else(|| panic!("{line}"));
+        let (mut socket, _) = tungstenite::connect(format!("ws://{url}live")).expect("a page");
+        if let MaybeTlsStream::Plain(stream) = socket.get_mut() {
+            stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        }
+        let mut page = Self { program, _talk: talk, socket, heard: 0 };
+        page.say(&json!({"kind": "hello"}));
+        page
+    }
+
+    fn say(&mut self, request: &Value) {
+        self.socket.send(Message::text(request.to_string())).expect("a page");
+    }
+
+    /// The next message for which `is_wanted`.
+    fn until(&mut self, is_wanted: impl Fn(&Value) -> bool) -> Value {
+        let since = Instant::now();
+        while since.elapsed() < PATIENCE {
+            let Message::Text(text) = self.socket.read().expect("a message") else { continue };
+            self.heard += 1;
+            let acknowledged = json!({"kind": "ack", "messages": self.heard});
+            self.say(&acknowledged);
+            let message = serde_json::from_str(&text).expect("JSON");
+            if is_wanted(&message) {
+                return message;
+            }
+        }
+        panic!("nothing came that was wanted");
+    }
+
+    /// Waits for the recorder to be in this state; its file.
+    fn recorder(&mut self, state: &str) -> String {
+        let report = self.until(|message| message["report"]["recorder"]["state"] == state);
+        report["report"]["recorder"]["file"].as_str().unwrap_or_default().to_owned()
+    }
+
+    fn end(mut self) {
+        kill(Pid::from_raw(i32::try_from(self.program.id()).expect("an id")), Signal::SIGINT).expect("running");
+        let ended = self.program.wait().expect("ends");
+        assert_eq!(ended.code(), Some(0));
+    }
+}
+
+#[test]
+fn recordings_begin_and_end_while_a_daemon_runs_and_each_replays_whole() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut page = Page::of(folder.path(), ["run", "--config", "none", "--device", "sim"]);
+    page.until(|message| message["kind"] == "frame");
+    let mut files = Vec::new();
+    for _ in 0..2 {
+        page.say(&json!({"kind": "record", "on": true}));
+        files.push(page.recorder("recording"));
+        page.say(&json!({"kind": "record", "on": true}));
+        let refused = page.until(|message| message["kind"] == "refused");
+        assert!(refused["reason"].as_str().expect("a text").contains("already"), "{refused}");
+        page.until(|message| message["report"]["recorder"]["bytes"].as_u64().is_some_and(|bytes| bytes > 100_000));
+        page.say(&json!({"kind": "record", "on": false}));
+        page.recorder("off");
+        // Names have the second in them.
+        thread::sleep(Duration::from_millis(1100));
+    }
+    page.end();
+    assert_ne!(files[0], files[1]);
+    for file in files {
+        let path = folder.path().join(file);
+        let replayed = slitpose!().run(["replay", path.to_str().expect("UTF-8"), "--format", "csv"]).done();
+        let scans: Vec<u64> = replayed
+            .lines()
+            .skip(1)
+            .map(|row| row.split(',').next().expect("seq").parse().expect("a number"))
+            .collect();
+        assert!(scans.len() > 1000, "{}", scans.len());
+        assert!(scans.windows(2).all(|pair| pair[1] == pair[0] + 1), "a gap");
+    }
+}
+
+#[test]
+fn a_replay_is_paused_moved_and_played_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let capture = folder.path().join("capture.mcap");
+    let capture = capture.to_str().expect("UTF-8");
+    slitpose!().run(["simulate", "--duration", "4s", "--output", capture]).done();
+    let mut page = Page::of(folder.path(), ["replay", capture]);
+    page.until(|message| message["kind"] == "frame");
+    page.say(&json!({"kind": "player", "playing": false, "seek_s": 3.0}));
+    page.until(|message| message["kind"] == "player" && message["playing"] == false);
+    page.say(&json!({"kind": "player", "playing": true, "speed": null}));
+    // It goes on from there, not from where it was.
+    let frame = page.until(|message| message["kind"] == "frame" && message["time_s"].as_f64() >= Some(2.9));
+    assert!(frame["time_s"].as_f64() < Some(4.1), "{frame}");
+    let ended = page.until(|message| message["kind"] == "player" && message["ended"] == true);
+    assert!((ended["duration_s"].as_f64().expect("a number") - 4.0).abs() < 0.1, "{ended}");
+    page.say(&json!({"kind": "player", "playing": true}));
+    page.until(|message| message["kind"] == "player" && message["position_s"].as_f64() < Some(1.0));
+    page.until(|message| message["kind"] == "frame" || message["kind"] == "history");
+    page.end();
+}
+
+#[test]
+fn a_page_for_other_hosts_needs_a_token() {
+    let refused = slitpose!().run(["run", "--config", "none", "--device", "sim", "--live", "0.0.0.0:0"]);
+    refused.assert_refused(1, &["0.0.0.0:0", "--live-token"]);
+    let arguments = ["scene", "view", "wide", "--live", "[::]:0", "--live-token", "short"];
+    slitpose!().run(arguments).assert_refused(1, &["5 characters", "16"]);
+    slitpose!().run(["replay", "--live", "capture.mcap"]).assert_refused(2, &["capture.mcap", "is no address"]);
+}
