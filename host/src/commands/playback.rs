@@ -219,7 +219,7 @@ impl<'a> Playback<'a> {
         if self.speed != speed || player.is_playing() != was_playing {
             (self.pace, self.paced_from_s) = (None, elapsed_s);
         }
-        let position_s = self.choice.from_s.unwrap_or(0.0) + elapsed_s;
+        let position_s = leap.unwrap_or(self.choice.from_s.unwrap_or(0.0) + elapsed_s);
         player.tell(position_s, self.speed, end && leap.is_none(), || {
             let Account { boards, recorder } = account(&self.captures, &self.output.statistics);
             DaemonReport::of_now(self.began, boards, recorder)
