@@ -129,9 +129,7 @@ impl Control for Changes {
                 self.mouse.as_ref().ok_or(Refusal::NO_MOUSE)?.zero();
                 Ok(())
             }
-            (Order::Player(_), _) => {
-                Err(Refusal::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" })
-            }
+            (Order::Player(_), _) => Err(Refusal::NO_PLAYER),
         }
     }
 }

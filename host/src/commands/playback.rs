@@ -189,8 +189,7 @@ impl<'a> Playback<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Waits until it is time for the next bytes, or for orders at the `end`; returns where to go on from if that is
-    /// elsewhere.
+    /// Waits until the next bytes are due, or at the `end` for orders; returns the place of a leap, if one was ordered.
     fn keep_pace(&mut self, end: bool) -> Option<f64> {
         while !self.is_stopped() {
             let leap = self.heed(end);
@@ -210,7 +209,8 @@ impl<'a> Playback<'a> {
         None
     }
 
-    /// Does what the page asks for, and tells it where the capture is; returns where to go on from if that is elsewhere.
+    /// Carries out the orders of the page and sends it the state of the player; returns the place of a leap, if one was
+    /// ordered.
     fn heed(&mut self, end: bool) -> Option<f64> {
         let player = self.player.as_mut()?;
         let (was_playing, speed) = (player.is_playing(), self.speed);
@@ -227,7 +227,7 @@ impl<'a> Playback<'a> {
         leap
     }
 
-    /// Goes on from another place, seconds after the beginning.
+    /// Continues at another place, seconds after the beginning.
     fn leap(&mut self, from_s: f64) -> Result<(), CommandError> {
         self.choice.from_s = (from_s > 0.0).then_some(from_s);
         self.captures = playback::Playback::open(self.files.to_vec(), self.choice.clone())?;

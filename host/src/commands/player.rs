@@ -27,9 +27,7 @@ impl Control for Orders {
     fn order(&self, order: Order) -> Result<(), Refusal> {
         let order = match order {
             Order::Player(order) => order,
-            Order::Record(_) => {
-                return Err(Refusal::NotHere { what: "recorder", instead: "`slitpose run --live` has one" });
-            }
+            Order::Record(_) => return Err(Refusal::NO_RECORDER),
             Order::Zero => return Err(Refusal::NO_MOUSE),
         };
         if let Some(Some(value)) = order.speed
@@ -79,7 +77,7 @@ impl Player {
         self.state.playing && !self.state.ended
     }
 
-    /// Carries out waiting orders: changes `speed`, and returns where to go on from, seconds after the beginning.
+    /// Carries out waiting orders: changes `speed`, and returns the place of a leap, seconds after the beginning.
     pub(super) fn obey(&mut self, speed: &mut Speed) -> Option<f64> {
         let PlayerOrder { playing, speed: new_speed, seek_s } = std::mem::take(&mut *lock(&self.orders.0));
         if let Some(new) = new_speed {
@@ -99,7 +97,7 @@ impl Player {
         seek_s
     }
 
-    /// Tells the page where the capture is played, and how its boards do, if it is time.
+    /// Sends the state of the player and a report on the boards to the page, four times a second and after each change.
     pub(super) fn tell(&mut self, position_s: f64, speed: Speed, ended: bool, report: impl FnOnce() -> DaemonReport) {
         if ended != self.state.ended {
             self.told = None;

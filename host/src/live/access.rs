@@ -1,12 +1,12 @@
 //! Who may look, and who may change something.
 
 use std::fmt;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::http::Reach;
+use crate::http::{self, Reach};
 
 /// The address of the page unless another is given.
 pub(crate) const DEFAULT_LIVE_ADDRESS: &str = "127.0.0.1:7451";
@@ -54,9 +54,7 @@ impl FromStr for LiveAddress {
     type Err = AccessError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let local = |port: &str| port.parse().ok().map(|port: u16| (Ipv4Addr::LOCALHOST, port).into());
-        let address = text.strip_prefix("localhost:").map_or_else(|| text.parse().ok(), local);
-        address.map(Self).ok_or_else(|| AccessError::Address { text: text.to_owned() })
+        http::tcp_address(text).map(Self).ok_or_else(|| AccessError::Address { text: text.to_owned() })
     }
 }
 

@@ -85,6 +85,13 @@ pub(crate) enum Refusal {
 }
 
 impl Refusal {
+    /// There is no recorder.
+    pub(crate) const NO_RECORDER: Self = Self::NotHere { what: "recorder", instead: "`slitpose run --live` has one" };
+
+    /// There is no player.
+    pub(crate) const NO_PLAYER: Self =
+        Self::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" };
+
     /// There is no 6-DoF mouse.
     pub(crate) const NO_MOUSE: Self =
         Self::NotHere { what: "6-DoF mouse", instead: "`slitpose run --spacenav PATH --live` has one" };

@@ -4,10 +4,11 @@ use serde::Serialize;
 use slitpose_calibration::Head;
 use slitpose_head::boxed::boxed_plan;
 use slitpose_model::{
-    Estimate, Outcome, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
+    Estimate, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
 };
 
 use super::sampler::{Sample, coordinates};
+use crate::pipeline::reason;
 
 /// Relative error of the integrals: a page shows three digits.
 const TIER: Tier = Tier::Exact { tolerance: 1e-3 };
@@ -154,11 +155,7 @@ impl Optics {
             seq: n,
             time_s: 0.0,
             status: solution.outcome.as_str(),
-            reason: match solution.outcome {
-                Outcome::Degraded(reason) => Some(reason.as_str().to_owned()),
-                Outcome::Unobservable(directions) => Some(directions.to_string()),
-                _ => None,
-            },
+            reason: reason(&solution.outcome),
             place,
             sigma: estimate.map(|estimate| estimate.sigma().map(rounded)),
             cov_t: estimate.map(|Estimate { covariance: c, .. }| {

@@ -62,12 +62,6 @@ impl LiveInput {
         (Self(sender), receiver)
     }
 
-    /// Whether a sample would be taken now.
-    #[cfg(test)]
-    pub(super) fn has_room(&self) -> bool {
-        self.0.capacity() > 0
-    }
-
     /// Shows these boards from now on. Waits for the server.
     pub(crate) fn boards(&self, boards: Vec<LiveBoard>) {
         // The server ends after all who send.

@@ -1,7 +1,7 @@
 //! The server of the page: its files over HTTP, everything else over one WebSocket.
 
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -94,8 +94,6 @@ pub(super) struct Shared {
 
 /// Serves the page until dropped.
 pub(crate) struct LiveServer {
-    #[cfg(test)]
-    pub(super) address: SocketAddr,
     url: String,
     input: LiveInput,
     end: Option<oneshot::Sender<()>>,
@@ -115,15 +113,12 @@ impl LiveServer {
             _ => LiveError::Listen { address, source },
         };
         let runtime = Builder::new_current_thread().enable_all().build().map_err(listen)?;
-        let listener = TcpListener::bind(address).map_err(listen)?;
-        let address = listener.local_addr().map_err(listen)?;
-        listener.set_nonblocking(true).map_err(listen)?;
-        let socket = {
+        let (socket, bound) = {
             // Sockets belong to the runtime in which they are created.
             let _entered = runtime.enter();
-            Socket::Tcp(tokio::net::TcpListener::from_std(listener).map_err(listen)?)
+            http::listen(address).map_err(listen)?
         };
-        let (url, reach) = (access.url(address), access.reach());
+        let (url, reach) = (access.url(bound), access.reach());
         let clients = Arc::new(Semaphore::new(MOST_CLIENTS));
         let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
@@ -134,14 +129,7 @@ impl LiveServer {
             .name("live".to_owned())
             .spawn(move || serve(runtime, socket, routes, &shared, inputs, report, ended))
             .map_err(listen)?;
-        Ok(Self {
-            #[cfg(test)]
-            address,
-            url,
-            input,
-            end: Some(end),
-            thread: Some(thread),
-        })
+        Ok(Self { url, input, end: Some(end), thread: Some(thread) })
     }
 
     /// The address of the page, for a browser.

@@ -55,12 +55,21 @@ fn start(address: &str, token: Option<&str>) -> (LiveServer, Orders) {
     (server.unwrap(), orders)
 }
 
+/// Host and port that its URL names.
+fn authority(server: &LiveServer) -> &str {
+    server.url().split('/').nth(2).unwrap()
+}
+
+fn port(server: &LiveServer) -> &str {
+    authority(server).rsplit(':').next().unwrap()
+}
+
 struct Client(WebSocket<MaybeTlsStream<TcpStream>>);
 
 impl Client {
     /// Connects to the server's port on this host.
     fn connect(server: &LiveServer) -> Result<Self, tungstenite::Error> {
-        let url = format!("ws://127.0.0.1:{}/live", server.address.port());
+        let url = format!("ws://127.0.0.1:{}/live", port(server));
         let (socket, _) = tungstenite::connect(url)?;
         if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
             stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -140,16 +149,14 @@ fn poses(count: usize) -> Vec<(Record, Photocurrents)> {
     poses
 }
 
-/// Samples each of `poses` at the pace of frames, as soon as the server takes it.
+/// Sends each of `poses` as a sample, as soon as the server takes it.
 fn play(server: &LiveServer, poses: &[(Record, Photocurrents)]) {
-    let mut sampler = Sampler::new(0, Arc::new(server.input()));
-    for (number, (record, photocurrents)) in poses.iter().enumerate() {
-        sampler.add(record);
-        let now = HostInstant { monotonic_ns: (number as u64 + 1) * 20_000_000, utc_ns: 0 };
-        while !server.input().has_room() {
+    for (record, photocurrents) in poses {
+        let (record, photocurrents) = (*record, photocurrents.clone());
+        let sample = Sample { record, photocurrents, scans: 1, poses: 1, range: None };
+        while !server.input().sample(0, &sample) {
             std::thread::yield_now();
         }
-        sampler.send(Some(photocurrents), now);
     }
 }
 
@@ -295,11 +302,11 @@ fn a_client_that_comes_later_gets_the_last_minute_and_a_restart_begins_anew() {
 fn pages_of_others_and_wrong_tokens_see_nothing() {
     let (server, _) = start("127.0.0.1:0", None);
     let request = |host: &str, origin: Option<&str>| {
-        let mut request = format!("ws://127.0.0.1:{}/live", server.address.port()).into_client_request().unwrap();
-        let own = format!("{host}:{}", server.address.port());
+        let mut request = format!("ws://127.0.0.1:{}/live", port(&server)).into_client_request().unwrap();
+        let own = format!("{host}:{}", port(&server));
         request.headers_mut().insert("host", own.parse().unwrap());
         if let Some(origin) = origin {
-            let origin = origin.replace("PORT", &server.address.port().to_string());
+            let origin = origin.replace("PORT", port(&server));
             request.headers_mut().insert("origin", origin.parse().unwrap());
         }
         tungstenite::connect(request).map(|_| ())
@@ -381,7 +388,7 @@ fn clients_are_limited_and_those_who_say_nothing_are_dropped() {
 fn files_come_with_a_policy_that_lets_them_fetch_nothing_else() {
     let (server, _) = start("127.0.0.1:0", None);
     let fetch = |path: &str| {
-        let mut stream = TcpStream::connect(server.address).unwrap();
+        let mut stream = TcpStream::connect(authority(&server)).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
         let mut answer = String::new();

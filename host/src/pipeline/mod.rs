@@ -31,6 +31,7 @@ pub use counts::Counts;
 pub use error::PipelineError;
 pub use oddity::Oddity;
 pub use outcomes::Outcomes;
+pub(crate) use outcomes::reason;
 pub use session::{check, check_calibration, head_of};
 pub use waiting::{Queue, Scan};
 

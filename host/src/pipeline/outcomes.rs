@@ -6,6 +6,15 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use slitpose_model::{DegradedReason, Directions, Outcome};
 
+/// Why a pose is degraded, or which coordinates are unobservable.
+pub(crate) fn reason(outcome: &Outcome) -> Option<String> {
+    match outcome {
+        Outcome::Degraded(reason) => Some(reason.as_str().to_owned()),
+        Outcome::Unobservable(directions) => Some(directions.to_string()),
+        Outcome::Converged | Outcome::Ambiguous | Outcome::TooDark | Outcome::Diverged => None,
+    }
+}
+
 /// Counts of solutions by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Outcomes {

@@ -1,6 +1,6 @@
 //! Captures through the pipeline again, as `replay` and `export` do.
 //!
-//! [`Playback::step`] takes the next entry of the captures and tells of what comes of it, [`Playback::end`] of what was
+//! [`Playback::step`] solves the next entry of the captures and passes the results on, [`Playback::end`] reports what was
 //! lost. The same bytes give the same poses, bit for bit, with one exception: a part that does not begin at the beginning
 //! finds its first pose from nothing. [`Yields::PosesOfPart`] is for parts that are to give what the whole gives.
 
@@ -36,7 +36,7 @@ const LATEST_NS: u64 = 1_000_000_000;
 /// Time between bytes and a part that begins right behind them: reads are farther apart.
 const AFTER_S: f64 = 1e-6;
 
-/// What comes of captures.
+/// A result of playing captures.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// There is a board, or it begins anew with other settings.
@@ -159,7 +159,7 @@ impl Playback {
         self.boards.iter().map(|board| (board.device, board.sessions_s.as_slice()))
     }
 
-    /// Takes the next entry of the captures and tells of what comes of it; whether there was one.
+    /// Solves the next entry of the captures and passes the results to `hear`; returns whether there was an entry.
     ///
     /// # Errors
     /// Files that cannot be read, boards that do not suit the scene, and errors of `hear`.
@@ -196,7 +196,7 @@ impl Playback {
         Ok(false)
     }
 
-    /// Tells of what is missing.
+    /// Reports missing data to `hear`.
     ///
     /// # Errors
     /// No scan, and errors of `hear`.

@@ -1,4 +1,6 @@
 //! Schemas of the messages, as captures and live servers state them.
+//!
+//! A definition has the fields of the message, then the types of these, each once.
 
 /// A message type: its name and its definition in the syntax of ROS 2 (`ros2msg`).
 #[derive(Clone, Copy, Debug)]
@@ -7,149 +9,108 @@ pub(crate) struct RosType {
     pub(crate) definition: &'static str,
 }
 
-/// A pose `base_from_tool` with the covariance of (translation, rotation) in the base frame.
-pub(crate) const POSE: RosType = RosType {
-    name: "geometry_msgs/msg/PoseWithCovarianceStamped",
-    definition: "\
-std_msgs/Header header
-PoseWithCovariance pose
-================================================================================
-MSG: geometry_msgs/PoseWithCovariance
-Pose pose
-float64[36] covariance
-================================================================================
-MSG: geometry_msgs/Pose
-Point position
-Quaternion orientation
-================================================================================
+/// The definition of a type that others use.
+macro_rules! part {
+    (header) => {
+        "\
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+"
+    };
+    (time) => {
+        "\
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"
+    };
+    (duration) => {
+        "\
+MSG: builtin_interfaces/Duration
+int32 sec
+uint32 nanosec
+"
+    };
+    (point) => {
+        "\
 MSG: geometry_msgs/Point
 float64 x
 float64 y
 float64 z
-================================================================================
+"
+    };
+    (quaternion) => {
+        "\
 MSG: geometry_msgs/Quaternion
 float64 x 0
 float64 y 0
 float64 z 0
 float64 w 1
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-",
-};
-
-/// The velocity of the tool in the base frame with the covariance of (linear, angular).
-pub(crate) const TWIST: RosType = RosType {
-    name: "geometry_msgs/msg/TwistWithCovarianceStamped",
-    definition: "\
-std_msgs/Header header
-TwistWithCovariance twist
-================================================================================
-MSG: geometry_msgs/TwistWithCovariance
-Twist twist
+"
+    };
+    (pose) => {
+        "\
+MSG: geometry_msgs/Pose
+Point position
+Quaternion orientation
+"
+    };
+    (pose_with_covariance) => {
+        "\
+MSG: geometry_msgs/PoseWithCovariance
+Pose pose
 float64[36] covariance
-================================================================================
-MSG: geometry_msgs/Twist
-Vector3 linear
-Vector3 angular
-================================================================================
+"
+    };
+    (vector3) => {
+        "\
 MSG: geometry_msgs/Vector3
 float64 x
 float64 y
 float64 z
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-",
-};
-
-/// The same pose without covariance.
-pub(crate) const POSE_STAMPED: RosType = RosType {
-    name: "geometry_msgs/msg/PoseStamped",
-    definition: "\
-std_msgs/Header header
-Pose pose
-================================================================================
-MSG: geometry_msgs/Pose
-Point position
-Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x 0
-float64 y 0
-float64 z 0
-float64 w 1
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-",
-};
-
-/// The same pose as a transform from the tool's frame to the base frame.
-pub(crate) const TRANSFORMS: RosType = RosType {
-    name: "tf2_msgs/msg/TFMessage",
-    definition: "\
-geometry_msgs/TransformStamped[] transforms
-================================================================================
+"
+    };
+    (twist) => {
+        "\
+MSG: geometry_msgs/Twist
+Vector3 linear
+Vector3 angular
+"
+    };
+    (twist_with_covariance) => {
+        "\
+MSG: geometry_msgs/TwistWithCovariance
+Twist twist
+float64[36] covariance
+"
+    };
+    (transform) => {
+        "\
+MSG: geometry_msgs/Transform
+Vector3 translation
+Quaternion rotation
+"
+    };
+    (transform_stamped) => {
+        "\
 MSG: geometry_msgs/TransformStamped
 std_msgs/Header header
 string child_frame_id
 Transform transform
-================================================================================
-MSG: geometry_msgs/Transform
-Vector3 translation
-Quaternion rotation
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x 0
-float64 y 0
-float64 z 0
-float64 w 1
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-",
-};
-
-/// A report, as JSON text in CDR: ROS tools refuse files with messages in other encodings.
-pub(crate) const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };
-
-/// Shapes, each with a frame.
-pub(crate) const MARKERS: RosType = RosType {
-    name: "visualization_msgs/msg/MarkerArray",
-    definition: "\
-visualization_msgs/Marker[] markers
-================================================================================
+"
+    };
+    (colour) => {
+        "\
+MSG: std_msgs/ColorRGBA
+float32 r
+float32 g
+float32 b
+float32 a
+"
+    };
+    (marker) => {
+        "\
 MSG: visualization_msgs/Marker
 std_msgs/Header header
 string ns
@@ -170,56 +131,68 @@ string text
 string mesh_resource
 visualization_msgs/MeshFile mesh_file
 bool mesh_use_embedded_materials
-================================================================================
+"
+    };
+    (uv_coordinate) => {
+        "\
 MSG: visualization_msgs/UVCoordinate
 float32 u
 float32 v
-================================================================================
+"
+    };
+    (mesh_file) => {
+        "\
 MSG: visualization_msgs/MeshFile
 string filename
 uint8[] data
-================================================================================
+"
+    };
+    (compressed_image) => {
+        "\
 MSG: sensor_msgs/CompressedImage
 std_msgs/Header header
 string format
 uint8[] data
-================================================================================
-MSG: geometry_msgs/Pose
-Point position
-Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x 0
-float64 y 0
-float64 z 0
-float64 w 1
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: std_msgs/ColorRGBA
-float32 r
-float32 g
-float32 b
-float32 a
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
-MSG: builtin_interfaces/Duration
-int32 sec
-uint32 nanosec
-",
+"
+    };
+}
+
+/// The definition of a message with these fields and the types that they need.
+macro_rules! definition {
+    ($fields:literal, $($part:ident)*) => {
+        concat!($fields, $("================================================================================\n", part!($part)),*)
+    };
+}
+
+/// A pose `base_from_tool` with the covariance of (translation, rotation) in the base frame.
+pub(crate) const POSE: RosType = RosType {
+    name: "geometry_msgs/msg/PoseWithCovarianceStamped",
+    definition: definition!("std_msgs/Header header\nPoseWithCovariance pose\n", pose_with_covariance pose point quaternion header time),
+};
+
+/// The velocity of the tool in the base frame with the covariance of (linear, angular).
+pub(crate) const TWIST: RosType = RosType {
+    name: "geometry_msgs/msg/TwistWithCovarianceStamped",
+    definition: definition!("std_msgs/Header header\nTwistWithCovariance twist\n", twist_with_covariance twist vector3 header time),
+};
+
+/// The same pose without covariance.
+pub(crate) const POSE_STAMPED: RosType = RosType {
+    name: "geometry_msgs/msg/PoseStamped",
+    definition: definition!("std_msgs/Header header\nPose pose\n", pose point quaternion header time),
+};
+
+/// The same pose as a transform from the tool's frame to the base frame.
+pub(crate) const TRANSFORMS: RosType = RosType {
+    name: "tf2_msgs/msg/TFMessage",
+    definition: definition!("geometry_msgs/TransformStamped[] transforms\n", transform_stamped transform vector3 quaternion header time),
+};
+
+/// A report, as JSON text in CDR: ROS tools refuse files with messages in other encodings.
+pub(crate) const REPORT: RosType = RosType { name: "std_msgs/msg/String", definition: "string data\n" };
+
+/// Shapes, each with a frame.
+pub(crate) const MARKERS: RosType = RosType {
+    name: "visualization_msgs/msg/MarkerArray",
+    definition: definition!("visualization_msgs/Marker[] markers\n", marker uv_coordinate mesh_file compressed_image pose point quaternion vector3 colour header time duration),
 };

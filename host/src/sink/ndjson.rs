@@ -3,11 +3,11 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use slitpose_model::{self as model, Estimate, Outcome, Pose, TwistEstimate};
+use slitpose_model::{self as model, Estimate, Pose, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
 use crate::link::DeviceId;
-use crate::pipeline::Record;
+use crate::pipeline::{Record, reason};
 
 /// A pose as JSON: SI units, frame base_from_tool, quaternion x, y, z, w.
 #[derive(Serialize)]
@@ -135,11 +135,7 @@ impl<'a> From<&'a Record> for Line<'a> {
             host_utc_ns: record.host_time.map(|time| time.utc_ns),
             host_uncertainty_ns: record.host_time.map(|time| time.uncertainty_ns),
             status: solution.outcome.as_str(),
-            reason: match solution.outcome {
-                Outcome::Degraded(weakness) => Some(weakness.as_str().to_owned()),
-                Outcome::Unobservable(directions) => Some(directions.to_string()),
-                _ => None,
-            },
+            reason: reason(&solution.outcome),
             translation_m: estimate.map(|estimate| estimate.pose.translation_m.to_array()),
             rotation_xyzw: estimate.map(|estimate| estimate.pose.rotation.to_array()),
             covariance: estimate.map(|estimate| flat(&estimate.covariance)),

@@ -1,11 +1,13 @@
 //! The address of a daemon's status.
 
 use std::fmt;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use thiserror::Error;
+
+use crate::http;
 
 /// The default address of `slitpose status`.
 pub(crate) const DEFAULT_STATUS_ADDRESS: &str = "127.0.0.1:7450";
@@ -38,11 +40,7 @@ impl FromStr for StatusAddress {
         if let Some(path) = text.strip_prefix(UNIX) {
             return if path.is_empty() { Err(error()) } else { Ok(Self::Unix(path.into())) };
         }
-        // The only name that has the same meaning on every host.
-        if let Some(port) = text.strip_prefix("localhost:") {
-            return Ok(Self::Tcp((Ipv4Addr::LOCALHOST, port.parse().map_err(|_| error())?).into()));
-        }
-        text.parse().map(Self::Tcp).map_err(|_| error())
+        http::tcp_address(text).map(Self::Tcp).ok_or_else(error)
     }
 }
 

@@ -91,14 +91,11 @@ impl StatusServer {
                     if reach == Reach::Loopback && !tcp.ip().is_loopback() {
                         return Err(StatusError::NotLoopback { address: address.clone() });
                     }
-                    let listener = std::net::TcpListener::bind(tcp).map_err(|source| match source.kind() {
+                    let (socket, bound) = http::listen(*tcp).map_err(|source| match source.kind() {
                         io::ErrorKind::AddrInUse => StatusError::InUse { address: address.clone() },
                         _ => listen(source),
                     })?;
-                    let bound = listener.local_addr().map_err(listen)?;
-                    listener.set_nonblocking(true).map_err(listen)?;
-                    let listener = tokio::net::TcpListener::from_std(listener).map_err(listen)?;
-                    (Socket::Tcp(listener), StatusAddress::Tcp(bound), None)
+                    (socket, StatusAddress::Tcp(bound), None)
                 }
                 StatusAddress::Unix(path) => {
                     let (listener, file) =

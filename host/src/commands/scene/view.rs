@@ -36,9 +36,9 @@ struct Still;
 impl Control for Still {
     fn order(&self, order: Order) -> Result<(), Refusal> {
         Err(match order {
-            Order::Record(_) => Refusal::NotHere { what: "recorder", instead: "`slitpose run --live` has one" },
+            Order::Record(_) => Refusal::NO_RECORDER,
             Order::Zero => Refusal::NO_MOUSE,
-            Order::Player(_) => Refusal::NotHere { what: "player", instead: "`slitpose replay FILE --live` has one" },
+            Order::Player(_) => Refusal::NO_PLAYER,
         })
     }
 }
