@@ -14,7 +14,8 @@ use slitpose_head::table::{Output, OutputError, refuse_twice};
 /// Writes a pose for every scan of captures to a file.
 ///
 /// A capture holds some poses only; the others follow from its bytes, as when it was recorded. The
-/// ending of the file's name says how they are written: .csv or .ndjson. Another needs --format.
+/// ending of the file's name says how they are written: .csv, .ndjson, or .parquet if this build
+/// has it. Another needs --format.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose export contact.mcap --output poses.csv\n  \
                         slitpose export night-0001.mcap night-0002.mcap --output night.ndjson --filter 5ms")]
@@ -41,7 +42,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
-    let sink = args.poses.open_sink(format, &mut output, false);
+    let sink = args.poses.open_sink(format, &mut output, is_terminal)?;
     let printing = Printing { sink, target: &target, format, is_terminal };
     let outcome = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, printing)?.run()?;
     if stop.load(Ordering::Relaxed) {
@@ -56,6 +57,10 @@ fn format_of(output: &Path) -> Result<Format, CommandError> {
     match output.extension().and_then(|extension| extension.to_str()) {
         Some("csv") => Ok(Format::Csv),
         Some("ndjson") => Ok(Format::Ndjson),
+        #[cfg(feature = "parquet")]
+        Some("parquet") => Ok(Format::Parquet),
+        #[cfg(not(feature = "parquet"))]
+        Some("parquet") => Err(CommandError::NoParquet { path: output.to_owned() }),
         // Standard output, devices and pipes have no name that could say it.
         _ if output == Path::new("-") || special_file::is_special(output) => Ok(Format::Csv),
         _ => Err(CommandError::Extension { path: output.to_owned() }),

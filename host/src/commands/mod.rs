@@ -125,6 +125,9 @@ impl From<Outcome> for ExitCode {
     }
 }
 
+/// Endings of names that say how poses are written.
+const ENDINGS: &str = if cfg!(feature = "parquet") { ".csv, .ndjson or .parquet" } else { ".csv or .ndjson" };
+
 /// Why a command could not do its work.
 #[derive(Debug, Error)]
 pub(crate) enum CommandError {
@@ -224,13 +227,27 @@ pub(crate) enum CommandError {
     Capture(#[from] CaptureError),
     /// A name that does not say how to write.
     #[error(
-        "the name {} does not say how poses are to be written; give one that ends in .csv or .ndjson, or --format",
+        "the name {} does not say how poses are to be written; give one that ends in {ENDINGS}, or --format",
         path.display()
     )]
     Extension {
         /// The file asked for.
         path: PathBuf,
     },
+    /// A format of another build.
+    #[cfg(not(feature = "parquet"))]
+    #[error(
+        "this build cannot write {} as Parquet; build with `cargo build --release -p slitpose --features parquet`, or \
+         give a name that ends in .csv or .ndjson",
+        path.display()
+    )]
+    NoParquet {
+        /// The file asked for.
+        path: PathBuf,
+    },
+    /// Bytes that a terminal cannot show.
+    #[error("Parquet is no text for a terminal; redirect standard output, or choose another --format")]
+    NoText,
     /// A capture that cannot be solved.
     #[error(transparent)]
     Playback(#[from] PlaybackError),
@@ -292,11 +309,14 @@ impl CommandError {
     /// The exit code of the program.
     fn exit_code(&self) -> ExitCode {
         match self {
+            #[cfg(not(feature = "parquet"))]
+            Self::NoParquet { .. } => ExitCode::from(2),
             Self::OnlySimulated { .. }
             | Self::Scenes { .. }
             | Self::Calibrations { .. }
             | Self::Config(_)
             | Self::Extension { .. }
+            | Self::NoText
             | Self::Output(OutputError::Twice { .. })
             | Self::Playback(PlaybackError::Range { .. })
             | Self::Device(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }) => ExitCode::from(2),

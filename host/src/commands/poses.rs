@@ -4,11 +4,13 @@ use std::io::Write;
 
 use slitpose_model::Tier;
 
+use super::CommandError;
 use super::talk::talk;
 use crate::pipeline::Following;
 use crate::sink::{self, Format, Sink};
 pub(super) use crate::solving::parse_duration;
 use crate::solving::{Filter, Solving};
+use crate::terminal;
 
 /// When a stream of poses ends, how it is written and how it is solved.
 #[derive(clap::Args, Debug)]
@@ -40,16 +42,22 @@ impl PoseOptions {
     }
 
     /// The sink of `format`. Says so if that leaves out what was asked for.
+    ///
+    /// # Errors
+    /// A format that is no text, on a terminal.
     pub(super) fn open_sink<'a>(
         &self,
         format: Format,
         output: impl Write + Send + 'a,
-        live: bool,
-    ) -> Option<Box<dyn Sink + Send + 'a>> {
+        is_terminal: bool,
+    ) -> Result<Option<Box<dyn Sink + Send + 'a>>, CommandError> {
+        if is_terminal && !format.is_text() {
+            return Err(CommandError::NoText);
+        }
         if format == Format::Csv && matches!(self.solving.filter, Some(Filter(Some(_)))) {
             talk(format_args!("--filter: CSV has no columns for the filtered pose; --format ndjson has it"));
         }
-        sink::open(format, output, live)
+        Ok(sink::open(format, output, is_terminal && terminal::is_live()))
     }
 
     /// How scans are followed.

@@ -10,7 +10,6 @@ use super::poses::PoseOptions;
 use super::{CommandError, Outcome};
 use crate::live::LivePlan;
 use crate::playback;
-use crate::terminal;
 use slitpose_head::pace::Speed;
 
 /// Solves captures again, through the same pipeline as live boards.
@@ -43,7 +42,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let is_terminal = io::stdout().is_terminal();
     let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = args.poses.open_sink(format, output, terminal::is_live());
+    let sink = args.poses.open_sink(format, output, is_terminal)?;
     let printing = Printing { sink, target: "standard output", format, is_terminal };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };

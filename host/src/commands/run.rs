@@ -27,7 +27,6 @@ use crate::service::{self, Service};
 use crate::solving::head_by;
 use crate::spacenav::SpacenavServer;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
-use crate::terminal;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -122,7 +121,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         talk(format_args!("poses at {address}"));
     }
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
-    let sink = args.poses.open_sink(args.poses.format(io::stdout().is_terminal()), output, terminal::is_live());
+    let is_terminal = io::stdout().is_terminal();
+    let sink = args.poses.open_sink(args.poses.format(is_terminal), output, is_terminal)?;
     let service = Service::from_environment().map_err(CommandError::Service)?;
     // All that can fail comes before the first thread: a board that is lit is stopped by its own.
     let (began, followed) = (HostInstant::now(), Arc::new(OnceLock::<Arc<Daemon>>::new()));

@@ -1,8 +1,10 @@
-//! Outputs for poses: NDJSON, CSV, or a summary for people.
+//! Outputs for poses: NDJSON, CSV, Parquet, or a summary for people.
 
 mod csv;
 mod ndjson;
 mod note;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod summary;
 #[cfg(test)]
 mod tests;
@@ -25,8 +27,22 @@ pub(crate) enum Format {
     Ndjson,
     /// One row a scan
     Csv,
+    /// One row a scan, in columns with types
+    #[cfg(feature = "parquet")]
+    Parquet,
     /// Nothing: for a daemon that is read by datagrams, or only records
     None,
+}
+
+impl Format {
+    /// Whether people can read it.
+    pub(crate) fn is_text(self) -> bool {
+        #[cfg(feature = "parquet")]
+        if self == Self::Parquet {
+            return false;
+        }
+        true
+    }
 }
 
 /// The state of boards and recording.
@@ -83,6 +99,8 @@ pub(crate) fn open<'a>(
         Format::Summary => Some(Box::new(summary::Summary::new(output, live))),
         Format::Ndjson => Some(Box::new(ndjson::Ndjson::new(output))),
         Format::Csv => Some(Box::new(csv::Csv::new(output))),
+        #[cfg(feature = "parquet")]
+        Format::Parquet => Some(Box::new(parquet::Parquet::new(output))),
         Format::None => None,
     }
 }

@@ -75,9 +75,11 @@ fn the_name_of_an_export_says_how_it_is_written() {
     let export = |output: &str, more: &[&str]| {
         slitpose!().run([&["export", text(&capture), "--output", output][..], more].concat())
     };
-    for name in ["p.parquet", "x.txt", "poses", "poses.CSVX"] {
+    for (name, advice) in
+        [("p.parquet", "--features parquet"), ("x.txt", "--format"), ("poses", "--format"), ("poses.CSVX", "--format")]
+    {
         let path = folder.path().join(name);
-        export(text(&path), &[]).assert_refused(2, &[text(&path), ".csv", ".ndjson", "--format"]);
+        export(text(&path), &[]).assert_refused(2, &[text(&path), ".csv", ".ndjson", advice]);
     }
     assert_eq!(names(folder.path()), ["d.mcap"]);
     let written = |name: &str, more: &[&str]| {
