@@ -35,10 +35,14 @@ mod window;
 
 pub(crate) use entry::Entry;
 pub use error::CaptureError;
+#[cfg(feature = "zenoh")]
+pub(crate) use link_bytes::{decode as decode_link_bytes, encode as encode_link_bytes};
 pub(crate) use naming::Existing;
 pub(crate) use reader::{CaptureReader, End};
 pub use readings::ReadingsError;
 pub(crate) use readings::{Readings, read as readings};
+#[cfg(feature = "zenoh")]
+pub(crate) use schemas::LINK_BYTES;
 pub(crate) use series::{CaptureSeries, Limits};
 pub(crate) use setup::{CapturedBasis, Settings, Setup, SetupError};
 

@@ -3,7 +3,7 @@
 use crate::ros::RosType;
 
 /// The bytes of a link: a type of this project, as no standard type keeps the time of each read.
-pub(super) const LINK_BYTES: RosType = RosType {
+pub(crate) const LINK_BYTES: RosType = RosType {
     name: "slitpose_msgs/msg/LinkBytes",
     definition: "\
 # Bytes as a host read them from a board, and when. All `data` of a topic one after the other are the

@@ -35,6 +35,7 @@ mod solve;
 mod status;
 mod talk;
 mod tool;
+mod zenoh;
 
 use std::ffi::OsString;
 use std::io;
@@ -59,6 +60,7 @@ use crate::playback::PlaybackError;
 use crate::spacenav::SpacenavError;
 use crate::telemetry::{FetchError, StatusError};
 use crate::terminal::{complain, hide_progress};
+use crate::zenoh::ZenohError;
 use slitpose_bench::BenchError;
 use slitpose_calibration::{CalibrateError, CalibrationFileError};
 use slitpose_design::optimise::OptimiseError;
@@ -269,6 +271,9 @@ pub(crate) enum CommandError {
     /// The live page.
     #[error(transparent)]
     Live(#[from] LiveError),
+    /// Zenoh.
+    #[error(transparent)]
+    Zenoh(#[from] ZenohError),
     /// The server for Foxglove.
     #[error(transparent)]
     Foxglove(#[from] FoxgloveError),

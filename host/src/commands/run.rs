@@ -14,6 +14,7 @@ use super::mouse::MouseOptions;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::tool::ToolOptions;
+use super::zenoh::{ZenohOptions, key_of};
 use super::{CommandError, Outcome, interrupt, losses, names, talk};
 use crate::clock::HostInstant;
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
@@ -27,6 +28,7 @@ use crate::service::{self, Service};
 use crate::solving::head_by;
 use crate::spacenav::SpacenavServer;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState, StatusAddress, StatusServer};
+use crate::zenoh::ZenohSession;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -52,8 +54,8 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
                   slitpose run --device sim --trajectory contact --record contact.mcap > poses.ndjson\n  \
                   slitpose run --device /dev/ttyACM0 --publish unix:/run/slitpose/pose --status 127.0.0.1:7450 --format none")]
 pub(super) struct Args {
-    /// Which board: `auto`, a serial number, the path of a port, or `sim`, a simulated one; once for
-    /// each board
+    /// Which board: `auto`, a serial number, the path of a port, zenoh:KEY, or `sim`, a simulated one;
+    /// once for each board
     #[arg(long, value_name = "DEVICE", value_delimiter = ',', default_value = "auto", value_parser = names::devices(), hide_possible_values = true)]
     device: Vec<String>,
     /// Scene file, or the name of a shipped scene; one for all boards, or one for each
@@ -79,6 +81,8 @@ pub(super) struct Args {
     mouse: MouseOptions,
     #[command(flatten)]
     foxglove: FoxgloveOptions,
+    #[command(flatten)]
+    zenoh: ZenohOptions,
     /// How long to look for a board that is not there: a time, or `forever`
     #[arg(long, value_name = "TIME", value_parser = parse_patience)]
     patience: Option<Patience>,
@@ -114,7 +118,8 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let boards = args.boards()?;
+    let zenoh = args.zenoh.open(&args.device)?;
+    let boards = args.boards(zenoh.as_ref())?;
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
     for address in datagrams.iter().flat_map(DatagramServer::addresses) {
@@ -172,7 +177,8 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     takers.extend(live.iter().map(|live| Arc::new(live.input()) as Arc<dyn TakesSamples>));
     takers.extend(foxglove.iter().map(|foxglove| Arc::new(foxglove.input()) as Arc<dyn TakesSamples>));
     takers.extend(mouse.iter().map(|mouse| Arc::new(mouse.input()) as Arc<dyn TakesSamples>));
-    let plan = Plan { boards, sink, capture, datagrams, takers, real_time: args.real_time };
+    let streams = args.zenoh.publisher(zenoh.as_ref(), shown, reports()).into_iter().collect();
+    let plan = Plan { boards, sink, capture, datagrams, streams, takers, real_time: args.real_time };
     let daemon = Arc::new(Daemon::start(plan, Arc::clone(&stop))?);
     let daemon = followed.get_or_init(|| daemon);
     // A manager that does not listen at this moment will at the next.
@@ -247,7 +253,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 
 impl Args {
     /// The boards to follow.
-    fn boards(&self) -> Result<Vec<BoardPlan>, CommandError> {
+    fn boards(&self, zenoh: Option<&ZenohSession>) -> Result<Vec<BoardPlan>, CommandError> {
         let scenes = self.scene.iter().map(|scene| SceneFile::open(scene)).collect::<Result<Vec<_>, _>>()?;
         if scenes.len() != 1 && scenes.len() != self.device.len() {
             return Err(CommandError::Scenes { scenes: scenes.len(), devices: self.device.len() });
@@ -260,7 +266,7 @@ impl Args {
         }
         let search = self.search.iter().map(|pattern| pattern.parse()).collect::<Result<Vec<Search>, _>>()?;
         let boards = self.device.iter().zip(scenes.iter().cycle()).enumerate();
-        boards.map(|(number, (device, scene))| self.board(number, device, scene, &search)).collect()
+        boards.map(|(number, (device, scene))| self.board(number, device, scene, &search, zenoh)).collect()
     }
 
     fn board(
@@ -269,27 +275,38 @@ impl Args {
         device: &str,
         file: &SceneFile,
         search: &[Search],
+        zenoh: Option<&ZenohSession>,
     ) -> Result<BoardPlan, CommandError> {
         let tier = self.poses.tier();
         let configuration = front_end::configuration(file)?;
-        let selector: Selector = device.parse()?;
+        // A simulated board needs none.
+        let opener: Option<Box<dyn Opener>> = match zenoh.zip(key_of(device)) {
+            Some((session, key)) => Some(session.opener(key)?),
+            None => match device.parse()? {
+                Selector::Sim => None,
+                selector => Some(Box::new(PortOpener::new(selector, search.to_vec()))),
+            },
+        };
         // A head is within its tolerances, given or usual.
         let head = head_by(self.calibration.get(number).map(PathBuf::as_path), file.clone(), |file| {
-            let head = if selector == Selector::Sim { Head::as_scene_says(file) } else { Head::uncalibrated(file) };
+            let head = if opener.is_none() { Head::as_scene_says(file) } else { Head::uncalibrated(file) };
             Ok::<_, CommandError>(head?)
         })?;
-        let (opener, keeps_time): (Box<dyn Opener>, _) = if selector == Selector::Sim {
-            let duration_s = self.poses.duration.unwrap_or(f64::INFINITY);
-            let speed = self.speed.unwrap_or(Speed::Times(1.0));
-            // More boards than numbers share the last one.
-            let number_of_board = u8::try_from(number).unwrap_or(u8::MAX);
-            let device = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
-            (Box::new(SimulatedOpener::new(device)), speed == Speed::Times(1.0))
-        } else {
-            if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
-                return Err(CommandError::OnlySimulated { option, device: device.to_owned() });
+        let (opener, keeps_time): (Box<dyn Opener>, _) = match opener {
+            None => {
+                let duration_s = self.poses.duration.unwrap_or(f64::INFINITY);
+                let speed = self.speed.unwrap_or(Speed::Times(1.0));
+                // More boards than numbers share the last one.
+                let number_of_board = u8::try_from(number).unwrap_or(u8::MAX);
+                let device = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
+                (Box::new(SimulatedOpener::new(device)), speed == Speed::Times(1.0))
             }
-            (Box::new(PortOpener::new(selector, search.to_vec())), true)
+            Some(opener) => {
+                if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
+                    return Err(CommandError::OnlySimulated { option, device: device.to_owned() });
+                }
+                (opener, true)
+            }
         };
         let patience = match (self.patience, self.poses.duration) {
             (Some(Patience(patience)), _) => patience,

@@ -12,7 +12,6 @@ use slitpose_protocol::Configuration;
 
 use super::backlog::Backlog;
 use super::buffer_pool::{Producer, buffer_pool};
-use super::capture_queue::{CaptureQueue, Overflow, RecorderEnds};
 use super::claims::Claims;
 use super::error::BoardError;
 use super::handoff::handoff;
@@ -24,6 +23,7 @@ use super::real_time;
 use super::scan_watch::ScanWatch;
 use super::slot::BoardSlot;
 use super::solver::{Solver, State};
+use super::tap::{Overflow, Tap, TapEnds};
 use super::{Talk, spawn};
 use crate::clock::HostInstant;
 use crate::datagram::DatagramServer;
@@ -77,7 +77,8 @@ pub(super) struct Shared {
     pub(super) outboxes: Option<Producer<Outbox>>,
     /// Whether each pose has to be printed.
     pub(super) prints_each: bool,
-    pub(super) recorder: Option<RecorderEnds>,
+    pub(super) recorder: Option<TapEnds>,
+    pub(super) streams: Vec<TapEnds>,
     pub(super) datagrams: Option<Arc<DatagramServer>>,
     pub(super) takers: Vec<Arc<dyn TakesSamples>>,
     pub(super) real_time: Option<u8>,
@@ -104,7 +105,7 @@ impl BoardThreads {
         let (tell, events) = bounded(EVENTS);
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = shared.prints_each || plan.until_s.is_some();
-        let capture_queue = |ends| CaptureQueue::new(number, ends, overflow);
+        let tap = |ends| Tap::new(number, ends, overflow);
         let pipeline = Pipeline::new(plan.head, plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
@@ -119,7 +120,8 @@ impl BoardThreads {
                 shared.datagrams,
                 shared.outboxes,
                 keeps_all,
-                shared.recorder.map(capture_queue),
+                shared.recorder.map(tap),
+                shared.streams.into_iter().map(tap).collect(),
                 shared.takers.into_iter().map(|taker| Sampler::new(number, taker)).collect(),
             ),
             backlog: Backlog::new(keeps_all),

@@ -4,11 +4,12 @@
 //!            ┌────────┐ segments ┌────────┐──▶ datagrams        at once; a slow reader misses some
 //!  board ──▶ │ reader │ ───────▶ │ solver │──▶ printer          waits: standard output never drops
 //!            └────────┘          └────────┘──▶ recorder         drops, counts, and notes it in the capture
-//!                 ▲     events       │    └──▶ account          a few times a second
+//!                 ▲     events       │    ├──▶ streamers        as the recorder: takers of all bytes
+//!                 │                  │    └──▶ account          a few times a second
 //!                 └──────────────────┘
 //! ```
 //!
-//! Each board has two threads; all boards share one recorder and one printer, with one thread each. Threads pass
+//! Each board has two threads; all boards share recorder, printer and streamers, with one thread each. Threads pass
 //! buffers of fixed pools to each other (see `buffer_pool`), so that nothing is allocated per scan and no queue
 //! grows. Segments are decoded at once: on the reading thread while that is quick, else on the solving thread (see
 //! `handoff`). If the solver is too slow, or the printer does not accept poses, scans wait, or are skipped where no
@@ -19,7 +20,6 @@
 mod backlog;
 mod board;
 mod buffer_pool;
-mod capture_queue;
 mod claims;
 mod error;
 mod handoff;
@@ -34,6 +34,8 @@ mod scan_watch;
 mod slot;
 mod solver;
 mod stream_event;
+mod streamer;
+mod tap;
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,8 +45,15 @@ use std::thread::JoinHandle;
 pub(crate) use board::BoardPlan;
 pub(crate) use error::BoardError;
 pub(crate) use link::Talk;
+#[cfg(feature = "zenoh")]
+pub(crate) use opener::Feed;
 pub(crate) use opener::{Admit, Opener, PortOpener, SimulatedOpener};
 pub(crate) use recorder::CapturePlan;
+pub(crate) use streamer::StreamPlan;
+#[cfg(feature = "zenoh")]
+pub(crate) use streamer::TakesChunks;
+#[cfg(feature = "zenoh")]
+pub(crate) use tap::TapChunk;
 
 use crate::capture::CaptureSeries;
 use crate::clock::HostInstant;
@@ -61,6 +70,7 @@ use printer::PrinterThread;
 use recorder::RecorderThread;
 use slitpose_head::threads::lock;
 use slot::BoardSlot;
+use streamer::StreamerThread;
 
 /// Most outboxes on their way to the printer: half a second of one board at 4 kHz.
 const OUTBOXES: usize = 128;
@@ -78,6 +88,8 @@ pub(crate) struct Plan {
     pub capture: Option<CapturePlan>,
     /// The server that sends poses to control loops.
     pub datagrams: Option<DatagramServer>,
+    /// Takers of all bytes.
+    pub streams: Vec<StreamPlan>,
     /// Takers of samples: the live page, and others.
     pub takers: Vec<Arc<dyn TakesSamples>>,
     /// Real-time priority of readers and solvers.
@@ -91,6 +103,7 @@ pub(crate) struct Daemon {
     boards: Mutex<Vec<BoardThreads>>,
     printer: Mutex<Option<PrinterThread>>,
     recorder: Option<RecorderThread>,
+    streamers: Mutex<Vec<StreamerThread>>,
     datagrams: Option<Arc<DatagramServer>>,
     stop: Arc<AtomicBool>,
 }
@@ -112,7 +125,7 @@ impl Daemon {
     /// # Errors
     /// If the system does not start a thread.
     pub(crate) fn start(plan: Plan, stop: Arc<AtomicBool>) -> Result<Self, BoardError> {
-        let Plan { boards, sink, capture, datagrams, takers, real_time } = plan;
+        let Plan { boards, sink, capture, datagrams, streams, takers, real_time } = plan;
         let datagrams = datagrams.map(Arc::new);
         let slots: Vec<_> = boards.iter().map(BoardPlan::slot).collect();
         let prints_each = sink.as_ref().is_some_and(|sink| sink.needs_each());
@@ -139,6 +152,12 @@ impl Daemon {
             }
             None => (None, None),
         };
+        let (mut streamers, mut streams_ends) = (Vec::new(), Vec::new());
+        for stream in streams {
+            let (thread, ends) = StreamerThread::start(stream, boards.len())?;
+            streamers.push(thread);
+            streams_ends.push(ends);
+        }
         let mut threads = Vec::new();
         let claims = Claims::default();
         for (number, board) in boards.into_iter().enumerate() {
@@ -146,6 +165,7 @@ impl Daemon {
                 outboxes: outboxes.clone(),
                 prints_each,
                 recorder: recorder_ends.clone(),
+                streams: streams_ends.clone(),
                 datagrams: datagrams.clone(),
                 takers: takers.clone(),
                 real_time,
@@ -159,6 +179,7 @@ impl Daemon {
             boards: Mutex::new(threads),
             printer: Mutex::new(printer),
             recorder,
+            streamers: Mutex::new(streamers),
             datagrams,
             stop,
         })
@@ -222,6 +243,7 @@ impl Daemon {
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
+        std::mem::take(&mut *lock(&self.streamers)).into_iter().for_each(StreamerThread::end);
         self.record_report();
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));

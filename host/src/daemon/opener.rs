@@ -2,15 +2,78 @@
 
 use std::sync::{Mutex, MutexGuard};
 
-use slitpose_protocol::Hello;
+use slitpose_protocol::{Configuration, Hello};
 
-use crate::device::{Device, DeviceError, Found, Search, Selector, SerialDevice, SimulatedDevice, find, locate};
-use crate::link::DeviceId;
+use super::error::BoardError;
+use crate::device::{
+    Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find, locate,
+};
+use crate::link::{DeviceId, Segment};
 use crate::pipeline::PipelineError;
 use slitpose_head::threads::lock;
 
 /// Decides from a board's hello whether it can be followed.
 pub(crate) type Admit = Box<dyn Fn(&Hello<'_>) -> Result<(), PipelineError> + Send>;
+
+/// The stream of a board: of one that this host speaks to, or of one that another host follows.
+pub(crate) trait Feed {
+    /// The user's name for it.
+    fn name(&self) -> String;
+
+    /// Waits for the board's hello, which `admit` accepts or refuses.
+    ///
+    /// # Errors
+    /// If no board answers, or `admit` refuses it.
+    fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError>;
+
+    /// Has the board send scans by `configuration`, unless another host says by which.
+    ///
+    /// # Errors
+    /// If the board refuses, or does not reply.
+    fn start(&mut self, configuration: &Configuration) -> Result<(), DeviceError>;
+
+    /// Waits for bytes, a few hundredths of a second at most. `false` if the stream has ended.
+    ///
+    /// # Errors
+    /// If the board is gone, or has been quiet for too long.
+    fn listen(&mut self) -> Result<bool, DeviceError>;
+
+    /// Appends to `segment` what came since the last call.
+    fn fill(&mut self, segment: &mut Segment);
+
+    /// Ends what [`start`](Self::start) began.
+    ///
+    /// # Errors
+    /// If the board refuses, or does not reply.
+    fn stop(&mut self, keep: Keep) -> Result<(), DeviceError>;
+}
+
+impl Feed for Conversation {
+    fn name(&self) -> String {
+        self.name()
+    }
+
+    fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError> {
+        self.greet(admit)
+    }
+
+    fn start(&mut self, configuration: &Configuration) -> Result<(), DeviceError> {
+        self.configure(configuration.clone())?;
+        self.start()
+    }
+
+    fn listen(&mut self) -> Result<bool, DeviceError> {
+        self.listen()
+    }
+
+    fn fill(&mut self, segment: &mut Segment) {
+        self.fill(segment);
+    }
+
+    fn stop(&mut self, keep: Keep) -> Result<(), DeviceError> {
+        self.stop(keep)
+    }
+}
 
 /// Held while ports are searched for boards, until the board found has answered: two simultaneous searches would find
 /// each other's ports in use.
@@ -30,7 +93,7 @@ pub(crate) trait Opener: Send {
     ///
     /// # Errors
     /// If the board is missing or cannot be opened.
-    fn open(&mut self) -> Result<Box<dyn Device>, DeviceError>;
+    fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError>;
 
     /// The board that was opened last has introduced itself.
     fn greeted(&mut self, _: DeviceId) {}
@@ -61,7 +124,7 @@ impl Opener for PortOpener {
         looks.then(|| lock(&LOOKING))
     }
 
-    fn open(&mut self) -> Result<Box<dyn Device>, DeviceError> {
+    fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError> {
         let found = match locate(&self.selector, self.known.as_ref()) {
             // Keeps the USB identity, by which the board is found again under another name.
             Some(found) => {
@@ -71,7 +134,8 @@ impl Opener for PortOpener {
             None => find(&self.selector, &self.search)?,
         };
         let port = self.known.insert(found).port.clone();
-        Ok(Box::new(SerialDevice::open(&port)?))
+        let device = SerialDevice::open(&port)?;
+        Ok(Box::new(Conversation::open(Box::new(device))?))
     }
 
     fn greeted(&mut self, device: DeviceId) {
@@ -98,9 +162,9 @@ impl Opener for SimulatedOpener {
         Selector::Sim.to_string()
     }
 
-    fn open(&mut self) -> Result<Box<dyn Device>, DeviceError> {
+    fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError> {
         match self.device.take() {
-            Some(device) => Ok(Box::new(device)),
+            Some(device) => Ok(Box::new(Conversation::open(Box::new(device))?)),
             None => Err(DeviceError::Missing { name: self.name() }),
         }
     }

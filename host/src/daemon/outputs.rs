@@ -1,4 +1,4 @@
-//! The outputs of a board: control loops, statistics, capture, printer.
+//! The outputs of a board: control loops, statistics, capture, other takers of all bytes, printer.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use slitpose_model::Photocurrents;
 use slitpose_protocol::{Rejection, Reply, Severity};
 
 use super::buffer_pool::Producer;
-use super::capture_queue::CaptureQueue;
+use super::tap::Tap;
 use crate::clock::HostInstant;
 use crate::datagram::{DatagramServer, Publisher};
 use crate::link::{DeviceId, Segment};
@@ -44,7 +44,9 @@ pub(super) struct Outputs {
     pub(super) printer: Option<Producer<Outbox>>,
     /// Whether each pose must be printed, however late.
     pub(super) prints_all: bool,
-    pub(super) capture: Option<CaptureQueue>,
+    pub(super) capture: Option<Tap>,
+    /// Takers of all bytes besides the recorder.
+    streams: Vec<Tap>,
     samplers: Vec<Sampler>,
     outbox: Option<Outbox>,
     /// Poses about to be published, and the time when the first was solved.
@@ -67,7 +69,8 @@ impl Outputs {
         datagrams: Option<Arc<DatagramServer>>,
         printer: Option<Producer<Outbox>>,
         prints_all: bool,
-        capture: Option<CaptureQueue>,
+        capture: Option<Tap>,
+        streams: Vec<Tap>,
         samplers: Vec<Sampler>,
     ) -> Self {
         Self {
@@ -77,6 +80,7 @@ impl Outputs {
             printer,
             prints_all,
             capture,
+            streams,
             samplers,
             outbox: None,
             fresh: Vec::with_capacity(TOGETHER),
@@ -90,10 +94,14 @@ impl Outputs {
         }
     }
 
+    fn taps(&mut self) -> impl Iterator<Item = &mut Tap> {
+        self.capture.iter_mut().chain(&mut self.streams)
+    }
+
     /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
-        if let Some(capture) = &mut self.capture {
-            capture.begin(opened);
+        for tap in self.taps() {
+            tap.begin(opened);
         }
     }
 
@@ -111,8 +119,8 @@ impl Outputs {
                     self.send();
                     self.publisher = self.datagrams.as_ref().map(|datagrams| datagrams.publisher(device));
                 }
-                if let Some(capture) = &mut self.capture {
-                    capture.hello(hello);
+                for tap in self.taps() {
+                    tap.hello(hello);
                 }
                 self.note(|| Note::hello(hello));
             }
@@ -134,10 +142,10 @@ impl Outputs {
         self.statistics.update(item, read_at, None);
     }
 
-    /// Records the bytes of a segment.
+    /// Passes on the bytes of a segment.
     pub(super) fn keep(&mut self, segment: &Segment) {
-        if let Some(capture) = &mut self.capture {
-            capture.keep(segment);
+        for tap in self.taps() {
+            tap.keep(segment);
         }
     }
 
@@ -177,8 +185,8 @@ impl Outputs {
         }
         for record in &self.fresh {
             self.statistics.update(&Item::Pose(record), record.arrival, record.arrival.map(|_| now));
-            if let Some(capture) = &mut self.capture {
-                capture.pose(record);
+            for tap in self.capture.iter_mut().chain(&mut self.streams) {
+                tap.pose(record);
             }
         }
         self.fresh.clear();
@@ -244,17 +252,17 @@ impl Outputs {
         }
     }
 
-    /// Hands the current chunk to the recorder.
-    pub(super) fn hand_over_capture(&mut self) {
-        if let Some(capture) = &mut self.capture {
-            capture.hand_over();
+    /// Hands over the current chunks of the taps.
+    pub(super) fn hand_over_taps(&mut self) {
+        for tap in self.taps() {
+            tap.hand_over();
         }
     }
 
-    /// Hands the current chunk to the recorder if its time is over.
-    pub(super) fn hand_over_old_capture(&mut self) {
-        if let Some(capture) = &mut self.capture {
-            capture.hand_over_old();
+    /// Hands over the chunks of the taps whose time is over.
+    pub(super) fn hand_over_old_taps(&mut self) {
+        for tap in self.taps() {
+            tap.hand_over_old();
         }
     }
 }

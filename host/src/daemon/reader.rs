@@ -11,11 +11,11 @@ use slitpose_protocol::Configuration;
 use super::claims::Claims;
 use super::error::BoardError;
 use super::handoff::ReaderEnd;
-use super::opener::{Admit, Opener};
+use super::opener::{Admit, Feed, Opener};
 use super::slot::BoardSlot;
 use super::solver::Solver;
 use super::stream_event::StreamEvent;
-use crate::device::{Conversation, DeviceError, Keep};
+use crate::device::{DeviceError, Keep};
 use crate::link::DeviceId;
 
 /// Pause between searches for a board lost recently: a re-plugged one is back at once.
@@ -78,9 +78,9 @@ impl Reader {
             self.claims.release(&self.claimant);
             let error = match self.connect() {
                 Ok(mut board) => {
-                    let ending = self.listen(&mut board);
+                    let ending = self.listen(&mut *board);
                     match ending {
-                        Ending::Wanted(keep) => return self.end(board, keep),
+                        Ending::Wanted(keep) => return self.end(&mut *board, keep),
                         // Dropping the conversation stops the board, if it can still be reached.
                         Ending::Lost(error) => error,
                     }
@@ -123,29 +123,27 @@ impl Reader {
     }
 
     /// Opens, greets, configures and starts the board. It counts as running once scans come.
-    fn connect(&mut self) -> Result<Conversation, BoardError> {
+    fn connect(&mut self) -> Result<Box<dyn Feed>, BoardError> {
         let _turn = self.opener.turn();
-        let device = self.opener.open()?;
+        let mut board = self.opener.open()?;
         self.slot.link.connecting();
-        let mut board = Conversation::open(device)?;
 
         let Self { admit, opener, slot, claims, claimant, .. } = self;
         let name = board.name();
-        board.greet(|hello| {
+        board.greet(&mut |hello| {
             admit(hello)?;
             let device = DeviceId(hello.device_id);
             claims.claim(device, claimant)?;
             opener.greeted(device);
             slot.link.greeted(device, &name);
-            Ok::<_, BoardError>(())
+            Ok(())
         })?;
-        board.configure(self.configuration.clone())?;
-        board.start()?;
+        board.start(&self.configuration)?;
         self.connection += 1;
         Ok(board)
     }
 
-    fn listen(&mut self, board: &mut Conversation) -> Ending {
+    fn listen(&mut self, board: &mut dyn Feed) -> Ending {
         self.pass_on(board, true);
         loop {
             match self.next_event() {
@@ -185,9 +183,9 @@ impl Reader {
     }
 
     /// Stops the board and passes on the bytes that were still under way.
-    fn end(&mut self, mut board: Conversation, keep: Keep) -> Result<(), BoardError> {
+    fn end(&mut self, board: &mut dyn Feed, keep: Keep) -> Result<(), BoardError> {
         let stopped = board.stop(keep);
-        self.pass_on(&mut board, false);
+        self.pass_on(board, false);
         if let Err(DeviceError::NoReply { .. }) = stopped {
             self.slot
                 .link
@@ -198,7 +196,7 @@ impl Reader {
 
     /// Solves the bytes received last, or passes them on. Waits if the solver is far behind: bytes then wait in the
     /// operating system and on the board. `false` if the solver has ended.
-    fn pass_on(&mut self, board: &mut Conversation, opened: bool) -> bool {
+    fn pass_on(&mut self, board: &mut dyn Feed, opened: bool) -> bool {
         let Some(segment) = self.handoff.chunk() else {
             return false;
         };

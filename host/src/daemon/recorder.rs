@@ -10,14 +10,17 @@ use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
 use super::buffer_pool::{Consumer, Empty, buffer_pool};
-use super::capture_queue::{CaptureChunk, RecorderEnds};
 use super::error::{BoardError, with_causes};
+use super::tap::{TapChunk, TapEnds};
 use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
 use slitpose_head::threads::{join, lock};
+
+/// Time of a chunk.
+const CHUNK: Duration = Duration::from_millis(20);
 
 /// Most chunks on their way to the disk: 5 s of one board.
 const CHUNKS_A_BOARD: usize = 256;
@@ -75,8 +78,8 @@ struct Recorder {
 
 impl RecorderThread {
     /// Starts the thread; returns what boards need of it.
-    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> Result<(Self, RecorderEnds), BoardError> {
-        let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), CaptureChunk::with_capacity);
+    pub(super) fn start(plan: CapturePlan, boards: &[BoardPlan]) -> Result<(Self, TapEnds), BoardError> {
+        let (producer, consumer) = buffer_pool(CHUNKS_A_BOARD * boards.len().max(1), TapChunk::with_capacity);
         let (tell, accounts) = bounded(ACCOUNTS);
         let source = |board: &BoardPlan| Source {
             head: board.head.clone(),
@@ -102,7 +105,14 @@ impl RecorderThread {
         recorder.publish();
         let thread = spawn("record".to_owned(), move || recorder.run(&consumer, &accounts))?;
         let this = Self { thread: Mutex::new(Some(thread)), accounts: Mutex::new(Some(tell)), captures: order, report };
-        Ok((this, RecorderEnds { chunks: producer, recording, pose_every_s: plan.poses_hz.recip() }))
+        let ends = TapEnds {
+            chunks: producer,
+            is_wanted: recording,
+            pose_every_s: plan.poses_hz.recip(),
+            span: CHUNK,
+            tells_hello: false,
+        };
+        Ok((this, ends))
     }
 }
 
@@ -147,7 +157,7 @@ impl RecorderThread {
 }
 
 impl Recorder {
-    fn run(mut self, chunks: &Consumer<CaptureChunk>, accounts: &Receiver<DaemonReport>) {
+    fn run(mut self, chunks: &Consumer<TapChunk>, accounts: &Receiver<DaemonReport>) {
         loop {
             let done = match chunks.next(IDLE) {
                 Ok(chunk) => {
@@ -223,7 +233,7 @@ impl Recorder {
         }
     }
 
-    fn record(&mut self, chunk: &CaptureChunk) -> Result<(), CaptureError> {
+    fn record(&mut self, chunk: &TapChunk) -> Result<(), CaptureError> {
         let Some(series) = &mut self.series else { return Ok(()) };
         let source = &mut self.sources[chunk.board];
         let now_ns = HostInstant::now().utc_ns;

@@ -13,12 +13,12 @@ use crossbeam_channel::Sender;
 use super::BoardSlot;
 use super::backlog::{Backlog, Next};
 use super::buffer_pool::Empty;
-use super::capture_queue::CaptureQueue;
 use super::error::BoardError;
 use super::handoff::{SolverEnd, Worker};
 use super::outputs::Outputs;
 use super::scan_watch::{News, ScanWatch};
 use super::stream_event::StreamEvent;
+use super::tap::Tap;
 use crate::clock::HostInstant;
 use crate::datagram::Publisher;
 use crate::link::Segment;
@@ -110,7 +110,7 @@ impl Solver {
                 solver.receive_queued(handoff);
             }
             solver.pause();
-            solver.outputs.hand_over_old_capture();
+            solver.outputs.hand_over_old_taps();
             let queue = solver.pipeline.queue();
             if queue.waiting == 0 && solver.state.is_over {
                 return solver.end();
@@ -126,7 +126,7 @@ impl Solver {
     }
 
     fn end(&mut self) -> Counts {
-        self.outputs.hand_over_capture();
+        self.outputs.hand_over_taps();
         self.account();
         self.pipeline.counts()
     }
@@ -301,7 +301,7 @@ impl Solver {
         let Outputs { statistics, capture, publisher, .. } = &mut self.outputs;
         statistics.set_lag(lag);
         statistics.set_host_losses(HostLosses {
-            bytes_unrecorded: capture.as_ref().map_or(0, CaptureQueue::bytes_dropped),
+            bytes_unrecorded: capture.as_ref().map_or(0, Tap::bytes_dropped),
             poses_unsent: publisher.as_ref().map_or(0, Publisher::missed),
         });
         self.slot.account(&self.pipeline, statistics);

@@ -106,6 +106,19 @@ pub enum DeviceError {
         /// How long was waited.
         seconds: f64,
     },
+    /// Another host does not publish the board.
+    #[error(
+        "no {what} of {name} came within {seconds} s; check that `slitpose run --zenoh` follows the board there, and that \
+         both reach the same router"
+    )]
+    NotPublished {
+        /// The device.
+        name: String,
+        /// What was waited for.
+        what: &'static str,
+        /// How long was waited.
+        seconds: f64,
+    },
     /// Bytes came, but no hello.
     #[error(
         "no board answers on {name}: {bytes} bytes came within {seconds} s, {packets} readable packets and no hello \
@@ -259,6 +272,7 @@ impl DeviceError {
             | Self::NoSuchBoard { .. }
             | Self::Missing { .. }
             | Self::Silent { .. }
+            | Self::NotPublished { .. }
             | Self::NoHello { .. }
             | Self::NoStatus { .. }
             | Self::NotBack { .. }

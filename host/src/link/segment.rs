@@ -89,6 +89,19 @@ impl Segment {
         });
     }
 
+    /// Drops the first `length` bytes.
+    #[cfg(feature = "zenoh")]
+    pub(crate) fn skip(&mut self, length: usize) {
+        let mut left = length.min(self.bytes.len());
+        self.bytes.drain(..left);
+        self.reads.retain_mut(|read| {
+            let cut = left.min(read.bytes);
+            read.bytes -= cut;
+            left -= cut;
+            read.bytes > 0
+        });
+    }
+
     /// The bytes of each read, with its instant.
     pub fn chunks(&self) -> impl Iterator<Item = (&[u8], Option<HostInstant>)> {
         let mut rest = &self.bytes[..];

@@ -27,7 +27,11 @@ impl<'a> Encoder<'a> {
     }
 
     pub(crate) fn bool(&mut self, value: bool) {
-        self.put([u8::from(value)]);
+        self.u8(value.into());
+    }
+
+    pub(crate) fn u8(&mut self, value: u8) {
+        self.put([value]);
     }
 
     pub(crate) fn i32(&mut self, value: i32) {

@@ -41,7 +41,7 @@ pub(crate) fn encode_twist(stamp_ns: u64, estimate: &TwistEstimate, bytes: &mut 
     covariance(&mut encoder, &estimate.covariance);
 }
 
-pub(super) fn header(encoder: &mut Encoder<'_>, stamp_ns: u64, frame: &str) {
+pub(crate) fn header(encoder: &mut Encoder<'_>, stamp_ns: u64, frame: &str) {
     const S: u64 = 1_000_000_000;
     encoder.i32(i32::try_from(stamp_ns / S).unwrap_or(i32::MAX));
     encoder.u32((stamp_ns % S) as u32);

@@ -7,6 +7,8 @@ mod geometry;
 mod head;
 mod schemas;
 
+#[cfg(feature = "zenoh")]
+pub(crate) use geometry::header as encode_header;
 pub(crate) use geometry::{encode_pose, encode_pose_stamped, encode_transform, encode_twist};
 pub(crate) use head::encode_head;
 pub(crate) use schemas::{MARKERS, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORMS, TWIST};

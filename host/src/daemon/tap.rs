@@ -1,4 +1,5 @@
-//! The queue of one board to the recorder, in chunks of 20 ms.
+//! A tap on the stream of one board: the queue to the recorder, or to another taker of all bytes, in chunks of some
+//! milliseconds.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,33 +11,32 @@ use super::buffer_pool::Producer;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 
-/// A chunk holds the bytes read within this time, …
-const CHUNK: Duration = Duration::from_millis(20);
-
-/// … or this many bytes, if they come sooner.
+/// A chunk holds the bytes read within the tap's time, or this many, if they come sooner.
 const CHUNK_BYTES: usize = 1 << 15;
 
 /// Ordinary length of a chunk of a board at 4 kHz, including true poses of a simulated board.
 const ORDINARY_BYTES: usize = 12 << 10;
 
-/// A part of the stream of one board, for the capture.
+/// A part of the stream of one board.
 #[derive(Debug, Default)]
-pub(super) struct CaptureChunk {
+pub(crate) struct TapChunk {
     /// The number of the board among those followed.
-    pub(super) board: usize,
+    pub(crate) board: usize,
     /// The board, once it has introduced itself.
-    pub(super) device: Option<DeviceId>,
-    /// The board's hello packet, if the capture does not have it yet.
-    pub(super) hello: Vec<u8>,
+    pub(crate) device: Option<DeviceId>,
+    /// The board's hello packet, if the taker may not have it yet.
+    pub(crate) hello: Vec<u8>,
     /// Time of the chunk's first scan by the board's clock, nanoseconds.
-    pub(super) device_ns: u64,
+    pub(crate) device_ns: u64,
     /// The bytes of the link.
-    pub(super) segment: Segment,
-    /// Poses of the chunk, at the rate to be recorded.
-    pub(super) poses: Vec<Record>,
+    pub(crate) segment: Segment,
+    /// Poses of the chunk, at the rate asked for.
+    pub(crate) poses: Vec<Record>,
+    /// Bytes that were left out so far, as the taker was behind.
+    pub(crate) bytes_dropped: u64,
 }
 
-impl CaptureChunk {
+impl TapChunk {
     /// An empty chunk with room for ordinary contents.
     pub(super) fn with_capacity() -> Self {
         Self { segment: Segment::with_capacity(ORDINARY_BYTES), poses: Vec::with_capacity(2), ..Self::default() }
@@ -49,39 +49,40 @@ impl CaptureChunk {
     }
 }
 
-/// What to do with a chunk while the recorder is behind.
+/// What to do with a chunk while the taker is behind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Overflow {
     /// The board's threads wait, and device time with them.
     Wait,
-    /// The chunk is dropped and the capture notes it: a slow disk must not delay poses.
+    /// The chunk is dropped, and the next one says so: a slow disk must not delay poses.
     Drop,
 }
 
-/// What a board needs of the recorder.
+/// What a board needs of a taker.
 #[derive(Clone, Debug)]
-pub(super) struct RecorderEnds {
+pub(super) struct TapEnds {
     /// The queue.
-    pub(super) chunks: Producer<CaptureChunk>,
-    /// Whether there is a capture now.
-    pub(super) recording: Arc<AtomicBool>,
-    /// Device time between recorded poses, seconds.
+    pub(super) chunks: Producer<TapChunk>,
+    /// Whether bytes are wanted now.
+    pub(super) is_wanted: Arc<AtomicBool>,
+    /// Device time between poses, seconds.
     pub(super) pose_every_s: f64,
+    /// A chunk holds the bytes read within this time.
+    pub(super) span: Duration,
+    /// Whether a hello is told beside the bytes that it stands in, too.
+    pub(super) tells_hello: bool,
 }
 
 /// The board's end of the queue.
 #[derive(Debug)]
-pub(super) struct CaptureQueue {
+pub(super) struct Tap {
     board: usize,
-    chunks: Producer<CaptureChunk>,
-    /// Whether there is a capture now.
-    recording: Arc<AtomicBool>,
+    ends: TapEnds,
     /// The same when the segment in hand began.
     is_on: bool,
     overflow: Overflow,
-    pose_every_s: f64,
     next_pose_s: f64,
-    under_way: Option<CaptureChunk>,
+    under_way: Option<TapChunk>,
     /// The current chunk is long enough; poses of its last scans may still come.
     is_full: bool,
     begun: Instant,
@@ -94,17 +95,14 @@ pub(super) struct CaptureQueue {
     bytes_dropped: u64,
 }
 
-impl CaptureQueue {
+impl Tap {
     /// The queue of the board of this number.
-    pub(super) fn new(board: usize, ends: RecorderEnds, overflow: Overflow) -> Self {
-        let RecorderEnds { chunks, recording, pose_every_s } = ends;
+    pub(super) fn new(board: usize, ends: TapEnds, overflow: Overflow) -> Self {
         Self {
             board,
-            chunks,
-            recording,
+            ends,
             is_on: true,
             overflow,
-            pose_every_s,
             next_pose_s: f64::NEG_INFINITY,
             under_way: None,
             is_full: false,
@@ -119,12 +117,12 @@ impl CaptureQueue {
 
     /// Prepares for the next segment; `opened`: the link was opened anew.
     pub(super) fn begin(&mut self, opened: bool) {
-        self.is_on = self.recording.load(Ordering::Relaxed);
+        self.is_on = self.ends.is_wanted.load(Ordering::Relaxed);
         if opened || self.is_full || !self.is_on {
             self.hand_over();
         }
         if !self.is_on {
-            // A capture that begins later begins within the stream.
+            // What is wanted later begins within the stream.
             self.has_gap = true;
             return;
         }
@@ -132,14 +130,15 @@ impl CaptureQueue {
             return;
         }
         let spare = match self.overflow {
-            Overflow::Wait => self.chunks.spare(),
-            Overflow::Drop => self.chunks.spare_now(),
+            Overflow::Wait => self.ends.chunks.spare(),
+            Overflow::Drop => self.ends.chunks.spare_now(),
         };
         self.under_way = spare.map(|mut chunk| {
             chunk.clear();
             chunk.board = self.board;
             chunk.device = self.device;
             chunk.device_ns = self.device_ns;
+            chunk.bytes_dropped = self.bytes_dropped;
             if std::mem::take(&mut self.has_gap) {
                 // The next bytes do not continue the last chunk, and may be of another configuration.
                 chunk.segment.opened = true;
@@ -166,6 +165,9 @@ impl CaptureQueue {
         }
         if let Some(chunk) = &mut self.under_way {
             chunk.device = self.device;
+            if self.ends.tells_hello {
+                chunk.hello.clone_from(&self.hello);
+            }
         }
     }
 
@@ -175,11 +177,12 @@ impl CaptureQueue {
         // Saturates.
         self.device_ns = (time_s * 1e9) as u64;
         // Device time may restart.
-        let is_due = time_s >= self.next_pose_s || time_s < self.next_pose_s - 2.0 * self.pose_every_s;
+        let is_due = time_s >= self.next_pose_s || time_s < self.next_pose_s - 2.0 * self.ends.pose_every_s;
         if let (true, Some(chunk)) = (is_due, &mut self.under_way) {
             // One period after the last one was due, so that the rate does not drift.
-            let next_s = self.next_pose_s + self.pose_every_s;
-            self.next_pose_s = if next_s > time_s && next_s.is_finite() { next_s } else { time_s + self.pose_every_s };
+            let next_s = self.next_pose_s + self.ends.pose_every_s;
+            self.next_pose_s =
+                if next_s > time_s && next_s.is_finite() { next_s } else { time_s + self.ends.pose_every_s };
             chunk.poses.push(*record);
         }
     }
@@ -194,14 +197,14 @@ impl CaptureQueue {
             return;
         };
         chunk.segment.append(segment);
-        if chunk.segment.bytes.len() >= CHUNK_BYTES || self.begun.elapsed() >= CHUNK {
+        if chunk.segment.bytes.len() >= CHUNK_BYTES || self.begun.elapsed() >= self.ends.span {
             self.is_full = true;
         }
     }
 
     /// Hands over the current chunk if its time is over.
     pub(super) fn hand_over_old(&mut self) {
-        if self.begun.elapsed() >= CHUNK {
+        if self.begun.elapsed() >= self.ends.span {
             self.hand_over();
         }
     }
@@ -210,12 +213,12 @@ impl CaptureQueue {
     pub(super) fn hand_over(&mut self) {
         self.is_full = false;
         if let Some(chunk) = self.under_way.take() {
-            self.chunks.hand_over(chunk);
+            self.ends.chunks.hand_over(chunk);
         }
     }
 }
 
-impl Drop for CaptureQueue {
+impl Drop for Tap {
     fn drop(&mut self) {
         self.hand_over();
     }

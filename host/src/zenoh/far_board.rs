@@ -1,0 +1,243 @@
+//! A board that a daemon on another machine publishes.
+
+use std::io;
+use std::time::{Duration, Instant};
+
+use ::zenoh::Wait;
+use ::zenoh::pubsub::Subscriber;
+use ::zenoh::sample::Sample;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use slitpose_protocol::{
+    Configuration, DELIMITER, Decoder, FrameError, Hello, MAX_MESSAGE_BYTES, Message, PayloadError,
+};
+
+use super::ZenohSession;
+use super::graph::{Attachment, Type, topic_key};
+use crate::capture::decode_link_bytes;
+use crate::clock::HostInstant;
+use crate::daemon::{BoardError, Feed, Opener};
+use crate::device::{DeviceError, Keep};
+use crate::link::{Segment, Versions};
+
+/// Timeout of a hello, which comes each second.
+const HELLO_WITHIN: Duration = Duration::from_millis(2500);
+
+/// Longest time without bytes: a board sends its status at least, several times a second.
+const QUIET: Duration = Duration::from_secs(1);
+
+/// Longest wait for bytes at once.
+const MOMENT: Duration = Duration::from_millis(20);
+
+/// Most messages that wait to be solved, half a second; others are missed, as their numbers show.
+const WAITING: usize = 256;
+
+/// Opens a board that another daemon publishes.
+pub(super) struct FarBoardOpener {
+    session: ZenohSession,
+    topic: String,
+}
+
+impl FarBoardOpener {
+    /// The topics of the board begin with `topic`.
+    pub(super) fn new(session: ZenohSession, topic: String) -> Self {
+        Self { session, topic }
+    }
+}
+
+impl Opener for FarBoardOpener {
+    fn name(&self) -> String {
+        format!("zenoh:{}", self.topic)
+    }
+
+    fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError> {
+        let name = self.name();
+        let gone = |source: Box<dyn std::error::Error + Send + Sync>| DeviceError::Gone {
+            name: name.clone(),
+            source: io::Error::other(source),
+        };
+        let session = self.session.get().map_err(|error| gone(error.into()))?;
+        let (tell, messages) = bounded(WAITING);
+        let subscribe = |topic: &str, taken: fn(&Sample) -> Option<Arrived>, tell: Sender<Arrived>| {
+            let key = topic_key(self.session.domain, &format!("{}/{topic}", self.topic), Type::LINK_BYTES);
+            let hear = move |sample: Sample| {
+                // What finds no room is missed.
+                taken(&sample).map(|arrived| tell.try_send(arrived));
+            };
+            session.declare_subscriber(key).callback(hear).wait()
+        };
+        let subscribed = subscribe("hello", Arrived::hello, tell.clone())
+            .and_then(|hellos| Ok([hellos, subscribe("bytes", Arrived::bytes, tell)?]));
+        let subscribers = subscribed.map_err(gone)?;
+        Ok(Box::new(FarBoard::new(name, messages, subscribers)))
+    }
+}
+
+/// A message.
+enum Arrived {
+    /// A hello packet.
+    Hello(Vec<u8>),
+    /// Bytes of the board, and the number of the message.
+    Bytes(i64, Segment),
+}
+
+impl Arrived {
+    fn hello(sample: &Sample) -> Option<Self> {
+        let mut segment = Segment::default();
+        decode_link_bytes(&sample.payload().to_bytes(), &mut segment)?;
+        Some(Self::Hello(segment.bytes))
+    }
+
+    fn bytes(sample: &Sample) -> Option<Self> {
+        let attachment = Attachment::decode(&sample.attachment()?.to_bytes())?;
+        let mut segment = Segment::default();
+        decode_link_bytes(&sample.payload().to_bytes(), &mut segment)?;
+        Some(Self::Bytes(attachment.sequence, segment))
+    }
+}
+
+/// The stream of the board.
+struct FarBoard {
+    name: String,
+    messages: Receiver<Arrived>,
+    _subscribers: [Subscriber<()>; 2],
+    /// The last hello packet.
+    hello: Vec<u8>,
+    /// The number of the last message.
+    sequence: Option<i64>,
+    /// From UTC to this host's monotonic clock, nanoseconds.
+    monotonic_minus_utc_ns: i64,
+    /// What came since it was last fetched, and what does not continue it.
+    pending: Segment,
+    held: Option<(i64, Segment)>,
+    heard_at: Instant,
+}
+
+impl FarBoard {
+    fn new(name: String, messages: Receiver<Arrived>, subscribers: [Subscriber<()>; 2]) -> Self {
+        let now = HostInstant::now();
+        Self {
+            name,
+            messages,
+            _subscribers: subscribers,
+            hello: Vec::new(),
+            sequence: None,
+            monotonic_minus_utc_ns: now.monotonic_ns.wrapping_sub(now.utc_ns) as i64,
+            pending: Segment::default(),
+            held: None,
+            heard_at: Instant::now(),
+        }
+    }
+
+    /// The next message, within `timeout`.
+    fn next(&mut self, timeout: Duration) -> Option<(i64, Segment)> {
+        let until = Instant::now() + timeout;
+        loop {
+            match self.messages.recv_deadline(until).ok()? {
+                Arrived::Hello(hello) => self.hello = hello,
+                Arrived::Bytes(sequence, segment) => return Some((sequence, segment)),
+            }
+        }
+    }
+
+    /// Adds a message that continues the stream; gives one back that does not, unless it is the first.
+    fn add(&mut self, (sequence, mut segment): (i64, Segment)) -> Option<(i64, Segment)> {
+        let continues = self.sequence.is_some_and(|last| sequence == last.wrapping_add(1)) && !segment.opened;
+        if !continues {
+            if !self.pending.is_empty() {
+                return Some((sequence, segment));
+            }
+            if !segment.opened {
+                // It may begin within a packet.
+                segment.skip(segment.bytes.iter().position(|&byte| byte == DELIMITER).map_or(0, |at| at + 1));
+            }
+            segment.opened = false;
+            self.pending.opened = true;
+            // Bytes that are missing may have had another hello.
+            self.pending.push(&self.hello, segment.reads.first().and_then(|read| read.at));
+        }
+        self.sequence = Some(sequence);
+        self.pending.append(&segment);
+        None
+    }
+
+    /// By this host's monotonic clock, as far as both hosts' UTC agree.
+    fn restamp(&mut self) {
+        let shift_ns = self.monotonic_minus_utc_ns;
+        let restamp = |at: &mut HostInstant| at.monotonic_ns = at.utc_ns.wrapping_add_signed(shift_ns);
+        self.pending.reads.iter_mut().filter_map(|read| read.at.as_mut()).for_each(restamp);
+        self.pending.asked.iter_mut().map(|asked| &mut asked.at).for_each(restamp);
+    }
+}
+
+impl Feed for FarBoard {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError> {
+        let (asked, name) = (Instant::now(), || self.name.clone());
+        let hello = loop {
+            let timeout = HELLO_WITHIN.saturating_sub(asked.elapsed());
+            match self.messages.recv_timeout(timeout) {
+                Ok(Arrived::Hello(hello)) => break hello,
+                Ok(Arrived::Bytes(..)) => {}
+                Err(_) => {
+                    let seconds = HELLO_WITHIN.as_secs_f64();
+                    return Err(DeviceError::NotPublished { name: name(), what: "hello", seconds }.into());
+                }
+            }
+        };
+        match Decoder::<MAX_MESSAGE_BYTES>::new().next::<Message<'_>>(&mut &hello[..]) {
+            Some(Ok(Message::Hello(hello))) => admit(&hello)?,
+            Some(Err(FrameError::Payload(PayloadError::Version { theirs: board, .. }))) => {
+                return Err(DeviceError::Version { name: name(), versions: Versions { board } }.into());
+            }
+            _ => {
+                let (seconds, bytes) = (asked.elapsed().as_secs_f64(), hello.len() as u64);
+                return Err(DeviceError::NoHello { name: name(), seconds, bytes, packets: 0 }.into());
+            }
+        }
+        self.hello = hello;
+        Ok(())
+    }
+
+    /// The host with the board has started it, by its own scene.
+    fn start(&mut self, _: &Configuration) -> Result<(), DeviceError> {
+        self.heard_at = Instant::now();
+        Ok(())
+    }
+
+    fn listen(&mut self) -> Result<bool, DeviceError> {
+        self.pending.clear();
+        let first = match self.held.take() {
+            Some(message) => Some(message),
+            None => self.next(MOMENT),
+        };
+        let Some(first) = first else {
+            if self.heard_at.elapsed() >= QUIET {
+                let (name, seconds) = (self.name.clone(), QUIET.as_secs_f64());
+                return Err(DeviceError::NotPublished { name, what: "bytes", seconds });
+            }
+            return Ok(true);
+        };
+        self.heard_at = Instant::now();
+        self.held = self.add(first);
+        while self.held.is_none()
+            && let Some(message) = self.next(Duration::ZERO)
+        {
+            self.held = self.add(message);
+        }
+        self.restamp();
+        Ok(true)
+    }
+
+    fn fill(&mut self, segment: &mut Segment) {
+        segment.append(&self.pending);
+        self.pending.clear();
+    }
+
+    /// The board goes on: another host follows it.
+    fn stop(&mut self, _: Keep) -> Result<(), DeviceError> {
+        Ok(())
+    }
+}

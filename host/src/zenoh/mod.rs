@@ -1,0 +1,66 @@
+//! Boards over Zenoh: poses and more for ROS 2, as rmw_zenoh sees it, and all bytes for daemons on other machines. In builds
+//! with the feature `zenoh` only.
+
+#[cfg(feature = "zenoh")]
+mod far_board;
+#[cfg(feature = "zenoh")]
+mod graph;
+#[cfg(feature = "zenoh")]
+mod publisher;
+#[cfg(feature = "zenoh")]
+mod session;
+#[cfg(not(feature = "zenoh"))]
+mod without;
+
+use thiserror::Error;
+
+#[cfg(feature = "zenoh")]
+pub(crate) use session::ZenohSession;
+#[cfg(not(feature = "zenoh"))]
+pub(crate) use without::ZenohSession;
+
+/// Where the router of ROS 2 listens.
+pub(crate) const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
+
+/// Why there is no session, or no board in it.
+#[derive(Debug, Error)]
+pub(crate) enum ZenohError {
+    /// Another build has it.
+    #[cfg(not(feature = "zenoh"))]
+    #[error("this build has no Zenoh; build with `cargo build --release -p slitpose --features zenoh`")]
+    NotBuilt,
+    /// The number of the ROS 2 graph.
+    #[cfg(feature = "zenoh")]
+    #[error("ROS_DOMAIN_ID is `{text}`; give a number from 0 to 232")]
+    Domain {
+        /// Its text.
+        text: String,
+    },
+    /// A name that no board can have.
+    #[cfg(feature = "zenoh")]
+    #[error("`zenoh:{key}` names no board; give zenoh:slitpose/SERIAL, with the serial number of the board")]
+    Key {
+        /// The name.
+        key: String,
+    },
+    /// The settings of the session.
+    #[cfg(feature = "zenoh")]
+    #[error(
+        "Zenoh refuses {what} ({reason}); give an endpoint such as {DEFAULT_ROUTER}, or a file of Zenoh's own settings"
+    )]
+    Settings {
+        /// The endpoint or file.
+        what: String,
+        /// Its reason.
+        reason: String,
+    },
+    /// The session does not begin.
+    #[cfg(feature = "zenoh")]
+    #[error("no router of Zenoh by {what} ({reason}); start one, or give its endpoint with --zenoh-router")]
+    Open {
+        /// The endpoint or file.
+        what: String,
+        /// Its reason.
+        reason: String,
+    },
+}
