@@ -7,7 +7,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
-BOARD = "/slitpose/73696d756c61746564000000"
+BOARD = "/slitpose/board_73696d756c61746564000000"
 
 #: What Rerun draws of a capture by itself, and what it lists as the fields of a ROS message.
 COLUMNS = {

@@ -1,5 +1,6 @@
 """Boards over Zenoh, with Zenoh's own Python client and another's nodes of ROS 2: see `run`."""
 
+import asyncio
 import collections
 import json
 import os
@@ -21,7 +22,8 @@ from pyzeros.utils import rmw_zenoh_gid
 from rosbags.typesys import Stores, get_typestore
 
 HERE = Path(__file__).parent
-BOARD = "73696d756c61746564000000"
+SERIAL = "73696d756c61746564000000"
+BOARD = f"board_{SERIAL}"
 TYPES = {
     f"slitpose/{BOARD}/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     f"slitpose/{BOARD}/twist": "geometry_msgs/msg/TwistWithCovarianceStamped",
@@ -183,7 +185,7 @@ class Zenoh(unittest.TestCase):
                 counts[topic] = (len(messages), compared)
                 if topic == "diagnostics":
                     status = messages[-1].status[0]
-                    self.assertEqual((status.name, status.hardware_id), ("slitpose", BOARD))
+                    self.assertEqual((status.name, status.hardware_id), ("slitpose", SERIAL))
                 elif topic.endswith("head"):
                     self.assertEqual({marker.header.frame_id for marker in messages[-1].markers}, {"base", "tool"})
                 else:
@@ -194,6 +196,10 @@ class Zenoh(unittest.TestCase):
     def test_a_node_of_ros_hears_poses(self):
         from ros2_pyterfaces.cydr.all_msgs import PoseWithCovarianceStamped
 
+        # It needs one to be made, and runs nothing in it.
+        loop = asyncio.new_event_loop()
+        self.addCleanup(loop.close)
+        asyncio.set_event_loop(loop)
         heard = []
         node = pyzeros.Node("listener", session=self.router.session(), domain_id=0)
         subscriber = pyzeros.sub.RawSub(
@@ -279,9 +285,9 @@ class Zenoh(unittest.TestCase):
     def test_boards_are_not_mixed(self):
         boards = 16
         session, heard = self.router.session(), [[] for _ in range(boards)]
-        serials = [f"{BOARD[:-2]}{number:02x}" for number in range(boards)]
+        serials = [f"{SERIAL[:-2]}{number:02x}" for number in range(boards)]
         for serial, samples in zip(serials, heard):
-            session.declare_subscriber(f"0/slitpose/{serial}/pose/**", samples.append)
+            session.declare_subscriber(f"0/slitpose/board_{serial}/pose/**", samples.append)
         scene = os.path.join(self.router.folder.name, "slow.toml")
         show = [os.environ["SLITPOSE"], "scene", "show", "wide"]
         text = subprocess.run(show, check=True, capture_output=True, text=True).stdout

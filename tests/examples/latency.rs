@@ -1,21 +1,24 @@
 //! How long a pose takes from a board's bytes to a control loop in C, in a table on stdout; exit code
 //! 1 if it takes longer than it may.
 //!
-//! `cargo run --release -p slitpose-tests --example latency -- [--seconds 30] [--unrecorded] [-- OPTIONS OF run]`
+//! `cargo run --release -p slitpose-tests --example latency -- [--seconds 30] [--unrecorded] [--pages 20] [-- OPTIONS OF run]`
 //!
 //! The board is virtual and runs in this process, on a pseudo-terminal. The daemon is this program
 //! once more: cargo builds no other for an example, and `slitpose` is what its arguments make of it. With
 //! `--against PROGRAM`, another build of `slitpose`, both are measured by turns, and compared.
 
 use std::ffi::OsStr;
+use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::thread::available_parallelism;
+use std::thread::{available_parallelism, sleep, spawn};
+use std::time::Duration;
 
 use clap::Parser;
 use slitpose_tests::latency::{Distribution, Measurement, Plan, measure};
 use slitpose_tests::process::Slitpose;
 use slitpose_tests::terminal::FRAME_RATE_HZ;
+use tungstenite::Message;
 
 /// Bytes in to pose out, half of all poses, µs.
 const MOST_MEDIAN_US: f64 = 150.0;
@@ -35,6 +38,9 @@ struct Options {
     /// Without a recorder
     #[arg(long)]
     unrecorded: bool,
+    /// So many live pages look at the board meanwhile, of which one stalls
+    #[arg(long, default_value_t = 0)]
+    pages: usize,
     /// Another `slitpose`, to compare with
     #[arg(long, value_name = "PROGRAM")]
     against: Option<PathBuf>,
@@ -49,11 +55,15 @@ fn main() -> ExitCode {
     }
     let options = Options::parse();
     let own = std::env::current_exe().expect("this program").to_str().expect("UTF-8").to_owned();
+    let mut run = options.options;
+    if options.pages > 0 {
+        run.extend(["--live".to_owned(), look(options.pages).to_string()]);
+    }
     let plan = Plan {
         warm_up: FRAME_RATE_HZ as usize,
         poses: (options.seconds * FRAME_RATE_HZ) as usize,
         recorded: !options.unrecorded,
-        options: options.options,
+        options: run,
     };
     print_conditions(&plan);
     let slitpose = Slitpose::at(own.leak());
@@ -68,6 +78,34 @@ fn main() -> ExitCode {
     let verdict = if is_met { "met" } else { "NOT MET" };
     println!("bounds of written to received: median {MOST_MEDIAN_US} us, 99 % {MOST_P99_US} us: {verdict}");
     ExitCode::from(u8::from(!is_met))
+}
+
+/// Messages that a page takes between two acknowledgements.
+const ACKNOWLEDGED: usize = 8;
+
+/// Starts pages, and returns the address at which they look for a daemon. The first one takes no message after its hello.
+fn look(pages: usize) -> SocketAddr {
+    let address = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a free port");
+    for number in 0..pages {
+        spawn(move || {
+            loop {
+                if let Ok((mut page, _)) = tungstenite::connect(format!("ws://{address}/live")) {
+                    let mut taken = 0;
+                    page.send(Message::text(r#"{"kind":"hello"}"#)).expect("a daemon");
+                    while number > 0 && page.read().is_ok() {
+                        taken += 1;
+                        if taken % ACKNOWLEDGED == 0 {
+                            let acknowledgement = format!(r#"{{"kind":"ack","messages":{taken}}}"#);
+                            let _ = page.send(Message::text(acknowledgement));
+                        }
+                    }
+                    sleep(Duration::from_secs(if number > 0 { 0 } else { 3600 }));
+                }
+                sleep(Duration::from_millis(100));
+            }
+        });
+    }
+    address
 }
 
 /// Poses that each of two programs is given at a turn.

@@ -89,6 +89,8 @@ class Captures(unittest.TestCase):
             found = {}
             for connection, _, data in reader.messages():
                 message = reader.deserialize(data, connection.msgtype)
+                # https://design.ros2.org/articles/topic_and_service_names.html, without ~ and {}
+                self.assertRegex(connection.topic, r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
                 found.setdefault(connection.topic.rsplit("/", 1)[1], []).append(message)
         self.assertEqual(set(found), {"link", "hello", "head", "pose", "pose_stamped", "tf", "twist", "report"})
         self.assertEqual(len(found["pose"]), 2 * POSES_HZ)

@@ -134,7 +134,7 @@ impl<M: Medium> CaptureFile<M> {
         }
         let writer = &mut self.writer;
         let mut channel = |of: RosType, name: &str, about: &[(&str, &str)]| {
-            ros_channel(writer, of, &format!("/slitpose/{}/{name}", setup.device), about)
+            ros_channel(writer, of, &ros::topic(setup.device, name), about)
         };
         let base_from_tool = ("content", "base_from_tool; metres");
         let channels = Channels {

@@ -9,6 +9,7 @@ use super::link_bytes;
 use super::records::attachment;
 use super::setup::{METADATA, Setup, SetupError, Texts};
 use crate::link::{DeviceId, Segment};
+use crate::ros;
 use slitpose_head::scene_file::fnv1a_64;
 
 /// Longest text accepted: scenes have some kilobytes, calibrations up to 10 MB, longer attachments are foreign.
@@ -88,11 +89,7 @@ impl Index {
         let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, record) else {
             return None;
         };
-        let of_board = || {
-            let (device, topic) = channel.topic.strip_prefix("/slitpose/")?.split_once('/')?;
-            Some((device.parse().ok()?, topic))
-        };
-        let channel_is = match of_board() {
+        let channel_is = match ros::board_of(&channel.topic) {
             Some((device, "link")) => Channel::Link(device),
             Some((device, "hello")) => Channel::Hello(device),
             _ => Channel::Other,

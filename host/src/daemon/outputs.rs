@@ -46,7 +46,7 @@ pub(super) struct Outputs {
     pub(super) prints_all: bool,
     pub(super) capture: Option<Tap>,
     /// Takers of all bytes besides the recorder.
-    streams: Vec<Tap>,
+    pub(super) streams: Vec<Tap>,
     samplers: Vec<Sampler>,
     outbox: Option<Outbox>,
     /// Poses about to be published, and the time when the first was solved.

@@ -32,8 +32,6 @@ pub(crate) struct TapChunk {
     pub(crate) segment: Segment,
     /// Poses of the chunk, at the rate asked for.
     pub(crate) poses: Vec<Record>,
-    /// Bytes that were left out so far, as the taker was behind.
-    pub(crate) bytes_dropped: u64,
 }
 
 impl TapChunk {
@@ -138,7 +136,6 @@ impl Tap {
             chunk.board = self.board;
             chunk.device = self.device;
             chunk.device_ns = self.device_ns;
-            chunk.bytes_dropped = self.bytes_dropped;
             if std::mem::take(&mut self.has_gap) {
                 // The next bytes do not continue the last chunk, and may be of another configuration.
                 chunk.segment.opened = true;

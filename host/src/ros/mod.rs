@@ -16,6 +16,20 @@ pub(crate) use schemas::{MARKERS, POSE, POSE_STAMPED, REPORT, RosType, TRANSFORM
 use crate::link::DeviceId;
 use crate::pipeline::Record;
 
+/// Beginning of a board's topics.
+const TOPICS: &str = "/slitpose/";
+
+/// A topic of a board. No part of a name of ROS may begin with a digit, as numbers of boards do.
+pub(crate) fn topic(device: DeviceId, name: &str) -> String {
+    format!("{TOPICS}board_{device}/{name}")
+}
+
+/// The board of a topic, and the name in it; of older captures, too, which have the number alone.
+pub(crate) fn board_of(topic: &str) -> Option<(DeviceId, &str)> {
+    let (board, name) = topic.strip_prefix(TOPICS)?.split_once('/')?;
+    Some((board.strip_prefix("board_").unwrap_or(board).parse().ok()?, name))
+}
+
 /// Name of the tool's frame: the tools in front of other boards than the first have the number of theirs in it.
 pub(crate) fn tool_frame(device: DeviceId, is_first: bool) -> String {
     if is_first { "tool".to_owned() } else { format!("tool_{device}") }

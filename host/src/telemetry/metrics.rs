@@ -239,7 +239,11 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     );
     boards.by(("slitpose_host_dropped_total", "place"), counter, "What the host had and did not keep.", |board| {
         let host = &board.losses.host;
-        [("recorder", host.bytes_unrecorded as f64), ("subscriber", host.poses_unsent as f64)]
+        [
+            ("recorder", host.bytes_unrecorded as f64),
+            ("zenoh", host.bytes_unpublished as f64),
+            ("subscriber", host.poses_unsent as f64),
+        ]
     });
     boards.by(("slitpose_packets_damaged_total", "cause"), counter, "Packets that could not be used.", |board| {
         let link = &board.losses.link;

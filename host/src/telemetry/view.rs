@@ -106,12 +106,13 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
         &mut lines,
         "lost",
         &format!(
-            "board {}, link {} scans; {} damaged, {} unreadable packets; host {} unrecorded, {} unsent",
+            "board {}, link {} scans; {} damaged, {} unreadable packets; host {} unrecorded, {} unpublished, {} unsent",
             losses.board.scans_dropped + losses.board.scans_lost,
             losses.link.scans,
             losses.damaged(),
             losses.link.unreadable,
             losses.host.bytes_unrecorded,
+            losses.host.bytes_unpublished,
             losses.host.poses_unsent,
         ),
     )

@@ -12,6 +12,7 @@ use slitpose_protocol::{
 };
 
 use super::ZenohSession;
+use super::distant_clock::DistantClock;
 use super::graph::{Attachment, Type, topic_key};
 use crate::capture::decode_link_bytes;
 use crate::clock::HostInstant;
@@ -58,7 +59,7 @@ impl Opener for FarBoardOpener {
         let session = self.session.get().map_err(|error| gone(error.into()))?;
         let (tell, messages) = bounded(WAITING);
         let subscribe = |topic: &str, taken: fn(&Sample) -> Option<Arrived>, tell: Sender<Arrived>| {
-            let key = topic_key(self.session.domain, &format!("{}/{topic}", self.topic), Type::LINK_BYTES);
+            let key = topic_key(self.session.domain, &format!("/{}/{topic}", self.topic), Type::LINK_BYTES);
             let hear = move |sample: Sample| {
                 // What finds no room is missed.
                 taken(&sample).map(|arrived| tell.try_send(arrived));
@@ -104,8 +105,7 @@ struct FarBoard {
     hello: Vec<u8>,
     /// The number of the last message.
     sequence: Option<i64>,
-    /// From UTC to this host's monotonic clock, nanoseconds.
-    monotonic_minus_utc_ns: i64,
+    clock: DistantClock,
     /// What came since it was last fetched, and what does not continue it.
     pending: Segment,
     held: Option<(i64, Segment)>,
@@ -114,14 +114,13 @@ struct FarBoard {
 
 impl FarBoard {
     fn new(name: String, messages: Receiver<Arrived>, subscribers: [Subscriber<()>; 2]) -> Self {
-        let now = HostInstant::now();
         Self {
             name,
             messages,
             _subscribers: subscribers,
             hello: Vec::new(),
             sequence: None,
-            monotonic_minus_utc_ns: now.monotonic_ns.wrapping_sub(now.utc_ns) as i64,
+            clock: DistantClock::default(),
             pending: Segment::default(),
             held: None,
             heard_at: Instant::now(),
@@ -158,14 +157,6 @@ impl FarBoard {
         self.sequence = Some(sequence);
         self.pending.append(&segment);
         None
-    }
-
-    /// By this host's monotonic clock, as far as both hosts' UTC agree.
-    fn restamp(&mut self) {
-        let shift_ns = self.monotonic_minus_utc_ns;
-        let restamp = |at: &mut HostInstant| at.monotonic_ns = at.utc_ns.wrapping_add_signed(shift_ns);
-        self.pending.reads.iter_mut().filter_map(|read| read.at.as_mut()).for_each(restamp);
-        self.pending.asked.iter_mut().map(|asked| &mut asked.at).for_each(restamp);
     }
 }
 
@@ -227,7 +218,7 @@ impl Feed for FarBoard {
         {
             self.held = self.add(message);
         }
-        self.restamp();
+        self.clock.here(&mut self.pending, HostInstant::now());
         Ok(true)
     }
 

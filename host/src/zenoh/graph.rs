@@ -1,5 +1,5 @@
 //! Names and numbers by which ROS 2 recognises publishers: those of rmw_zenoh
-//! (<https://github.com/ros2/rmw_zenoh/blob/rolling/docs/design.md>), as the releases from Jazzy to Kilted have them.
+//! (<https://github.com/ros2/rmw_zenoh/blob/rolling/docs/design.md>) with Zenoh 1.
 
 use twox_hash::XxHash3_128;
 
@@ -44,9 +44,9 @@ impl Type {
     }
 }
 
-/// The key expression of a topic, which is named without a slash in front.
+/// The key expression of a topic, which begins with a slash.
 pub(super) fn topic_key(domain: u8, topic: &str, of: Type) -> String {
-    format!("{domain}/{topic}/{}", of.key())
+    format!("{domain}{topic}/{}", of.key())
 }
 
 /// Number of a publisher's ROS 2 node in its session.
@@ -81,7 +81,7 @@ impl Node {
         self.entities += 1;
         let (domain, session, number, name) = (self.domain, &self.session, self.entities, self.name());
         let topic = topic.replace('/', "%");
-        format!("@ros2_lv/{domain}/{session}/{NODE}/{number}/MP/%/%/{name}/%{topic}/{}/{QUALITY}", of.key())
+        format!("@ros2_lv/{domain}/{session}/{NODE}/{number}/MP/%/%/{name}/{topic}/{}/{QUALITY}", of.key())
     }
 }
 

@@ -2,6 +2,8 @@
 //! with the feature `zenoh` only.
 
 #[cfg(feature = "zenoh")]
+mod distant_clock;
+#[cfg(feature = "zenoh")]
 mod far_board;
 #[cfg(feature = "zenoh")]
 mod graph;
@@ -38,7 +40,7 @@ pub(crate) enum ZenohError {
     },
     /// A name that no board can have.
     #[cfg(feature = "zenoh")]
-    #[error("`zenoh:{key}` names no board; give zenoh:slitpose/SERIAL, with the serial number of the board")]
+    #[error("`zenoh:{key}` names no board; give zenoh:slitpose/board_SERIAL, with the serial number of the board")]
     Key {
         /// The name.
         key: String,

@@ -52,7 +52,6 @@ struct Shown {
     device: Option<DeviceId>,
     hello: Vec<u8>,
     topics: Option<BoardTopics>,
-    bytes_dropped: u64,
 }
 
 /// The topics of a board that has introduced itself.
@@ -102,8 +101,8 @@ impl DaemonTopics {
         let mut node = Node::new(domain, session.zid().to_string());
         Ok(Self {
             _token: session.liveliness().declare_token(node.token()).wait()?,
-            transforms: Topic::new(&session, &mut node, "tf", Type::TRANSFORMS)?,
-            health: Topic::new(&session, &mut node, "diagnostics", Type::DIAGNOSTICS)?,
+            transforms: Topic::new(&session, &mut node, "/tf", Type::TRANSFORMS)?,
+            health: Topic::new(&session, &mut node, "/diagnostics", Type::DIAGNOSTICS)?,
             node,
             session,
         })
@@ -117,7 +116,7 @@ impl Publisher {
         report: Box<dyn Fn() -> DaemonReport + Send>,
         talk: Arc<Talk>,
     ) -> Self {
-        let shown = |board| Shown { board, device: None, hello: Vec::new(), topics: None, bytes_dropped: 0 };
+        let shown = |board| Shown { board, device: None, hello: Vec::new(), topics: None };
         let mut this = Self {
             session,
             daemon: None,
@@ -147,11 +146,7 @@ impl Publisher {
 
     fn health(&mut self) {
         let Some(daemon) = &mut self.daemon else { return };
-        let mut findings = (self.report)().findings(HostInstant::now());
-        for shown in self.boards.iter().filter(|shown| shown.bytes_dropped > 0) {
-            let text = format!("{} bytes were not published", shown.bytes_dropped);
-            findings.push(Finding::warning("zenoh", text, "give this machine less to do").within(&shown.board.name));
-        }
+        let findings = (self.report)().findings(HostInstant::now());
         let devices = self.boards.iter().filter_map(|shown| Some(shown.device?.to_string()));
         encode_health(&findings, &devices.collect::<Vec<_>>().join(", "), &mut self.message);
         daemon.health.put(&self.message);
@@ -162,7 +157,7 @@ impl TakesChunks for Publisher {
     fn chunk(&mut self, chunk: &TapChunk) {
         let Self { daemon, boards, message, .. } = self;
         let (Some(device), Some(shown)) = (chunk.device, boards.get_mut(chunk.board)) else { return };
-        (shown.device, shown.bytes_dropped) = (Some(device), chunk.bytes_dropped);
+        shown.device = Some(device);
         if !chunk.hello.is_empty() {
             let mut hello = Segment { opened: true, ..Segment::default() };
             hello.push(&chunk.hello, chunk.segment.reads.first().and_then(|read| read.at));
@@ -210,7 +205,7 @@ impl BoardTopics {
         is_first: bool,
         board: &LiveBoard,
     ) -> Result<Self, ::zenoh::Error> {
-        let mut topic = |name: &str, of| Topic::new(session, node, &format!("slitpose/{device}/{name}"), of);
+        let mut topic = |name: &str, of| Topic::new(session, node, &ros::topic(device, name), of);
         let tool = ros::tool_frame(device, is_first);
         let mut shapes = Vec::new();
         let cells = board.head.as_ref().map(|head| &head.file.scene.cells[..]);

@@ -136,6 +136,16 @@ fn a_build_without_foxglove_says_which_build_has_it() {
 }
 
 #[test]
+fn a_build_without_zenoh_says_which_build_has_it() {
+    assert!(!slitpose!().run(["run", "--help"]).done().contains("--zenoh"));
+    for options in [&["--device", "sim", "--zenoh"][..], &["--device", "zenoh:slitpose/board_0036002900544850025a0320"]]
+    {
+        let run = [&["run", "--config", "none"], options].concat();
+        slitpose!().run(run).assert_refused(1, &["--features zenoh"]);
+    }
+}
+
+#[test]
 fn the_seed_decides_every_byte() {
     let bytes = |seed| run(&["--duration", "200ms", "--seed", seed]).stdout;
     let first = bytes("7");

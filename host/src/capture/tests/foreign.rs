@@ -25,6 +25,7 @@ fn written(compression: Option<Compression>, boards: &[DeviceId]) -> Vec<u8> {
     let channels: Vec<u16> = boards
         .iter()
         .map(|device| {
+            // As older captures name it.
             let link = writer.add_channel(0, &format!("/slitpose/{device}/link"), "cdr", &BTreeMap::new()).unwrap();
             let setup = Setup::new(*device, &file.clone().into(), settings());
             let metadata = setup.to_metadata("bench.toml", LinkChannels { link, hello: u16::MAX });

@@ -291,16 +291,16 @@ fn poses_and_reports_are_there_for_other_programs() {
         .collect();
     let of_pose = |log_ns| {
         [
-            ("/slitpose/ID/pose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-            ("/slitpose/ID/pose_stamped", "geometry_msgs/msg/PoseStamped"),
+            ("/slitpose/board_ID/pose", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+            ("/slitpose/board_ID/pose_stamped", "geometry_msgs/msg/PoseStamped"),
             ("/tf", "tf2_msgs/msg/TFMessage"),
-            ("/slitpose/ID/twist", "geometry_msgs/msg/TwistWithCovarianceStamped"),
+            ("/slitpose/board_ID/twist", "geometry_msgs/msg/TwistWithCovarianceStamped"),
         ]
         .map(|(topic, schema)| (topic.to_owned(), schema, "cdr", log_ns))
     };
     let report = |topic: &str, log_ns| (topic.to_owned(), "std_msgs/msg/String", "cdr", log_ns);
-    let reports = [report("/slitpose/ID/report", 4), report("/slitpose/report", 5)];
-    let head = ("/slitpose/ID/head".to_owned(), "visualization_msgs/msg/MarkerArray", "cdr", 2);
+    let reports = [report("/slitpose/board_ID/report", 4), report("/slitpose/report", 5)];
+    let head = ("/slitpose/board_ID/head".to_owned(), "visualization_msgs/msg/MarkerArray", "cdr", 2);
     assert_eq!(told, [&[head], &of_pose(2)[..], &of_pose(3), &reports].concat());
     let messages = &messages[1..];
     assert_eq!(messages[0].sequence, 20);

@@ -84,7 +84,7 @@ impl Channels {
             let schema = Schema::new(of.name, "ros2msg", of.definition.as_bytes());
             context.channel_builder(topic).message_encoding("cdr").schema(schema).build_raw()
         };
-        let topic = |name: &str| format!("/slitpose/{device}/{name}");
+        let topic = |name: &str| ros::topic(device, name);
         let tool = ros::tool_frame(device, number == 0);
         let mut shapes = Vec::new();
         ros::encode_head(&head.file.scene.cells, &tool, &mut shapes);
