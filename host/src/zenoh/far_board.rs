@@ -67,7 +67,7 @@ impl Opener for FarBoardOpener {
             session.declare_subscriber(key).callback(hear).wait()
         };
         let subscribed = subscribe("hello", Arrived::hello, tell.clone())
-            .and_then(|hellos| Ok([hellos, subscribe("bytes", Arrived::bytes, tell)?]));
+            .and_then(|hellos| Ok(vec![hellos, subscribe("bytes", Arrived::bytes, tell)?]));
         let subscribers = subscribed.map_err(gone)?;
         Ok(Box::new(FarBoard::new(name, messages, subscribers)))
     }
@@ -100,7 +100,7 @@ impl Arrived {
 struct FarBoard {
     name: String,
     messages: Receiver<Arrived>,
-    _subscribers: [Subscriber<()>; 2],
+    _subscribers: Vec<Subscriber<()>>,
     /// The last hello packet.
     hello: Vec<u8>,
     /// The number of the last message.
@@ -113,7 +113,7 @@ struct FarBoard {
 }
 
 impl FarBoard {
-    fn new(name: String, messages: Receiver<Arrived>, subscribers: [Subscriber<()>; 2]) -> Self {
+    fn new(name: String, messages: Receiver<Arrived>, subscribers: Vec<Subscriber<()>>) -> Self {
         Self {
             name,
             messages,
@@ -230,5 +230,45 @@ impl Feed for FarBoard {
     /// The board goes on: another host follows it.
     fn stop(&mut self, _: Keep) -> Result<(), DeviceError> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(sequence: i64, opened: bool, bytes: &[u8]) -> Arrived {
+        let mut segment = Segment { opened, ..Segment::default() };
+        segment.push(bytes, None);
+        Arrived::Bytes(sequence, segment)
+    }
+
+    #[test]
+    fn what_is_missed_begins_anew_behind_half_a_packet() {
+        let (tell, messages) = bounded(WAITING);
+        let mut board = FarBoard::new("far".to_owned(), messages, Vec::new());
+        board.hello = b"hello\0".to_vec();
+        let mut next = || {
+            board.listen().unwrap();
+            let mut segment = Segment::default();
+            board.fill(&mut segment);
+            (segment.opened, String::from_utf8(segment.bytes).unwrap())
+        };
+        for arrived in [
+            message(3, false, b"f a packet\0packet\0hal"),
+            message(4, false, b"f\0"),
+            // Two are missed.
+            message(7, false, b"f\0whole\0"),
+            // The board was opened anew: no half packet.
+            message(8, true, b"first\0"),
+            // The daemon there was started anew.
+            message(1, true, b"again\0"),
+        ] {
+            tell.send(arrived).unwrap();
+        }
+        assert_eq!(next(), (true, "hello\0packet\0half\0".to_owned()));
+        assert_eq!(next(), (true, "hello\0whole\0".to_owned()));
+        assert_eq!(next(), (true, "hello\0first\0".to_owned()));
+        assert_eq!(next(), (true, "hello\0again\0".to_owned()));
     }
 }
