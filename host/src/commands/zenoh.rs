@@ -49,7 +49,6 @@ impl ZenohOptions {
         report: impl Fn() -> DaemonReport + Send + 'static,
     ) -> Option<StreamPlan> {
         let session = session.filter(|_| self.zenoh)?;
-        talk(format_args!("boards by Zenoh at {}", self.zenoh_router));
         let pose_every_s = if self.zenoh_poses > 0.0 { self.zenoh_poses.recip() } else { 0.0 };
         Some(session.publisher(boards(), pose_every_s, report, Arc::new(talk)))
     }

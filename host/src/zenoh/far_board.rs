@@ -29,6 +29,9 @@ const QUIET: Duration = Duration::from_secs(1);
 /// Longest wait for bytes at once.
 const MOMENT: Duration = Duration::from_millis(20);
 
+/// Bytes that are passed on together, or a little more.
+const TOGETHER: usize = 1 << 15;
+
 /// Most messages that wait to be solved, half a second; others are missed, as their numbers show.
 const WAITING: usize = 256;
 
@@ -214,6 +217,7 @@ impl Feed for FarBoard {
         self.heard_at = Instant::now();
         self.held = self.add(first);
         while self.held.is_none()
+            && self.pending.bytes.len() < TOGETHER
             && let Some(message) = self.next(Duration::ZERO)
         {
             self.held = self.add(message);

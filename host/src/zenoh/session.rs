@@ -1,6 +1,7 @@
 //! The session.
 
 use std::env;
+use std::ffi::OsString;
 use std::sync::{Arc, Mutex};
 
 use ::zenoh::key_expr::KeyExpr;
@@ -30,7 +31,7 @@ impl ZenohSession {
     /// # Errors
     /// Settings that Zenoh refuses.
     pub(crate) fn open(endpoint: &str) -> Result<Self, ZenohError> {
-        let domain = domain()?;
+        let domain = domain(env::var_os("ROS_DOMAIN_ID"))?;
         let (what, config) = match env::var_os("ZENOH_SESSION_CONFIG_URI") {
             Some(path) => (path.display().to_string(), Config::from_file(&path)),
             None => (endpoint.to_owned(), by_router(endpoint)),
@@ -65,6 +66,7 @@ impl ZenohSession {
         report: impl Fn() -> DaemonReport + Send + 'static,
         talk: Arc<Talk>,
     ) -> StreamPlan {
+        talk(format_args!("boards by Zenoh at {}", self.what));
         let publisher = Publisher::new(self.clone(), boards, Box::new(report), talk);
         StreamPlan { taker: Box::new(publisher), pose_every_s }
     }
@@ -74,23 +76,27 @@ impl ZenohSession {
     /// # Errors
     /// A key that no board can have.
     pub(crate) fn opener(&self, key: &str) -> Result<Box<dyn Opener>, ZenohError> {
-        let topic = key.trim_start_matches('/');
-        // Of several boards at once nothing could be solved.
-        if KeyExpr::new(topic).is_err() || topic.contains('*') || topic.contains('$') {
-            return Err(ZenohError::Key { key: key.to_owned() });
-        }
-        Ok(Box::new(FarBoardOpener::new(self.clone(), topic.to_owned())))
+        Ok(Box::new(FarBoardOpener::new(self.clone(), topic_of(key)?)))
     }
 }
 
-/// The number of the ROS 2 graph.
-fn domain() -> Result<u8, ZenohError> {
-    match env::var("ROS_DOMAIN_ID") {
-        Ok(text) if !text.is_empty() => match text.parse() {
-            Ok(domain @ 0..=232) => Ok(domain),
-            _ => Err(ZenohError::Domain { text }),
-        },
-        _ => Ok(0),
+/// What the topics of one board begin with.
+fn topic_of(key: &str) -> Result<String, ZenohError> {
+    let topic = key.trim_start_matches('/');
+    // Of several boards at once nothing could be solved.
+    if KeyExpr::new(topic).is_err() || topic.contains(['*', '$']) {
+        return Err(ZenohError::Key { key: key.to_owned() });
+    }
+    Ok(topic.to_owned())
+}
+
+/// The number of the ROS 2 graph, from its environment variable.
+fn domain(variable: Option<OsString>) -> Result<u8, ZenohError> {
+    let text = variable.unwrap_or_default().to_string_lossy().into_owned();
+    match text.parse() {
+        Ok(domain @ 0..=232) => Ok(domain),
+        _ if text.is_empty() => Ok(0),
+        _ => Err(ZenohError::Domain { text }),
     }
 }
 
@@ -114,4 +120,37 @@ fn by_router(endpoint: &str) -> Result<Config, ::zenoh::Error> {
         config.insert_json5(key, value)?;
     }
     Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_numbers_are_read_or_refused() {
+        for (key, topic) in
+            [("slitpose/board_1", "slitpose/board_1"), ("/lab/slitpose/board_1", "lab/slitpose/board_1")]
+        {
+            assert_eq!(topic_of(key).unwrap(), topic);
+        }
+        for key in ["", "/", "slitpose/*", "slitpose/**", "slitpose/board_$*", "slitpose//board_1", "slitpose/board_1/"]
+        {
+            assert!(topic_of(key).is_err(), "{key}");
+        }
+        for (variable, number) in [(None, 0), (Some(""), 0), (Some("0"), 0), (Some("232"), 232)] {
+            assert_eq!(domain(variable.map(OsString::from)).unwrap(), number);
+        }
+        for variable in ["233", "-1", "x", " 1"] {
+            assert!(domain(Some(variable.into())).is_err(), "{variable}");
+        }
+    }
+
+    #[test]
+    fn a_router_that_is_not_there_is_named_without_paths_of_sources() {
+        // Nothing listens at port 1.
+        let error = ZenohSession::open("tcp/127.0.0.1:1").unwrap().get().err().unwrap().to_string();
+        assert!(error.contains("tcp/127.0.0.1:1") && error.contains("--zenoh-router"), "{error}");
+        assert!(!error.contains(".rs"), "{error}");
+        assert!(ZenohSession::open("nonsense").is_err());
+    }
 }
