@@ -4,6 +4,7 @@
 //! (x − e_x, y − e_y): the optics depend on nothing else, and a far emitter causes no cancellation.
 
 use glam::{DMat3, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 use crate::pose::rotation_exp;
 use crate::scalar::{Linear3, Scalar, Vector3};
@@ -23,7 +24,7 @@ pub(crate) enum Aperture<S: Scalar> {
 }
 
 /// A slit face parallel to the detector at height z.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct Face<S> {
     pub(crate) z: S,
     pub(crate) x: Span<S>,
@@ -31,7 +32,7 @@ pub(crate) struct Face<S> {
 }
 
 /// An interval and its length, stored because the difference of its ends cancels far from the origin.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct Span<S> {
     pub(crate) low: S,
     pub(crate) high: S,

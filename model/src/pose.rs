@@ -70,29 +70,102 @@ impl Twist {
 
 /// Quaternion of a rotation vector, exact to rounding for any length.
 pub fn rotation_exp(rotation_rad: DVec3) -> DQuat {
-    let angle = rotation_rad.length();
-    let half = 0.5 * angle;
-    // sin(x)/x is 1 to rounding below x = 1e-8.
-    let scale = if half < 1e-8 { 0.5 } else { libm::sin(half) / angle };
-    let v = rotation_rad * scale;
-    DQuat::from_xyzw(v.x, v.y, v.z, libm::cos(half)).normalize()
+    DQuat::from_array(exponential::<f64>(rotation_rad)).normalize()
 }
 
 /// Rotation vector of a unit quaternion, of length ≤ π, exact to rounding also near 0 and π.
 pub fn rotation_log(rotation: DQuat) -> DVec3 {
+    logarithm::<f64>(rotation.to_array())
+}
+
+/// Up to this square of an angle short series replace functions of the library.
+const SMALL: f64 = 1.0 / 64.0;
+
+/// Quaternion (x, y, z, w) of a rotation vector: (v·sin(|v|/2)/|v|, cos(|v|/2)).
+fn exponential<S: Scalar>(rotation_rad: S::Vec3) -> [S; 4] {
+    let half = rotation_rad * S::half();
+    let square = half.dot(half);
+    let (sinc, cosine) = if square <= S::of(SMALL) {
+        // sin x/x and cos x: the first terms left out are x¹²/13! and x¹²/12!.
+        let sum = |inverses: [f64; 5]| {
+            inverses.into_iter().fold(S::one(), |sum, inverse: f64| S::one() - square * S::of(inverse) * sum)
+        };
+        (
+            sum([1.0 / 110.0, 1.0 / 72.0, 1.0 / 42.0, 1.0 / 20.0, 1.0 / 6.0]),
+            sum([1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0]),
+        )
+    } else {
+        let angle = square.root();
+        (angle.sine() / angle, angle.cosine())
+    };
+    let v = half * sinc;
+    [v.x(), v.y(), v.z(), cosine]
+}
+
+/// Rotation vector of a unit quaternion.
+fn logarithm<S: Scalar>(rotation: [S; 4]) -> S::Vec3 {
+    let [x, y, z, w] = rotation;
+    let v = <S::Vec3 as Linear3<S>>::new(x, y, z);
     // q and −q are the same rotation; w ≥ 0 selects the shorter way.
-    let q = if rotation.w < 0.0 { -rotation } else { rotation };
-    let v = DVec3::new(q.x, q.y, q.z);
-    let sine = v.length();
-    if sine == 0.0 {
-        return DVec3::ZERO;
+    let (v, w) = if w < S::zero() { (-v, -w) } else { (v, w) };
+    let square = v.dot(v);
+    if square <= S::of(SMALL) * (w * w) {
+        // 2·arctan(t)/(t·w) of t = |v|/w: the first term left out is t²⁰/21.
+        let t2 = square / (w * w);
+        let sum = [17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0]
+            .into_iter()
+            .fold(S::of(1.0 / 19.0), |sum, odd: f64| S::of(odd.recip()) - t2 * sum);
+        return v * (S::two() * sum / w);
     }
-    v * (2.0 * libm::atan2(sine, q.w) / sine)
+    let sine = v.length();
+    v * (S::two() * sine.angle_from(w) / sine)
+}
+
+/// A pose in the solver's numbers, without what [`Transform`] keeps besides.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rigid<S: Scalar> {
+    /// Unit quaternion, x, y, z, w.
+    rotation: [S; 4],
+    translation: S::Vec3,
+}
+
+impl<S: Scalar> Rigid<S> {
+    pub(crate) fn of(pose: &Pose) -> Self {
+        Self { rotation: pose.rotation.to_array().map(S::of), translation: S::Vec3::of(pose.translation_m) }
+    }
+
+    pub(crate) fn to_pose(self) -> Pose {
+        Pose { rotation: DQuat::from_array(self.rotation.map(S::as_f64)), translation_m: self.translation.as_dvec3() }
+    }
+
+    pub(crate) fn to_transform(self) -> Transform<S> {
+        Transform::of_parts(self.rotation, self.translation)
+    }
+
+    /// As [`Pose::perturbed`].
+    pub(crate) fn perturbed(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
+        let rotation = product(exponential::<S>(rotation_rad), self.rotation);
+        let inverse = Real::inverse_root(rotation.iter().fold(S::zero(), |sum, &x| sum + x * x));
+        Self { rotation: rotation.map(|x| x * inverse), translation: self.translation + translation_m }
+    }
+
+    /// As [`Pose::displacement_from`].
+    pub(crate) fn displacement_from(&self, other: &Self) -> [S::Vec3; 2] {
+        let [x, y, z, w] = other.rotation;
+        [self.translation - other.translation, logarithm::<S>(product(self.rotation, [-x, -y, -z, w]))]
+    }
+}
+
+/// The product of two quaternions.
+fn product<S: Scalar>([ax, ay, az, aw]: [S; 4], [bx, by, bz, bw]: [S; 4]) -> [S; 4] {
+    let (a, b) = (<S::Vec3 as Linear3<S>>::new(ax, ay, az), <S::Vec3 as Linear3<S>>::new(bx, by, bz));
+    let v = b * aw + a * bw + a.cross(b);
+    [v.x(), v.y(), v.z(), aw * bw - a.dot(b)]
 }
 
 /// A pose in the plan's number type, the same in all lanes, with its rotation also as a matrix.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Transform<R: Real> {
+pub struct Transform<R: Real> {
     columns: [R::Vec3; 3],
     /// The same rotation as a unit quaternion, x, y, z, w.
     rotation: [R; 4],

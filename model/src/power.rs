@@ -4,6 +4,8 @@
 //! mⁿ = m₀ⁿ·(1 + δ)ⁿ, δ = (m − m₀)/m₀, is a short binomial series. m − m₀ is exact and only the products
 //! round: the error is at most three units in the last place.
 
+use serde::{Deserialize, Serialize};
+
 use crate::scalar::{Real, Scalar};
 
 /// Intervals of m.
@@ -16,7 +18,7 @@ const OCTAVES: usize = 16;
 const MAX_TERMS: usize = 8;
 
 /// The function cⁿ for one exponent n.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Power<S> {
     exponent: S,
     binomials: [S; MAX_TERMS],

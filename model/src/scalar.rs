@@ -9,6 +9,8 @@ use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 use glam::{DVec3, Vec3};
 use num_traits::{Float, FloatConst, NumAssignOps};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 /// A real number, or a SIMD vector of one per lane.
 pub trait Real:
@@ -64,7 +66,9 @@ pub trait Real:
 }
 
 /// A real number the optics compute with, and the glam vector that goes with it.
-pub trait Scalar: Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps {
+pub trait Scalar:
+    Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps + Serialize + DeserializeOwned
+{
     /// The lanes that a processor evaluates at once: two for `f64`, one for `f32`.
     type Lanes: Real<Element = Self>;
 
@@ -89,6 +93,9 @@ pub trait Scalar: Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst
 
     /// Cosine.
     fn cosine(self) -> Self;
+
+    /// Sine.
+    fn sine(self) -> Self;
 
     /// Angle of the point (`x`, self), in −π…π.
     fn angle_from(self, x: Self) -> Self;
@@ -147,7 +154,7 @@ pub trait Linear3<S>:
 }
 
 /// A three-component vector of one scalar, implemented by glam's types.
-pub trait Vector3<S>: Linear3<S> {
+pub trait Vector3<S>: Linear3<S> + Serialize + DeserializeOwned {
     /// From an `f64` vector, rounded.
     fn of(value: DVec3) -> Self;
     /// To an `f64` vector (exact).
@@ -174,7 +181,7 @@ fn single_root(x: f32) -> f32 {
 }
 
 macro_rules! implement_scalar {
-    ($scalar:ty, $vec3:ty, $lanes:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $atan2:ident]) => {
+    ($scalar:ty, $vec3:ty, $lanes:ty, $terms:expr, [$root:expr, $inverse_root:expr], $as_dvec3:expr, $of_dvec3:expr, [$pow:ident, $atan:ident, $acos:ident, $cos:ident, $sin:ident, $atan2:ident]) => {
         impl Scalar for $scalar {
             type Lanes = $lanes;
             const POWER_TERMS: usize = $terms;
@@ -209,6 +216,10 @@ macro_rules! implement_scalar {
             #[inline(always)]
             fn cosine(self) -> Self {
                 libm::$cos(self)
+            }
+            #[inline(always)]
+            fn sine(self) -> Self {
+                libm::$sin(self)
             }
             #[inline(always)]
             fn angle_from(self, x: Self) -> Self {
@@ -295,7 +306,7 @@ implement_scalar!(
     [single_root, single_inverse_root],
     |v: Vec3| v.as_dvec3(),
     |v: DVec3| v.as_vec3(),
-    [powf, atanf, acosf, cosf, atan2f]
+    [powf, atanf, acosf, cosf, sinf, atan2f]
 );
 implement_scalar!(
     f64,
@@ -305,7 +316,7 @@ implement_scalar!(
     [Float::sqrt, |x: f64| Float::sqrt(x).recip()],
     |v| v,
     |v| v,
-    [pow, atan, acos, cos, atan2]
+    [pow, atan, acos, cos, sin, atan2]
 );
 
 #[cfg(test)]

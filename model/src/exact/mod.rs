@@ -15,6 +15,7 @@ mod sides;
 pub(crate) use integrand::{PolygonLight, Turn, light as polygon_light, light_and_turn};
 pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
 pub(crate) use panels::MAX_EVALUATIONS;
+pub(crate) use rectangle::light as fixed_rectangle_light;
 
 use order::MAX_NODES;
 
@@ -29,6 +30,13 @@ use crate::scalar::{Linear3, Scalar};
 pub(crate) fn faces_away<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
     let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
     axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height + slopes <= S::zero()
+}
+
+/// Whether no part of the spot lies behind the emitter's horizon.
+#[inline(always)]
+pub(crate) fn is_wholly_in_front<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
+    let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
+    axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height > slopes
 }
 
 /// Power and centroid of a rectangular spot by one tensor rule, and the rule's number of nodes; `None`
@@ -49,10 +57,10 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             if along_x.max(along_y) > MAX_NODES {
                 return None;
             }
-            rectangle::light::<S, _, GRADIENT>(spot, axis, &series, rules, (along_x, along_y))
+            rectangle::light::<S, _, GRADIENT>(spot, axis, &series, rules.get(along_x), rules.get(along_y))
         }
         None if E::NEEDS_SERIES => return None,
-        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, rules, needs.nodes),
+        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, rules.get(along_x), rules.get(along_y)),
     };
     // Below this power, near the end of the number range, ratios lose all digits. NaN fails, too.
     let least = S::min_positive_value() / (S::epsilon() * S::epsilon());

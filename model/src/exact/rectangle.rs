@@ -10,7 +10,7 @@ use crate::profile::Falloff;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
 use crate::scalar::{Linear3, Scalar};
 
-use super::order::{Orders, Rules};
+use super::order::Orders;
 
 /// Requirements of a spot on its rule.
 #[derive(Clone, Copy, Debug)]
@@ -60,14 +60,14 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
     Some(Needs { nodes, cosine, spread })
 }
 
-/// Power and centroid (relative to the emitter's foot) with `nodes` along x and y.
+/// Power and centroid (relative to the emitter's foot) with nodes and weights `along_x` and `along_y`, on −1…1.
 #[inline(always)]
-pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
+pub(crate) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     emission: &E,
-    rules: &Rules<S>,
-    nodes: (usize, usize),
+    along_x: impl Iterator<Item = (S, S)> + Clone,
+    along_y: impl Iterator<Item = (S, S)>,
 ) -> RectangleLight<S> {
     let (zero, one, half) = (S::zero(), S::one(), S::half());
     let (xm, hx, ym, hy, h) = (spot.x.middle, spot.x.half, spot.y.middle, spot.y.half, spot.height);
@@ -78,14 +78,14 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     let (mut k0, mut k1, mut k2, mut k01, mut k11) = (zero, zero, zero, zero, zero);
     let (mut l0, mut l1, mut l2, mut l3) = (zero, zero, zero, zero);
     let (mut l01, mut l11, mut l02, mut l12) = (zero, zero, zero, zero);
-    for (eta, weight_y) in rules.get(nodes.1) {
+    for (eta, weight_y) in along_y {
         let y = ym + hy * eta;
         let across2 = y * y + h * h;
         let across_u = uy * y - uz * h;
         let (mut rg0, mut rg1) = (zero, zero);
         let (mut rk0, mut rk1, mut rk2) = (zero, zero, zero);
         let (mut rl0, mut rl1, mut rl2, mut rl3) = (zero, zero, zero, zero);
-        for (xi, weight_x) in rules.get(nodes.0) {
+        for (xi, weight_x) in along_x.clone() {
             let x = xm + hx * xi;
             let inverse = (x * x + across2).root().recip();
             let inverse2 = inverse * inverse;

@@ -1,5 +1,6 @@
 //! A scene compiled for evaluation: each cell's response to a pose, and its derivatives.
 
+mod compact;
 mod compile;
 mod evaluate;
 mod imperfect;
@@ -18,7 +19,9 @@ use crate::scalar::Scalar;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
 use imperfect::Imperfect;
-pub(crate) use optics::Instant;
+pub use compact::CompactPlan;
+pub(crate) use compact::NODES;
+pub use optics::Instant;
 use optics::{Receiver, Source};
 use pack::Pack;
 
@@ -73,7 +76,7 @@ struct CompiledEmitter<S: Scalar> {
 
 /// A cell's currents and derivatives at a pose, for the solver.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct CellTerms<S> {
+pub struct CellTerms<S> {
     pub(crate) status: Status,
     /// Photocurrents without dark current, amperes.
     pub(crate) pair: [S; 2],
@@ -87,6 +90,28 @@ impl<S: Scalar> CellTerms<S> {
     fn dark(status: Status) -> Self {
         Self { status, pair: [S::zero(); 2], jacobian: [[S::zero(); 6]; 2], slack_m: S::zero() }
     }
+}
+
+/// What a solver asks of the optics of a head.
+pub trait Optics<S: Scalar> {
+    /// Number of cells.
+    fn cell_count(&self) -> usize;
+
+    /// From the tool's origin to the emitter of cell `cell`, base frame, metres.
+    fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3;
+
+    /// Passes the terms of all `wanted` cells, at their exposures and in order, to `sink`. It may
+    /// receive other cells, too.
+    fn linearise_all(
+        &self,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        sink: impl FnMut(usize, &CellTerms<S>),
+    );
+
+    /// Passes the photocurrents of all `wanted` cells, at their exposures and in order, to `sink`. It
+    /// may receive other cells, too.
+    fn currents_all(&self, instant: &Instant<'_, S>, wanted: impl Fn(usize) -> bool, sink: impl FnMut(usize, [S; 2]));
 }
 
 impl<S: Scalar> Plan<S> {
@@ -144,11 +169,6 @@ impl<S: Scalar> Plan<S> {
         emitter == cell || counts_on(emitter, other, cell)
     }
 
-    /// From the tool's origin to the emitter of cell `cell`, base frame, metres.
-    pub(crate) fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3 {
-        base_from_tool.rotate(self.cells[cell].emitter.source.position)
-    }
-
     /// Number of cells.
     pub fn cell_count(&self) -> usize {
         self.cells.len()
@@ -182,41 +202,6 @@ impl<S: Scalar> Plan<S> {
         let CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian, .. } =
             evaluate::linearise(self, cell, &Transform::of(pose));
         (status, Pair { i_x1_a, i_x2_a }, jacobian)
-    }
-
-    /// Passes the terms of all `wanted` cells, at their exposures and in order, to `sink`. It may
-    /// receive other cells, too.
-    #[inline(always)]
-    pub(crate) fn linearise_all(
-        &self,
-        instant: &Instant<'_, S>,
-        wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, &CellTerms<S>),
-    ) {
-        if !self.packs.is_empty() {
-            return pack::linearise(&self.packs, self.cells.len(), instant, sink);
-        }
-        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
-            sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)));
-        }
-    }
-
-    /// Passes the photocurrents of all `wanted` cells, at their exposures and in order, to `sink`. It
-    /// may receive other cells, too.
-    #[inline(always)]
-    pub(crate) fn currents_all(
-        &self,
-        instant: &Instant<'_, S>,
-        wanted: impl Fn(usize) -> bool,
-        mut sink: impl FnMut(usize, [S; 2]),
-    ) {
-        if !self.packs.is_empty() {
-            return pack::currents(&self.packs, self.cells.len(), instant, sink);
-        }
-        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
-            let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
-            sink(cell, [pair.i_x1_a, pair.i_x2_a]);
-        }
     }
 
     /// Corners of the spot of cell `cell`, in order around it, in the cell's x and y (metres).
@@ -253,6 +238,47 @@ impl<S: Scalar> Plan<S> {
     /// If there is no such cell.
     pub fn lit_together(&self, cell: usize) -> u16 {
         self.imperfect_of(&self.cells[cell]).map_or(0, Imperfect::lit_together)
+    }
+}
+
+impl<S: Scalar> Optics<S> for Plan<S> {
+    fn cell_count(&self) -> usize {
+        self.cells.len()
+    }
+
+    fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3 {
+        base_from_tool.rotate(self.cells[cell].emitter.source.position)
+    }
+
+    #[inline(always)]
+    fn linearise_all(
+        &self,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        mut sink: impl FnMut(usize, &CellTerms<S>),
+    ) {
+        if !self.packs.is_empty() {
+            return pack::linearise(&self.packs, self.cells.len(), instant, sink);
+        }
+        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
+            sink(cell, &evaluate::linearise(self, cell, &instant.pose_of(cell)));
+        }
+    }
+
+    #[inline(always)]
+    fn currents_all(
+        &self,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        mut sink: impl FnMut(usize, [S; 2]),
+    ) {
+        if !self.packs.is_empty() {
+            return pack::currents(&self.packs, self.cells.len(), instant, sink);
+        }
+        for cell in (0..self.cells.len()).filter(|&cell| wanted(cell)) {
+            let pair = evaluate::photocurrents(self, cell, &instant.pose_of(cell));
+            sink(cell, [pair.i_x1_a, pair.i_x2_a]);
+        }
     }
 }
 

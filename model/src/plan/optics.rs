@@ -1,13 +1,19 @@
 //! Detector and emitter of a cell, and the currents that follow from the light: for one cell, or for
 //! several in SIMD lanes.
 
+use serde::{Deserialize, Serialize};
+
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
 use crate::scalar::{Linear3, Real, Scalar};
 
 /// The detector on the base, without its aperture.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound(
+    serialize = "R: Serialize, R::Vec3: Serialize",
+    deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
+))]
 pub(super) struct Receiver<R: Real> {
     /// x, y, z axes of the cell frame in the base frame.
     pub(super) axes: [R::Vec3; 3],
@@ -20,7 +26,11 @@ pub(super) struct Receiver<R: Real> {
 }
 
 /// The emitter on the tool, without its profile.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound(
+    serialize = "R: Serialize, R::Vec3: Serialize",
+    deserialize = "R: Deserialize<'de>, R::Vec3: Deserialize<'de>"
+))]
 pub(super) struct Source<R: Real> {
     pub(super) position: R::Vec3,
     pub(super) axis: R::Vec3,
@@ -38,7 +48,7 @@ pub(super) struct Seen<R: Real> {
 }
 
 /// The tool's motion around a reference instant, and each cell's exposure.
-pub(crate) struct Instant<'a, S: Scalar> {
+pub struct Instant<'a, S: Scalar> {
     /// Pose at the reference instant.
     pub(crate) pose: &'a Transform<S>,
     /// Twist, m/s and rad/s.

@@ -43,16 +43,28 @@ impl<S: Scalar> Cosine<S> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Cosine<S> {
+impl<S: Scalar> Falloff<S> for Power<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
-        self.power.of(c)
+        self.of(c)
     }
 
     #[inline(always)]
     fn with_slope(&self, c: S) -> (S, S) {
-        let value = self.power.of(c);
-        (value, self.power.exponent() * value / c)
+        let value = self.of(c);
+        (value, self.exponent() * value / c)
+    }
+}
+
+impl<S: Scalar> Falloff<S> for Cosine<S> {
+    #[inline(always)]
+    fn relative(&self, c: S) -> S {
+        self.power.relative(c)
+    }
+
+    #[inline(always)]
+    fn with_slope(&self, c: S) -> (S, S) {
+        self.power.with_slope(c)
     }
 }
 

@@ -11,6 +11,7 @@
 
 use arrayvec::ArrayVec;
 
+use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
@@ -55,9 +56,9 @@ pub(super) enum Fit {
     Full,
 }
 
-impl<S: Scalar> Compiled<S> {
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// How well `minimum` explains the data: χ² by the noise, and no light where none was seen.
-    pub(super) fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, minimum: &Minimum<S>) -> Fit {
+    pub(super) fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> Fit {
         // Written so that NaN does not fit.
         let fits = minimum.converged && minimum.chi2 <= self.gates[sorted.usable.len()];
         if !fits {
@@ -70,7 +71,7 @@ impl<S: Scalar> Compiled<S> {
     }
 
     /// Whether cells that were found without light are without light at the pose, too.
-    fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S>, minimum: &Minimum<S>) -> bool {
+    fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
         let predicted = problem.predicted(&minimum.pose);
         sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
     }
@@ -79,7 +80,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn conclude(
         &self,
         sorted: &Sorted<S>,
-        problem: &Problem<'_, S>,
+        problem: &Problem<'_, S, P>,
         minimum: &Minimum<S>,
         workspace: &Workspace<S>,
         fit: Fit,
@@ -124,7 +125,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn taken_roughly(
         &self,
         sorted: &Sorted<S>,
-        problem: &Problem<'_, S>,
+        problem: &Problem<'_, S, P>,
         start: Transform<S>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
@@ -142,7 +143,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn conclude_near(
         &self,
         sorted: &Sorted<S>,
-        problem: &Problem<'_, S>,
+        problem: &Problem<'_, S, P>,
         whiteners: &Whiteners<S>,
         minimum: &Minimum<S>,
         workspace: &mut Workspace<S>,
@@ -161,7 +162,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn unless_soft(
         &self,
         mut solution: Solution<S>,
-        problem: &Problem<'_, S>,
+        problem: &Problem<'_, S, P>,
         whiteners: &Whiteners<S>,
         minimum: &Minimum<S>,
         workspace: &mut Workspace<S>,
@@ -190,7 +191,7 @@ impl<S: Scalar> Compiled<S> {
 }
 
 /// Whether the best pose found is too far from the data to call it one.
-pub(super) fn is_elsewhere<S: Scalar>(problem: &Problem<'_, S>, minimum: &Minimum<S>) -> bool {
+pub(super) fn is_elsewhere<S: Scalar, P: Optics<S>>(problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
     let predicted = problem.predicted(&minimum.pose);
     !minimum.converged
         || problem.readings.iter().any(|reading| {

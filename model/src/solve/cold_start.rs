@@ -3,13 +3,14 @@
 //! The first pose that fits the data is the answer, unless it may have mirror images ([`super::mirror_images`]):
 //! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
+use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
 
 use super::accept::{DISTINCT_SIGMAS, Fit, ROUGH_WORK, is_elsewhere};
 use super::algebra::square;
 use super::chi2::redundancy;
-use super::compiled::{Compiled, MotionPrior};
+use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::minima::{Minima, Seen};
 use super::mirror_images::{IMAGES, SOFT_STEPS, UNIQUE_FROM, image};
@@ -144,13 +145,13 @@ impl Try {
     }
 }
 
-impl<S: Scalar> Compiled<S> {
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// Two poses between which the currents of the frame before did not decide, on those of this one;
     /// `None` if these do.
     pub(super) fn still_images(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         images: [Transform<S>; 2],
         workspace: &mut Workspace<S>,
     ) -> Option<[Transform<S>; 2]> {
@@ -172,7 +173,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn search(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         search: &mut Search<S>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
@@ -202,7 +203,7 @@ impl<S: Scalar> Compiled<S> {
     fn search_without(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         search: &mut Search<S>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
@@ -219,7 +220,7 @@ impl<S: Scalar> Compiled<S> {
     fn search_all(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         search: &mut Search<S>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
@@ -366,7 +367,7 @@ impl<S: Scalar> Compiled<S> {
     fn judge(
         &self,
         sorted: &Sorted<S>,
-        problem: &Problem<'_, S>,
+        problem: &Problem<'_, S, P>,
         whiteners: &Whiteners<S>,
         minima: &Minima<S>,
         on_planes: &Transform<S>,
@@ -417,7 +418,7 @@ fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0 && sorted.faint.is_empty()
 }
 
-impl<S: Scalar> Problem<'_, S> {
+impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
     /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
     /// last linearisation is at `minimum`.
@@ -477,13 +478,13 @@ mod tests {
             core::mem::swap(&mut pair.i_x1_a, &mut pair.i_x2_a);
         }
         let sorted = Sorted::of(&readings, &head.limits);
-        let at_once = head.search(&sorted, &MotionPrior::AT_REST, &mut Search::at_once(), &mut Workspace::new());
+        let at_once = head.search(&sorted, &Prior::at_rest(), &mut Search::at_once(), &mut Workspace::new());
         assert!(at_once.excluded.contains(0), "{:?}", at_once.outcome);
         let (mut search, mut pieces) = (Search::in_pieces(), 0);
         let found = loop {
             pieces += 1;
             let workspace = &mut Workspace::with_work(30);
-            let solution = head.search(&sorted, &MotionPrior::AT_REST, &mut search, workspace);
+            let solution = head.search(&sorted, &Prior::at_rest(), &mut search, workspace);
             if search.is_over() {
                 break solution;
             }

@@ -1,11 +1,12 @@
 //! A scene compiled for the solver: optics, planes, weights, limits and gates of each cell.
 
 use heapless::Vec;
+use serde::{Deserialize, Serialize};
 
-use crate::plan::{Plan, Tier};
+use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
 use crate::response::Pair;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
 use super::algebra::Factor;
@@ -37,10 +38,33 @@ impl MotionPrior {
     };
 }
 
+/// [`MotionPrior`] in the solver's numbers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Prior<S: Scalar> {
+    /// The twist's linear and angular part.
+    pub(super) twist: [S::Vec3; 2],
+    /// Their standard deviations per axis, m/s and rad/s.
+    pub(super) sigmas: [S; 2],
+}
+
+impl<S: Scalar> Prior<S> {
+    pub(super) fn of(motion: &MotionPrior) -> Self {
+        Self {
+            twist: [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(|v| S::Vec3::of(v)),
+            sigmas: [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s].map(S::of),
+        }
+    }
+
+    pub(super) fn at_rest() -> Self {
+        Self { twist: [S::Vec3::default(); 2], sigmas: [S::zero(); 2] }
+    }
+}
+
 /// A compiled scene.
-#[derive(Clone, Debug)]
-pub(super) struct Compiled<S: Scalar> {
-    pub(super) plan: Plan<S>,
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound(serialize = "P: Serialize", deserialize = "P: Deserialize<'de>"))]
+pub(super) struct Compiled<S: Scalar, P = Plan<S>> {
+    pub(super) plan: P,
     pub(super) planes: Vec<PlaneCell<S>, MAX_CELLS>,
     pub(super) noise: Vec<CellNoise<S>, MAX_CELLS>,
     pub(super) limits: Vec<Limits<S>, MAX_CELLS>,
@@ -120,8 +144,17 @@ impl<S: Scalar> Compiled<S> {
         if sorted.usable.len() < 3 {
             return None;
         }
-        let problem = self.problem(&sorted, &MotionPrior::AT_REST);
+        let problem = self.problem(&sorted, &Prior::at_rest());
         problem.factor_at(&Transform::of(pose), &problem.whiteners(), &mut Workspace::new())
+    }
+
+}
+
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+    /// The same with other optics.
+    pub(super) fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
+        let Self { planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } = self;
+        Compiled { plan, planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images }
     }
 
     /// The pose on the planes of `sorted`.
@@ -129,17 +162,14 @@ impl<S: Scalar> Compiled<S> {
         planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.length_scale_m)
     }
 
-    pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &MotionPrior) -> Problem<'a, S> {
-        let sigmas = [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s];
-        let vector = |v: glam::DVec3| S::Vec3::of(v);
-        let [linear, angular] = [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(vector);
+    pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
         Problem {
             plan: &self.plan,
             planes: &self.planes,
             noise: &self.noise,
             offsets_s: &self.offsets_s,
             readings: &sorted.usable,
-            motion: Motion::new(linear, angular, sigmas, &self.offsets_s, self.length_scale_m),
+            motion: Motion::new(motion, &self.offsets_s, self.length_scale_m),
             length_scale_m: self.length_scale_m,
             jacobian_change_rate: self.jacobian_change_rate,
         }
@@ -158,17 +188,12 @@ impl<S: Scalar> Compiled<S> {
         Some(Solution::without_pose(outcome, sorted.used))
     }
 
-    /// A displacement in σ of a solution's pose, squared; infinite without a pose.
-    pub(super) fn squared_sigmas(
-        &self,
-        solution: &Solution<S>,
-        translation_m: glam::DVec3,
-        rotation_rad: glam::DVec3,
-    ) -> f64 {
-        let t = translation_m / self.length_scale_m.as_f64();
-        let scaled = [t.x, t.y, t.z, rotation_rad.x, rotation_rad.y, rotation_rad.z].map(S::of);
-        solution.factor.map_or(f64::INFINITY, |factor| {
-            let length = factor.length(&scaled).as_f64();
+    /// A displacement (metres, radians) in σ of a solution's pose, squared; infinite without a pose.
+    pub(super) fn squared_sigmas(&self, solution: &Solution<S>, [shift, turn]: [S::Vec3; 2]) -> S {
+        let shift = shift * self.length_scale_m.recip();
+        let scaled = [shift.x(), shift.y(), shift.z(), turn.x(), turn.y(), turn.z()];
+        solution.factor.as_ref().map_or(S::infinity(), |factor| {
+            let length = factor.length(&scaled);
             length * length
         })
     }

@@ -12,9 +12,8 @@
 //! by no more than noise explains, the memory grows up to the one asked for; when they err by more, it
 //! shrinks: the pose of a resting tool has the noise of many frames, that of a swinging one has no delay.
 
-use glam::DVec3;
-
-use crate::pose::{Pose, Twist};
+use crate::pose::{Rigid, Twist};
+use crate::scalar::{Linear3, Scalar, Vector3};
 
 use super::algebra::Matrix6;
 use super::outcome::Estimate;
@@ -57,123 +56,138 @@ const LAG_PER_MEMORY: f64 = 0.2;
 
 /// Velocity of the tool with its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TwistEstimate {
+pub struct TwistEstimate<S = f64> {
     /// In the base frame.
     pub twist: Twist,
     /// Of (linear, angular): m²/s², m·rad/s², rad²/s².
-    pub covariance: Matrix6<f64>,
+    pub covariance: Matrix6<S>,
 }
 
 /// A filtered pose: from the frame and those before.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Filtered {
+pub struct Filtered<S = f64> {
     /// At the reference instant of the newest frame. Its covariance grows with the distance of the poses
     /// from the parabola.
-    pub estimate: Estimate,
+    pub estimate: Estimate<S>,
     /// At the same instant.
-    pub twist: TwistEstimate,
+    pub twist: TwistEstimate<S>,
     /// Time after which half of a sudden step of the pose that is smaller than the noise has come
     /// through: a fifth of the present memory. Steady motion and steady acceleration
     /// come through without delay.
-    pub lag_s: f64,
+    pub lag_s: S,
     /// Frames since the memory began.
     pub frames: u32,
 }
 
 /// Six numbers: displacements, or their rates.
 #[derive(Clone, Copy, Debug, Default)]
-struct Displacement {
-    translation: DVec3,
-    rotation: DVec3,
+struct Displacement<S: Scalar> {
+    translation: S::Vec3,
+    rotation: S::Vec3,
 }
 
-impl Displacement {
-    fn plus(self, factor: f64, other: Self) -> Self {
+impl<S: Scalar> Displacement<S> {
+    fn plus(self, factor: S, other: Self) -> Self {
         Self {
             translation: self.translation + other.translation * factor,
             rotation: self.rotation + other.rotation * factor,
         }
     }
 
-    fn twist(self, period_s: f64) -> Twist {
-        Twist { linear_m_per_s: self.translation / period_s, angular_rad_per_s: self.rotation / period_s }
+    /// Per second.
+    fn rates(self, period_s: S) -> [S::Vec3; 2] {
+        [self.translation, self.rotation].map(|v| v * period_s.recip())
     }
 }
 
 /// Gains of one frame.
 #[derive(Clone, Copy, Debug)]
-struct Gains([f64; 3]);
+struct Gains<S>([S; 3]);
 
-impl Gains {
+impl<S: Scalar> Gains<S> {
     /// Least squares over `n` + 1 frames.
     fn expanding(n: u32) -> Self {
-        let m = f64::from(n);
+        let m = count::<S>(n);
+        let (one, two, three, six) = (S::one(), S::two(), S::of(3.0), S::of(6.0));
         Self(match n {
-            0 => [1.0, 0.0, 0.0],
+            0 => [one, S::zero(), S::zero()],
             n if n < PARABOLA_FROM => {
-                let product = (m + 1.0) * (m + 2.0);
-                [2.0 * (2.0 * m + 1.0) / product, 6.0 / product, 0.0]
+                let per_product = ((m + one) * (m + two)).recip();
+                [two * (two * m + one) * per_product, six * per_product, S::zero()]
             }
             _ => {
-                let product = (m + 1.0) * (m + 2.0) * (m + 3.0);
-                [3.0 * (3.0 * m * m + 3.0 * m + 2.0) / product, 18.0 * (2.0 * m + 1.0) / product, 30.0 / product]
+                let per_product = ((m + one) * (m + two) * (m + three)).recip();
+                let square = three * (three * m * m + three * m + two);
+                [square * per_product, three * six * (two * m + one) * per_product, S::of(30.0) * per_product]
             }
         })
     }
 
     /// Least squares over all frames, each counting θ of the next.
-    fn fading(theta: f64) -> Self {
-        let fresh = 1.0 - theta;
-        Self([1.0 - theta * theta * theta, 1.5 * fresh * fresh * (1.0 + theta), 0.5 * fresh * fresh * fresh])
+    fn fading(theta: S) -> Self {
+        let fresh = S::one() - theta;
+        let square = fresh * fresh;
+        Self([
+            S::one() - theta * theta * theta,
+            S::of(1.5) * square * (S::one() + theta),
+            S::half() * square * fresh,
+        ])
     }
+}
+
+/// A number of frames.
+#[inline(always)]
+fn count<S: Scalar>(frames: u32) -> S {
+    S::from(frames).unwrap_or_else(S::infinity)
 }
 
 /// The filter.
 #[derive(Clone, Debug)]
-pub(super) struct FadingFilter {
-    period_s: f64,
+pub(super) struct FadingFilter<S: Scalar> {
+    period_s: S,
     /// Longest memory, frames.
-    longest: f64,
-    state: Option<State>,
+    longest: S,
+    state: Option<State<S>>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct State {
-    pose: Pose,
-    step: Displacement,
-    bend: Displacement,
+struct State<S: Scalar> {
+    pose: Rigid<S>,
+    step: Displacement<S>,
+    bend: Displacement<S>,
     /// Covariance of (X, V, A) in units of a single pose's.
-    spread: [[f64; 3]; 3],
+    spread: [[S; 3]; 3],
     /// Frames taken.
     frames: u32,
     /// Frames of memory: θ = memory/(1 + memory).
-    memory: f64,
+    memory: S,
     /// Running mean of the squared prediction error, 1 if noise explains it.
-    strain: f64,
+    strain: S,
     /// The same of translations and of rotations alone: bends of the one are not those of the other.
-    strains: [f64; 2],
+    strains: [S; 2],
     /// The same over few frames.
-    alarm: f64,
+    alarm: S,
 }
 
 /// What is expected of the next frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Prediction {
-    pub(super) pose: Pose,
-    pub(super) twist: Twist,
+pub(super) struct Prediction<S: Scalar> {
+    pub(super) pose: Rigid<S>,
+    /// Linear and angular, per second.
+    pub(super) twist: [S::Vec3; 2],
     /// Variance of the pose and of the change per frame, in units of a single pose's.
-    pub(super) pose_variance: f64,
-    pub(super) step_variance: f64,
+    pub(super) pose_variance: S,
+    pub(super) step_variance: S,
     pub(super) frames: u32,
     /// Mean squared error of the last predictions in units of what noise explains, at least 1.
-    pub(super) strain: f64,
+    pub(super) strain: S,
 }
 
-impl FadingFilter {
+impl<S: Scalar> FadingFilter<S> {
     /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
     /// m = `memory_s`/`period_s`.
     pub(super) fn new(period_s: f64, memory_s: f64) -> Self {
-        Self { period_s, longest: (memory_s / period_s).max(SHORTEST), state: None }
+        Self { period_s: S::of(period_s), longest: S::of((memory_s / period_s).max(SHORTEST)), state: None }
     }
 
     pub(super) fn forget(&mut self) {
@@ -187,15 +201,15 @@ impl FadingFilter {
         }
     }
 
-    pub(super) fn predict(&self) -> Option<Prediction> {
-        let next = self.state?.advanced();
+    pub(super) fn predict(&self) -> Option<Prediction<S>> {
+        let next = self.state.as_ref()?.advanced();
         Some(Prediction {
             pose: next.pose,
-            twist: next.step.twist(self.period_s),
+            twist: next.step.rates(self.period_s),
             pose_variance: next.spread[0][0],
             step_variance: next.spread[1][1] + next.bent(),
             frames: next.frames,
-            strain: next.strain.max(1.0),
+            strain: next.strain.max(S::one()),
         })
     }
 
@@ -203,40 +217,44 @@ impl FadingFilter {
     /// displacement (metres, radians) in σ of that pose.
     pub(super) fn update(
         &mut self,
-        measured: &Pose,
-        covariance: &Matrix6<f64>,
-        squared_sigmas: impl Fn(DVec3, DVec3) -> f64,
+        measured: &Rigid<S>,
+        covariance: &Matrix6<S>,
+        squared_sigmas: impl Fn([S::Vec3; 2]) -> S,
     ) {
+        let (zero, one) = (S::zero(), S::one());
         let Some(state) = &mut self.state else {
             self.state = Some(State {
                 pose: *measured,
                 step: Displacement::default(),
                 bend: Displacement::default(),
-                spread: [[1.0, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+                spread: [[one, zero, zero], [zero; 3], [zero; 3]],
                 frames: 1,
                 memory: self.longest,
-                strain: 1.0,
-                strains: [1.0; 2],
-                alarm: 1.0,
+                strain: one,
+                strains: [one; 2],
+                alarm: one,
             });
             return;
         };
         let mut next = state.advanced();
-        let (translation, rotation) = measured.displacement_from(&next.pose);
+        let [translation, rotation] = measured.displacement_from(&next.pose);
         let error = Displacement { translation, rotation };
         if next.frames > PARABOLA_FROM {
-            let squared = squared_sigmas(translation, rotation) / (6.0 * (1.0 + next.spread[0][0]));
-            next.strain += NEWEST * (squared - next.strain);
-            next.alarm += NEWEST_ALARM * (squared - next.alarm);
+            let per_axis = (one + next.spread[0][0]).recip();
+            let squared = squared_sigmas([translation, rotation]) * (S::of(1.0 / 6.0) * per_axis);
+            let toward = |mean: S, share: f64, squared: S| mean + S::of(share) * (squared - mean);
+            next.strain = toward(next.strain, NEWEST, squared);
+            next.alarm = toward(next.alarm, NEWEST_ALARM, squared);
             for (group, error) in [translation, rotation].into_iter().enumerate() {
+                let error = [error.x(), error.y(), error.z()];
                 let of_axis = |i: usize| error[i] * error[i] / covariance[3 * group + i][3 * group + i];
-                let squared = (0..3).map(of_axis).sum::<f64>() / (3.0 * (1.0 + next.spread[0][0]));
-                next.strains[group] += NEWEST_BEND * (squared - next.strains[group]);
+                let squared = (of_axis(0) + of_axis(1) + of_axis(2)) * (S::of(1.0 / 3.0) * per_axis);
+                next.strains[group] = toward(next.strains[group], NEWEST_BEND, squared);
             }
-            let factor = if next.alarm > ALARM { SHRINK } else { GROW };
-            next.memory = (next.memory * factor).clamp(SHORTEST, self.longest);
+            let factor = if next.alarm > S::of(ALARM) { SHRINK } else { GROW };
+            next.memory = (next.memory * S::of(factor)).max(S::of(SHORTEST)).min(self.longest);
         }
-        let expanding = Gains::expanding(next.frames);
+        let expanding = Gains::<S>::expanding(next.frames);
         let fading = Gains::fading(next.theta());
         let Gains(gains) = if expanding.0[0] > fading.0[0] { expanding } else { fading };
         next.pose = next.pose.perturbed(translation * gains[0], rotation * gains[0]);
@@ -248,10 +266,10 @@ impl FadingFilter {
     }
 
     /// The state, where the covariance of a single pose is `covariance`.
-    pub(super) fn state(&self, covariance: &Matrix6<f64>) -> Option<Filtered> {
-        let state = self.state?;
+    pub(super) fn state(&self, covariance: &Matrix6<S>) -> Option<Filtered<S>> {
+        let state = self.state.as_ref()?;
         // What bends add is no noise: it is not correlated as that is.
-        let scaled = |noise: f64, bends: [f64; 2]| {
+        let scaled = |noise: S, bends: [S; 2]| {
             let mut scaled = covariance.map(|row| row.map(|value| value * noise));
             for (i, row) in scaled.iter_mut().enumerate() {
                 row[i] += covariance[i][i] * bends[i / 3];
@@ -263,57 +281,62 @@ impl FadingFilter {
         // Of one frame's velocity nothing is known.
         (state.frames >= 2).then(|| Filtered {
             estimate: Estimate {
-                pose: state.pose,
+                pose: state.pose.to_pose(),
                 covariance: scaled(state.spread[0][0], bends.map(|[pose, _]| pose)),
             },
             twist: TwistEstimate {
-                twist: state.step.twist(self.period_s),
+                twist: twist::<S>(state.step.rates(self.period_s)),
                 covariance: scaled(state.spread[1][1] * per_second2, bends.map(|[_, step]| step * per_second2)),
             },
-            lag_s: LAG_PER_MEMORY * state.memory * self.period_s,
+            lag_s: S::of(LAG_PER_MEMORY) * state.memory * self.period_s,
             frames: state.frames,
         })
     }
 }
 
-impl State {
-    fn theta(&self) -> f64 {
-        self.memory / (1.0 + self.memory)
+/// As others see it.
+fn twist<S: Scalar>([linear, angular]: [S::Vec3; 2]) -> Twist {
+    Twist { linear_m_per_s: linear.as_dvec3(), angular_rad_per_s: angular.as_dvec3() }
+}
+
+impl<S: Scalar> State<S> {
+    fn theta(&self) -> S {
+        self.memory / (S::one() + self.memory)
     }
 
     /// Mean square of what noise does not explain in the predicted step: motion that bends more than a
     /// parabola.
-    fn bent(&self) -> f64 {
-        let excess = if self.strain > CHANCE { self.strain - 1.0 } else { 0.0 };
+    fn bent(&self) -> S {
+        let excess = if self.strain > S::of(CHANCE) { self.strain - S::one() } else { S::zero() };
         let astray = astray(self.theta());
-        astray * astray * excess * (1.0 + self.spread[0][0])
+        astray * astray * excess * (S::one() + self.spread[0][0])
     }
 
     /// The same of translations and of rotations, in the pose and in the step, both corrected by the
     /// newest frame, which has seen its bend.
-    fn bends(&self) -> [[f64; 2]; 2] {
+    fn bends(&self) -> [[S; 2]; 2] {
         let theta = self.theta();
-        let Gains([of_pose, of_step, _]) = Gains::fading(theta);
-        let (left, astray) = (1.0 - of_pose, astray(theta) - of_step);
+        let Gains([of_pose, of_step, _]) = Gains::<S>::fading(theta);
+        let (left, astray) = (S::one() - of_pose, astray(theta) - of_step);
         // With a short memory chance adds a tenth to what noise does; with a long one it would be most.
-        let chance = CHANCE_BEND * (1.0 - SHORTEST / self.memory);
+        let chance = S::of(CHANCE_BEND) * (S::one() - S::of(SHORTEST) / self.memory);
         self.strains.map(|strain| {
-            let square = (strain - 1.0 - chance).max(0.0) * (1.0 + self.spread[0][0]);
-            [left * left * square, SWING * astray * astray * square]
+            let square = (strain - S::one() - chance).max(S::zero()) * (S::one() + self.spread[0][0]);
+            [left * left * square, S::of(SWING) * astray * astray * square]
         })
     }
 
     /// One frame later.
     fn advanced(&self) -> Self {
-        let step = self.step.plus(1.0, self.bend);
+        let step = self.step.plus(S::one(), self.bend);
         // F·P·Fᵀ with F = [1 1 1; 0 1 2; 0 0 1].
-        let apply = |v: [f64; 3]| [v[0] + v[1] + v[2], v[1] + 2.0 * v[2], v[2]];
+        let apply = |v: [S; 3]| [v[0] + v[1] + v[2], v[1] + S::two() * v[2], v[2]];
         let rows = self.spread.map(apply);
         let columns = [0, 1, 2].map(|j| apply([rows[0][j], rows[1][j], rows[2][j]]));
         let spread = core::array::from_fn(|i| core::array::from_fn(|j| columns[j][i]));
         Self {
             pose: self.pose.perturbed(step.translation, step.rotation),
-            step: step.plus(1.0, self.bend),
+            step: step.plus(S::one(), self.bend),
             spread,
             ..*self
         }
@@ -321,24 +344,26 @@ impl State {
 }
 
 /// (1 − K·H)·P·(1 − K·H)ᵀ + K·Kᵀ for a measurement of X with unit variance.
-fn corrected(p: &[[f64; 3]; 3], gains: &[f64; 3]) -> [[f64; 3]; 3] {
+fn corrected<S: Scalar>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
     core::array::from_fn(|i| {
         core::array::from_fn(|j| {
-            p[i][j] - gains[i] * p[0][j] - gains[j] * p[i][0] + gains[i] * gains[j] * (p[0][0] + 1.0)
+            p[i][j] - gains[i] * p[0][j] - gains[j] * p[i][0] + gains[i] * gains[j] * (p[0][0] + S::one())
         })
     })
 }
 
 /// What a steady change of acceleration, x = t³/6, does to the predicted step, per what it does to
 /// the predicted pose, which lags by 1/(1 − θ)³.
-fn astray(theta: f64) -> f64 {
-    let fresh = 1.0 - theta;
-    fresh * (3.0 + fresh * (-1.5 + fresh / 3.0))
+fn astray<S: Scalar>(theta: S) -> S {
+    let fresh = S::one() - theta;
+    fresh * (S::of(3.0) + fresh * (S::of(-1.5) + fresh * S::of(1.0 / 3.0)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pose::Pose;
+    use glam::DVec3;
 
     const PERIOD: f64 = 250e-6;
 
@@ -355,10 +380,10 @@ mod tests {
 
     /// Frames of a polynomial motion, through a filter.
     /// None of them is off by more than noise explains.
-    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter {
+    fn run(memory_s: f64, frames: u32, pose: impl Fn(f64) -> Pose) -> FadingFilter<f64> {
         let mut filter = FadingFilter::new(PERIOD, memory_s);
         for frame in 0..frames {
-            filter.update(&pose(f64::from(frame) * PERIOD), &UNIT, |_, _| 6.0);
+            filter.update(&Rigid::of(&pose(f64::from(frame) * PERIOD)), &UNIT, |_| 6.0);
         }
         filter
     }
@@ -381,8 +406,8 @@ mod tests {
             let at = |frame: f64| Pose::from_vectors(DVec3::X * (frame * frame * frame / 6.0), DVec3::ZERO);
             let filter = run(memory_s, 600, |t| at(t / PERIOD - 400.0));
             let predicted = filter.predict().expect("started");
-            let pose = at(200.0).translation_m.x - predicted.pose.translation_m.x;
-            let step = 0.5 * 200.0 * 200.0 - predicted.twist.linear_m_per_s.x * PERIOD;
+            let pose = at(200.0).translation_m.x - predicted.pose.to_pose().translation_m.x;
+            let step = 0.5 * 200.0 * 200.0 - predicted.twist[0].x * PERIOD;
             let theta = filter.state.expect("started").theta();
             assert!((pose * (1.0 - theta).powi(3) - 1.0).abs() < 1e-6, "{pose}");
             assert!((step / pose - astray(theta)).abs() < 1e-6, "{step} {pose}");
@@ -392,12 +417,12 @@ mod tests {
     #[test]
     fn gains_start_as_least_squares_and_end_fading() {
         // A parabola through five points of which the last is one off: the textbook's weights.
-        let mut filter = FadingFilter::new(PERIOD, 1.0);
+        let mut filter = FadingFilter::<f64>::new(PERIOD, 1.0);
         for frame in 0..=PARABOLA_FROM {
             let x = if frame == PARABOLA_FROM { 35.0 } else { 0.0 };
-            filter.update(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO), &UNIT, |_, _| 6.0);
+            filter.update(&Rigid::of(&Pose::from_vectors(DVec3::new(x, 0.0, 0.0), DVec3::ZERO)), &UNIT, |_| 6.0);
         }
-        let x = filter.state.expect("started").pose.translation_m.x;
+        let x = filter.state.expect("started").pose.to_pose().translation_m.x;
         assert!((x - 31.0).abs() < 1e-12, "{x}");
         let predicted = run(2e-3, 3000, |_| Pose::HOME).state.expect("started").advanced();
         let theta = predicted.theta();
@@ -411,17 +436,17 @@ mod tests {
     #[test]
     fn a_sudden_bend_shortens_the_memory_within_a_few_frames_and_the_lag_told_with_it() {
         let mut filter = run(0.1, 5_000, |_| Pose::HOME);
-        let lag_s = |filter: &FadingFilter| filter.state(&UNIT).expect("many frames").lag_s;
+        let lag_s = |filter: &FadingFilter<f64>| filter.state(&UNIT).expect("many frames").lag_s;
         assert!((lag_s(&filter) / (0.2 * 0.1) - 1.0).abs() < 1e-9);
         // Predictions err by twice what noise explains. The mean over 50 frames would need 12 to notice.
-        (0..12).for_each(|_| filter.update(&Pose::HOME, &UNIT, |_, _| 4.0 * 12.0));
+        (0..12).for_each(|_| filter.update(&Rigid::of(&Pose::HOME), &UNIT, |_| 4.0 * 12.0));
         let memory = filter.state.expect("started").memory * PERIOD;
         assert!(memory < 0.1 * 0.05, "{memory}");
         // The step of which half has come through, as long as the memory is what it is now.
         let (told, there) = (lag_s(&filter), Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO));
         let mut frames = 0.0;
-        while filter.state.expect("started").pose.translation_m.x < 0.5e-6 {
-            filter.update(&there, &UNIT, |_, _| 6.0);
+        while filter.state.expect("started").pose.to_pose().translation_m.x < 0.5e-6 {
+            filter.update(&Rigid::of(&there), &UNIT, |_| 6.0);
             frames += 1.0;
         }
         assert!((frames * PERIOD - told).abs() < 1.5 * PERIOD + 0.2 * told, "{frames} frames, {told}");
@@ -433,8 +458,8 @@ mod tests {
             let mut filter = run(memory_s, 30_000, |_| Pose::HOME);
             let mut frames = 0.0;
             let there = Pose::from_vectors(DVec3::X * 1e-6, DVec3::ZERO);
-            while filter.state.expect("started").pose.translation_m.x < 0.5e-6 {
-                filter.update(&there, &UNIT, |_, _| 6.0);
+            while filter.state.expect("started").pose.to_pose().translation_m.x < 0.5e-6 {
+                filter.update(&Rigid::of(&there), &UNIT, |_| 6.0);
                 frames += 1.0;
             }
             let told = filter.state(&[[0.0; 6]; 6]).expect("many frames").lag_s;

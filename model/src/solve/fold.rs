@@ -5,12 +5,13 @@
 //! currents hardly change along one direction v, and bend: a step of s along it changes the whitened
 //! currents by j·s + ½c·s², so that the twin of a pose lies at s = −2j/c.
 
+use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
 
 use super::accept::{DISTINCT_SIGMAS, Fit};
 use super::algebra::square;
-use super::compiled::{Compiled, MotionPrior};
+use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::observability;
@@ -31,12 +32,12 @@ const FAR_SIGMAS: f64 = 60.0;
 /// of condition numbers, which is large near a fold.
 const INVERSE_STEPS: usize = 3;
 
-impl<S: Scalar> Compiled<S> {
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// Whether a solution without redundancy has a near twin of which `is_expected` holds, too.
     pub(super) fn has_twin(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         solution: &Solution<S>,
         is_expected: impl Fn(&Pose) -> bool,
         workspace: &mut Workspace<S>,
@@ -50,7 +51,7 @@ impl<S: Scalar> Compiled<S> {
     fn twin(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         solution: &Solution<S>,
         workspace: &mut Workspace<S>,
     ) -> Option<Transform<S>> {

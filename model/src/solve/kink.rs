@@ -4,6 +4,7 @@
 //! Where both say that χ² falls towards the other side its minimum lies on the kink; where both say that it
 //! falls away from there each side has a minimum of its own.
 
+use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
@@ -60,7 +61,7 @@ fn on_kink<S: Scalar>(
     least
 }
 
-impl<S: Scalar> Problem<'_, S> {
+impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// Looks for less χ² between `pose`, where the normal equations are `at`, and the end of `step`, where they are
     /// `there`.
     #[cold]

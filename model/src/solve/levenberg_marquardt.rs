@@ -7,6 +7,7 @@
 //! Derivatives jump where a spot reaches the end of its detector; steps across such a kink are the business of
 //! [`super::kink`].
 
+use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar};
 
@@ -105,7 +106,7 @@ enum Reused<S: Scalar> {
     TooOld,
 }
 
-impl<S: Scalar> Problem<'_, S> {
+impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// `pose` after a scaled step.
     pub(super) fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
@@ -313,7 +314,7 @@ fn lowered<S: Scalar>(damping: S) -> S {
 mod tests {
     use glam::DVec3;
 
-    use super::super::compiled::MotionPrior;
+    use super::super::compiled::Prior;
     use super::super::fixture::{compiled, currents, pose};
     use super::super::readings::Sorted;
     use super::*;
@@ -329,7 +330,7 @@ mod tests {
     fn the_minimum_of_noise_free_currents_is_their_pose() {
         let (head, truth) = (compiled(), pose());
         let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
-        let problem = head.problem(&sorted, &MotionPrior::AT_REST);
+        let problem = head.problem(&sorted, &Prior::at_rest());
         let start = Transform::of(&truth.perturbed(DVec3::new(20e-6, -20e-6, 20e-6), DVec3::new(2e-3, 1e-3, -2e-3)));
         let off = |minimum: &Minimum<f64>| {
             let (dt, dr) = minimum.pose.to_pose().displacement_from(&truth);
@@ -349,7 +350,7 @@ mod tests {
     fn a_minimisation_ends_with_its_budget() {
         let (head, truth) = (compiled(), pose());
         let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
-        let problem = head.problem(&sorted, &MotionPrior::AT_REST);
+        let problem = head.problem(&sorted, &Prior::at_rest());
         let far = Transform::of(&truth.perturbed(DVec3::splat(1e-3), DVec3::splat(0.1)));
         let workspace = &mut Workspace::with_work(2);
         let minimum = problem.minimise(far, &problem.whiteners(), Stopping::exact(), workspace);

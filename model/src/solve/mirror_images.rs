@@ -6,12 +6,13 @@
 
 use arrayvec::ArrayVec;
 
+use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Linear3, Scalar};
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Factor, Matrix6};
-use super::compiled::{Compiled, MotionPrior};
+use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::minima::are_distinct;
 use super::normal_equations::Workspace;
@@ -52,7 +53,7 @@ const PATTERNS: usize = 7;
 /// Most images that [`images`] gives: of two sets of three emitters.
 pub(super) const IMAGES: usize = 2 * PATTERNS;
 
-impl<S: Scalar> Compiled<S> {
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// `minimum` moved along the direction that its data hold least: one of [`SOFT_STEPS`].
     pub(super) fn softened(&self, minimum: &Minimum<S>, index: usize) -> Option<Transform<S>> {
         let (_, direction) = minimum.factor.as_ref()?.singular()[0];
@@ -62,6 +63,9 @@ impl<S: Scalar> Compiled<S> {
         Some(minimum.pose.moved(shift * (length * self.length_scale_m), turn * length))
     }
 
+}
+
+impl<S: Scalar> Compiled<S> {
     /// Whether there are images of poses over the reach of the head with as many cells lit as tell a
     /// pose apart from images, if the planes fix it.
     pub(super) fn may_have_images(&self) -> bool {
@@ -91,7 +95,7 @@ impl<S: Scalar> Compiled<S> {
 
     /// Whether `pose`, which the readings are of, has an image that fits them nearly as well.
     fn has_image_near(&self, sorted: &Sorted<S>, pose: &Transform<S>) -> bool {
-        let problem = self.problem(sorted, &MotionPrior::AT_REST);
+        let problem = self.problem(sorted, &Prior::at_rest());
         let (whiteners, workspace) = (problem.whiteners(), &mut Workspace::new());
         let here = problem.minimise(*pose, &whiteners, Stopping::rough(), workspace);
         (0..SOFT_STEPS)

@@ -10,6 +10,7 @@
 //! | one cell against all others | [`outlier`] | leave one out |
 //! | is it the pose? | [`accept`], [`chi2`], [`observability`] | χ² gate, singular values, external reliability |
 //! | other poses with such currents | [`mirror_images`], [`fold`], [`minima`] | reflections, double points |
+//! | on a microcontroller | [`compact`] | one short rule for all spots |
 //! | nothing known | [`cold_start`], [`starts`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
@@ -21,6 +22,7 @@ mod accept;
 mod algebra;
 mod chi2;
 mod cold_start;
+mod compact;
 mod compiled;
 mod filter;
 #[cfg(test)]
@@ -45,6 +47,7 @@ mod twist;
 mod warm_start;
 mod weights;
 
+pub use compact::CompactError;
 pub use compiled::MotionPrior;
 pub use filter::{Filtered, TwistEstimate};
 pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};

@@ -11,7 +11,7 @@
 // heapless clears the memory of a new vector; here that would take as long as the algebra.
 use arrayvec::ArrayVec;
 
-use crate::plan::{Instant, Plan};
+use crate::plan::{Instant, Optics};
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
@@ -30,8 +30,8 @@ const GUIDE_M: f64 = 20e-6;
 const MAX_GUIDES: usize = 4;
 
 /// The data of one minimisation.
-pub(super) struct Problem<'a, S: Scalar> {
-    pub(super) plan: &'a Plan<S>,
+pub(super) struct Problem<'a, S: Scalar, P> {
+    pub(super) plan: &'a P,
     pub(super) planes: &'a [PlaneCell<S>],
     pub(super) noise: &'a [CellNoise<S>],
     /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
@@ -131,7 +131,7 @@ impl<S: Scalar> NormalEquations<S> {
     }
 }
 
-impl<S: Scalar> Problem<'_, S> {
+impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
         Instant { pose, linear: self.motion.linear, angular: self.motion.angular, offsets_s: self.offsets_s }
     }

@@ -4,11 +4,12 @@
 //! gate and is smaller than without any other cell by [`OUTLIER_THRESHOLD`]: a likelihood-ratio test of a mean shift
 //! in one cell (Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2).
 
+use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
 use super::accept::Fit;
-use super::compiled::{Compiled, MotionPrior};
+use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{DegradedReason, Outcome, Solution};
@@ -54,13 +55,13 @@ impl<S: Scalar> OutlierSearch<S> {
     }
 }
 
-impl<S: Scalar> Compiled<S> {
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit: from
     /// the planes of the others. Goes on with `search`, and stops where that is paused.
     pub(super) fn without_outlier(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         search: &mut OutlierSearch<S>,
         workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
@@ -117,7 +118,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn without_outlier_near(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         start: Transform<S>,
         workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
@@ -164,7 +165,7 @@ impl<S: Scalar> Compiled<S> {
     pub(super) fn still_without(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         cell: usize,
         start: Transform<S>,
         workspace: &mut Workspace<S>,
@@ -202,7 +203,7 @@ impl<S: Scalar> Compiled<S> {
     fn unless_alone(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         index: usize,
         found: &Minimum<S>,
         runner_up: S,
@@ -243,7 +244,7 @@ impl<S: Scalar> Compiled<S> {
     fn may_agree(
         &self,
         sorted: &Sorted<S>,
-        all: &Problem<'_, S>,
+        all: &Problem<'_, S, P>,
         whiteners: &Whiteners<S>,
         pose: Transform<S>,
         workspace: &mut Workspace<S>,

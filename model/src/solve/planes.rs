@@ -8,6 +8,8 @@
 //! A slit that rides with the emitter lies in a plane of the tool with it, and the light lands where that plane meets
 //! the detector: the same, seen from the tool.
 
+use serde::{Deserialize, Serialize};
+
 use crate::effects::Opening;
 use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar, Vector3};
@@ -30,7 +32,8 @@ const CLIPPED_WEIGHT: f64 = 0.01;
 const PULL: f64 = 1e-6;
 
 /// What the planes need of a cell, base frame.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
 pub(super) struct PlaneCell<S: Scalar> {
     detector: S::Vec3,
     x_axis: S::Vec3,

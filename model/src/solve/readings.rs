@@ -2,6 +2,7 @@
 
 use arrayvec::ArrayVec;
 use heapless::Vec;
+use serde::{Deserialize, Serialize};
 
 use crate::response::Pair;
 use crate::scalar::Scalar;
@@ -11,9 +12,9 @@ use super::outcome::Cells;
 
 /// What is known of one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Reading {
+pub enum Reading<T = f64> {
     /// Currents above dark, I_X − I_D/2 for each electrode, at nominal emitter drive: amperes.
-    Light(Pair<f64>),
+    Light(Pair<T>),
     /// A converter or the detector was at its limit.
     Saturated,
     /// No measurement of this cell.
@@ -22,14 +23,14 @@ pub enum Reading {
 
 /// The photocurrents of all cells of a scene, in the order of its cells.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Photocurrents {
+pub struct Photocurrents<T = f64> {
     /// One reading per cell.
-    pub cells: Vec<Reading, MAX_CELLS>,
+    pub cells: Vec<Reading<T>, MAX_CELLS>,
 }
 
-impl Photocurrents {
+impl<T> Photocurrents<T> {
     /// From one pair per cell, currents above dark.
-    pub fn of_pairs(pairs: impl IntoIterator<Item = Pair<f64>>) -> Self {
+    pub fn of_pairs(pairs: impl IntoIterator<Item = Pair<T>>) -> Self {
         Self { cells: pairs.into_iter().map(Reading::Light).collect() }
     }
 }
@@ -42,7 +43,7 @@ pub(super) struct Usable<S> {
 }
 
 /// What keeps a cell from entering.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Limits<S> {
     pub(super) faint_a: S,
     /// Above dark.
@@ -61,13 +62,13 @@ pub(super) struct Sorted<S> {
 }
 
 impl<S: Scalar> Sorted<S> {
-    pub(super) fn of(readings: &Photocurrents, limits: &[Limits<S>]) -> Self {
+    pub(super) fn of<T: Scalar>(readings: &Photocurrents<T>, limits: &[Limits<S>]) -> Self {
         let mut sorted = Self { usable: ArrayVec::new(), used: Cells::default(), faint: Cells::default() };
         for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {
             let Reading::Light(pair) = reading else {
                 continue;
             };
-            let pair = [S::of(pair.i_x1_a), S::of(pair.i_x2_a)];
+            let pair = [pair.i_x1_a, pair.i_x2_a].map(|current| S::of(current.as_f64()));
             let total = pair[0] + pair[1];
             if !pair[0].is_finite() || !pair[1].is_finite() || total > limits.saturation_a {
                 continue;

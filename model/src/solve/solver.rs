@@ -1,13 +1,15 @@
 //! The interface of the solver.
 
-use crate::plan::{Plan, Tier};
+use serde::{Deserialize, Serialize};
+
+use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
 use crate::scene::{Scene, SceneError};
 
 use super::accept::Fit;
 use super::cold_start::{COLD_WORK, Search};
-use super::compiled::{Compiled, MotionPrior};
+use super::compiled::{Compiled, MotionPrior, Prior};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::Workspace;
 use super::observability;
@@ -29,10 +31,11 @@ pub enum Start<'a> {
 /// Estimates poses from the photocurrents of one scene.
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
-#[derive(Clone, Debug)]
-pub struct Solver<S: Scalar> {
-    pub(super) compiled: Compiled<S>,
-    max_steps: Option<usize>,
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound(serialize = "P: Serialize", deserialize = "P: Deserialize<'de>"))]
+pub struct Solver<S: Scalar, P = Plan<S>> {
+    pub(super) compiled: Compiled<S, P>,
+    pub(super) max_steps: Option<usize>,
 }
 
 impl<S: Scalar> Solver<S> {
@@ -65,6 +68,21 @@ impl<S: Scalar> Solver<S> {
         Ok(())
     }
 
+    /// The directions that the currents of the head leave free at `pose`; `None` if there is none, or if
+    /// fewer than three cells see light there.
+    pub fn free_directions(&self, pose: &Pose) -> Option<Directions> {
+        observability::free_directions(&self.compiled.factor_at(pose)?)
+    }
+
+    /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
+    /// of this scene's photocurrents can have, the tool at rest and all cells with light used.
+    /// m², m·rad, rad²; `None` where the data leave a direction free.
+    pub fn bound(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
+        observability::covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
+    }
+}
+
+impl<S: Scalar, P: Optics<S>> Solver<S, P> {
     /// With cell k exposed `offsets_s[k]` seconds after the reference instant.
     ///
     /// # Panics
@@ -89,12 +107,6 @@ impl<S: Scalar> Solver<S> {
         self
     }
 
-    /// The directions that the currents of the head leave free at `pose`; `None` if there is none, or if
-    /// fewer than three cells see light there.
-    pub fn free_directions(&self, pose: &Pose) -> Option<Directions> {
-        observability::free_directions(&self.compiled.factor_at(pose)?)
-    }
-
     /// Whether poses of this head may have mirror images, other poses with nearly the same currents,
     /// although six cells or more see light: a cold solve then looks for them, takes the best, and says
     /// [`Outcome::Ambiguous`] where two fit alike. Of fewer cells this holds for every head.
@@ -110,15 +122,8 @@ impl<S: Scalar> Solver<S> {
         self
     }
 
-    /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
-    /// of this scene's photocurrents can have, the tool at rest and all cells with light used.
-    /// m², m·rad, rad²; `None` where the data leave a direction free.
-    pub fn bound(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
-        observability::covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
-    }
-
     /// The compiled scene.
-    pub fn plan(&self) -> &Plan<S> {
+    pub fn plan(&self) -> &P {
         &self.compiled.plan
     }
 
@@ -128,6 +133,7 @@ impl<S: Scalar> Solver<S> {
         if let Some(solution) = self.compiled.too_few(&sorted) {
             return solution;
         }
+        let motion = &Prior::of(motion);
         match (start, self.max_steps) {
             (Start::PlanesOnly, _) => self.unfinished(&sorted, motion, self.compiled.on_planes(&sorted), 0),
             (Start::Cold, Some(steps)) => self.unfinished(&sorted, motion, self.compiled.on_planes(&sorted), steps),
@@ -142,7 +148,7 @@ impl<S: Scalar> Solver<S> {
     fn unfinished(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         start: Transform<S>,
         max_iterations: usize,
     ) -> Solution<S> {
@@ -159,7 +165,7 @@ impl<S: Scalar> Solver<S> {
 
     /// The only source of misfits: what [`Self::near`] finds to be one is searched for here, too.
     #[inline(never)]
-    fn cold(&self, sorted: &Sorted<S>, motion: &MotionPrior) -> Solution<S> {
+    fn cold(&self, sorted: &Sorted<S>, motion: &Prior<S>) -> Solution<S> {
         let workspace = &mut Workspace::with_work(COLD_WORK);
         let mut solution = self.compiled.search(sorted, motion, &mut Search::at_once(), workspace);
         solution.evaluations = workspace.evaluations;
@@ -167,7 +173,7 @@ impl<S: Scalar> Solver<S> {
         solution
     }
 
-    fn near(&self, sorted: &Sorted<S>, pose: &Pose, motion: &MotionPrior) -> Solution<S> {
+    fn near(&self, sorted: &Sorted<S>, pose: &Pose, motion: &Prior<S>) -> Solution<S> {
         let workspace = &mut Workspace::new();
         let mut solution = self.compiled.follow(sorted, motion, Transform::of(pose), None, workspace);
         if matches!(solution.outcome, Outcome::Diverged | Outcome::Degraded(DegradedReason::Misfit)) {

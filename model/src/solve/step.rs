@@ -4,6 +4,7 @@
 //! number of J. Where that would cost more than half of the digits, J itself is factorised, by QR (Björck 1996,
 //! section 2.4).
 
+use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::rectangle::MOST_MAGNIFICATION;
 use crate::scalar::{Linear3, Scalar};
@@ -29,7 +30,7 @@ pub(super) struct Step<S> {
     pub(super) is_by_qr: bool,
 }
 
-impl<S: Scalar> Problem<'_, S> {
+impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// The step from `at`; `None` if a damped matrix is singular to the precision of the numbers.
     #[inline]
     pub(super) fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {

@@ -13,11 +13,12 @@
 //! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the
 //! search on the currents of its own frame.
 
-use crate::pose::{Pose, Transform, Twist};
-use crate::scalar::Scalar;
+use crate::plan::{Optics, Plan};
+use crate::pose::{Pose, Rigid, Transform};
+use crate::scalar::{Linear3, Scalar};
 
 use super::cold_start::{COLD_WORK, Search};
-use super::compiled::MotionPrior;
+use super::compiled::Prior;
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
 use super::outcome::{DegradedReason, Outcome, Solution};
@@ -77,23 +78,23 @@ pub struct Tracked<S: Scalar = f64> {
     /// From this frame alone, but for the twist.
     pub solution: Solution<S>,
     /// Velocity at the reference instant, from this frame and a few before.
-    pub twist: Option<TwistEstimate>,
+    pub twist: Option<TwistEstimate<S>>,
     /// From many frames, if asked for.
-    pub filtered: Option<Filtered>,
+    pub filtered: Option<Filtered<S>>,
 }
 
 /// Solves consecutive frames.
 #[derive(Clone, Debug)]
-pub struct Tracker<S: Scalar> {
-    solver: Solver<S>,
+pub struct Tracker<S: Scalar, P = Plan<S>> {
+    solver: Solver<S, P>,
     period_s: f64,
-    motion: FadingFilter,
-    filter: Option<FadingFilter>,
+    motion: FadingFilter<S>,
+    filter: Option<FadingFilter<S>>,
     next_frame: u64,
     /// Twist before the tool was lost: the tool may still be as fast.
-    last_twist: Twist,
+    last_twist: [S::Vec3; 2],
     /// σ of the last pose, mean of the axes: metres and radians.
-    sigmas: [f64; 2],
+    sigmas: [S; 2],
     /// Frames since the last pose.
     coasted: u32,
     /// The cell that was left out of the last pose.
@@ -121,17 +122,17 @@ impl<S: Scalar> Lost<S> {
     }
 }
 
-impl<S: Scalar> Tracker<S> {
+impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     /// For frames `period_s` seconds apart.
-    pub fn new(solver: Solver<S>, period_s: f64) -> Self {
+    pub fn new(solver: Solver<S, P>, period_s: f64) -> Self {
         Self {
             solver,
             period_s,
             motion: FadingFilter::new(period_s, MEMORY_FRAMES * period_s),
             filter: None,
             next_frame: 0,
-            last_twist: Twist::default(),
-            sigmas: [0.0; 2],
+            last_twist: [S::Vec3::default(); 2],
+            sigmas: [S::zero(); 2],
             coasted: 0,
             left_out: None,
             is_misfit: false,
@@ -148,39 +149,41 @@ impl<S: Scalar> Tracker<S> {
 
     /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
     /// gap in the numbers the tracker forgets how the tool moved.
-    pub fn track(&mut self, frame: u64, readings: &Photocurrents) -> Tracked<S> {
+    pub fn track<T: Scalar>(&mut self, frame: u64, readings: &Photocurrents<T>) -> Tracked<S> {
         match frame.checked_sub(self.next_frame) {
             Some(missed) if missed <= u64::from(MAX_COAST) => (0..missed).for_each(|_| self.coast()),
             _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
-        let solution = self.solve(readings);
-        let Some(estimate) = solution.estimate.map(|estimate| estimate.widened()) else {
+        let mut solution = self.solve(readings);
+        let Some(estimate) = &solution.estimate else {
             self.coast();
             self.is_misfit = false;
             self.lost.wait = 0;
             return Tracked { solution, twist: None, filtered: None };
         };
+        let (pose, covariance) = (Rigid::of(&estimate.pose), estimate.covariance);
         let solver = &self.solver;
-        let squared_sigmas = |dt, dr| solver.compiled.squared_sigmas(&solution, dt, dr);
-        self.motion.update(&estimate.pose, &estimate.covariance, squared_sigmas);
+        let squared_sigmas = |displacement| solver.compiled.squared_sigmas(&solution, displacement);
+        self.motion.update(&pose, &covariance, squared_sigmas);
         if let Some(filter) = &mut self.filter {
-            filter.update(&estimate.pose, &estimate.covariance, squared_sigmas);
+            filter.update(&pose, &covariance, squared_sigmas);
         }
-        let mean = |axes: core::ops::Range<usize>| axes.map(|i| estimate.covariance[i][i]).sum::<f64>() / 3.0;
-        self.sigmas = [mean(0..3), mean(3..6)].map(libm::sqrt);
+        self.sigmas = [0, 3].map(|i| {
+            let sum = covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2];
+            (sum * S::of(1.0 / 3.0)).root()
+        });
         self.coasted = 0;
         self.left_out = solution.excluded.iter().next();
         self.is_misfit = is_misfit(&solution);
         if !self.is_misfit {
             self.lost = Lost::new(self.lost.saved_work.min(MOST_SAVED));
         }
-        let mut solution = solution;
         solution.own_up();
         Tracked {
             solution,
-            twist: self.motion.state(&estimate.covariance).map(|state| state.twist),
-            filtered: self.filter.as_ref().and_then(|filter| filter.state(&estimate.covariance)),
+            twist: self.motion.state(&covariance).map(|state| state.twist),
+            filtered: self.filter.as_ref().and_then(|filter| filter.state(&covariance)),
         }
     }
 
@@ -203,7 +206,7 @@ impl<S: Scalar> Tracker<S> {
         }
     }
 
-    fn solve(&mut self, readings: &Photocurrents) -> Solution<S> {
+    fn solve<T: Scalar>(&mut self, readings: &Photocurrents<T>) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.solver.compiled.limits);
         if let Some(solution) = self.solver.compiled.too_few(&sorted) {
             return solution;
@@ -211,7 +214,7 @@ impl<S: Scalar> Tracker<S> {
         let workspace = &mut Workspace::with_work(FRAME_WORK);
         let solution = match self.motion.predict() {
             Some(expected) => self.follow(&sorted, &expected, workspace),
-            None => self.find(&sorted, &unknown_motion(&self.last_twist), workspace),
+            None => self.find(&sorted, &unknown_motion::<S>(&self.last_twist), workspace),
         };
         if self.lost.saved_work < MOST_SAVED {
             self.lost.saved_work += SAVED_A_FRAME;
@@ -220,13 +223,14 @@ impl<S: Scalar> Tracker<S> {
     }
 
     /// The pose near the expected one; else wherever it is.
-    fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction, workspace: &mut Workspace<S>) -> Solution<S> {
-        let start = Transform::of(&expected.pose);
+    fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction<S>, workspace: &mut Workspace<S>) -> Solution<S> {
+        let start = expected.pose.to_transform();
         let mut solution =
             self.solver.compiled.follow(sorted, &self.motion_prior(expected), start, self.left_out, workspace);
         // While the motion is not known yet, any is as expected.
         let is_expected = solution
             .estimate
+            .as_ref()
             .is_some_and(|estimate| expected.frames < BEND_FROM || self.is_near(&estimate.pose, &solution, expected));
         if is_expected && !is_misfit(&solution) {
             let motion = self.motion_prior(expected);
@@ -236,23 +240,21 @@ impl<S: Scalar> Tracker<S> {
             }
             return solution;
         }
-        let unknown = unknown_motion(&expected.twist);
+        let unknown = unknown_motion::<S>(&expected.twist);
         if !(is_expected && self.is_misfit) {
             // The tool did not go on as before: what it did within this frame is unknown.
-            let time_s = self.period_s * f64::from(self.coasted + 1);
-            let reach =
-                [unknown.linear_sigma_m_per_s, unknown.angular_sigma_rad_per_s].map(|speed| 2.0 * speed * time_s);
-            let reach = [0, 1].map(|i| reach[i] + REACH_SIGMAS * self.sigmas[i]);
+            let time_s = S::of(self.period_s * f64::from(self.coasted + 1));
+            let reach = [0, 1].map(|i| S::two() * unknown.sigmas[i] * time_s + S::of(REACH_SIGMAS) * self.sigmas[i]);
             self.forget();
             self.last_twist = expected.twist;
             let before = solution.iterations;
             solution = self.solver.compiled.follow(sorted, &unknown, start, self.left_out, workspace);
             solution.iterations += before;
             let is_within_reach = |pose: &Pose| {
-                let (dt, dr) = pose.displacement_from(&expected.pose);
-                dt.length() <= reach[0] && dr.length() <= reach[1]
+                let [shift, turn] = Rigid::of(pose).displacement_from(&expected.pose);
+                shift.length() <= reach[0] && turn.length() <= reach[1]
             };
-            let is_believed = solution.estimate.is_some_and(|estimate| {
+            let is_believed = solution.estimate.as_ref().is_some_and(|estimate| {
                 solution.redundancy > 0
                     || is_within_reach(&estimate.pose)
                         && !self.solver.compiled.has_twin(sorted, &unknown, &solution, is_within_reach, workspace)
@@ -275,14 +277,14 @@ impl<S: Scalar> Tracker<S> {
     }
 
     /// Whether `pose` is where the tool would be if it went on as before, in σ of `solution`.
-    fn is_near(&self, pose: &Pose, solution: &Solution<S>, expected: &Prediction) -> bool {
-        let (dt, dr) = pose.displacement_from(&expected.pose);
-        let squared = self.solver.compiled.squared_sigmas(solution, dt, dr) / (1.0 + expected.pose_variance);
-        squared <= MANOEUVRE * expected.strain.min(MOST_STRAIN)
+    fn is_near(&self, pose: &Pose, solution: &Solution<S>, expected: &Prediction<S>) -> bool {
+        let displacement = Rigid::of(pose).displacement_from(&expected.pose);
+        let squared = self.solver.compiled.squared_sigmas(solution, displacement) / (S::one() + expected.pose_variance);
+        squared <= S::of(MANOEUVRE) * expected.strain.min(S::of(MOST_STRAIN))
     }
 
     /// Looks for the tool everywhere, a piece of the search a frame.
-    fn find(&mut self, sorted: &Sorted<S>, motion: &MotionPrior, workspace: &mut Workspace<S>) -> Solution<S> {
+    fn find(&mut self, sorted: &Sorted<S>, motion: &Prior<S>, workspace: &mut Workspace<S>) -> Solution<S> {
         let lost = &mut self.lost;
         if let Some(images) = lost.images.take() {
             lost.images = self.solver.compiled.still_images(sorted, motion, images, workspace);
@@ -306,33 +308,37 @@ impl<S: Scalar> Tracker<S> {
     }
 
     /// How the tool is expected to move within the next frame.
-    fn motion_prior(&self, expected: &Prediction) -> MotionPrior {
+    fn motion_prior(&self, expected: &Prediction<S>) -> Prior<S> {
         if expected.frames < 2 {
-            return unknown_motion(&self.last_twist);
+            return unknown_motion::<S>(&self.last_twist);
         }
-        let [linear, angular] = self.sigmas;
-        let per_second = self.period_s.recip();
         // A line through n frames lags half of them behind a bend.
-        let behind_s =
-            if expected.frames < BEND_FROM { 0.5 * (f64::from(expected.frames) + 1.0) * self.period_s } else { 0.0 };
-        let sigma = |pose: f64, acceleration: f64| {
-            let noise = libm::sqrt(expected.step_variance) * pose * per_second;
-            libm::hypot(noise, acceleration * behind_s)
+        let behind_s = if expected.frames < BEND_FROM {
+            0.5 * (f64::from(expected.frames) + 1.0) * self.period_s
+        } else {
+            0.0
         };
-        MotionPrior {
+        let per_second = expected.step_variance.root() * S::of(self.period_s.recip());
+        let sigma = |pose: S, acceleration: f64| {
+            let noise = per_second * pose;
+            if behind_s == 0.0 { noise } else { S::norm(noise, S::of(acceleration * behind_s)) }
+        };
+        let [linear, angular] = self.sigmas;
+        Prior {
             twist: expected.twist,
-            linear_sigma_m_per_s: sigma(linear, ACCELERATION_M_PER_S2),
-            angular_sigma_rad_per_s: sigma(angular, ANGULAR_ACCELERATION_RAD_PER_S2),
+            sigmas: [sigma(linear, ACCELERATION_M_PER_S2), sigma(angular, ANGULAR_ACCELERATION_RAD_PER_S2)],
         }
     }
 }
 
-/// Of a tool that moved with `twist` and may do anything now.
-fn unknown_motion(twist: &Twist) -> MotionPrior {
-    MotionPrior {
-        twist: Twist::default(),
-        linear_sigma_m_per_s: UNKNOWN_LINEAR_M_PER_S.max(twist.linear_m_per_s.length()),
-        angular_sigma_rad_per_s: UNKNOWN_ANGULAR_RAD_PER_S.max(twist.angular_rad_per_s.length()),
+/// Of a tool that moved with this twist and may do anything now.
+fn unknown_motion<S: Scalar>([linear, angular]: &[S::Vec3; 2]) -> Prior<S> {
+    Prior {
+        twist: [S::Vec3::default(); 2],
+        sigmas: [
+            S::of(UNKNOWN_LINEAR_M_PER_S).max(linear.length()),
+            S::of(UNKNOWN_ANGULAR_RAD_PER_S).max(angular.length()),
+        ],
     }
 }
 

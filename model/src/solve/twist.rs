@@ -12,6 +12,7 @@
 use crate::scalar::Scalar;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
+use super::compiled::Prior;
 use super::residuals::{ResidualSums, Row};
 
 /// Largest information a prior on the twist can have: it is then known.
@@ -29,20 +30,14 @@ pub(super) struct Motion<S: Scalar> {
 }
 
 impl<S: Scalar> Motion<S> {
-    /// With the standard deviations of a twist, m/s and rad/s.
-    pub(super) fn new(
-        linear: S::Vec3,
-        angular: S::Vec3,
-        [sigma_linear, sigma_angular]: [f64; 2],
-        offsets_s: &[S],
-        length_scale_m: S,
-    ) -> Self {
+    pub(super) fn new(prior: &Prior<S>, offsets_s: &[S], length_scale_m: S) -> Self {
+        let Prior { twist: [linear, angular], sigmas: [sigma_linear, sigma_angular] } = *prior;
         let duration = offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()));
-        let information = |sigma: f64, unit: S| {
-            let share = S::of(sigma) * duration / unit;
+        let information = |sigma: S, unit: S| {
+            let share = sigma * duration / unit;
             (share * share).recip().min(S::of(KNOWN))
         };
-        let unknown = duration > S::zero() && (sigma_linear > 0.0 || sigma_angular > 0.0);
+        let unknown = duration > S::zero() && (sigma_linear > S::zero() || sigma_angular > S::zero());
         let prior = unknown.then(|| [information(sigma_linear, length_scale_m), information(sigma_angular, S::one())]);
         Self { linear, angular, duration, prior }
     }

@@ -1,11 +1,12 @@
 //! The pose near an expected one.
 
+use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 
 use super::accept::{Fit, is_elsewhere};
 use super::chi2::redundancy;
-use super::compiled::{Compiled, MotionPrior};
+use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::mirror_images::UNIQUE_FROM;
 use super::normal_equations::Workspace;
@@ -15,13 +16,13 @@ use super::readings::Sorted;
 /// Evaluations that are left to [`Compiled::taken_roughly`], which takes some five near an expected pose.
 const ROUGH_STEPS: usize = 12;
 
-impl<S: Scalar> Compiled<S> {
+impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     /// The pose near `start`, where the tool is expected: of all cells; without the one that was
     /// `left_out` in the frame before; without another; or a misfit.
     pub(super) fn follow(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         start: Transform<S>,
         left_out: Option<usize>,
         workspace: &mut Workspace<S>,
@@ -46,7 +47,7 @@ impl<S: Scalar> Compiled<S> {
     fn follow_misfit(
         &self,
         sorted: &Sorted<S>,
-        motion: &MotionPrior,
+        motion: &Prior<S>,
         start: Transform<S>,
         minimum: &Minimum<S>,
         workspace: &mut Workspace<S>,

@@ -1,5 +1,7 @@
 //! How much a current is worth: the covariance of a cell's two currents, and whitening by it.
 
+use serde::{Deserialize, Serialize};
+
 use crate::scalar::Scalar;
 use crate::scene::{Scene, Uncertainty};
 
@@ -51,7 +53,7 @@ impl<S: Scalar> Whitener<S> {
 }
 
 /// The noise of one cell, compiled.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct CellNoise<S> {
     /// 2qB: variance of the total current per ampere of light.
     shot: S,

@@ -207,7 +207,7 @@ fn light_that_comes_back_is_a_pose_again() {
     }
     for missing in [3, 200] {
         for _ in 0..missing {
-            let tracked = rig.tracker.track(rig.frame, &Photocurrents { cells: [Reading::Missing; 6].into() });
+            let tracked = rig.tracker.track(rig.frame, &Photocurrents { cells: [Reading::<f64>::Missing; 6].into() });
             assert!(tracked.solution.estimate.is_none() && tracked.twist.is_none());
             rig.frame += 1;
         }
