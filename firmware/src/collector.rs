@@ -5,6 +5,7 @@ use slitpose_protocol::{BatchBuilder, HardwareFault, MAX_SCAN_BYTES, RawScan, Sc
 use crate::exposure::AutomaticExposure;
 use crate::hardware::{Acquisition, ScanError};
 use crate::outbox::Outbox;
+use crate::pose::Poser;
 
 /// Largest number of scans in a batch. Four scans of six cells, lit and dark, make a
 /// packet of some 220 bytes, of which 192 are samples; the first waits three frames.
@@ -34,13 +35,15 @@ pub(crate) struct Collector {
     last_tick: Option<u64>,
     lost: u64,
     overruns: u32,
+    /// Whether scans are put into batches.
+    sends: bool,
 }
 
 impl Collector {
     /// A collector without scans, prepared for scans of this configuration.
     pub fn new(configuration: u16, schedule: &Schedule) -> Self {
         let batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
-        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0 }
+        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0, sends: true }
     }
 
     /// Prepares the collector for scans of another configuration; the batch of the old one
@@ -59,12 +62,14 @@ impl Collector {
         &mut self,
         hardware: &mut impl Acquisition,
         outbox: &mut Outbox<M>,
+        poser: &mut Poser,
         mut exposure: Option<&mut AutomaticExposure>,
     ) -> Result<(), HardwareFault> {
         for _ in 0..SCANS_PER_CALL {
             match hardware.next_scan(&mut self.scan) {
                 Ok(true) => {
                     self.take(outbox)?;
+                    poser.take(&self.scan);
                     if let Some(exposure) = &mut exposure {
                         exposure.watch(&self.scan);
                     }
@@ -91,6 +96,16 @@ impl Collector {
     /// Scans until the open batch is full.
     pub fn scans_to_batch(&self) -> usize {
         self.batch.remaining()
+    }
+
+    /// Scans in a full batch, or poses in a packet of them.
+    pub fn batch_scans(&self) -> usize {
+        self.batch.len() + self.batch.remaining()
+    }
+
+    /// Whether scans are sent; the batch under way must have been flushed.
+    pub fn set_sends(&mut self, sends: bool) {
+        self.sends = sends;
     }
 
     /// Scans the hardware has taken, by the highest sequence number so far.
@@ -124,6 +139,9 @@ impl Collector {
             return Err(HardwareFault::Counters);
         }
         self.last_tick = Some(self.scan.tick);
+        if !self.sends {
+            return Ok(());
+        }
         if !self.batch.push(&self.scan) {
             self.flush(outbox);
             // An empty batch takes any scan of its shape.

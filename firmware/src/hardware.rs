@@ -6,7 +6,8 @@
 //! | [`Storage`] | memory that outlives the supply |
 //! | [`System`] | clock, indicator, sensors, reset |
 
-use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan, Schedule};
+use slitpose_protocol::poses::TRIANGLE;
+use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, PoseRecord, RawScan, Schedule};
 
 use crate::settings::Settings;
 
@@ -79,9 +80,25 @@ pub trait System {
     /// changes and twice a second.
     fn housekeeping(&mut self, indicator: Indicator) -> Health;
 
+    /// Shows or passes on a pose that the board has just solved.
+    fn pose_solved(&mut self, _pose: &SolvedPose) {}
+
     /// Resets the board. Called when everything the board had to say has been sent, or has
     /// waited long enough. A simulator may have nothing to reset.
     fn reboot(&mut self, target: BootTarget);
+}
+
+/// A pose just solved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SolvedPose {
+    /// Sequence number of its scan.
+    pub sequence: u64,
+    /// Device tick at which its frame started.
+    pub tick: u64,
+    /// What came of it.
+    pub record: PoseRecord,
+    /// Covariance of (δt, δθ) in the base frame, m², m·rad, rad²: lower triangle, row by row. `None` without a pose.
+    pub covariance: Option<[f32; TRIANGLE]>,
 }
 
 /// Why there is no scan although there should be.

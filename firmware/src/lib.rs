@@ -88,6 +88,11 @@ mod exposure;
 mod hardware;
 mod outbox;
 pub mod pcb;
+#[cfg(feature = "pose")]
+pub mod pose;
+#[cfg(not(feature = "pose"))]
+#[path = "pose/without.rs"]
+mod pose;
 mod queue;
 pub mod settings;
 mod validate;
@@ -100,4 +105,7 @@ extern crate std;
 
 pub use board::{Board, HOST_GONE_MS, Identity, Link, STATUS_MS, TRANSMIT_BYTES, TransmitBuffer};
 pub use collector::{BATCH_SCANS, BATCH_SPAN_MS};
-pub use hardware::{Acquisition, Hardware, Health, Indicator, ScanError, Storage, StorageError, System};
+pub use hardware::{Acquisition, Hardware, Health, Indicator, ScanError, SolvedPose, Storage, StorageError, System};
+
+/// Number of [`slitpose_protocol::Command::Head`] on the wire.
+const HEAD_KIND: u32 = 9;

@@ -19,9 +19,12 @@ const ANSWER_BYTES: usize = 2048;
 const LARGEST_ENTRY: usize = MAX_MESSAGE_BYTES + HEADER_BYTES;
 const _: () = assert!(ANSWER_BYTES >= LARGEST_ENTRY);
 
+/// Tag of a packet of poses.
+const POSES: u32 = 0;
+
 #[derive(Debug)]
 pub(crate) struct Outbox<M> {
-    /// Tag: scans in the packet.
+    /// Tag: scans in the packet, or [`POSES`].
     batches: PacketQueue<M>,
     /// Tag: `arrived` when the packet was queued.
     answers: PacketQueue<[u8; ANSWER_BYTES]>,
@@ -76,17 +79,26 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
     /// Queues a batch, and drops the oldest batches if it needs their room. While no host
     /// listens the new batch itself is dropped.
     pub fn push_batch(&mut self, batch: Batch<'_>, scans: usize) {
-        let scans = scans as u32;
+        self.push(&Message::Batch(batch), scans as u32);
+    }
+
+    /// Queues poses, as batches are: they are as many.
+    #[cfg(feature = "pose")]
+    pub fn push_poses(&mut self, poses: slitpose_protocol::Poses<'_>) {
+        self.push(&Message::Poses(poses), POSES);
+    }
+
+    fn push(&mut self, message: &Message<'_>, tag: u32) {
         if !self.open {
-            return self.count_dropped(scans);
+            return self.count_dropped(tag);
         }
-        let Ok(length) = encode(&Message::Batch(batch), &mut self.scratch).map(<[u8]>::len) else {
-            return self.count_dropped(scans);
+        let Ok(length) = encode(message, &mut self.scratch).map(<[u8]>::len) else {
+            return self.count_dropped(tag);
         };
-        while !self.batches.push(&self.scratch[..length], scans) {
+        while !self.batches.push(&self.scratch[..length], tag) {
             // A memory too small for even one packet keeps none.
             if !self.drop_batch() {
-                return self.count_dropped(scans);
+                return self.count_dropped(tag);
             }
         }
         self.arrived = self.arrived.wrapping_add(1);
@@ -154,11 +166,11 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
     }
 
     fn drop_batch(&mut self) -> bool {
-        let Some(scans) = self.batches.discard() else {
+        let Some(tag) = self.batches.discard() else {
             return false;
         };
         self.left = self.left.wrapping_add(1);
-        self.count_dropped(scans);
+        self.count_dropped(tag);
         true
     }
 
@@ -166,7 +178,11 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.dropped.answers = self.dropped.answers.saturating_add(1);
     }
 
+    /// Poses are not counted: their scans are in batches, or the gap in their numbers shows.
     fn count_dropped(&mut self, scans: u32) {
+        if scans == POSES {
+            return;
+        }
         self.dropped.scans = self.dropped.scans.saturating_add(scans.into());
         self.dropped.batches = self.dropped.batches.saturating_add(1);
     }

@@ -85,7 +85,7 @@ pub use effects::{
     RADIAL_TERMS, Stray, Window,
 };
 pub use identify::identified_relative_intensity;
-pub use plan::{CompactPlan, CurrentsJacobian, Plan, Tier};
+pub use plan::{BOARD_CELLS, CompactPlan, CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Integration, Pair, Response, Status};
 pub use scalar::{Linear3, Scalar, Vector3};
@@ -94,6 +94,6 @@ pub use scene::{
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, Cells, CompactError, DegradedReason, Directions, Estimate, Filtered, MotionPrior, Outcome, Photocurrents, Reading,
-    Solution, Solver, Start, Tracked, Tracker, TwistEstimate, Verified,
+    AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate, Filtered,
+    MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker, TwistEstimate, Verified,
 };

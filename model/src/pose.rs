@@ -95,11 +95,18 @@ fn exponential<S: Scalar>(rotation_rad: S::Vec3) -> [S; 4] {
             sum([1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0]),
         )
     } else {
-        let angle = square.root();
-        (angle.sine() / angle, angle.cosine())
+        far(square)
     };
     let v = half * sinc;
     [v.x(), v.y(), v.z(), cosine]
+}
+
+/// sin x/x and cos x, by x².
+#[cold]
+#[inline(never)]
+fn far<S: Scalar>(square: S) -> (S, S) {
+    let angle = square.root();
+    (angle.sine() / angle, angle.cosine())
 }
 
 /// Rotation vector of a unit quaternion.
@@ -130,6 +137,20 @@ pub(crate) struct Rigid<S: Scalar> {
 }
 
 impl<S: Scalar> Rigid<S> {
+    pub(crate) fn home() -> Self {
+        Self { rotation: [S::zero(), S::zero(), S::zero(), S::one()], translation: S::Vec3::default() }
+    }
+
+    /// Translation, and rotation as x, y, z, w.
+    pub(crate) fn numbers(&self) -> ([S; 3], [S; 4]) {
+        let t = self.translation;
+        ([t.x(), t.y(), t.z()], self.rotation)
+    }
+
+    pub(crate) fn widened(&self) -> Rigid<f64> {
+        Rigid { rotation: self.rotation.map(S::as_f64), translation: self.translation.as_dvec3() }
+    }
+
     pub(crate) fn of(pose: &Pose) -> Self {
         Self { rotation: pose.rotation.to_array().map(S::of), translation: S::Vec3::of(pose.translation_m) }
     }
@@ -247,9 +268,19 @@ impl<S: Scalar> Transform<S> {
         Self::of_parts([imaginary.x(), imaginary.y(), imaginary.z(), real], self.translation + translation_m)
     }
 
+    /// Whether every component is a finite number.
+    pub(crate) fn is_finite(&self) -> bool {
+        let t = self.translation;
+        self.rotation.iter().chain(&[t.x(), t.y(), t.z()]).all(|component| component.is_finite())
+    }
+
     /// This transform as a pose.
     pub(crate) fn to_pose(self) -> Pose {
-        Pose { rotation: DQuat::from_array(self.rotation.map(S::as_f64)), translation_m: self.translation.as_dvec3() }
+        self.to_rigid().to_pose()
+    }
+
+    pub(crate) fn to_rigid(self) -> Rigid<S> {
+        Rigid { rotation: self.rotation, translation: self.translation }
     }
 }
 

@@ -5,6 +5,7 @@
 //! variants is their number on the wire; a new one goes to the end, and a board that
 //! does not know it rejects it.
 
+use heapless::Vec;
 use postcard::take_from_bytes;
 use serde::{Deserialize, Serialize};
 
@@ -51,6 +52,40 @@ pub enum Command {
     Forget,
     /// Stop, switch the emitters off, and reset, once the reply has been sent.
     Reboot(BootTarget),
+    /// Take a part of the head that the board is to solve poses with; the last one ends it.
+    Head(HeadPart),
+    /// Send scans, poses or both from now on, until the next reset.
+    Stream(Stream),
+}
+
+/// Bytes of a head in one command.
+pub const HEAD_PART_BYTES: usize = 128;
+
+/// A part of a compiled head. Parts are sent in order, from offset 0 on, which begins anew.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HeadPart {
+    /// Place of the first byte.
+    pub offset: u16,
+    /// Bytes of the whole head; zero: from now on the board has none.
+    pub total: u16,
+    /// The bytes.
+    pub bytes: Vec<u8, HEAD_PART_BYTES>,
+}
+
+/// What a board sends of each scan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stream {
+    /// Its words, in batches.
+    pub scans: bool,
+    /// Its pose, if the board has a head.
+    pub poses: bool,
+}
+
+impl Default for Stream {
+    /// Whatever the board has.
+    fn default() -> Self {
+        Self { scans: true, poses: true }
+    }
 }
 
 /// Hashes of the scene and calibration that a board belongs to. The board only stores

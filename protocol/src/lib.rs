@@ -86,12 +86,17 @@
 //! a quaternion x, y, z, w: the pose `base_from_tool` at the reference instant of that
 //! scan ([`Schedule::reference_ticks`]). Only simulators send it.
 //!
+//! **7 Poses**: `u16` configuration · `u64` sequence and `u64` tick of the first scan · `u32` scans
+//! missed · `[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each
+//! ([`poses`]). Sent by boards that hold a head.
+//!
 //! # Host to board
 //! A payload is `u16` number of the command, chosen by the host, then one enum:
 //! **0 Hello** · **1 Start** · **2 Stop** · **3 Configure**: schedule, `list u16` levels,
 //! enum exposure (0 fixed, 1 automatic) · **4 Ping**: `u32` token · **5 Identify**: `u8`
 //! seconds · **6 Store**: `?u64` scene hash, `?u64` calibration hash · **7 Forget** ·
-//! **8 Reboot**: enum target (0 firmware, 1 boot loader).
+//! **8 Reboot**: enum target (0 firmware, 1 boot loader) · **9 Head**: `u16` offset, `u16` bytes of
+//! the whole, `list u8` bytes (128 at most) · **10 Stream**: `bool` scans, `bool` poses.
 //!
 //! Every command with a readable number gets one Reply, after all other messages it
 //! causes; a command of unknown kind gets rejection 0 (unsupported).
@@ -126,6 +131,7 @@
 //!     second u8}|Supply|Converters|Counters)|Storing|Storage))
 //! Pong:token u32,tick u64
 //! Truth:sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]
+//! Poses:configuration u16,sequence u64,tick u64,missed u32,covariance [f32;21],records bytes
 //! Hello:
 //! Start:
 //! Stop:
@@ -136,6 +142,8 @@
 //! Store:hashes{scene ?u64,calibration ?u64}
 //! Forget:
 //! Reboot:target(Firmware|BootLoader)
+//! Head:offset u16,total u16,bytes [u8;..128]
+//! Stream:scans bool,poses bool
 //! ```
 //!
 //! # Example
@@ -197,6 +205,7 @@ mod command;
 mod decoder;
 mod frame;
 mod message;
+pub mod poses;
 mod scan;
 mod schedule;
 mod schedule_error;
@@ -208,7 +217,7 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES, Scans};
-pub use command::{BootTarget, Command, Configuration, Exposure, Hashes, Request};
+pub use command::{BootTarget, Command, Configuration, Exposure, HEAD_PART_BYTES, Hashes, HeadPart, Request, Stream};
 pub use decoder::{Decoder, DecoderCounters};
 pub use frame::{
     DELIMITER, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Packet, PayloadError, encode,
@@ -216,6 +225,7 @@ pub use frame::{
 pub use message::{
     BoardKind, Event, HardwareFault, Hello, Message, Pong, Rejection, Reply, ResetCause, Severity, Status, Truth,
 };
+pub use poses::{PoseRecord, PoseStatus, Poses, PosesBuilder};
 pub use scan::{AdcScaling, Level, Levels, RawScan, ScalingError, WordPair};
 pub use schedule::{EmitterSet, MAX_CELLS, MAX_OVERSAMPLING, MAX_SLOTS, Schedule};
 pub use schedule_error::{Quantity, ScheduleError};

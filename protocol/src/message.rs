@@ -10,6 +10,7 @@ use thiserror::Error;
 use crate::batch::Batch;
 use crate::command::Hashes;
 use crate::frame::{Packet, PayloadError};
+use crate::poses::Poses;
 use crate::scan::AdcScaling;
 use crate::schedule::Schedule;
 use crate::schedule_error::ScheduleError;
@@ -37,6 +38,9 @@ pub enum Message<'a> {
     Pong(Pong),
     /// The pose a simulator had at a scan.
     Truth(Truth),
+    /// Poses that the board has solved.
+    #[serde(borrow)]
+    Poses(Poses<'a>),
 }
 
 impl<'p> Packet<'p> for Message<'p> {

@@ -43,7 +43,7 @@ macro_rules! hardware_fault {
 pub(crate) const HELLO_KIND: u32 = 0;
 
 /// Kinds of [`Message`](crate::Message); the index is the number on the wire.
-pub const MESSAGES: [Schema; 7] = [
+pub const MESSAGES: [Schema; 8] = [
     Schema::new(
         "Hello",
         concat!(
@@ -78,10 +78,11 @@ pub const MESSAGES: [Schema; 7] = [
     ),
     Schema::new("Pong", "token u32,tick u64"),
     Schema::new("Truth", "sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]"),
+    Schema::new("Poses", "configuration u16,sequence u64,tick u64,missed u32,covariance [f32;21],records bytes"),
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
-pub const COMMANDS: [Schema; 9] = [
+pub const COMMANDS: [Schema; 11] = [
     Schema::new("Hello", ""),
     Schema::new("Start", ""),
     Schema::new("Stop", ""),
@@ -91,6 +92,8 @@ pub const COMMANDS: [Schema; 9] = [
     Schema::new("Store", "hashes{scene ?u64,calibration ?u64}"),
     Schema::new("Forget", ""),
     Schema::new("Reboot", "target(Firmware|BootLoader)"),
+    Schema::new("Head", "offset u16,total u16,bytes [u8;..128]"),
+    Schema::new("Stream", "scans bool,poses bool"),
 ];
 
 const KEY_BYTES: usize = size_of::<u64>();

@@ -11,6 +11,8 @@
 //! | Identify | the indicator | the indicator |
 //! | Store, Forget | kept or forgotten beyond a reset, then a hello | the same; sampling goes on |
 //! | Reboot | the reply, then a reset | idle, the reply, then a reset |
+//! | Head | a part taken; with the last one the head is in force | the same, poses from the next scan on |
+//! | Stream | in force | in force, what is under way goes out |
 //!
 //! A Configure changes nothing in either state if its schedule contradicts itself or is in
 //! other ticks than the board's, if its number of levels is wrong, or if the hardware
@@ -18,6 +20,7 @@
 
 use slitpose_protocol::{
     Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request, SettingsSource,
+    Stream,
 };
 
 use super::{Board, Emitters, Reboot, Storing};
@@ -89,6 +92,16 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 let latest = self.hardware.now_ticks().saturating_add(self.ticks(REBOOT_MS));
                 self.reboot = Some(Reboot { target, latest });
             }
+            Command::Head(part) => {
+                if self.poser.take_part(&part, &self.configuration.schedule)? {
+                    self.warn_of_head();
+                }
+            }
+            Command::Stream(Stream { scans, poses }) => {
+                self.flush();
+                self.collector.set_sends(scans);
+                self.poser.set_sends(poses);
+            }
         }
         Ok(Done::Now)
     }
@@ -152,10 +165,12 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             self.fail(fault);
             return Err(Rejection::Hardware(fault));
         }
-        self.collector.flush(&mut self.outbox);
+        self.flush();
         self.configuration = new;
         self.configuration_number = self.configuration_number.wrapping_add(1);
         self.collector.configure(self.configuration_number, &self.configuration.schedule);
+        self.poser.configure(self.configuration_number, &self.configuration.schedule);
+        self.warn_of_head();
         let now = self.hardware.now_ticks();
         self.exposure.begin(now, &self.configuration.schedule);
         self.introduce();

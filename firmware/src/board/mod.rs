@@ -19,6 +19,7 @@ use crate::collector::Collector;
 use crate::exposure::AutomaticExposure;
 use crate::hardware::{Hardware, Health, Indicator};
 use crate::outbox::Outbox;
+use crate::pose::Poser;
 use crate::validate::check;
 
 /// After this many milliseconds with its link closed a board stops and goes dark. Long
@@ -93,6 +94,7 @@ pub struct Board<H, M> {
     configuration_number: u16,
     collector: Collector,
     outbox: Outbox<M>,
+    poser: Poser,
     decoder: Decoder<MAX_REQUEST_BYTES>,
     acquiring: bool,
     emitters: Emitters,
@@ -133,7 +135,7 @@ struct Reboot {
 }
 
 // The memory comes on top.
-const _: () = assert!(size_of::<Board<(), &mut [u8]>>() <= 6 * 1024);
+const _: () = assert!(size_of::<Board<(), &mut [u8]>>() <= if cfg!(feature = "pose") { 19 } else { 6 } * 1024);
 
 impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
     /// An idle board with its link closed. `configuration` is in force until the host
@@ -158,6 +160,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             configuration,
             configuration_number: 0,
             outbox: Outbox::new(memory),
+            poser: Poser::new(),
             decoder: Decoder::new(),
             acquiring: false,
             // The first poll makes sure.
@@ -179,9 +182,14 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         })
     }
 
-    /// Scans until the batch under way is full: before that a poll finds nothing to send.
-    pub fn scans_to_batch(&self) -> usize {
-        self.collector.scans_to_batch()
+    /// Scans until there is something to do: until a batch is full, or, on a board that solves poses, one; none if
+    /// there is something now.
+    pub fn scans_to_poll(&self) -> usize {
+        match (self.poser.is_behind(), self.poser.is_at_work()) {
+            (true, _) => 0,
+            (false, true) => 1,
+            (false, false) => self.collector.scans_to_batch(),
+        }
     }
 
     /// Whether the board lights and samples.
@@ -205,7 +213,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             Exposure::Fixed => None,
             Exposure::Automatic => Some(&mut self.exposure),
         };
-        if let Err(fault) = self.collector.collect(&mut self.hardware, &mut self.outbox, exposure) {
+        if let Err(fault) = self.collector.collect(&mut self.hardware, &mut self.outbox, &mut self.poser, exposure) {
             self.fail(fault);
         }
     }
@@ -220,14 +228,20 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         // Dark first: encoding a batch takes so long that another scan would finish.
         let outcome = if self.emitters == Emitters::Off { Ok(()) } else { self.darken() };
         if was_acquiring {
-            self.collector.flush(&mut self.outbox);
+            self.flush();
         }
         outcome
     }
 
+    /// Sends what is under way, full or not.
+    fn flush(&mut self) {
+        self.collector.flush(&mut self.outbox);
+        self.poser.flush(&mut self.outbox);
+    }
+
     /// Ends acquisition because of a hardware fault, and sends an event.
     fn fail(&mut self, fault: HardwareFault) {
-        self.collector.flush(&mut self.outbox);
+        self.flush();
         self.acquiring = false;
         self.faulty = true;
         let tick = self.hardware.now_ticks();
@@ -276,6 +290,15 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             let text = format_args!(
                 "three starts in a row failed: stored settings were passed over; store them again, or forget them"
             );
+            self.tell(now, Severity::Warning, text);
+        }
+    }
+
+    /// Queues a warning if the head on the board is for another schedule.
+    fn warn_of_head(&mut self) {
+        if self.poser.is_unfit() {
+            let now = self.hardware.now_ticks();
+            let text = format_args!("no poses: the head was compiled for another schedule; send it anew");
             self.tell(now, Severity::Warning, text);
         }
     }

@@ -20,6 +20,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         self.follow(link, now);
         if self.acquiring {
             self.collect();
+            self.poser.work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans());
             self.expose();
         } else if self.emitters != Emitters::Off {
             // A failure is tried again at the next poll.

@@ -112,11 +112,11 @@ fn scans_at_4_khz_come_in_batches_of_four_and_a_stop_sends_the_rest() {
     let (mut board, mut listener) = opened();
     board.receive(&request(1, Command::Start));
     assert_eq!(turn(&mut board, &mut listener), [accepted(1)]);
-    assert_eq!(board.scans_to_batch(), 4);
+    assert_eq!(board.scans_to_poll(), 4);
 
     board.hardware_mut().sample(3);
     assert_eq!(turn(&mut board, &mut listener), []);
-    assert_eq!(board.scans_to_batch(), 1);
+    assert_eq!(board.scans_to_poll(), 1);
     board.hardware_mut().sample(3);
     let heard = turn(&mut board, &mut listener);
     assert_eq!(sequences(&heard), [0, 1, 2, 3]);

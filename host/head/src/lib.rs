@@ -51,6 +51,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod board_head;
 pub mod boxed;
 pub mod finding;
 pub mod foreign;

@@ -365,6 +365,8 @@ fn name_of(command: &Command) -> &'static str {
         Command::Store(_) => "Store",
         Command::Forget => "Forget",
         Command::Reboot(_) => "Reboot",
+        Command::Head(_) => "Head",
+        Command::Stream(_) => "Stream",
     }
 }
 

@@ -439,6 +439,7 @@ impl Flow {
                 self.truths.push_back(*truth);
                 Ok(())
             }
+            Message::Poses(_) => Ok(()),
         }
     }
 

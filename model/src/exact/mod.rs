@@ -15,7 +15,7 @@ mod sides;
 pub(crate) use integrand::{PolygonLight, Turn, light as polygon_light, light_and_turn};
 pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
 pub(crate) use panels::MAX_EVALUATIONS;
-pub(crate) use rectangle::light as fixed_rectangle_light;
+pub(crate) use rectangle::narrow_light;
 
 use order::MAX_NODES;
 

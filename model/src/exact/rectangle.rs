@@ -60,9 +60,52 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
     Some(Needs { nodes, cosine, spread })
 }
 
+/// Where the nodes of the rule of two lie, ± 1/√3, each with weight 1.
+const NODE: f64 = 0.577_350_269_189_625_8;
+
+/// [`light`] with two nodes along either side, but derivatives by the middle of the spot alone: a third of the work. They
+/// err by the square of the angle that the spot subtends, some 10⁻³ where two nodes are enough for power and centroid.
+#[inline(always)]
+pub(crate) fn narrow_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
+    spot: &Rectangle<S>,
+    axis: S::Vec3,
+    emission: &E,
+) -> RectangleLight<S> {
+    let nodes = [(S::of(-NODE), S::one()), (S::of(NODE), S::one())];
+    let mut light = light::<S, E, false>(spot, axis, emission, nodes.iter().copied(), nodes.iter().copied());
+    if !GRADIENT {
+        return light;
+    }
+    let (half, (xm, ym, h)) = (S::half(), (spot.x.middle, spot.y.middle, spot.height));
+    let (hx, hy) = (spot.x.half, spot.y.half);
+    let inverse = (xm * xm + (ym * ym + h * h)).inverse_root();
+    let inverse2 = inverse * inverse;
+    let c = (axis.x() * xm + axis.y() * ym - axis.z() * h) * inverse;
+    let (relative, slope) = emission.with_slope(c);
+    // As in [`light`], with one node of weight 2 along either side.
+    let density = S::of(4.0) * h * inverse2 * inverse;
+    let g = density * relative;
+    let turn = density * slope;
+    let kappa = turn * inverse;
+    let lambda = (turn * c + S::of(3.0) * g) * inverse2;
+    let along = |u: S, place: S| u * kappa - place * lambda;
+    let (gx, gy) = (along(axis.x(), xm), along(axis.y(), ym));
+    let area = hx * hy;
+    let (across_x, across_y) = (hy * g, hx * g);
+    light.power.by_side = [
+        half * (area * gx - across_x),
+        half * (area * gx + across_x),
+        half * (area * gy - across_y),
+        half * (area * gy + across_y),
+    ];
+    light.power.by_height = area * (g / h - along(axis.z(), -h));
+    light.power.by_axis = S::Vec3::new(xm, ym, -h) * (kappa * area);
+    light
+}
+
 /// Power and centroid (relative to the emitter's foot) with nodes and weights `along_x` and `along_y`, on −1…1.
 #[inline(always)]
-pub(crate) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
+pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     emission: &E,

@@ -18,9 +18,9 @@ use crate::response::{Pair, Response, Status};
 use crate::scalar::Scalar;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
+pub(crate) use compact::CompactCell;
+pub use compact::{BOARD_CELLS, CompactPlan};
 use imperfect::Imperfect;
-pub use compact::CompactPlan;
-pub(crate) use compact::NODES;
 pub use optics::Instant;
 use optics::{Receiver, Source};
 use pack::Pack;
@@ -94,6 +94,9 @@ impl<S: Scalar> CellTerms<S> {
 
 /// What a solver asks of the optics of a head.
 pub trait Optics<S: Scalar> {
+    /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
+    const TELLS_RELIABILITY: bool;
+
     /// Number of cells.
     fn cell_count(&self) -> usize;
 
@@ -242,6 +245,8 @@ impl<S: Scalar> Plan<S> {
 }
 
 impl<S: Scalar> Optics<S> for Plan<S> {
+    const TELLS_RELIABILITY: bool = true;
+
     fn cell_count(&self) -> usize {
         self.cells.len()
     }

@@ -71,6 +71,8 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     }
 
     /// Whether cells that were found without light are without light at the pose, too.
+    #[cold]
+    #[inline(never)]
     fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
         let predicted = problem.predicted(&minimum.pose);
         sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
@@ -101,12 +103,13 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             solution.outcome = Outcome::Unobservable(free);
             return solution;
         };
-        let pose = minimum.pose.to_pose();
-        if !pose.is_finite() {
+        if !minimum.pose.is_finite() {
             return solution;
         }
         let gate = self.gates[sorted.usable.len()];
-        solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, workspace));
+        if P::TELLS_RELIABILITY {
+            solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, workspace));
+        }
         solution.outcome = if fit == Fit::None {
             Outcome::Degraded(DegradedReason::Misfit)
         } else if sorted.usable.len() < self.plan.cell_count() {
@@ -114,7 +117,8 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         } else {
             Outcome::Converged
         };
-        solution.estimate = Some(Estimate { pose, covariance });
+        solution.rigid = minimum.pose.to_rigid();
+        solution.estimate = Some(Estimate { pose: solution.rigid.to_pose(), covariance });
         solution
     }
 
@@ -140,6 +144,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
 
     /// [`Self::conclude`] where the tool is expected and images are not looked for: one that is so near that
     /// the two are one minimum is.
+    #[inline(always)]
     pub(super) fn conclude_near(
         &self,
         sorted: &Sorted<S>,
@@ -149,27 +154,27 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         workspace: &mut Workspace<S>,
         fit: Fit,
     ) -> Solution<S> {
-        let solution = self.conclude(sorted, problem, minimum, workspace, fit);
+        let mut solution = self.conclude(sorted, problem, minimum, workspace, fit);
         if self.has_images && fit != Fit::None {
-            self.unless_soft(solution, problem, whiteners, minimum, workspace)
-        } else {
-            solution
+            self.unless_soft(&mut solution, problem, whiteners, minimum, workspace);
         }
+        solution
     }
 
-    /// `solution`, if along its softest directions χ² grows as its covariance says; else an image is so
+    /// Leaves `solution` as it is if along its softest directions χ² grows as its covariance says; else an image is so
     /// near that the two are one minimum, and the data leave those directions free.
+    #[inline(never)]
     pub(super) fn unless_soft(
         &self,
-        mut solution: Solution<S>,
+        solution: &mut Solution<S>,
         problem: &Problem<'_, S, P>,
         whiteners: &Whiteners<S>,
         minimum: &Minimum<S>,
         workspace: &mut Workspace<S>,
-    ) -> Solution<S> {
+    ) {
         let is_free = matches!(solution.outcome, Outcome::Unobservable(_));
         let Some(factor) = minimum.factor.as_ref().filter(|_| is_free || solution.outcome.has_pose()) else {
-            return solution;
+            return;
         };
         let mut soft = ArrayVec::<[f64; 6], SOFT>::new();
         for (value, direction) in &factor.singular()[..SOFT] {
@@ -186,7 +191,6 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             solution.outcome = Outcome::Unobservable(Directions::of_free(&soft));
             solution.estimate = None;
         }
-        solution
     }
 }
 

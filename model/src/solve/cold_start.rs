@@ -99,6 +99,11 @@ impl<S: Scalar> Search<S> {
         solution
     }
 
+    /// Whether a part of it has been done.
+    pub(super) fn has_begun(&self) -> bool {
+        self.has_begun || self.without.is_some()
+    }
+
     /// Whether nothing is left to be tried: what the last piece said is the answer.
     pub(super) fn is_over(&self) -> bool {
         self.is_over
@@ -399,11 +404,11 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         }
         // The last linearisation belongs to another start.
         problem.linearise(&best.pose, whiteners, workspace);
-        let solution = self.conclude(sorted, problem, &best, workspace, fit);
+        let mut solution = self.conclude(sorted, problem, &best, workspace, fit);
         if !may_have_images || fit == Fit::None && !is_valley {
             return solution;
         }
-        let solution = self.unless_soft(solution, problem, whiteners, &best, workspace);
+        self.unless_soft(&mut solution, problem, whiteners, &best, workspace);
         if is_nowhere && solution.outcome.has_pose() { nothing(sorted, Outcome::Diverged) } else { solution }
     }
 }

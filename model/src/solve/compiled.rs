@@ -1,11 +1,9 @@
 //! A scene compiled for the solver: optics, planes, weights, limits and gates of each cell.
 
 use heapless::Vec;
-use serde::{Deserialize, Serialize};
 
 use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
-use crate::response::Pair;
 use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
@@ -61,8 +59,7 @@ impl<S: Scalar> Prior<S> {
 }
 
 /// A compiled scene.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(bound(serialize = "P: Serialize", deserialize = "P: Deserialize<'de>"))]
+#[derive(Clone, Debug)]
 pub(super) struct Compiled<S: Scalar, P = Plan<S>> {
     pub(super) plan: P,
     pub(super) planes: Vec<PlaneCell<S>, MAX_CELLS>,
@@ -74,7 +71,7 @@ pub(super) struct Compiled<S: Scalar, P = Plan<S>> {
     pub(super) offsets_s: Vec<S, MAX_CELLS>,
     pub(super) length_scale_m: S,
     /// Relative change of the derivatives per unit of a scaled step.
-    jacobian_change_rate: S,
+    pub(super) jacobian_change_rate: S,
     /// Whether poses of this head may have mirror images although all cells see light.
     pub(super) has_images: bool,
 }
@@ -83,17 +80,7 @@ impl<S: Scalar> Compiled<S> {
     /// Of no scene.
     #[inline(always)]
     pub(super) fn empty() -> Self {
-        Self {
-            plan: Plan::empty(),
-            planes: Vec::new(),
-            noise: Vec::new(),
-            limits: Vec::new(),
-            gates: [S::zero(); MAX_CELLS + 1],
-            offsets_s: Vec::new(),
-            length_scale_m: S::one(),
-            jacobian_change_rate: S::zero(),
-            has_images: false,
-        }
+        Self::without_cells(Plan::empty())
     }
 
     /// Compiles `scene` in place, for a processor whose RAM holds one solver and not two: cells
@@ -131,10 +118,7 @@ impl<S: Scalar> Compiled<S> {
 
     /// The readings that the head gives with the tool at rest at `pose`, without noise.
     pub(super) fn seen_at(&self, pose: &Pose) -> Sorted<S> {
-        let pairs = (0..self.plan.cell_count()).map(|cell| {
-            let pair = self.plan.photocurrents(cell, pose);
-            Pair { i_x1_a: pair.i_x1_a.as_f64(), i_x2_a: pair.i_x2_a.as_f64() }
-        });
+        let pairs = (0..self.plan.cell_count()).map(|cell| self.plan.photocurrents(cell, pose));
         Sorted::of(&Photocurrents::of_pairs(pairs), &self.limits)
     }
 
@@ -147,19 +131,40 @@ impl<S: Scalar> Compiled<S> {
         let problem = self.problem(&sorted, &Prior::at_rest());
         problem.factor_at(&Transform::of(pose), &problem.whiteners(), &mut Workspace::new())
     }
-
 }
 
 impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+    /// For optics that have no cells yet.
+    #[inline(always)]
+    pub(super) fn without_cells(plan: P) -> Self {
+        Self {
+            plan,
+            planes: Vec::new(),
+            noise: Vec::new(),
+            limits: Vec::new(),
+            gates: [S::zero(); MAX_CELLS + 1],
+            offsets_s: Vec::new(),
+            length_scale_m: S::one(),
+            jacobian_change_rate: S::zero(),
+            has_images: false,
+        }
+    }
+
     /// The same with other optics.
     pub(super) fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
-        let Self { planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } = self;
+        let Self { planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } =
+            self;
         Compiled { plan, planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images }
     }
 
     /// The pose on the planes of `sorted`.
     pub(super) fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
         planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.length_scale_m)
+    }
+
+    /// The longest time between a cell's exposure and the reference instant.
+    pub(super) fn duration_s(&self) -> S {
+        self.offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()))
     }
 
     pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
@@ -169,7 +174,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             noise: &self.noise,
             offsets_s: &self.offsets_s,
             readings: &sorted.usable,
-            motion: Motion::new(motion, &self.offsets_s, self.length_scale_m),
+            motion: Motion::new(motion, self.duration_s(), self.length_scale_m),
             length_scale_m: self.length_scale_m,
             jacobian_change_rate: self.jacobian_change_rate,
         }

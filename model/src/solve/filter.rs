@@ -127,11 +127,7 @@ impl<S: Scalar> Gains<S> {
     fn fading(theta: S) -> Self {
         let fresh = S::one() - theta;
         let square = fresh * fresh;
-        Self([
-            S::one() - theta * theta * theta,
-            S::of(1.5) * square * (S::one() + theta),
-            S::half() * square * fresh,
-        ])
+        Self([S::one() - theta * theta * theta, S::of(1.5) * square * (S::one() + theta), S::half() * square * fresh])
     }
 }
 

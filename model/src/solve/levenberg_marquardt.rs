@@ -123,8 +123,46 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         stopping: Stopping<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let mut pose = start;
-        let mut at = self.linearise(&pose, whiteners, workspace);
+        let at = self.linearise(&start, whiteners, workspace);
+        self.minimum_in_one_step(&start, &at, stopping, workspace)
+            .unwrap_or_else(|| self.descend(start, at, whiteners, stopping, workspace))
+    }
+
+    /// The minimum, if one step from `pose`, where the normal equations are `at`, leads there. Apart, because it is how
+    /// most end where the tool is expected, and a board has little room for fast code.
+    #[inline(always)]
+    fn minimum_in_one_step(
+        &self,
+        pose: &Transform<S>,
+        at: &NormalEquations<S>,
+        stopping: Stopping<S>,
+        workspace: &Workspace<S>,
+    ) -> Option<Minimum<S>> {
+        if stopping.max_iterations == 0 || workspace.work == 0 {
+            return None;
+        }
+        let step = self.step(at, S::zero(), workspace).filter(|step| !step.is_by_qr && step.is_finite())?;
+        let reach = self.reach(&step, (pose, at), 1, stopping, workspace);
+        reach.is_last.then(|| Minimum {
+            pose: self.moved(pose, &step.step),
+            chi2: (at.chi2 - step.predicted_reduction).max(S::zero()),
+            factor: Some(step.factor),
+            iterations: 1,
+            converged: true,
+        })
+    }
+
+    /// The minimum of χ² that is reached in steps from `pose`, where the normal equations are `at`.
+    #[cold]
+    #[inline(never)]
+    fn descend(
+        &self,
+        mut pose: Transform<S>,
+        mut at: NormalEquations<S>,
+        whiteners: &Whiteners<S>,
+        stopping: Stopping<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
         let mut damping = S::zero();
         let mut iterations = 0;
         let mut converged = false;

@@ -62,7 +62,6 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         let [shift, turn] = [0, 3].map(|i| S::Vec3::new(direction[i], direction[i + 1], direction[i + 2]));
         Some(minimum.pose.moved(shift * (length * self.length_scale_m), turn * length))
     }
-
 }
 
 impl<S: Scalar> Compiled<S> {

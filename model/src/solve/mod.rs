@@ -47,7 +47,7 @@ mod twist;
 mod warm_start;
 mod weights;
 
-pub use compact::CompactError;
+pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
 pub use compiled::MotionPrior;
 pub use filter::{Filtered, TwistEstimate};
 pub use outcome::{AXES, Cells, DegradedReason, Directions, Estimate, Outcome, Solution, Verified};

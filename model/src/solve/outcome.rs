@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::pose::Pose;
+use crate::pose::{Pose, Rigid};
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
@@ -136,6 +136,11 @@ impl Cells {
         self.0 == 0
     }
 
+    /// Bit k for cell k.
+    pub fn bits(&self) -> u16 {
+        self.0
+    }
+
     /// How many there are.
     pub fn count(&self) -> usize {
         self.0.count_ones() as usize
@@ -201,10 +206,12 @@ pub struct Solution<S: Scalar = f64> {
     pub excluded: Cells,
     /// External reliability (Baarda 1968): how far, in σ of the pose, an error in the currents of one cell can have
     /// moved the pose and yet be as likely as not to pass the gate of χ², which is the minimal detectable bias.
-    /// Infinite where there is no redundancy to check with.
+    /// Infinite where there is no redundancy to check with, and of a [`BoardTracker`](crate::BoardTracker)'s.
     pub unnoticed_sigmas: S,
     /// Factor of the information in scaled coordinates; see [`Self::condition`].
     pub(crate) factor: Option<Factor<S>>,
+    /// The pose of the estimate in the solver's own numbers; home without one.
+    pub(crate) rigid: Rigid<S>,
 }
 
 /// How well the data checked a pose that carries no other doubt.
@@ -230,6 +237,11 @@ impl Verified {
 }
 
 impl<S: Scalar> Solution<S> {
+    /// The pose in the solver's own numbers: translation in metres, rotation as a unit quaternion x, y, z, w.
+    pub fn pose_numbers(&self) -> Option<([S; 3], [S; 4])> {
+        self.estimate.is_some().then(|| self.rigid.numbers())
+    }
+
     pub(crate) fn without_pose(outcome: Outcome, cells_used: Cells) -> Self {
         Self {
             outcome,
@@ -242,6 +254,7 @@ impl<S: Scalar> Solution<S> {
             excluded: Cells::default(),
             unnoticed_sigmas: S::infinity(),
             factor: None,
+            rigid: Rigid::home(),
         }
     }
 
@@ -270,6 +283,7 @@ impl<S: Scalar> Solution<S> {
             excluded: self.excluded,
             unnoticed_sigmas: self.unnoticed_sigmas.as_f64(),
             factor: self.factor.map(|factor| factor.widened()),
+            rigid: self.rigid.widened(),
         }
     }
 

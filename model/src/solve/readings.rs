@@ -35,6 +35,20 @@ impl<T> Photocurrents<T> {
     }
 }
 
+impl Photocurrents {
+    /// In the numbers of a solver.
+    pub fn rounded<S: Scalar>(&self) -> Photocurrents<S> {
+        let rounded = |reading: &Reading| match reading {
+            Reading::Light(Pair { i_x1_a, i_x2_a }) => {
+                Reading::Light(Pair { i_x1_a: S::of(*i_x1_a), i_x2_a: S::of(*i_x2_a) })
+            }
+            Reading::Saturated => Reading::Saturated,
+            Reading::Missing => Reading::Missing,
+        };
+        Photocurrents { cells: self.cells.iter().map(rounded).collect() }
+    }
+}
+
 /// A reading that enters the solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Usable<S> {
@@ -62,13 +76,13 @@ pub(super) struct Sorted<S> {
 }
 
 impl<S: Scalar> Sorted<S> {
-    pub(super) fn of<T: Scalar>(readings: &Photocurrents<T>, limits: &[Limits<S>]) -> Self {
+    pub(super) fn of(readings: &Photocurrents<S>, limits: &[Limits<S>]) -> Self {
         let mut sorted = Self { usable: ArrayVec::new(), used: Cells::default(), faint: Cells::default() };
         for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {
             let Reading::Light(pair) = reading else {
                 continue;
             };
-            let pair = [pair.i_x1_a, pair.i_x2_a].map(|current| S::of(current.as_f64()));
+            let pair = [pair.i_x1_a, pair.i_x2_a];
             let total = pair[0] + pair[1];
             if !pair[0].is_finite() || !pair[1].is_finite() || total > limits.saturation_a {
                 continue;

@@ -1,7 +1,5 @@
 //! The interface of the solver.
 
-use serde::{Deserialize, Serialize};
-
 use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
@@ -31,8 +29,7 @@ pub enum Start<'a> {
 /// Estimates poses from the photocurrents of one scene.
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(bound(serialize = "P: Serialize", deserialize = "P: Deserialize<'de>"))]
+#[derive(Clone, Debug)]
 pub struct Solver<S: Scalar, P = Plan<S>> {
     pub(super) compiled: Compiled<S, P>,
     pub(super) max_steps: Option<usize>,
@@ -128,7 +125,7 @@ impl<S: Scalar, P: Optics<S>> Solver<S, P> {
     }
 
     /// The pose that explains `readings`, of a tool that moves within the frame as `motion` says.
-    pub fn solve(&self, readings: &Photocurrents, start: Start<'_>, motion: &MotionPrior) -> Solution<S> {
+    pub fn solve(&self, readings: &Photocurrents<S>, start: Start<'_>, motion: &MotionPrior) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.compiled.limits);
         if let Some(solution) = self.compiled.too_few(&sorted) {
             return solution;

@@ -21,7 +21,7 @@ use super::cold_start::{COLD_WORK, Search};
 use super::compiled::Prior;
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
-use super::outcome::{DegradedReason, Outcome, Solution};
+use super::outcome::{DegradedReason, Estimate, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
 
@@ -88,6 +88,10 @@ pub struct Tracked<S: Scalar = f64> {
 pub struct Tracker<S: Scalar, P = Plan<S>> {
     solver: Solver<S, P>,
     period_s: f64,
+    /// Frames a second.
+    frame_rate_hz: S,
+    /// Share of σ of a pose that the motion within a frame may be unknown by and yet count as known.
+    negligible: S,
     motion: FadingFilter<S>,
     filter: Option<FadingFilter<S>>,
     next_frame: u64,
@@ -120,6 +124,11 @@ impl<S: Scalar> Lost<S> {
     fn new(saved_work: usize) -> Self {
         Self { search: Search::in_pieces(), images: None, wait: 0, saved_work }
     }
+
+    /// Whether anything is to be forgotten when the tool has been found.
+    fn is_under_way(&self) -> bool {
+        self.search.has_begun() || self.images.is_some() || self.wait > 0 || self.saved_work > MOST_SAVED
+    }
 }
 
 impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
@@ -128,6 +137,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         Self {
             solver,
             period_s,
+            frame_rate_hz: S::of(period_s.recip()),
+            negligible: S::zero(),
             motion: FadingFilter::new(period_s, MEMORY_FRAMES * period_s),
             filter: None,
             next_frame: 0,
@@ -140,6 +151,34 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         }
     }
 
+    /// The solver, to be changed: [`Self::restart`] then.
+    pub fn solver_mut(&mut self) -> &mut Solver<S, P> {
+        &mut self.solver
+    }
+
+    /// Begins anew, for frames `period_s` seconds apart, without a filter.
+    pub fn restart(&mut self, period_s: f64) {
+        self.period_s = period_s;
+        self.frame_rate_hz = S::of(period_s.recip());
+        self.motion = FadingFilter::new(period_s, MEMORY_FRAMES * period_s);
+        self.filter = None;
+        self.next_frame = 0;
+        self.last_twist = [S::Vec3::default(); 2];
+        self.sigmas = [S::zero(); 2];
+        self.coasted = 0;
+        self.left_out = None;
+        self.is_misfit = false;
+        self.lost = Lost::new(COLD_WORK);
+    }
+
+    /// Takes the motion within a frame for known once it is unknown by no more than `share` of σ of a pose: the
+    /// covariance is then too small by the square of that, and a solve saves a quarter of its work.
+    #[must_use]
+    pub fn neglecting_motion(mut self, share: f64) -> Self {
+        self.negligible = S::of(share);
+        self
+    }
+
     /// Also gives a filtered pose, with a memory of `memory_s` seconds: see [`Filtered`].
     #[must_use]
     pub fn with_filter(mut self, memory_s: f64) -> Self {
@@ -149,25 +188,38 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
 
     /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
     /// gap in the numbers the tracker forgets how the tool moved.
-    pub fn track<T: Scalar>(&mut self, frame: u64, readings: &Photocurrents<T>) -> Tracked<S> {
+    pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
+        let mut solution = self.advance(frame, readings);
+        let Some(Estimate { covariance, .. }) = &solution.estimate else {
+            return Tracked { solution, twist: None, filtered: None };
+        };
+        let twist = self.motion.state(covariance).map(|state| state.twist);
+        let filtered = self.filter.as_ref().and_then(|filter| filter.state(covariance));
+        solution.own_up();
+        Tracked { solution, twist, filtered }
+    }
+
+    /// The solution of frame `frame`, which has not owned up yet.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, frame: u64, readings: &Photocurrents<S>) -> Solution<S> {
         match frame.checked_sub(self.next_frame) {
             Some(missed) if missed <= u64::from(MAX_COAST) => (0..missed).for_each(|_| self.coast()),
             _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
-        let mut solution = self.solve(readings);
+        let solution = self.solve(readings);
         let Some(estimate) = &solution.estimate else {
             self.coast();
             self.is_misfit = false;
             self.lost.wait = 0;
-            return Tracked { solution, twist: None, filtered: None };
+            return solution;
         };
-        let (pose, covariance) = (Rigid::of(&estimate.pose), estimate.covariance);
+        let (pose, covariance) = (solution.rigid, &estimate.covariance);
         let solver = &self.solver;
         let squared_sigmas = |displacement| solver.compiled.squared_sigmas(&solution, displacement);
-        self.motion.update(&pose, &covariance, squared_sigmas);
+        self.motion.update(&pose, covariance, squared_sigmas);
         if let Some(filter) = &mut self.filter {
-            filter.update(&pose, &covariance, squared_sigmas);
+            filter.update(&pose, covariance, squared_sigmas);
         }
         self.sigmas = [0, 3].map(|i| {
             let sum = covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2];
@@ -176,15 +228,10 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.coasted = 0;
         self.left_out = solution.excluded.iter().next();
         self.is_misfit = is_misfit(&solution);
-        if !self.is_misfit {
+        if !self.is_misfit && self.lost.is_under_way() {
             self.lost = Lost::new(self.lost.saved_work.min(MOST_SAVED));
         }
-        solution.own_up();
-        Tracked {
-            solution,
-            twist: self.motion.state(&covariance).map(|state| state.twist),
-            filtered: self.filter.as_ref().and_then(|filter| filter.state(&covariance)),
-        }
+        solution
     }
 
     fn forget(&mut self) {
@@ -206,35 +253,33 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         }
     }
 
-    fn solve<T: Scalar>(&mut self, readings: &Photocurrents<T>) -> Solution<S> {
+    fn solve(&mut self, readings: &Photocurrents<S>) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.solver.compiled.limits);
         if let Some(solution) = self.solver.compiled.too_few(&sorted) {
             return solution;
         }
         let workspace = &mut Workspace::with_work(FRAME_WORK);
-        let solution = match self.motion.predict() {
+        let mut solution = match self.motion.predict() {
             Some(expected) => self.follow(&sorted, &expected, workspace),
             None => self.find(&sorted, &unknown_motion::<S>(&self.last_twist), workspace),
         };
         if self.lost.saved_work < MOST_SAVED {
             self.lost.saved_work += SAVED_A_FRAME;
         }
-        Solution { evaluations: workspace.evaluations, ..solution }
+        solution.evaluations = workspace.evaluations;
+        solution
     }
 
     /// The pose near the expected one; else wherever it is.
     fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction<S>, workspace: &mut Workspace<S>) -> Solution<S> {
         let start = expected.pose.to_transform();
-        let mut solution =
-            self.solver.compiled.follow(sorted, &self.motion_prior(expected), start, self.left_out, workspace);
+        let motion = self.motion_prior(expected);
+        let mut solution = self.solver.compiled.follow(sorted, &motion, start, self.left_out, workspace);
         // While the motion is not known yet, any is as expected.
-        let is_expected = solution
-            .estimate
-            .as_ref()
-            .is_some_and(|estimate| expected.frames < BEND_FROM || self.is_near(&estimate.pose, &solution, expected));
+        let is_expected = solution.estimate.is_some()
+            && (expected.frames < BEND_FROM || self.is_near(&solution.rigid, &solution, expected));
         if is_expected && !is_misfit(&solution) {
-            let motion = self.motion_prior(expected);
-            let is_expected = |twin: &Pose| self.is_near(twin, &solution, expected);
+            let is_expected = |twin: &Pose| self.is_near(&Rigid::of(twin), &solution, expected);
             if self.solver.compiled.has_twin(sorted, &motion, &solution, is_expected, workspace) {
                 solution = Solution::without_pose(Outcome::Ambiguous, sorted.used);
             }
@@ -277,8 +322,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     }
 
     /// Whether `pose` is where the tool would be if it went on as before, in σ of `solution`.
-    fn is_near(&self, pose: &Pose, solution: &Solution<S>, expected: &Prediction<S>) -> bool {
-        let displacement = Rigid::of(pose).displacement_from(&expected.pose);
+    fn is_near(&self, pose: &Rigid<S>, solution: &Solution<S>, expected: &Prediction<S>) -> bool {
+        let displacement = pose.displacement_from(&expected.pose);
         let squared = self.solver.compiled.squared_sigmas(solution, displacement) / (S::one() + expected.pose_variance);
         squared <= S::of(MANOEUVRE) * expected.strain.min(S::of(MOST_STRAIN))
     }
@@ -312,22 +357,17 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         if expected.frames < 2 {
             return unknown_motion::<S>(&self.last_twist);
         }
-        // A line through n frames lags half of them behind a bend.
-        let behind_s = if expected.frames < BEND_FROM {
-            0.5 * (f64::from(expected.frames) + 1.0) * self.period_s
-        } else {
-            0.0
-        };
-        let per_second = expected.step_variance.root() * S::of(self.period_s.recip());
-        let sigma = |pose: S, acceleration: f64| {
-            let noise = per_second * pose;
-            if behind_s == 0.0 { noise } else { S::norm(noise, S::of(acceleration * behind_s)) }
-        };
-        let [linear, angular] = self.sigmas;
-        Prior {
-            twist: expected.twist,
-            sigmas: [sigma(linear, ACCELERATION_M_PER_S2), sigma(angular, ANGULAR_ACCELERATION_RAD_PER_S2)],
+        let per_second = expected.step_variance.root() * self.frame_rate_hz;
+        let mut sigmas = self.sigmas.map(|sigma| sigma * per_second);
+        if expected.frames < BEND_FROM {
+            // A line through n frames lags half of them behind a bend.
+            let behind_s = 0.5 * (f64::from(expected.frames) + 1.0) * self.period_s;
+            let bends = [ACCELERATION_M_PER_S2, ANGULAR_ACCELERATION_RAD_PER_S2].map(|most| S::of(most * behind_s));
+            sigmas = [0, 1].map(|i| S::norm(sigmas[i], bends[i]));
+        } else if per_second * self.solver.compiled.duration_s() <= self.negligible {
+            sigmas = [S::zero(); 2];
         }
+        Prior { twist: expected.twist, sigmas }
     }
 }
 

@@ -30,9 +30,8 @@ pub(super) struct Motion<S: Scalar> {
 }
 
 impl<S: Scalar> Motion<S> {
-    pub(super) fn new(prior: &Prior<S>, offsets_s: &[S], length_scale_m: S) -> Self {
+    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
         let Prior { twist: [linear, angular], sigmas: [sigma_linear, sigma_angular] } = *prior;
-        let duration = offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()));
         let information = |sigma: S, unit: S| {
             let share = sigma * duration / unit;
             (share * share).recip().min(S::of(KNOWN))

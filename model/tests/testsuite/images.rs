@@ -162,9 +162,12 @@ fn found_at_home<S: Scalar>(scene: &Scene, tier: Tier, rng: &mut ChaCha8Rng) -> 
     let solver = Solver::<S>::new(scene, tier).expect("scene");
     let mut solve = |_| {
         let prior = Pose::from_vectors(vector(rng, 3e-6), vector(rng, 3e-4));
-        solver.solve(&readings, Start::Near(&prior), &MotionPrior::AT_REST).widened()
+        solver.solve(&readings.rounded(), Start::Near(&prior), &MotionPrior::AT_REST).widened()
     };
-    (0..20).map(&mut solve).chain([solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).widened()]).collect()
+    (0..20)
+        .map(&mut solve)
+        .chain([solver.solve(&readings.rounded(), Start::Cold, &MotionPrior::AT_REST).widened()])
+        .collect()
 }
 
 #[test]

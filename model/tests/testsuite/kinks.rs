@@ -57,8 +57,8 @@ fn solved<S: Scalar>(noise_a: f64) -> [Vec<(Pose, Solution)>; 2] {
             Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
         }));
         let prior = pose.perturbed(vector(&mut rng, 5e-6), vector(&mut rng, 5e-4));
-        solved[0].push((pose, solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).widened()));
-        solved[1].push((pose, solver.solve(&readings, Start::Near(&prior), &MotionPrior::AT_REST).widened()));
+        solved[0].push((pose, solver.solve(&readings.rounded(), Start::Cold, &MotionPrior::AT_REST).widened()));
+        solved[1].push((pose, solver.solve(&readings.rounded(), Start::Near(&prior), &MotionPrior::AT_REST).widened()));
     }
     solved
 }

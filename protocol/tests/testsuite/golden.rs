@@ -9,9 +9,9 @@ use serde::Serialize;
 use slitpose_protocol::schema::{COMMANDS, MESSAGES, SchemaKeys};
 use slitpose_protocol::{
     AdcScaling, Batch, BoardKind, BootTarget, ClockSource, Command, Configuration, Decoder, EmitterSet, Event,
-    Exposure, FrameError, HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL,
-    Packet, PayloadError, Pong, Quantity, Rejection, Reply, Request, ResetCause, Schedule, ScheduleError,
-    SettingsSource, Severity, Status, Truth, encode,
+    Exposure, FrameError, HardwareFault, Hashes, HeadPart, Hello, Level, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message,
+    PROTOCOL, Packet, PayloadError, Pong, PoseRecord, PoseStatus, Poses, Quantity, Rejection, Reply, Request,
+    ResetCause, Schedule, ScheduleError, SettingsSource, Severity, Status, Stream, Truth, encode,
 };
 
 fn bytes(hex: &str) -> std::vec::Vec<u8> {
@@ -97,8 +97,8 @@ fn both_tables_of_a_hello_are_compared() {
     let (messages, commands) = (SchemaKeys::messages(), SchemaKeys::commands());
     let differs = |hello: Hello| hello.check_schemas().map_err(|mismatch| mismatch.name);
     assert_eq!(differs(a_hello(messages, commands)), Ok(()));
-    assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Truth"));
-    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Reboot"));
+    assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Poses"));
+    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Stream"));
 }
 
 #[test]
@@ -117,6 +117,36 @@ fn batch() {
     assert_eq!(scans[1].lit(), &[[0x1008, 0x1009], [0x100a, 0x100b]]);
     let dark = [[0x100c, 0x100d], [0x100e, 0x100f]];
     assert_eq!(scans[1].dark(), Some(dark.as_slice()));
+}
+
+#[test]
+fn poses() {
+    let record = PoseRecord {
+        status: PoseStatus::Converged,
+        cells_used: 0b11_1111,
+        excluded: 0b10,
+        ready: 1_000,
+        translation_m: [1e-3, -2e-3, 0.5e-3],
+        rotation_xyzw: [0.0, 0.0, 0.6, 0.8],
+        chi2: 5.25,
+    };
+    let poses = Poses {
+        configuration: 3,
+        sequence: 4_000,
+        tick: 170_000_000,
+        missed: 300,
+        covariance: core::array::from_fn(|i| (i + 1) as f32),
+        records: &record.write(),
+    };
+    assert_message(
+        &Message::Poses(poses),
+        "0b0703a01f80fd8751ac020103803f0101024001034040010380400103a0400103\
+         c0400103e040010102410103104101032041010330410103404101035041010360\
+         4101037041010380410103884101039041010398410103a0410104a8412801023f\
+         02020fe8036f12833a6f1203bb6f12033a01010101010101099a99193fcdcc4c3f\
+         0107a84076c420ed00",
+    );
+    assert_eq!(poses.iter(42_500).collect::<std::vec::Vec<_>>(), [(4_000, 170_000_000, record)]);
 }
 
 #[test]
@@ -217,6 +247,9 @@ fn commands() {
     assert_command(7, Command::Store(hashes), "0d070601ef9bafcdf8acd1910105176f0e3b00");
     assert_command(8, Command::Forget, "070807540d641700");
     assert_command(9, Command::Reboot(BootTarget::BootLoader), "0809080103584e4f00");
+    let part = HeadPart { offset: 128, total: 3_000, bytes: Vec::from_slice(&[0, 1, 2]).expect("room") };
+    assert_command(10, Command::Head(part), "080a098001b8170307010283e5be6c00");
+    assert_command(11, Command::Stream(Stream { scans: true, poses: false }), "040b0a01058aecc9e200");
 }
 
 /// The table and its hashes: a field list that changes without a new key, or a key that
@@ -235,6 +268,7 @@ fn schema_keys() {
             "Reply b70fb5cc8ecb3d93",
             "Pong b252f6723e82c8ae",
             "Truth 5399c5b5aa74e6b3",
+            "Poses 0395a36a678c6d05",
             "Hello 922503e07c5a06a3",
             "Start 9b3033813c8d813f",
             "Stop 04b4e713e8cb9e2d",
@@ -244,6 +278,8 @@ fn schema_keys() {
             "Store 68d6c0e34947d252",
             "Forget fb7e7d17c5c6d5e2",
             "Reboot ef15508edfd220a6",
+            "Head e2c6e609d22bd4de",
+            "Stream 26fa0d2cd3dd14f7",
         ]
     );
 }

@@ -3,10 +3,11 @@
 
 use std::path::{Path, PathBuf};
 
+use slitpose_firmware::pose::{HEAD_BYTES, Head};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, DELIMITER, MAX_REQUEST_BYTES, Request, encode};
+use slitpose_protocol::{Command, DELIMITER, HEAD_PART_BYTES, HeadPart, MAX_REQUEST_BYTES, Request, encode};
 use thiserror::Error;
 
 use crate::built::{self, StaleError};
@@ -65,6 +66,14 @@ pub enum OpenError {
 /// If there is none, or the one made last is older than its sources.
 pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
     path.map_or_else(|| open_built(&default_image_path(), "firmware/build"), read_image)
+}
+
+/// Reads the image that solves poses, which `firmware/build` makes beside the default one.
+///
+/// # Errors
+/// If there is none, or it is older than its sources.
+pub fn open_pose_image() -> Result<Image, OpenError> {
+    open_built(&built::image_path("slitpose-board-pose"), "firmware/build")
 }
 
 /// Reads the image in `path`, which `build` has made.
@@ -240,6 +249,17 @@ impl<W: World> Rig<W> {
         let bytes = request(self.next_number, command);
         self.send_bytes(&bytes);
         self.next_number
+    }
+
+    /// Sends a compiled head, as fast as a host that waits for each reply.
+    pub fn send_head(&mut self, head: &Head) {
+        let mut bytes = [0; HEAD_BYTES];
+        let bytes = head.encode(&mut bytes).expect("a head of six cells fits");
+        for (index, part) in bytes.chunks(HEAD_PART_BYTES).enumerate() {
+            let (offset, total) = ((index * HEAD_PART_BYTES) as u16, bytes.len() as u16);
+            self.send(Command::Head(HeadPart { offset, total, bytes: part.iter().copied().collect() }));
+            self.run_for(1e-3);
+        }
     }
 
     /// What has come since the last call, with the instants at which it was over.

@@ -26,6 +26,9 @@ pub struct BoardHardware {
     load: Load,
     #[cfg(feature = "sensors")]
     sensors: Sensors,
+    /// Toggles with every pose.
+    #[cfg(feature = "pose")]
+    ready: Output<'static>,
 }
 
 impl BoardHardware {
@@ -36,6 +39,7 @@ impl BoardHardware {
         clock: Clock,
         light: Output<'static>,
         #[cfg(feature = "sensors")] sensors: Sensors,
+        #[cfg(feature = "pose")] ready: Output<'static>,
     ) -> Self {
         Self {
             emitters,
@@ -45,6 +49,8 @@ impl BoardHardware {
             load: Load::new(),
             #[cfg(feature = "sensors")]
             sensors,
+            #[cfg(feature = "pose")]
+            ready,
         }
     }
 
@@ -116,6 +122,11 @@ impl System for BoardHardware {
         }
         #[cfg(not(feature = "sensors"))]
         Health { supply_v: f32::NAN, temperature_k: f32::NAN, cpu_load_permille }
+    }
+
+    #[cfg(feature = "pose")]
+    fn pose_solved(&mut self, _: &slitpose_firmware::SolvedPose) {
+        self.ready.toggle();
     }
 
     fn reboot(&mut self, target: BootTarget) {

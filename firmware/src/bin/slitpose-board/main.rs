@@ -15,6 +15,8 @@
 #![no_main]
 
 mod acquisition;
+#[cfg(feature = "pose")]
+mod ccm;
 mod clock;
 mod clock_tree;
 mod converters;
@@ -42,7 +44,7 @@ use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 use slitpose_firmware::pcb::{QUEUE_BYTES, can_run, default_configuration, default_scaling};
 use slitpose_firmware::{Board, Identity};
-use slitpose_protocol::{BoardKind, Hashes, SettingsSource};
+use slitpose_protocol::{BoardKind, Configuration, Hashes, SettingsSource};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::acquisition::Sampler;
@@ -117,6 +119,8 @@ async fn main(spawner: Spawner) {
         Output::new(p.PA5, Level::Low, Speed::Low),
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
+        #[cfg(feature = "pose")]
+        Output::new(p.PA8, Level::Low, Speed::Medium),
     );
     let hashes = settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes);
     // Another firmware may have left settings that this board cannot run.
@@ -135,13 +139,7 @@ async fn main(spawner: Spawner) {
             None => SettingsSource::Defaults,
         },
     };
-    static QUEUE: ConstStaticCell<[u8; QUEUE_BYTES]> = ConstStaticCell::new([0; QUEUE_BYTES]);
-    let queue: &'static mut [u8] = QUEUE.take();
-    let Ok(board) = Board::new(hardware, identity, configuration.unwrap_or_else(default_configuration), queue) else {
-        faults::give_up();
-    };
-    static CORE: StaticCell<Core> = StaticCell::new();
-    let core: &'static Core = CORE.init_with(|| Mutex::new(RefCell::new(board)));
+    let core = make_core(hardware, identity, configuration.unwrap_or_else(default_configuration));
     static LINKS: StaticCell<Links> = StaticCell::new();
     let links: &'static Links = LINKS.init_with(|| Links::new(core));
 
@@ -167,6 +165,18 @@ async fn main(spawner: Spawner) {
         }
         Timer::after(next.min(POLL)).await;
     }
+}
+
+/// The core, where it stays. Apart, because its way there takes more stack than all that comes later.
+#[inline(never)]
+fn make_core(hardware: BoardHardware, identity: Identity, configuration: Configuration) -> &'static Core {
+    static QUEUE: ConstStaticCell<[u8; QUEUE_BYTES]> = ConstStaticCell::new([0; QUEUE_BYTES]);
+    static CORE: StaticCell<Core> = StaticCell::new();
+    let queue: &'static mut [u8] = QUEUE.take();
+    let Ok(board) = Board::new(hardware, identity, configuration, queue) else {
+        faults::give_up();
+    };
+    CORE.init_with(|| Mutex::new(RefCell::new(board)))
 }
 
 /// Configuration for the start: the MCU runs at 16 MHz, and USB from an oscillator of its own, trimmed by the host's

@@ -278,6 +278,7 @@ impl Listener {
                     Message::Reply(reply) => heard.push(Heard::Reply(reply)),
                     Message::Pong(pong) => heard.push(Heard::Pong(pong)),
                     Message::Truth(truth) => panic!("a board knows no truth: {truth:?}"),
+                    Message::Poses(poses) => panic!("a board without a head solved {poses:?}"),
                 }
             }
         }

@@ -120,7 +120,7 @@ impl Method {
                 (Start::Cold, _) => model::Start::Cold,
                 (Start::Warm, _) => model::Start::Near(prior),
             };
-            solver.solve(readings, start, &MotionPrior::AT_REST).into()
+            solver.solve(&readings.rounded(), start, &MotionPrior::AT_REST).into()
         }))
     }
 }

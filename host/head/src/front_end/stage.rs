@@ -73,6 +73,18 @@ impl Stage {
         self.cells.iter().map(|cell| cell.exposure_s).collect()
     }
 
+    /// Photocurrent of cell `cell` at nominal drive per step of a word, amperes, zero if it does not measure; and the
+    /// word of no light, for schedules without a dark slot.
+    pub(crate) fn line(&self, cell: usize) -> (f64, f64) {
+        let stage = &self.cells[cell];
+        let zero = self.scaling.zero_code * f64::from(self.oversampling);
+        if stage.measures {
+            (stage.amperes_per_word, zero + stage.half_dark_a / stage.amperes_per_word)
+        } else {
+            (0.0, zero)
+        }
+    }
+
     /// The photocurrents of a scan, without dark current, at nominal drive.
     ///
     /// Without a dark slot, the code at zero current replaces the dark words, and the scene's I_D the

@@ -87,7 +87,7 @@ fn run() -> ! {
     loop {
         match (asked(), &compiled) {
             (Some(Request::Solve(readings, prior)), Ok(())) => {
-                say(&Answer::Solved(time(&solver, &readings, prior.as_ref())));
+                say(&Answer::Solved(time(&solver, &readings.rounded(), prior.as_ref())));
             }
             _ => say(&Answer::Refused),
         }
@@ -119,7 +119,7 @@ fn wait_for_flash_as_at_full_speed() {
 }
 
 #[inline(never)]
-fn time(solver: &Solver<f32>, readings: &Photocurrents, prior: Option<&Pose>) -> Solved {
+fn time(solver: &Solver<f32>, readings: &Photocurrents<f32>, prior: Option<&Pose>) -> Solved {
     let (readings, prior) = black_box((readings, prior));
     MAILBOX.set_state(State::Timing);
     let started = DWT::cycle_count();

@@ -9,6 +9,7 @@ mod facts;
 mod facts_page;
 mod light;
 mod links;
+mod poses;
 mod readme;
 mod schedules;
 mod solver_cycles;

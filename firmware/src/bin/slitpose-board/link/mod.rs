@@ -49,8 +49,8 @@ impl Links {
         let ticks = self.core.lock(|core| {
             let mut core = core.borrow_mut();
             core.poll(link);
-            let scans = core.scans_to_batch();
-            core.hardware_mut().ticks_to(scans)
+            let scans = core.scans_to_poll();
+            if scans == 0 { Some(0) } else { core.hardware_mut().ticks_to(scans) }
         });
         self.wake();
         // Rounded up: a poll that comes a little early finds no batch.

@@ -110,12 +110,12 @@ fn jump<S: Scalar>(head: &Head<'_>, settings: &Settings, landed: &Pose) -> Resul
     let mut noise = NoiseSource::seeded(settings.seed);
     let mut readings = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
     for frame in 0..BEFORE {
-        tracker.track(frame, &readings(&Pose::HOME));
+        tracker.track(frame, &readings(&Pose::HOME).rounded());
     }
     let mut reached = Reached::default();
     let mut recovered = None;
     for frame in BEFORE..BEFORE + AFTER {
-        let solution = tracker.track(frame, &readings(landed)).solution;
+        let solution = tracker.track(frame, &readings(landed).rounded()).solution;
         let error = solution.estimate.map(|estimate| {
             let (dt, dr) = estimate.pose.displacement_from(landed);
             dt.length().hypot(arm_m * dr.length())

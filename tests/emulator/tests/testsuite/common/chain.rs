@@ -2,13 +2,14 @@
 
 #![allow(dead_code, reason = "each program uses its part")]
 
+use slitpose_emulator::image::Image;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
-use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, RawScan, Schedule, Status};
+use slitpose_protocol::{AdcScaling, Decoder, MAX_MESSAGE_BYTES, Message, PoseRecord, RawScan, Schedule, Status};
 
 /// A board with somebody at its open port, and what it has said.
 #[derive(Debug)]
@@ -20,8 +21,14 @@ pub struct Chain {
     decoder: Decoder<MAX_MESSAGE_BYTES>,
     /// By the last hello.
     pub schedule: Option<Schedule>,
+    /// By the last hello.
+    pub scaling: Option<AdcScaling>,
     /// Scans, each with the tick of power at which its packet was over.
     pub scans: Vec<(Ticks, RawScan)>,
+    /// Poses of the board with sequence and tick of their scans, each with the tick of power at which its packet was over.
+    pub poses: Vec<(Ticks, (u64, u64, PoseRecord))>,
+    /// Scans that the board has not solved, by the last packet of poses.
+    pub missed: u32,
     /// All that has come, each with the tick of power at which it was over.
     pub packets: Vec<(Ticks, Vec<u8>)>,
     /// Packets that could not be read.
@@ -37,7 +44,18 @@ impl Chain {
     /// waits for the hello.
     pub fn open(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource, silicon: Silicon) -> Self {
         let image = open_image(None).expect("an image");
-        let mut rig = Rig::boot(&image, scene, trajectory, noise, silicon).expect("a head for the board");
+        Self::open_with(&image, scene, trajectory, noise, silicon)
+    }
+
+    /// The same with another image.
+    pub fn open_with(
+        image: &Image,
+        scene: &SceneFile,
+        trajectory: Trajectory,
+        noise: NoiseSource,
+        silicon: Silicon,
+    ) -> Self {
+        let mut rig = Rig::boot(image, scene, trajectory, noise, silicon).expect("a head for the board");
         let origin = rig.machine().device_clock_origin().expect("the program starts its clock");
         rig.set_open(true);
         let mut chain = Self {
@@ -45,7 +63,10 @@ impl Chain {
             origin,
             decoder: Decoder::new(),
             schedule: None,
+            scaling: None,
             scans: Vec::new(),
+            poses: Vec::new(),
+            missed: 0,
             packets: Vec::new(),
             damaged: 0,
             status: None,
@@ -70,7 +91,10 @@ impl Chain {
                     continue;
                 };
                 match message {
-                    Message::Hello(hello) => self.schedule = Some(hello.schedule),
+                    Message::Hello(hello) => {
+                        self.scaling = Some(hello.scaling);
+                        self.schedule = Some(hello.schedule);
+                    }
                     Message::Batch(batch) => {
                         let schedule = self.schedule.as_ref().expect("a hello comes first");
                         let scans = batch.scans(schedule).expect("a batch of this schedule");
@@ -78,6 +102,11 @@ impl Chain {
                     }
                     Message::Status(status) => self.status = Some(status),
                     Message::Reply(reply) => self.replies.push(reply.outcome.is_ok()),
+                    Message::Poses(poses) => {
+                        let frame_ticks = self.schedule.as_ref().expect("a hello comes first").frame_ticks;
+                        self.missed = poses.missed;
+                        self.poses.extend(poses.iter(frame_ticks).map(|pose| (at, pose)));
+                    }
                     Message::Event(_) | Message::Pong(_) | Message::Truth(_) => {}
                 }
             }

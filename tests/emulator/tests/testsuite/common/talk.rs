@@ -185,6 +185,7 @@ impl Listener {
             Message::Reply(reply) => Said::Reply(reply),
             Message::Pong(pong) => Said::Pong(pong),
             Message::Truth(truth) => panic!("a physical board knows the truth: {truth:?}"),
+            Message::Poses(poses) => panic!("a board without a head solved {poses:?}"),
         };
         self.said.push((at, said));
     }

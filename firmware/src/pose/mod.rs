@@ -1,0 +1,218 @@
+//! Poses on the board: every scan solved by the host's own tracker in `f32`.
+//!
+//! Scans wait in a short queue and are solved one at a time, so that packets and commands have their turn in
+//! between. Following a tool takes a part of a frame. Looking for a lost one takes several frames, during which
+//! scans are passed over: the queue keeps the newest, and what it drops is counted.
+
+mod head;
+
+use heapless::{Deque, Vec};
+use slitpose_model::{BoardTracker, DegradedReason, Outcome, Solution};
+use slitpose_protocol::poses::{POSE_BYTES, READY_TICKS, TRIANGLE};
+use slitpose_protocol::{HeadPart, PoseRecord, PoseStatus, PosesBuilder, RawScan, Rejection, Schedule};
+
+pub use head::{CellStage, HEAD_BYTES, Head, HeadError, HeadSolver, Readout};
+
+use crate::HEAD_KIND;
+use crate::collector::BATCH_SCANS;
+use crate::hardware::{SolvedPose, System};
+use crate::outbox::Outbox;
+
+/// Scans that wait for their turn: of a frame that takes longer than its share the next ones catch up.
+const WAITING: usize = 4;
+
+/// Solves scans.
+#[derive(Debug)]
+pub(crate) struct Poser {
+    receiving: Vec<u8, HEAD_BYTES>,
+    /// Stays where it is: heads are read into its solver.
+    tracker: BoardTracker,
+    loaded: Option<Loaded>,
+    waiting: Deque<RawScan, WAITING>,
+    batch: PosesBuilder<{ BATCH_SCANS * POSE_BYTES }>,
+    configuration: u16,
+    missed: u32,
+    sends: bool,
+}
+
+/// Of a head that is in force.
+#[derive(Debug)]
+struct Loaded {
+    readout: Readout,
+    /// Whether the schedule is the one it was compiled for.
+    fits: bool,
+}
+
+impl Poser {
+    pub fn new() -> Self {
+        Self {
+            receiving: Vec::new(),
+            tracker: BoardTracker::without_cells(),
+            loaded: None,
+            waiting: Deque::new(),
+            batch: PosesBuilder::default(),
+            configuration: 0,
+            missed: 0,
+            sends: true,
+        }
+    }
+
+    /// Takes a part of a head. The head before it stays in force until the last part has come and is right: then it is
+    /// `true`.
+    ///
+    /// # Errors
+    /// If the part does not follow the one before, or the whole is no head.
+    pub fn take_part(&mut self, part: &HeadPart, schedule: &Schedule) -> Result<bool, Rejection> {
+        if part.offset == 0 {
+            self.receiving.clear();
+        }
+        let is_next = usize::from(part.offset) == self.receiving.len();
+        let end = usize::from(part.offset) + part.bytes.len();
+        if !is_next || end > usize::from(part.total) || self.receiving.extend_from_slice(&part.bytes).is_err() {
+            self.receiving.clear();
+            return Err(Rejection::Malformed { kind: HEAD_KIND });
+        }
+        if end < usize::from(part.total) {
+            return Ok(false);
+        }
+        if part.total == 0 {
+            self.loaded = None;
+        } else {
+            self.load().map_err(|_| Rejection::Malformed { kind: HEAD_KIND })?;
+        }
+        self.begin(schedule);
+        Ok(true)
+    }
+
+    /// Puts the head that has been received in force. Apart, to leave its stack to others.
+    #[cold]
+    #[inline(never)]
+    fn load(&mut self) -> Result<(), HeadError> {
+        let payload = head::payload(&self.receiving)?;
+        self.loaded = None;
+        let readout = head::read(payload, self.tracker.solver_mut())?;
+        self.loaded = Some(Loaded { readout, fits: false });
+        Ok(())
+    }
+
+    /// Scans of `schedule`, configuration number `configuration`, follow.
+    pub fn configure(&mut self, configuration: u16, schedule: &Schedule) {
+        self.configuration = configuration;
+        self.begin(schedule);
+    }
+
+    fn begin(&mut self, schedule: &Schedule) {
+        self.waiting.clear();
+        if let Some(Loaded { readout, fits }) = &mut self.loaded {
+            *fits = readout.fits(schedule);
+            self.tracker.restart(f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz));
+        }
+    }
+
+    /// Whether scans are solved; a head for another schedule solves none.
+    pub fn is_at_work(&self) -> bool {
+        self.loaded.as_ref().is_some_and(|loaded| loaded.fits)
+    }
+
+    /// Whether there is a head, and it is for another schedule.
+    pub fn is_unfit(&self) -> bool {
+        self.loaded.as_ref().is_some_and(|loaded| !loaded.fits)
+    }
+
+    /// Whether scans wait.
+    pub fn is_behind(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
+    /// Queues a scan; the oldest goes if there is no room.
+    pub fn take(&mut self, scan: &RawScan) {
+        if !self.is_at_work() {
+            return;
+        }
+        if self.waiting.is_full() {
+            self.waiting.pop_front();
+            self.missed = self.missed.saturating_add(1);
+        }
+        // There is room.
+        let _ = self.waiting.push_back(*scan);
+    }
+
+    /// Solves the oldest scan that waits, if there is one, tells `hardware` of it, and queues it for the link, with
+    /// `batch_scans` poses in a packet.
+    pub fn work<M: AsRef<[u8]> + AsMut<[u8]>>(
+        &mut self,
+        hardware: &mut impl System,
+        outbox: &mut Outbox<M>,
+        batch_scans: usize,
+    ) {
+        let Some(Loaded { readout, .. }) = &self.loaded else { return };
+        let Some(scan) = self.waiting.pop_front() else { return };
+        let solution = self.tracker.track_on_board(scan.sequence, &readout.photocurrents(&scan));
+        let ready = hardware.now_ticks().saturating_sub(scan.tick) / u64::from(READY_TICKS);
+        let pose = SolvedPose {
+            sequence: scan.sequence,
+            tick: scan.tick,
+            record: record(&solution, u16::try_from(ready).unwrap_or(u16::MAX)),
+            covariance: solution.estimate.as_ref().map(|estimate| triangle(&estimate.covariance)),
+        };
+        hardware.pose_solved(&pose);
+        if self.sends {
+            if !self.pack(&pose) {
+                self.flush(outbox);
+                // An empty packet takes any pose.
+                let _ = self.pack(&pose);
+            }
+            if self.batch.len() >= batch_scans {
+                self.flush(outbox);
+            }
+        }
+    }
+
+    fn pack(&mut self, pose: &SolvedPose) -> bool {
+        self.batch.push((pose.sequence, pose.tick), &pose.record, pose.covariance.as_ref())
+    }
+
+    /// Sends the packet under way, full or not.
+    pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
+        if let Some(poses) = self.batch.poses(self.configuration, self.missed) {
+            outbox.push_poses(poses);
+        }
+        self.batch.clear();
+    }
+
+    /// Whether poses are sent.
+    pub fn set_sends(&mut self, sends: bool) {
+        self.sends = sends;
+    }
+}
+
+fn record(solution: &Solution<f32>, ready: u16) -> PoseRecord {
+    let status = match solution.outcome {
+        Outcome::Converged => PoseStatus::Converged,
+        Outcome::Degraded(DegradedReason::CellExcluded) => PoseStatus::CellExcluded,
+        Outcome::Degraded(DegradedReason::Misfit | DegradedReason::Unfinished) => PoseStatus::Misfit,
+        Outcome::Degraded(DegradedReason::FewerCells | DegradedReason::Uncalibrated) => PoseStatus::FewerCells,
+        Outcome::Ambiguous => PoseStatus::Ambiguous,
+        Outcome::Unobservable(_) => PoseStatus::Unobservable,
+        Outcome::TooDark => PoseStatus::TooDark,
+        Outcome::Diverged => PoseStatus::Diverged,
+    };
+    let (translation_m, rotation_xyzw) = solution.pose_numbers().unwrap_or(([f32::NAN; 3], [f32::NAN; 4]));
+    PoseRecord {
+        status,
+        cells_used: solution.cells_used.bits(),
+        excluded: solution.excluded.bits(),
+        ready,
+        translation_m,
+        rotation_xyzw,
+        chi2: solution.chi2,
+    }
+}
+
+/// The lower triangle of a symmetric matrix, row by row.
+fn triangle(matrix: &[[f32; 6]; 6]) -> [f32; TRIANGLE] {
+    let mut triangle = [0.0; TRIANGLE];
+    let elements = matrix.iter().enumerate().flat_map(|(i, row)| &row[..=i]);
+    triangle.iter_mut().zip(elements).for_each(|(place, &element)| *place = element);
+    triangle
+}

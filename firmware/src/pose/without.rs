@@ -1,0 +1,44 @@
+//! A board that solves no poses.
+
+use slitpose_protocol::{HeadPart, RawScan, Rejection, Schedule};
+
+use crate::HEAD_KIND;
+use crate::hardware::System;
+use crate::outbox::Outbox;
+
+/// Solves nothing.
+#[derive(Debug)]
+pub(crate) struct Poser;
+
+#[allow(clippy::unused_self, reason = "the methods of a board that solves poses")]
+impl Poser {
+    pub fn new() -> Self {
+        Self
+    }
+
+    pub fn take_part(&mut self, _: &HeadPart, _: &Schedule) -> Result<bool, Rejection> {
+        Err(Rejection::Unsupported { kind: HEAD_KIND })
+    }
+
+    pub fn configure(&mut self, _: u16, _: &Schedule) {}
+
+    pub fn is_at_work(&self) -> bool {
+        false
+    }
+
+    pub fn is_unfit(&self) -> bool {
+        false
+    }
+
+    pub fn is_behind(&self) -> bool {
+        false
+    }
+
+    pub fn take(&mut self, _: &RawScan) {}
+
+    pub fn work<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, _: &mut impl System, _: &mut Outbox<M>, _: usize) {}
+
+    pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, _: &mut Outbox<M>) {}
+
+    pub fn set_sends(&mut self, _: bool) {}
+}

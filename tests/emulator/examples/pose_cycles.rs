@@ -1,0 +1,64 @@
+//! What poses cost on the board: load, latency, and in which functions the cycles go, while it follows a tool at 4 kHz
+//! and sends scans and poses over USB. In the emulator, with the silicon's latencies.
+//!
+//! ```text
+//! firmware/build && cargo run --release -p slitpose-emulator --example pose_cycles
+//! ```
+
+use slitpose_emulator::machine::Stop;
+use slitpose_emulator::peripherals::Ticks;
+use slitpose_emulator::profile::Profile;
+use slitpose_emulator::rig::{Rig, open_pose_image};
+use slitpose_emulator::silicon::Silicon;
+use slitpose_emulator::world::NoiseSource;
+use slitpose_firmware::pcb::{default_configuration, default_scaling};
+use slitpose_head::board_head;
+use slitpose_head::scene_file::SceneFile;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+use slitpose_protocol::{Command, Hashes, Stream};
+
+/// Functions listed.
+const FUNCTIONS: usize = 40;
+
+/// Frames noted, instruction by instruction.
+const FRAMES: u64 = 400;
+
+fn main() {
+    let scene = std::env::args().nth(1).unwrap_or_else(|| "wide".to_owned());
+    let skip: f64 = std::env::args().nth(2).map_or(0.1, |seconds| seconds.parse().expect("seconds"));
+    let file = SceneFile::open(&scene).expect("a scene");
+    let image = open_pose_image().expect("an image");
+    let schedule = default_configuration().schedule;
+    let head =
+        board_head::compile(&file, &schedule, &default_scaling(), Hashes::default()).expect("a head for the board");
+    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 17, 20.0);
+    let mut rig = Rig::boot(&image, &file, trajectory, NoiseSource::Seeded(17), Silicon::default()).expect("a board");
+    rig.set_open(true);
+    rig.run_for(0.1);
+    rig.send_head(&head);
+    let stream = std::env::args().nth(3).unwrap_or_else(|| "both".to_owned());
+    rig.send(Command::Stream(Stream { scans: stream != "pose", poses: stream != "raw" }));
+    rig.run_for(1e-3);
+    rig.send(Command::Start);
+    rig.run_for(skip);
+    let (mut profile, began) = (Profile::default(), rig.now());
+    let end = began + FRAMES * Ticks::from(schedule.frame_ticks);
+    let awake = rig.machine().awake_ticks();
+    while rig.now() < end {
+        let (pc, now) = (rig.machine().cpu.pc(), rig.now());
+        let before = rig.machine().awake_ticks();
+        assert_eq!(rig.run_until(now + 1), Stop::Reached);
+        let spent = rig.machine().awake_ticks() - before;
+        if spent > 0 {
+            profile.add(pc, spent);
+        }
+    }
+    let spent = rig.machine().awake_ticks() - awake;
+    println!("stack {} bytes at most", 0x2001_8000 - rig.machine().cpu.min_sp());
+    println!("load {:.1} %, {} cycles a frame", 100.0 * spent as f64 / (end - began) as f64, spent / FRAMES);
+    println!("{:>8} {:>7}  function", "cycles", "calls");
+    for function in profile.functions(&image).iter().take(FUNCTIONS) {
+        let (cycles, calls) = (function.cycles as f64 / FRAMES as f64, function.calls as f64 / FRAMES as f64);
+        println!("{cycles:8.0} {calls:7.2}  {}", function.name);
+    }
+}
