@@ -87,7 +87,7 @@
 //! scan ([`Schedule::reference_ticks`]). Only simulators send it.
 //!
 //! **7 Poses**: `u16` configuration · `u64` sequence and `u64` tick of the first scan · `u32` scans
-//! missed · `[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each
+//! missed · `?[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each
 //! ([`poses`]). Sent by boards that hold a head.
 //!
 //! # Host to board
@@ -131,7 +131,7 @@
 //!     second u8}|Supply|Converters|Counters)|Storing|Storage))
 //! Pong:token u32,tick u64
 //! Truth:sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]
-//! Poses:configuration u16,sequence u64,tick u64,missed u32,covariance [f32;21],records bytes
+//! Poses:configuration u16,sequence u64,tick u64,missed u32,covariance ?[f32;21],records bytes
 //! Hello:
 //! Start:
 //! Stop:

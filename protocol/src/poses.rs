@@ -1,7 +1,7 @@
 //! Poses that the board has solved itself.
 //!
-//! A packet holds the poses of consecutive scans, one record each, and the covariance of the last of them that has a
-//! pose: over a millisecond it hardly changes.
+//! A packet holds the poses of consecutive scans, one record each. Every [`COVARIANCE_PACKETS`]th packet also holds the
+//! covariance of the last pose: over some milliseconds it hardly changes.
 //!
 //! | byte of a record | is |
 //! |---|---|
@@ -24,6 +24,9 @@ use serde::{Deserialize, Serialize};
 /// Bytes of one record.
 pub const POSE_BYTES: usize = 40;
 
+/// Packets from one covariance to the next.
+pub const COVARIANCE_PACKETS: u8 = 4;
+
 /// Device ticks in a unit of [`PoseRecord::ready`].
 pub const READY_TICKS: u32 = 64;
 
@@ -41,9 +44,8 @@ pub struct Poses<'a> {
     pub tick: u64,
     /// Scans since the reset that were not solved, because a newer one had come meanwhile.
     pub missed: u32,
-    /// Covariance of the last pose: of (δt, δθ) in the base frame, m², m·rad, rad²; lower triangle, row by row. NaN
-    /// if no record has a pose.
-    pub covariance: [f32; TRIANGLE],
+    /// Covariance of the last pose: of (δt, δθ) in the base frame, m², m·rad, rad²; lower triangle, row by row.
+    pub covariance: Option<[f32; TRIANGLE]>,
     /// The records, in the layout above.
     #[serde(borrow)]
     pub records: &'a [u8],
@@ -186,13 +188,15 @@ impl PoseRecord {
 pub struct PosesBuilder<const BYTES: usize> {
     sequence: u64,
     tick: u64,
-    covariance: [f32; TRIANGLE],
+    covariance: Option<[f32; TRIANGLE]>,
+    /// Packets since the last covariance.
+    packets: u8,
     records: Vec<u8, BYTES>,
 }
 
 impl<const BYTES: usize> Default for PosesBuilder<BYTES> {
     fn default() -> Self {
-        Self { sequence: 0, tick: 0, covariance: [f32::NAN; TRIANGLE], records: Vec::new() }
+        Self { sequence: 0, tick: 0, covariance: None, packets: 0, records: Vec::new() }
     }
 }
 
@@ -217,15 +221,15 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
         covariance: Option<&[f32; TRIANGLE]>,
     ) -> bool {
         if self.records.is_empty() {
-            (self.sequence, self.tick, self.covariance) = (sequence, tick, [f32::NAN; TRIANGLE]);
+            (self.sequence, self.tick, self.covariance) = (sequence, tick, None);
         } else if sequence != self.sequence + self.len() as u64 {
             return false;
         }
         if self.records.extend_from_slice(&record.write()).is_err() {
             return false;
         }
-        if let Some(covariance) = covariance {
-            self.covariance = *covariance;
+        if let (Some(covariance), 0) = (covariance, self.packets) {
+            self.covariance = Some(*covariance);
         }
         true
     }
@@ -243,8 +247,9 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
         })
     }
 
-    /// Forgets all poses.
+    /// Forgets all poses: the next packet begins.
     pub fn clear(&mut self) {
+        self.packets = (self.packets + 1) % COVARIANCE_PACKETS;
         self.records.clear();
     }
 }
@@ -288,13 +293,16 @@ mod tests {
         assert!(builder.push((8, 800), &record(PoseStatus::Diverged), None));
         assert!(!builder.push((9, 900), &record(PoseStatus::Converged), None), "no room");
         let poses = builder.poses(3, 5).unwrap();
-        assert_eq!((poses.configuration, poses.missed, poses.covariance), (3, 5, [1.0; TRIANGLE]));
+        assert_eq!((poses.configuration, poses.missed, poses.covariance), (3, 5, Some([1.0; TRIANGLE])));
         let mut all = poses.iter(100);
         assert_eq!(all.next(), Some((7, 700, record(PoseStatus::Converged))));
         assert_eq!(all.next(), Some((8, 800, record(PoseStatus::Diverged))));
         assert_eq!(all.next(), None);
-        builder.clear();
-        assert!(builder.push((30, 3000), &record(PoseStatus::TooDark), None));
-        assert!(builder.poses(3, 5).unwrap().covariance[0].is_nan());
+        for packet in 1..=COVARIANCE_PACKETS {
+            builder.clear();
+            assert!(builder.push((30, 3000), &record(PoseStatus::Converged), Some(&[2.0; TRIANGLE])));
+            let covariance = builder.poses(3, 5).unwrap().covariance;
+            assert_eq!(covariance, (packet == COVARIANCE_PACKETS).then_some([2.0; TRIANGLE]), "packet {packet}");
+        }
     }
 }

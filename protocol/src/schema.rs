@@ -78,7 +78,7 @@ pub const MESSAGES: [Schema; 8] = [
     ),
     Schema::new("Pong", "token u32,tick u64"),
     Schema::new("Truth", "sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]"),
-    Schema::new("Poses", "configuration u16,sequence u64,tick u64,missed u32,covariance [f32;21],records bytes"),
+    Schema::new("Poses", "configuration u16,sequence u64,tick u64,missed u32,covariance ?[f32;21],records bytes"),
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.

@@ -19,8 +19,11 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         let now = self.hardware.now_ticks();
         self.follow(link, now);
         if self.acquiring {
-            self.collect();
-            self.poser.work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans());
+            // A scan is solved at the poll after the one that has collected it: in between the link has its turn.
+            let has_solved = self.poser.work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans());
+            if !has_solved || self.poser.is_behind() {
+                self.collect();
+            }
             self.expose();
         } else if self.emitters != Emitters::Off {
             // A failure is tried again at the next poll.

@@ -21,18 +21,12 @@ use crate::outbox::Outbox;
 /// Scans that wait for their turn: of a frame that takes longer than its share the next ones catch up.
 const WAITING: usize = 4;
 
-/// Solves scans.
+/// Solves the scans of one board, one after the other: on the board, and bit for bit alike on a host.
 #[derive(Debug)]
-pub(crate) struct Poser {
-    receiving: Vec<u8, HEAD_BYTES>,
+pub struct PoseSolver {
     /// Stays where it is: heads are read into its solver.
     tracker: BoardTracker,
     loaded: Option<Loaded>,
-    waiting: Deque<RawScan, WAITING>,
-    batch: PosesBuilder<{ BATCH_SCANS * POSE_BYTES }>,
-    configuration: u16,
-    missed: u32,
-    sends: bool,
 }
 
 /// Of a head that is in force.
@@ -43,12 +37,68 @@ struct Loaded {
     fits: bool,
 }
 
+impl Default for PoseSolver {
+    #[inline(always)]
+    fn default() -> Self {
+        Self { tracker: BoardTracker::without_cells(), loaded: None }
+    }
+}
+
+impl PoseSolver {
+    /// Puts the head in `bytes` in force: [`Self::begin`] then. Of bytes that are damaged the head before stays.
+    ///
+    /// # Errors
+    /// If there is none that this firmware reads.
+    // Apart, to leave its stack to others.
+    #[cold]
+    #[inline(never)]
+    pub fn load(&mut self, bytes: &[u8]) -> Result<(), HeadError> {
+        let payload = head::payload(bytes)?;
+        self.loaded = None;
+        let readout = head::read(payload, self.tracker.solver_mut())?;
+        self.loaded = Some(Loaded { readout, fits: false });
+        Ok(())
+    }
+
+    /// Scans of `schedule` follow, and the tool may be anywhere. A head that was compiled for another one solves none.
+    pub fn begin(&mut self, schedule: &Schedule) {
+        if let Some(Loaded { readout, fits }) = &mut self.loaded {
+            *fits = readout.fits(schedule);
+            self.tracker.restart(f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz));
+        }
+    }
+
+    /// Solves a scan; `None` without a head for its schedule. The record's `ready` is zero.
+    pub fn solve(&mut self, scan: &RawScan) -> Option<SolvedPose> {
+        let readout = self.loaded.as_ref().filter(|loaded| loaded.fits).map(|loaded| &loaded.readout)?;
+        let solution = self.tracker.track_on_board(scan.sequence, &readout.photocurrents(scan));
+        Some(SolvedPose {
+            sequence: scan.sequence,
+            tick: scan.tick,
+            record: record(&solution),
+            covariance: solution.estimate.as_ref().map(|estimate| triangle(&estimate.covariance)),
+        })
+    }
+}
+
+/// Solves scans between packets and commands.
+#[derive(Debug)]
+pub(crate) struct Poser {
+    receiving: Vec<u8, HEAD_BYTES>,
+    solver: PoseSolver,
+    waiting: Deque<RawScan, WAITING>,
+    batch: PosesBuilder<{ BATCH_SCANS * POSE_BYTES }>,
+    configuration: u16,
+    missed: u32,
+    sends: bool,
+}
+
 impl Poser {
+    #[inline(always)]
     pub fn new() -> Self {
         Self {
             receiving: Vec::new(),
-            tracker: BoardTracker::without_cells(),
-            loaded: None,
+            solver: PoseSolver::default(),
             waiting: Deque::new(),
             batch: PosesBuilder::default(),
             configuration: 0,
@@ -76,23 +126,12 @@ impl Poser {
             return Ok(false);
         }
         if part.total == 0 {
-            self.loaded = None;
+            self.solver.loaded = None;
         } else {
-            self.load().map_err(|_| Rejection::Malformed { kind: HEAD_KIND })?;
+            self.solver.load(&self.receiving).map_err(|_| Rejection::Malformed { kind: HEAD_KIND })?;
         }
         self.begin(schedule);
         Ok(true)
-    }
-
-    /// Puts the head that has been received in force. Apart, to leave its stack to others.
-    #[cold]
-    #[inline(never)]
-    fn load(&mut self) -> Result<(), HeadError> {
-        let payload = head::payload(&self.receiving)?;
-        self.loaded = None;
-        let readout = head::read(payload, self.tracker.solver_mut())?;
-        self.loaded = Some(Loaded { readout, fits: false });
-        Ok(())
     }
 
     /// Scans of `schedule`, configuration number `configuration`, follow.
@@ -103,20 +142,17 @@ impl Poser {
 
     fn begin(&mut self, schedule: &Schedule) {
         self.waiting.clear();
-        if let Some(Loaded { readout, fits }) = &mut self.loaded {
-            *fits = readout.fits(schedule);
-            self.tracker.restart(f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz));
-        }
+        self.solver.begin(schedule);
     }
 
     /// Whether scans are solved; a head for another schedule solves none.
     pub fn is_at_work(&self) -> bool {
-        self.loaded.as_ref().is_some_and(|loaded| loaded.fits)
+        self.solver.loaded.as_ref().is_some_and(|loaded| loaded.fits)
     }
 
     /// Whether there is a head, and it is for another schedule.
     pub fn is_unfit(&self) -> bool {
-        self.loaded.as_ref().is_some_and(|loaded| !loaded.fits)
+        self.solver.loaded.as_ref().is_some_and(|loaded| !loaded.fits)
     }
 
     /// Whether scans wait.
@@ -137,24 +173,18 @@ impl Poser {
         let _ = self.waiting.push_back(*scan);
     }
 
-    /// Solves the oldest scan that waits, if there is one, tells `hardware` of it, and queues it for the link, with
-    /// `batch_scans` poses in a packet.
+    /// Solves the oldest scan that waits, tells `hardware` of it, and queues it for the link, with `batch_scans` poses in a
+    /// packet; `false` if none waits.
     pub fn work<M: AsRef<[u8]> + AsMut<[u8]>>(
         &mut self,
         hardware: &mut impl System,
         outbox: &mut Outbox<M>,
         batch_scans: usize,
-    ) {
-        let Some(Loaded { readout, .. }) = &self.loaded else { return };
-        let Some(scan) = self.waiting.pop_front() else { return };
-        let solution = self.tracker.track_on_board(scan.sequence, &readout.photocurrents(&scan));
+    ) -> bool {
+        let Some(scan) = self.waiting.pop_front() else { return false };
+        let Some(mut pose) = self.solver.solve(&scan) else { return false };
         let ready = hardware.now_ticks().saturating_sub(scan.tick) / u64::from(READY_TICKS);
-        let pose = SolvedPose {
-            sequence: scan.sequence,
-            tick: scan.tick,
-            record: record(&solution, u16::try_from(ready).unwrap_or(u16::MAX)),
-            covariance: solution.estimate.as_ref().map(|estimate| triangle(&estimate.covariance)),
-        };
+        pose.record.ready = u16::try_from(ready).unwrap_or(u16::MAX);
         hardware.pose_solved(&pose);
         if self.sends {
             if !self.pack(&pose) {
@@ -166,6 +196,7 @@ impl Poser {
                 self.flush(outbox);
             }
         }
+        true
     }
 
     fn pack(&mut self, pose: &SolvedPose) -> bool {
@@ -186,7 +217,7 @@ impl Poser {
     }
 }
 
-fn record(solution: &Solution<f32>, ready: u16) -> PoseRecord {
+fn record(solution: &Solution<f32>) -> PoseRecord {
     let status = match solution.outcome {
         Outcome::Converged => PoseStatus::Converged,
         Outcome::Degraded(DegradedReason::CellExcluded) => PoseStatus::CellExcluded,
@@ -202,7 +233,7 @@ fn record(solution: &Solution<f32>, ready: u16) -> PoseRecord {
         status,
         cells_used: solution.cells_used.bits(),
         excluded: solution.excluded.bits(),
-        ready,
+        ready: 0,
         translation_m,
         rotation_xyzw,
         chi2: solution.chi2,

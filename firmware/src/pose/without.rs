@@ -36,7 +36,9 @@ impl Poser {
 
     pub fn take(&mut self, _: &RawScan) {}
 
-    pub fn work<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, _: &mut impl System, _: &mut Outbox<M>, _: usize) {}
+    pub fn work<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, _: &mut impl System, _: &mut Outbox<M>, _: usize) -> bool {
+        false
+    }
 
     pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, _: &mut Outbox<M>) {}
 

@@ -97,6 +97,13 @@ pub trait Optics<S: Scalar> {
     /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
     const TELLS_RELIABILITY: bool;
 
+    /// Cells below which mirror images of a pose are searched for on any head, unless the tool was followed to where it is.
+    const UNIQUE_FROM: usize;
+
+    /// Bound on the distance to the minimum that may remain where the tool is expected, in σ of the pose: tens of times
+    /// too cautious, so that a part of a tenth of that remains.
+    const NEAR_SIGMAS: f64;
+
     /// Number of cells.
     fn cell_count(&self) -> usize;
 
@@ -246,6 +253,9 @@ impl<S: Scalar> Plan<S> {
 
 impl<S: Scalar> Optics<S> for Plan<S> {
     const TELLS_RELIABILITY: bool = true;
+    // With six lit cells no pose but the truth keeps all of them lit, if their planes fix a pose.
+    const UNIQUE_FROM: usize = 6;
+    const NEAR_SIGMAS: f64 = 0.8;
 
     fn cell_count(&self) -> usize {
         self.cells.len()

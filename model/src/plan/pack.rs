@@ -2,7 +2,6 @@
 //! their detectors, cosine-power profiles, paper tier.
 
 use heapless::Vec;
-use serde::{Deserialize, Serialize};
 
 use crate::aperture::{Aperture, Face, Span};
 use crate::paper;
@@ -24,8 +23,8 @@ pub(super) struct Pack<R: Real> {
     emission: PowerLanes<R>,
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) enum Faces<R> {
+#[derive(Clone, Debug)]
+enum Faces<R> {
     Thin(Face<R>),
     Thick([Face<R>; 2]),
 }

@@ -13,7 +13,7 @@ use super::chi2::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::minima::{Minima, Seen};
-use super::mirror_images::{IMAGES, SOFT_STEPS, UNIQUE_FROM, image};
+use super::mirror_images::{IMAGES, SOFT_STEPS, image};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{OutlierSearch, exclude};
@@ -231,7 +231,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     ) -> Solution<S> {
         let problem = &self.problem(sorted, motion);
         let whiteners = problem.whiteners();
-        let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
+        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
         let on_planes = self.on_planes(sorted);
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
@@ -359,7 +359,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
 
     /// Whether nothing after [`Try`] `next` can change the answer.
     fn is_enough(&self, sorted: &Sorted<S>, minima: &Minima<S>, seen: &Seen<S>, next: usize) -> bool {
-        let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
+        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
         match minima.best_fit() {
             Fit::None => seen.again >= AGREEING && (!may_have_images || next > Try::FURTHER),
             Fit::Full if !may_have_images || is_unchecked(sorted) => true,
@@ -382,17 +382,17 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             return nothing(sorted, Outcome::Diverged);
         };
         // Fewer cells leave a mirror image that may be the pose; there, what fits nowhere has none.
-        let is_nowhere = fit == Fit::None && (sorted.usable.len() < UNIQUE_FROM || is_elsewhere(problem, &best));
+        let is_nowhere = fit == Fit::None && (sorted.usable.len() < P::UNIQUE_FROM || is_elsewhere(problem, &best));
         // A valley without an end fits as well: what the data leave free along it is told.
         let is_valley = fit == Fit::None && best.chi2 <= self.gates[sorted.usable.len()];
         if is_nowhere && !is_valley {
-            if sorted.usable.len() < UNIQUE_FROM {
+            if sorted.usable.len() < P::UNIQUE_FROM {
                 return nothing(sorted, Outcome::Diverged);
             }
             workspace.work = workspace.work.max(ROUGH_WORK);
             return self.taken_roughly(sorted, problem, *on_planes, workspace);
         }
-        let may_have_images = self.has_images || sorted.usable.len() < UNIQUE_FROM;
+        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
         if may_have_images
             && fit != Fit::None
             && !minima.is_singular()

@@ -15,7 +15,7 @@ use super::planes::PlaneCell;
 use super::readings::{Limits, Photocurrents};
 use super::solver::Solver;
 use super::starts;
-use super::tracker::Tracker;
+use super::tracker::{Budget, Tracker};
 use super::weights::CellNoise;
 
 /// Relative error of the currents that the rule may have: a fiftieth of what noise does to them in a frame at 4 kHz.
@@ -84,8 +84,8 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
     /// 2·10⁻⁵ at poses spread over 4 mm and 17° about home. For cells exposed at the reference instant.
     ///
     /// # Errors
-    /// If the scene is impossible, has more than [`BOARD_CELLS`] cells, or a cell that is not a slit parallel to its detector before
-    /// an emitter of the profile cosⁿγ.
+    /// If the scene is impossible, has more than [`BOARD_CELLS`] cells, or a cell that is not a slit in a thin mask, parallel to
+    /// its detector, before an emitter of the profile cosⁿγ.
     pub fn compact(scene: &Scene) -> Result<Self, CompactError> {
         if scene.cells.len() > BOARD_CELLS {
             return Err(CompactError::Cells { cells: scene.cells.len(), most: BOARD_CELLS });
@@ -173,11 +173,15 @@ pub type BoardTracker = Tracker<f32, CompactPlan<f32>>;
 /// See [`Tracker::neglecting_motion`]: too small by 2 % at most.
 const NEGLIGIBLE_MOTION: f64 = 0.15;
 
+/// At some 0.1 ms each, while the tool is looked for: a frame then takes no more than two milliseconds, and the
+/// motion is not forgotten over the frames that are passed over meanwhile.
+const BUDGET: Budget = Budget { frame: 8, saved_a_frame: 0, most_saved: 0, first: 0 };
+
 impl BoardTracker {
     /// Without cells and frames: see [`Tracker::solver_mut`] and [`Tracker::restart`].
     #[inline(always)]
     pub fn without_cells() -> Self {
-        Self::new(Solver::without_cells(), 1.0).neglecting_motion(NEGLIGIBLE_MOTION)
+        Self::new(Solver::without_cells(), 1.0).neglecting_motion(NEGLIGIBLE_MOTION).with_budget(BUDGET)
     }
 
     /// The solution of [`Tracker::track`], made here: generic code is compiled by its caller's profile, which is for size
@@ -203,4 +207,93 @@ fn worst_error(plan: &CompactPlan<f64>, truth: &Plan<f64>) -> f64 {
             if off == 0.0 { worst } else { worst.max(off / total) }
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::super::fixture::head;
+    use super::*;
+    use crate::plan::{Instant, Optics};
+    use crate::pose::Transform;
+
+    /// By the squares of the angles that the spots subtend, 1 mm and more from 10 to 18 mm: up to 1e-2.
+    const SHORT_RULE: f64 = 1e-2;
+
+    #[test]
+    fn derivatives_by_the_middle_of_a_spot_are_nearly_those_of_the_whole() {
+        let plan = Plan::<f64>::compile(&head(), Tier::Exact { tolerance: 1e-9 }).expect("valid");
+        let compact = CompactPlan::of(&plan).expect("slits and cosines");
+        for index in 0..40 {
+            let pose = starts::spread::<f64>(index).to_pose();
+            let here = Transform::of(&pose);
+            let instant = Instant { pose: &here, linear: DVec3::ZERO, angular: DVec3::ZERO, offsets_s: &[] };
+            compact.linearise_all(
+                &instant,
+                |_| true,
+                |cell, terms| {
+                    let (status, pair, exact) = plan.linearise(cell, &pose);
+                    assert_eq!(terms.status, status);
+                    let sum = pair.i_x1_a + pair.i_x2_a;
+                    if sum == 0.0 {
+                        return;
+                    }
+                    let share = (pair.i_x2_a - pair.i_x1_a) / sum;
+                    // ln of the sum, and the share, by translations in units of the emitters' distance and by turns.
+                    let unit = |axis: usize| if axis < 3 { 8e-3 } else { 1.0 };
+                    let of = |rows: &[[f64; 6]; 2]| {
+                        let total = [0, 1, 2, 3, 4, 5].map(|i| (rows[0][i] + rows[1][i]) / sum * unit(i));
+                        let place =
+                            [0, 1, 2, 3, 4, 5].map(|i| (rows[1][i] - rows[0][i]) / sum * unit(i) - share * total[i]);
+                        [total, place]
+                    };
+                    for (found, expected) in of(&terms.jacobian).iter().zip(&of(&exact)) {
+                        let most = expected.iter().fold(0.0_f64, |most, slope| most.max(slope.abs()));
+                        let off = found.iter().zip(expected).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
+                        assert!(off <= SHORT_RULE * most, "pose {index}, cell {cell}: {off} of {most}");
+                    }
+                },
+            );
+        }
+    }
+
+    /// What is sent of a solver makes the same solver.
+    #[test]
+    fn a_solver_is_the_sum_of_its_parts() {
+        let solver = Solver::<f32, CompactPlan<f32>>::compact(&head()).expect("fits").with_exposures(&[1e-6; 6]);
+        let mut copy = Solver::<f32, CompactPlan<f32>>::without_cells();
+        let frame = solver.frame();
+        copy.begin(&frame);
+        for part in solver.parts() {
+            assert!(copy.push(&frame, &part));
+        }
+        assert!(!copy.push(&frame, &solver.parts().next().expect("six")), "there is room for six");
+        let plan = Plan::<f64>::compile(&head(), Tier::Exact { tolerance: 1e-9 }).expect("valid");
+        let readings = super::super::fixture::currents(&plan, &super::super::fixture::pose()).rounded();
+        let solved = [&solver, &copy].map(|solver| {
+            let solution = solver.solve(&readings, crate::Start::Cold, &crate::MotionPrior::AT_REST);
+            (solution.estimate.expect("a pose").covariance, solution.pose_numbers(), solution.chi2)
+        });
+        assert_eq!(solved[0], solved[1]);
+    }
+
+    #[test]
+    fn what_a_board_cannot_hold_is_named() {
+        let compact = |change: &dyn Fn(&mut Scene)| {
+            let mut scene = head();
+            change(&mut scene);
+            Solver::<f32, CompactPlan<f32>>::compact(&scene).map(|_| ()).expect_err("refused")
+        };
+        let seven = compact(&|scene| scene.cells.push(scene.cells[0].clone()).expect("seven of sixteen"));
+        assert_eq!(seven, CompactError::Cells { cells: 7, most: 6 });
+        let turned = compact(&|scene| scene.cells[4].slit.tilt_rad = DVec3::Z * 0.01);
+        assert!(matches!(turned, CompactError::Kind { cell: 4, .. }), "{turned}");
+        let thick = compact(&|scene| scene.cells[5].slit.thickness_m = 1e-4);
+        assert!(matches!(thick, CompactError::Kind { cell: 5, .. }), "{thick}");
+        let wide = compact(&|scene| scene.cells[1].detector.width_m = 8e-3);
+        assert!(matches!(wide, CompactError::Spots { error } if error > TOLERANCE), "{wide}");
+        let empty = compact(&|scene| scene.cells.clear());
+        assert!(matches!(empty, CompactError::Scene(_)), "{empty}");
+    }
 }

@@ -247,7 +247,8 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     ) -> Minimum<S> {
         let held_back = workspace.work.saturating_sub(QUICK);
         workspace.work -= held_back;
-        let minimum = self.minimise(start, whiteners, Stopping::near(), workspace);
+        let stopping = Stopping { tolerance_sigmas: S::of(P::NEAR_SIGMAS), ..Stopping::near() };
+        let minimum = self.minimise(start, whiteners, stopping, workspace);
         workspace.work += held_back;
         minimum
     }
@@ -275,7 +276,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// A second step from `trial`, the end of the first, with the Jacobian from its start, `at`.
-    #[inline(always)]
+    #[inline(never)]
     fn reuse_jacobian(
         &self,
         first: &Step<S>,

@@ -6,7 +6,7 @@
 
 use arrayvec::ArrayVec;
 
-use crate::plan::Optics;
+use crate::plan::{Optics, Plan};
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Linear3, Scalar};
 use crate::scene::MAX_CELLS;
@@ -19,10 +19,6 @@ use super::normal_equations::Workspace;
 use super::planes::{PlaneCell, settle};
 use super::readings::{Sorted, Usable};
 use super::starts;
-
-/// Cells below which mirror images are searched for on any head, unless the tool was followed to where
-/// it is. With six lit cells none but the truth keeps all of them lit, if their planes fix a pose.
-pub(super) const UNIQUE_FROM: usize = 6;
 
 /// Steps along the softest direction, both ways, each twice as long as the one before.
 pub(super) const SOFT_STEPS: usize = 10;
@@ -71,7 +67,7 @@ impl<S: Scalar> Compiled<S> {
         let home = Transform::of(&Pose::HOME);
         core::iter::once(home).chain((0..LOOKS).map(starts::spread::<S>)).any(|pose| {
             let sorted = self.seen_at(&pose.to_pose());
-            sorted.usable.len() >= UNIQUE_FROM
+            sorted.usable.len() >= <Plan<S> as Optics<S>>::UNIQUE_FROM
                 && self.firmness_of_planes(&sorted, &pose) < S::of(FIXED)
                 && self.has_image_near(&sorted, &pose)
         })

@@ -162,6 +162,8 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
 
     /// The pose near `start` without `cell`, which was left out in the frame before; with it, if it
     /// agrees with the others again.
+    #[cold]
+    #[inline(never)]
     pub(super) fn still_without(
         &self,
         sorted: &Sorted<S>,

@@ -55,16 +55,24 @@ const MOST_STRAIN: f64 = 10.0;
 /// turn back as fast as it came.
 const REACH_SIGMAS: f64 = 6.0;
 
-/// Evaluations of all cells that a frame may take: at some 2.4 µs each, exact tier and twist unknown, half
-/// of the 100 µs that a frame may cost at 4 kHz, because minimisations under way are completed. Following
-/// takes one to three.
-const FRAME_WORK: usize = 20;
+/// Evaluations of all cells that frames may take.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Budget {
+    /// Each of them.
+    pub(super) frame: usize,
+    /// That each leaves to a later search, and the most that are left.
+    pub(super) saved_a_frame: usize,
+    pub(super) most_saved: usize,
+    /// That the first search may take besides.
+    pub(super) first: usize,
+}
 
-/// Evaluations that each frame leaves to a later search, and the most that are left: with them a frame still takes
-/// no longer than the 250 µs to the next. The first search may take as much as a cold solve, so that
-/// the first frame has a pose.
-const SAVED_A_FRAME: usize = 2;
-const MOST_SAVED: usize = 56;
+impl Budget {
+    /// Of a host: at some 2.4 µs each, exact tier and twist unknown, a frame takes half of the 100 µs that it may cost at
+    /// 4 kHz, because minimisations under way are completed; with what others have left, no longer than the 250 µs to
+    /// the next. The first search may take as much as a cold solve, so that the first frame has a pose.
+    const HOST: Self = Self { frame: 20, saved_a_frame: 2, most_saved: 56, first: COLD_WORK };
+}
 
 /// Frames between two searches while a misfit is followed.
 const PAUSE: u32 = 256;
@@ -92,6 +100,7 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     frame_rate_hz: S,
     /// Share of σ of a pose that the motion within a frame may be unknown by and yet count as known.
     negligible: S,
+    budget: Budget,
     motion: FadingFilter<S>,
     filter: Option<FadingFilter<S>>,
     next_frame: u64,
@@ -126,8 +135,8 @@ impl<S: Scalar> Lost<S> {
     }
 
     /// Whether anything is to be forgotten when the tool has been found.
-    fn is_under_way(&self) -> bool {
-        self.search.has_begun() || self.images.is_some() || self.wait > 0 || self.saved_work > MOST_SAVED
+    fn is_under_way(&self, most_saved: usize) -> bool {
+        self.search.has_begun() || self.images.is_some() || self.wait > 0 || self.saved_work > most_saved
     }
 }
 
@@ -139,6 +148,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             period_s,
             frame_rate_hz: S::of(period_s.recip()),
             negligible: S::zero(),
+            budget: Budget::HOST,
             motion: FadingFilter::new(period_s, MEMORY_FRAMES * period_s),
             filter: None,
             next_frame: 0,
@@ -147,7 +157,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             coasted: 0,
             left_out: None,
             is_misfit: false,
-            lost: Lost::new(COLD_WORK),
+            lost: Lost::new(Budget::HOST.first),
         }
     }
 
@@ -168,7 +178,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.coasted = 0;
         self.left_out = None;
         self.is_misfit = false;
-        self.lost = Lost::new(COLD_WORK);
+        self.lost = Lost::new(self.budget.first);
     }
 
     /// Takes the motion within a frame for known once it is unknown by no more than `share` of σ of a pose: the
@@ -176,6 +186,13 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     #[must_use]
     pub fn neglecting_motion(mut self, share: f64) -> Self {
         self.negligible = S::of(share);
+        self
+    }
+
+    /// Takes no more evaluations than `budget` allows.
+    pub(super) fn with_budget(mut self, budget: Budget) -> Self {
+        self.budget = budget;
+        self.lost = Lost::new(budget.first);
         self
     }
 
@@ -228,8 +245,9 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.coasted = 0;
         self.left_out = solution.excluded.iter().next();
         self.is_misfit = is_misfit(&solution);
-        if !self.is_misfit && self.lost.is_under_way() {
-            self.lost = Lost::new(self.lost.saved_work.min(MOST_SAVED));
+        let most_saved = self.budget.most_saved;
+        if !self.is_misfit && self.lost.is_under_way(most_saved) {
+            self.lost = Lost::new(self.lost.saved_work.min(most_saved));
         }
         solution
     }
@@ -258,13 +276,13 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         if let Some(solution) = self.solver.compiled.too_few(&sorted) {
             return solution;
         }
-        let workspace = &mut Workspace::with_work(FRAME_WORK);
+        let workspace = &mut Workspace::with_work(self.budget.frame);
         let mut solution = match self.motion.predict() {
             Some(expected) => self.follow(&sorted, &expected, workspace),
             None => self.find(&sorted, &unknown_motion::<S>(&self.last_twist), workspace),
         };
-        if self.lost.saved_work < MOST_SAVED {
-            self.lost.saved_work += SAVED_A_FRAME;
+        if self.lost.saved_work < self.budget.most_saved {
+            self.lost.saved_work += self.budget.saved_a_frame;
         }
         solution.evaluations = workspace.evaluations;
         solution
@@ -285,6 +303,21 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             }
             return solution;
         }
+        self.follow_unexpected(sorted, expected, solution, is_expected, workspace)
+    }
+
+    /// The pose of a tool that is not where it was expected, or where nothing fits: `solution` so far.
+    #[cold]
+    #[inline(never)]
+    fn follow_unexpected(
+        &mut self,
+        sorted: &Sorted<S>,
+        expected: &Prediction<S>,
+        mut solution: Solution<S>,
+        is_expected: bool,
+        workspace: &mut Workspace<S>,
+    ) -> Solution<S> {
+        let start = expected.pose.to_transform();
         let unknown = unknown_motion::<S>(&expected.twist);
         if !(is_expected && self.is_misfit) {
             // The tool did not go on as before: what it did within this frame is unknown.
@@ -343,7 +376,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         }
         workspace.work += lost.saved_work;
         let solution = self.solver.compiled.search(sorted, motion, &mut lost.search, workspace);
-        lost.saved_work = lost.saved_work.min(workspace.work).min(MOST_SAVED);
+        lost.saved_work = lost.saved_work.min(workspace.work).min(self.budget.most_saved);
         if lost.search.is_over() {
             lost.images = lost.search.images();
             lost.search = Search::in_pieces();

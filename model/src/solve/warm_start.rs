@@ -8,7 +8,6 @@ use super::accept::{Fit, is_elsewhere};
 use super::chi2::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::mirror_images::UNIQUE_FROM;
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
 use super::readings::Sorted;
@@ -69,7 +68,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         let fit = self.fit(sorted, &problem, &minimum);
         let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !is_elsewhere(&problem, &minimum);
         if !has_pose {
-            if sorted.usable.len() >= UNIQUE_FROM {
+            if sorted.usable.len() >= P::UNIQUE_FROM {
                 let solution = self.taken_roughly(sorted, &problem, start, workspace);
                 return Solution { iterations: iterations + solution.iterations, ..solution };
             }

@@ -144,6 +144,11 @@ impl<W: World> Board<W> {
         self.flash.lose_settings_at_reset();
     }
 
+    /// The pins of a port (0 for A) that the program drives high, bit n for pin n.
+    pub fn driven_high(&self, port: usize) -> u16 {
+        self.ports[port].driven_high()
+    }
+
     /// The present, in ticks since the machine was made.
     #[inline]
     pub fn now(&self) -> Ticks {

@@ -1,82 +1,284 @@
-//! The image that solves poses: every frame, at 4 kHz, beside its scans.
+//! The image that solves poses: its poses are those that a host finds in the same words, and come in time.
 
 use crate::common::chain::Chain;
 use crate::common::silicon;
+use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_pose_image;
 use slitpose_emulator::world::NoiseSource;
-use slitpose_firmware::pose::{HEAD_BYTES, Head};
+use slitpose_firmware::pcb::default_configuration;
+use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
 use slitpose_head::board_head;
+use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
-use slitpose_protocol::{Command, HEAD_PART_BYTES, Hashes, HeadPart};
+use slitpose_model::{Estimate, Pose, Solver, Tier, Tracker};
+use slitpose_protocol::poses::{PoseRecord, PoseStatus, READY_TICKS};
+use slitpose_protocol::{Command, Configuration, Hashes, HeadPart, Level, RawScan, Schedule, Stream};
 
 const SEED: u64 = 17;
 
-/// A board with the image that solves poses, its port open, and the head of `scene` sent to it.
-fn chain(scene: &SceneFile, trajectory: Trajectory, noise: NoiseSource) -> (Chain, Head) {
-    let image = open_pose_image().expect("an image");
-    let mut chain = Chain::open_with(&image, scene, trajectory, noise, silicon());
-    let (schedule, scaling) = (chain.schedule.clone().expect("a hello"), chain.scaling.expect("a hello"));
+/// Mean of χ² of six degrees of freedom, and half its variance.
+const DEGREES: f64 = 6.0;
+
+fn smooth() -> Trajectory {
+    Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0)
+}
+
+fn scene() -> SceneFile {
+    WIDE.read().expect("shipped")
+}
+
+/// The head of `scene` for the schedule that the board starts with.
+fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
+    let (schedule, scaling) = (chain.schedule.as_ref().expect("a hello"), chain.scaling.expect("a hello"));
     let hashes = Hashes { scene: Some(scene.hash), calibration: None };
-    let head = board_head::compile(scene, &schedule, &scaling, hashes).expect("a head for the board");
-    chain.rig.send(Command::Ping { token: 1 });
-    chain.run_for(0.01);
-    println!("pinged {:?} {:?}", chain.replies, chain.rig.machine().resets());
-    chain.rig.send(Command::Start);
-    chain.run_for(0.1);
-    println!("started {:?} {:?} scans {}", chain.replies, chain.rig.machine().resets(), chain.scans.len());
-    send(&mut chain, &head);
-    (chain, head)
+    board_head::compile(scene, schedule, &scaling, hashes).expect("a head for the board")
 }
 
-fn send(chain: &mut Chain, head: &Head) {
-    let mut bytes = [0; HEAD_BYTES];
-    let bytes = head.encode(&mut bytes).expect("room");
-    println!("a head of {} bytes", bytes.len());
-    for (index, part) in bytes.chunks(HEAD_PART_BYTES).enumerate() {
-        chain.rig.send(Command::Head(HeadPart {
-            offset: (index * HEAD_PART_BYTES) as u16,
-            total: bytes.len() as u16,
-            bytes: part.iter().copied().collect(),
-        }));
-        chain.run_for(2e-3);
-    }
-    let machine = chain.rig.machine();
-    println!(
-        "sp {:x} pc {:x} resets {:?} fault {:?}",
-        machine.cpu.min_sp(),
-        machine.cpu.pc(),
-        machine.resets(),
-        machine.cpu.last_fault()
-    );
-    assert!(chain.replies.iter().all(|&accepted| accepted), "{:?}", chain.replies);
-}
-
-#[test]
-fn every_frame_of_ten_seconds_is_solved_on_the_board() {
-    let file = WIDE.read().expect("shipped");
-    let seconds: u32 = std::env::var("SECS").ok().and_then(|s| s.parse().ok()).unwrap_or(10);
+/// A board with the image that solves poses, its port open, and the head of `scene` sent to it.
+fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
     println!("seed {SEED}");
-    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0);
-    let (mut chain, head) = chain(&file, trajectory, NoiseSource::Off);
+    let image = open_pose_image().expect("an image");
+    let mut chain = Chain::open_with(&image, scene, smooth(), noise, silicon());
+    let head = head_of(&chain, scene);
+    chain.rig.send_head(&head);
+    chain.run_for(1e-3);
+    assert!(!chain.replies.is_empty() && chain.replies.iter().all(|&accepted| accepted), "{:?}", chain.replies);
+    chain
+}
+
+/// What a host that runs the board's solver makes of `scans`, the first of them the first that the board has solved.
+fn replayed<'a>(head: &Head, schedule: &Schedule, scans: impl Iterator<Item = &'a RawScan>) -> Vec<PoseRecord> {
+    let mut solver = PoseSolver::default();
+    let mut bytes = [0; HEAD_BYTES];
+    solver.load(head.encode(&mut bytes).expect("room")).expect("whole");
+    solver.begin(schedule);
+    scans.map(|scan| solver.solve(scan).expect("the head is for this schedule").record).collect()
+}
+
+fn bits(record: &PoseRecord) -> ([u32; 8], PoseStatus, [u16; 2]) {
+    let mut numbers = record.translation_m.iter().chain(&record.rotation_xyzw).chain([&record.chi2]);
+    let numbers = [(); 8].map(|()| numbers.next().expect("eight").to_bits());
+    (numbers, record.status, [record.cells_used, record.excluded])
+}
+
+fn pose(record: &PoseRecord) -> Pose {
+    Pose {
+        rotation: glam::DQuat::from_array(record.rotation_xyzw.map(f64::from)).normalize(),
+        translation_m: glam::DVec3::from_array(record.translation_m.map(f64::from)),
+    }
+}
+
+/// Scans and poses of a second, at the rate at which both pass over USB: the poses are the host's bit for bit, and within
+/// a part of σ of those that the host finds in `f64` and the exact tier.
+#[test]
+fn poses_are_those_of_a_host_bit_for_bit() {
+    let file = scene();
+    let mut chain = chain(&file, NoiseSource::Seeded(SEED));
+    let mut configuration = default_configuration();
+    configuration.schedule.frame_ticks = TICKS_PER_SECOND as u32 / 2_500;
+    chain.rig.send(Command::Configure(configuration));
+    chain.run_for(2e-3);
     chain.rig.send(Command::Start);
-    for _ in 0..seconds {
+    chain.run_for(1.2);
+    let status = chain.status.expect("twice a second");
+    assert_eq!((chain.damaged, chain.missed, status.scans_lost, status.scans_dropped), (0, 0, 0, 0));
+    let schedule = chain.schedule.clone().expect("a hello");
+    let head = head_of(&chain, &file);
+    let count = chain.poses.len().min(chain.scans.len());
+    assert!(count > 2_900, "{count}");
+    let scans: Vec<RawScan> = chain.scans[..count].iter().map(|(_, scan)| *scan).collect();
+    let on_host = replayed(&head, &schedule, scans.iter());
+    for ((_, (sequence, tick, record)), (scan, on_host)) in chain.poses.iter().zip(scans.iter().zip(&on_host)) {
+        assert_eq!((*sequence, *tick), (scan.sequence, scan.tick));
+        assert_eq!(bits(record), bits(on_host), "frame {sequence}");
+    }
+
+    let scaling = chain.scaling.expect("a hello");
+    let stage = Stage::new(&file, &schedule, &scaling);
+    let weighted = Stage::weighted_scene(&file, &schedule, &scaling);
+    let solver = Solver::<f64>::new(&weighted, Tier::Exact { tolerance: 1e-6 }).expect("shipped");
+    let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
+    let mut tracker = Tracker::new(solver.with_exposures(&stage.exposures_s()), period_s);
+    let (mut worst, mut squares) = (0.0_f64, 0.0);
+    for (scan, (_, (_, _, record))) in scans.iter().zip(&chain.poses) {
+        let estimate = tracker.track(scan.sequence, &stage.photocurrents(scan)).solution.estimate.expect("a pose");
+        assert_eq!(record.status, PoseStatus::Converged, "frame {}", scan.sequence);
+        let (dt, dr) = pose(record).displacement_from(&estimate.pose);
+        let off: f64 = (0..3)
+            .flat_map(|i| [dt[i] / estimate.covariance[i][i].sqrt(), dr[i] / estimate.covariance[i + 3][i + 3].sqrt()])
+            .fold(0.0, |most, off| most.max(off.abs()));
+        worst = worst.max(off);
+        squares += off * off;
+    }
+    println!("from f64: {worst:.4} σ at worst, {:.4} rms, {count} poses", (squares / count as f64).sqrt());
+    assert!(worst < 0.1, "{worst}");
+}
+
+/// Ten seconds at 4 kHz, a moving tool, poses alone on the link: none is missed; load; from the last conversion of a frame
+/// to its pose, by what the records say and by the pin; errors are what covariances say.
+#[test]
+fn every_frame_of_ten_seconds_is_solved_in_time() {
+    let seconds = 10;
+    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
+    chain.rig.send(Command::Stream(Stream { scans: false, poses: true }));
+    chain.run_for(1e-3);
+    chain.rig.send(Command::Start);
+    let mut load = 0;
+    for second in 0..seconds {
         chain.run_for(1.0);
-        println!("{:?}", chain.status);
+        if second > 0 {
+            load = load.max(chain.status.expect("twice a second").cpu_load_permille);
+        }
     }
-    println!("scans {} poses {} missed {}", chain.scans.len(), chain.poses.len(), chain.missed);
-    let mut ready: Vec<u32> = chain.poses.iter().map(|(_, (_, _, pose))| u32::from(pose.ready) * 64).collect();
-    let last = chain.schedule.as_ref().unwrap().last_sample_ticks() as u32;
-    ready.sort_unstable();
-    let us = |t: u32| (t - last) as f64 / 170.0;
+    let status = chain.status.expect("twice a second");
+    println!("load {load} per mille, {} poses, stack {} bytes", chain.poses.len(), chain.rig.stack_bytes());
+    assert!(chain.scans.is_empty(), "only poses are asked for");
+    assert_eq!((chain.damaged, chain.missed, status.scans_lost), (0, 0, 0));
+    assert!(chain.poses.len() >= 4_000 * seconds - 12, "{}", chain.poses.len());
+    assert!(chain.poses.windows(2).all(|pair| pair[1].1.0 == pair[0].1.0 + 1), "every frame, in order");
+    assert!(chain.poses.iter().all(|(_, (.., record))| record.status == PoseStatus::Converged));
+    assert!(load <= 900, "{load}");
+
+    let schedule = chain.schedule.clone().expect("a hello");
+    let last = schedule.last_sample_ticks();
+    let ready = |record: &PoseRecord| u64::from(record.ready) * u64::from(READY_TICKS);
+    let us = |ticks: u64| ticks as f64 * 1e6 / TICKS_PER_SECOND as f64;
+    // The first poses are found from nothing.
+    let mut late: Vec<u64> = chain.poses.iter().skip(40).map(|(_, (.., record))| ready(record) - last).collect();
+    late.sort_unstable();
+    let (median, most) = (us(late[late.len() / 2]), us(late[late.len() - 1]));
     println!(
-        "exposure to pose: min {} median {} max {}",
-        us(ready[0]),
-        us(ready[ready.len() / 2]),
-        us(ready[ready.len() - 1])
+        "last conversion to pose: median {median:.1} µs, at most {most:.1} µs; first: {}",
+        us(ready(&chain.poses[0].1.2))
     );
-    for (_, (n, _, p)) in chain.poses.iter().take(8) {
-        println!("{n} {p:?}");
+    assert!(median <= 250.0 && most <= 600.0, "{median} {most}");
+
+    let trajectory = smooth();
+    let mut nees = 0.0;
+    for (index, triangle) in &chain.covariances {
+        let (_, (_, tick, record)) = &chain.poses[*index];
+        let mut covariance = [[0.0; 6]; 6];
+        let mut elements = triangle.iter();
+        for i in 0..6 {
+            for j in 0..=i {
+                covariance[i][j] = f64::from(*elements.next().expect("21"));
+                covariance[j][i] = covariance[i][j];
+            }
+        }
+        let time_s = (*tick as f64 + schedule.reference_ticks()) / f64::from(schedule.tick_hz);
+        let solved = Estimate { pose: pose(record), covariance };
+        nees += solved.nees(&trajectory.pose(time_s)).expect("regular");
     }
-    let _ = head;
+    let count = chain.covariances.len() as f64;
+    println!("NEES {:.3} of {count}", nees / count);
+    assert!(count > 2_400.0);
+    // Five standard deviations of the mean of that many.
+    assert!((nees / count - DEGREES).abs() < 5.0 * (2.0 * DEGREES / count).sqrt(), "{}", nees / count);
+
+    // The pin toggles once a pose: looked at every microsecond, and compared with what the records of that time say.
+    let before = chain.poses.len();
+    let began = chain.rig.now();
+    let (mut toggles, mut high) = (Vec::new(), is_ready_high(&mut chain));
+    while chain.rig.now() < began + 40 * u64::from(schedule.frame_ticks) {
+        let _ = chain.rig.run_for(1e-6);
+        if is_ready_high(&mut chain) != high {
+            high = !high;
+            toggles.push(chain.rig.now());
+        }
+    }
+    chain.run_for(5e-3);
+    assert!((39..=41).contains(&toggles.len()), "{}", toggles.len());
+    for toggle in &toggles {
+        let of_records =
+            chain.poses[before - 8..].iter().map(|(_, (_, tick, record))| chain.origin + tick + ready(record));
+        let off = of_records.map(|at| at.abs_diff(*toggle)).min().expect("poses");
+        // A microsecond between two looks, a unit of `ready`, and the way from the clock's reading to the pin.
+        assert!(off <= 170 + 64 + 170, "{off}");
+    }
+}
+
+/// Pin PA8.
+fn is_ready_high(chain: &mut Chain) -> bool {
+    chain.rig.machine().board.driven_high(0) & 1 << 8 != 0
+}
+
+fn statuses(chain: &mut Chain, seconds: f64) -> Vec<PoseStatus> {
+    chain.poses.clear();
+    chain.run_for(seconds);
+    chain.poses.iter().map(|(_, (.., record))| record.status).collect()
+}
+
+/// Cells go dark and come back, the tool is gone and back, the frame rate changes, and so does the head.
+#[test]
+fn what_happens_to_light_schedule_and_head_shows_in_the_poses_and_passes() {
+    let file = scene();
+    let mut chain = chain(&file, NoiseSource::Seeded(SEED));
+    chain.rig.send(Command::Stream(Stream { scans: false, poses: true }));
+    chain.run_for(1e-3);
+    chain.rig.send(Command::Start);
+    let whole = statuses(&mut chain, 0.1);
+    assert!(whole.len() > 380 && whole.iter().all(|&status| status == PoseStatus::Converged), "{whole:?}");
+
+    let configured = |chain: &mut Chain, change: &dyn Fn(&mut Configuration)| {
+        let mut configuration = default_configuration();
+        change(&mut configuration);
+        chain.rig.send(Command::Configure(configuration));
+        // The packets of what was before come, too.
+        chain.run_for(5e-3);
+    };
+    // A cell without its emitter: a pose of five.
+    configured(&mut chain, &|new| new.levels[2] = Level(0));
+    let fewer = statuses(&mut chain, 0.1);
+    assert!(fewer.len() > 300 && fewer.iter().all(|&status| status == PoseStatus::FewerCells), "{fewer:?}");
+    assert!(chain.poses.iter().all(|(_, (.., record))| record.cells_used == 0b11_1011));
+
+    // No tool at all, and it is back: found within so many frames.
+    configured(&mut chain, &|new| new.levels.iter_mut().for_each(|level| *level = Level(0)));
+    let none = statuses(&mut chain, 0.05);
+    assert!(none.len() > 150 && none.iter().all(|status| !status.has_pose()), "{none:?}");
+    assert!(chain.poses.iter().all(|(_, (.., record))| record.translation_m[0].is_nan()));
+    configured(&mut chain, &|_| {});
+    let back = statuses(&mut chain, 0.1);
+    let (first, last) = (chain.poses[0].1.0, chain.poses[chain.poses.len() - 1].1.0);
+    println!("back: {} poses of {} frames, missed {}", back.len(), last - first + 1, chain.missed);
+    assert!(back[8..].iter().all(|&status| status == PoseStatus::Converged), "{back:?}");
+    assert!(back.len() as u64 + 40 > last - first, "{} of {}", back.len(), last - first);
+
+    // Another frame rate needs no other head; other slots do.
+    configured(&mut chain, &|new| new.schedule.frame_ticks = 85_000);
+    let slower = statuses(&mut chain, 0.1);
+    assert!((180..=202).contains(&slower.len()), "{}", slower.len());
+    assert!(slower[8..].iter().all(|&status| status == PoseStatus::Converged), "{slower:?}");
+    configured(&mut chain, &|new| new.schedule.settling_ticks -= 10);
+    assert!(statuses(&mut chain, 0.05).is_empty());
+    assert!(chain.events.iter().any(|text| text.contains("another schedule")), "{:?}", chain.events);
+    configured(&mut chain, &|_| {});
+    assert!(statuses(&mut chain, 0.05).len() > 150);
+
+    // A damaged head is refused, and the one before goes on; another one counts at once.
+    let refused = chain.replies.iter().filter(|&&accepted| !accepted).count();
+    chain.rig.send(Command::Head(HeadPart { offset: 0, total: 3, bytes: [1, 2, 3].into_iter().collect() }));
+    assert!(statuses(&mut chain, 0.05).len() > 150);
+    assert_eq!(chain.replies.iter().filter(|&&accepted| !accepted).count(), refused + 1);
+    let mut moved = file.clone();
+    for cell in &mut moved.scene.cells {
+        cell.emitter.position_tool_m.z += 1e-3;
+    }
+    let head = head_of(&chain, &moved);
+    let height = |chain: &Chain| {
+        let (.., (_, tick, record)) = chain.poses[chain.poses.len() - 1];
+        let time_s = (tick as f64 + chain.schedule.as_ref().expect("a hello").reference_ticks()) / 170e6;
+        let truth = smooth().pose(time_s);
+        // Where the emitters are is the same; the tool's origin is 1 mm lower along its axis.
+        (f64::from(record.translation_m[2]) - truth.translation_m.z) * 1e3
+    };
+    assert!(height(&chain).abs() < 0.05, "{}", height(&chain));
+    chain.rig.send_head(&head);
+    let _ = statuses(&mut chain, 0.05);
+    assert!((height(&chain) + 1.0).abs() < 0.1, "{}", height(&chain));
+    chain.rig.send(Command::Head(HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() }));
+    chain.run_for(2e-3);
+    assert!(statuses(&mut chain, 0.05).is_empty(), "a board without a head solves nothing");
+    assert_eq!(chain.damaged, 0);
 }

@@ -9,6 +9,7 @@ use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
+use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{AdcScaling, Decoder, MAX_MESSAGE_BYTES, Message, PoseRecord, RawScan, Schedule, Status};
 
 /// A board with somebody at its open port, and what it has said.
@@ -27,6 +28,10 @@ pub struct Chain {
     pub scans: Vec<(Ticks, RawScan)>,
     /// Poses of the board with sequence and tick of their scans, each with the tick of power at which its packet was over.
     pub poses: Vec<(Ticks, (u64, u64, PoseRecord))>,
+    /// Covariances, each with the index of its pose.
+    pub covariances: Vec<(usize, [f32; TRIANGLE])>,
+    /// Texts of the events.
+    pub events: Vec<String>,
     /// Scans that the board has not solved, by the last packet of poses.
     pub missed: u32,
     /// All that has come, each with the tick of power at which it was over.
@@ -67,6 +72,8 @@ impl Chain {
             scans: Vec::new(),
             poses: Vec::new(),
             missed: 0,
+            covariances: Vec::new(),
+            events: Vec::new(),
             packets: Vec::new(),
             damaged: 0,
             status: None,
@@ -106,8 +113,11 @@ impl Chain {
                         let frame_ticks = self.schedule.as_ref().expect("a hello comes first").frame_ticks;
                         self.missed = poses.missed;
                         self.poses.extend(poses.iter(frame_ticks).map(|pose| (at, pose)));
+                        let last = self.poses.len() - 1;
+                        self.covariances.extend(poses.covariance.map(|covariance| (last, covariance)));
                     }
-                    Message::Event(_) | Message::Pong(_) | Message::Truth(_) => {}
+                    Message::Event(event) => self.events.push(event.text.to_owned()),
+                    Message::Pong(_) | Message::Truth(_) => {}
                 }
             }
             self.packets.push((at, bytes));
