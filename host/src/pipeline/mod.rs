@@ -439,6 +439,7 @@ impl Flow {
                 self.truths.push_back(*truth);
                 Ok(())
             }
+            // The board's own; here every scan is solved anew.
             Message::Poses(_) => Ok(()),
         }
     }

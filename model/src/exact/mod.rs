@@ -57,10 +57,10 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             if along_x.max(along_y) > MAX_NODES {
                 return None;
             }
-            rectangle::light::<S, _, GRADIENT>(spot, axis, &series, rules.get(along_x), rules.get(along_y))
+            rectangle::light::<S, _, GRADIENT>(spot, axis, &series, &rules.get(along_x), rules.get(along_y))
         }
         None if E::NEEDS_SERIES => return None,
-        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, rules.get(along_x), rules.get(along_y)),
+        None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, &rules.get(along_x), rules.get(along_y)),
     };
     // Below this power, near the end of the number range, ratios lose all digits. NaN fails, too.
     let least = S::min_positive_value() / (S::epsilon() * S::epsilon());

@@ -74,7 +74,7 @@ pub(crate) fn narrow_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     emission: &E,
 ) -> (RectangleLight<S>, S) {
     let nodes = [(S::of(-NODE), S::one()), (S::of(NODE), S::one())];
-    let mut light = light::<S, E, false>(spot, axis, emission, nodes.iter().copied(), nodes.iter().copied());
+    let mut light = light::<S, E, false>(spot, axis, emission, &nodes.iter().copied(), nodes.iter().copied());
     if !GRADIENT {
         return (light, S::zero());
     }
@@ -116,7 +116,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     emission: &E,
-    along_x: impl Iterator<Item = (S, S)> + Clone,
+    along_x: &(impl Iterator<Item = (S, S)> + Clone),
     along_y: impl Iterator<Item = (S, S)>,
 ) -> RectangleLight<S> {
     let (zero, one, half) = (S::zero(), S::one(), S::half());
