@@ -199,3 +199,156 @@ fn checksum(start: &[u8], payload: &[u8]) -> u32 {
     digest.update(payload);
     digest.finalize()
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use core::f64::consts::FRAC_PI_3;
+
+    use glam::{DVec2, DVec3};
+    use slitpose_model::{
+        Cell, DEFAULT_FAINT_A, Detector, Effects, Emitter, Noise, Plan, Pose, Profile, Scene, Slit, Tier,
+    };
+    use slitpose_protocol::WordPair;
+
+    use super::*;
+    use crate::pcb::{default_configuration, default_scaling};
+
+    /// Photocurrent of a step of a word.
+    const STEP_A: f64 = -0.62e-9;
+
+    /// Six cells in a ring of 25 mm, rolled by 45° one way and the other.
+    pub(in crate::pose) fn scene() -> Scene {
+        let cell = |k: u8| {
+            let (out, along) = (
+                DVec3::new((FRAC_PI_3 * f64::from(k)).cos(), (FRAC_PI_3 * f64::from(k)).sin(), 0.0),
+                DVec3::new(-(FRAC_PI_3 * f64::from(k)).sin(), (FRAC_PI_3 * f64::from(k)).cos(), 0.0),
+            );
+            let up = if k % 2 == 0 { DVec3::Z } else { -DVec3::Z };
+            Cell {
+                detector: Detector {
+                    centre_base_m: 25e-3 * out,
+                    x_axis_base: (along + up).normalize(),
+                    normal_base: -out,
+                    length_m: 12e-3,
+                    width_m: 1e-3,
+                    responsivity_a_per_w: 0.54,
+                    dark_current_a: 0.0,
+                    interelectrode_ohm: None,
+                    saturation_a: None,
+                    faint_a: DEFAULT_FAINT_A,
+                },
+                slit: Slit {
+                    distance_m: 5e-3,
+                    width_m: 0.6e-3,
+                    length_m: 10e-3,
+                    offset_m: DVec2::ZERO,
+                    tilt_rad: DVec3::ZERO,
+                    thickness_m: 0.0,
+                },
+                emitter: Emitter {
+                    position_tool_m: 10e-3 * out,
+                    axis_tool: out,
+                    radiant_intensity_w_per_sr: 3.16e-3,
+                    profile: Profile::Cosine { exponent: 1.25 },
+                },
+                effects: Effects::default(),
+            }
+        };
+        let noise = Noise { shot_bandwidth_hz: 1e5, johnson_bandwidth_hz: 1e5, temperature_k: 300.0, adc_a: 2e-9 };
+        Scene { cells: (0..6).map(cell).collect(), noise: Some(noise), ..Scene::default() }
+    }
+
+    pub(in crate::pose) fn head() -> Head {
+        let solver = HeadSolver::compact(&scene()).expect("fits").with_exposures(&[1e-5, 2e-5, 3e-5, 1e-5, 2e-5, 3e-5]);
+        let stage = CellStage { amperes_per_word: STEP_A as f32, zero_word: 16_000.0 };
+        let readout = Readout {
+            hashes: Hashes { scene: Some(1), calibration: None },
+            schedule: default_configuration().schedule,
+            scaling: default_scaling(),
+            stages: [stage; 6].into_iter().collect(),
+        };
+        Head { readout, solver }
+    }
+
+    /// What the converters give with the tool at rest at `pose`.
+    pub(in crate::pose) fn scan(pose: &Pose, sequence: u64) -> RawScan {
+        let plan = Plan::<f64>::compile(&scene(), Tier::Exact { tolerance: 1e-6 }).expect("valid");
+        let mut scan = RawScan::new(6, true);
+        (scan.sequence, scan.tick) = (sequence, 42_500 * sequence);
+        scan.levels_mut().fill(Level::NOMINAL);
+        scan.dark_mut().expect("dark words").fill([16_124; 2]);
+        for (cell, words) in scan.lit_mut().iter_mut().enumerate() {
+            let pair = plan.photocurrents(cell, pose);
+            *words = [pair.i_x1_a, pair.i_x2_a].map(|current| (16_124.0 + current / STEP_A).round() as u16);
+        }
+        scan
+    }
+
+    fn bytes() -> std::vec::Vec<u8> {
+        head().encode(&mut [0; HEAD_BYTES]).expect("room").to_vec()
+    }
+
+    #[test]
+    fn a_head_is_read_as_it_was_written() {
+        let bytes = bytes();
+        let read = Head::decode(&bytes).expect("whole");
+        assert_eq!(read.encode(&mut [0; HEAD_BYTES]).expect("room"), bytes);
+        assert_eq!(read.readout.hashes, head().readout.hashes);
+        // What follows in the memory is of no interest.
+        let followed = [&bytes[..], &[0xff; 9]].concat();
+        assert!(Head::decode(&followed).is_ok());
+    }
+
+    #[test]
+    fn a_flipped_bit_and_a_missing_end_are_noticed_everywhere() {
+        let whole = bytes();
+        for at in 0..whole.len() {
+            let mut flipped = whole.clone();
+            flipped[at] ^= 1 << (at % 8);
+            assert!(Head::decode(&flipped).is_err(), "byte {at}");
+            assert_eq!(Head::decode(&whole[..at]).err(), Some(HeadError::Damaged), "{at} bytes");
+        }
+    }
+
+    #[test]
+    fn heads_of_other_versions_are_told_apart_from_damage() {
+        let mut other = bytes();
+        other[4] += 1;
+        let (length, version) = (u16::from_le_bytes([other[6], other[7]]), VERSION + 1);
+        let sum = checksum(&other[4..8], &other[HEADER_BYTES..HEADER_BYTES + usize::from(length)]);
+        other[8..12].copy_from_slice(&sum.to_le_bytes());
+        assert_eq!(Head::decode(&other).err(), Some(HeadError::Version { theirs: version }));
+    }
+
+    #[test]
+    fn words_become_currents_at_nominal_drive() {
+        let readout = head().readout;
+        let mut scan = RawScan::new(6, true);
+        scan.levels_mut().copy_from_slice(&[
+            Level::NOMINAL,
+            Level(0x4000),
+            Level(0),
+            Level::NOMINAL,
+            Level::NOMINAL,
+            Level::NOMINAL,
+        ]);
+        let words: [WordPair; 6] =
+            [[15_000, 14_000], [15_000, 14_000], [15_000; 2], [128, 15_000], [129, 15_000], [16_200; 2]];
+        scan.lit_mut().copy_from_slice(&words);
+        scan.dark_mut().expect("dark words").fill([16_000, 16_100]);
+        let cells = readout.photocurrents(&scan).cells;
+        let light = |first: f32, second: f32| Reading::Light(Pair { i_x1_a: first, i_x2_a: second });
+        let step = STEP_A as f32;
+        assert_eq!(cells[0], light(-1_000.0 * step, -2_100.0 * step));
+        // Driven at half: twice the current at nominal drive.
+        assert_eq!(cells[1], light(-1_000.0 * (step * 2.0), -2_100.0 * (step * 2.0)));
+        assert_eq!(cells[2], Reading::Missing);
+        // 32 codes of four conversions.
+        assert_eq!((cells[3], cells[4]), (Reading::Saturated, light(-15_871.0 * step, -1_100.0 * step)));
+        assert_eq!(cells[5], light(200.0 * step, 100.0 * step));
+        let mut without_dark = RawScan::new(6, false);
+        without_dark.levels_mut().fill(Level::NOMINAL);
+        without_dark.lit_mut().fill([15_000; 2]);
+        assert_eq!(readout.photocurrents(&without_dark).cells[0], light(-1_000.0 * step, -1_000.0 * step));
+    }
+}

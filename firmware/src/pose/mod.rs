@@ -247,3 +247,97 @@ fn triangle(matrix: &[[f32; 6]; 6]) -> [f32; TRIANGLE] {
     triangle.iter_mut().zip(elements).for_each(|(place, &element)| *place = element);
     triangle
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use slitpose_model::Pose;
+    use slitpose_protocol::HEAD_PART_BYTES;
+
+    use super::head::tests::{head, scan};
+    use super::*;
+    use crate::pcb::default_configuration;
+
+    fn parts(bytes: &[u8]) -> impl Iterator<Item = HeadPart> + '_ {
+        bytes.chunks(HEAD_PART_BYTES).enumerate().map(|(index, part)| HeadPart {
+            offset: (index * HEAD_PART_BYTES) as u16,
+            total: bytes.len() as u16,
+            bytes: part.iter().copied().collect(),
+        })
+    }
+
+    fn poser() -> (Poser, std::vec::Vec<u8>) {
+        let schedule = default_configuration().schedule;
+        let mut poser = Poser::new();
+        let bytes = head().encode(&mut [0; HEAD_BYTES]).expect("room").to_vec();
+        let taken: std::vec::Vec<_> = parts(&bytes).map(|part| poser.take_part(&part, &schedule)).collect();
+        assert!(taken[..taken.len() - 1].iter().all(|part| *part == Ok(false)), "{taken:?}");
+        assert_eq!(taken.last(), Some(&Ok(true)));
+        assert!(poser.is_at_work());
+        (poser, bytes)
+    }
+
+    #[test]
+    fn parts_out_of_order_and_damaged_heads_leave_the_head_before_in_force() {
+        let schedule = default_configuration().schedule;
+        let (mut poser, mut bytes) = poser();
+        let malformed = Err(Rejection::Malformed { kind: HEAD_KIND });
+        assert_eq!(slitpose_protocol::schema::COMMANDS[HEAD_KIND as usize].name, "Head");
+        let mut all = parts(&bytes);
+        assert_eq!(all.nth(1).map(|part| poser.take_part(&part, &schedule)), Some(malformed));
+        drop(all);
+        bytes[99] ^= 4;
+        assert_eq!(parts(&bytes).map(|part| poser.take_part(&part, &schedule)).last(), Some(malformed));
+        assert!(poser.is_at_work());
+        // More than it may be.
+        let long = HeadPart { offset: 0, total: 2, bytes: [0; 3].into_iter().collect() };
+        assert_eq!(poser.take_part(&long, &schedule), malformed);
+        let none = HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() };
+        assert_eq!(poser.take_part(&none, &schedule), Ok(true));
+        assert!(!poser.is_at_work() && !poser.is_unfit());
+    }
+
+    #[test]
+    fn a_head_serves_any_frame_rate_but_no_other_slots() {
+        let (mut poser, _) = poser();
+        let mut schedule = default_configuration().schedule;
+        schedule.frame_ticks *= 3;
+        poser.configure(1, &schedule);
+        assert!(poser.is_at_work());
+        schedule.slot_ticks += 1;
+        poser.configure(2, &schedule);
+        assert!(!poser.is_at_work() && poser.is_unfit());
+    }
+
+    #[test]
+    fn scans_that_come_too_fast_cost_the_oldest_and_are_counted() {
+        let (mut poser, _) = poser();
+        let home = scan(&Pose::HOME, 0);
+        for sequence in 0..WAITING as u64 + 2 {
+            let mut next = home;
+            next.sequence = sequence;
+            poser.take(&next);
+        }
+        assert_eq!((poser.missed, poser.waiting.front().map(|scan| scan.sequence)), (2, Some(2)));
+    }
+
+    #[test]
+    fn a_tool_is_found_and_followed() {
+        let (mut poser, _) = poser();
+        let at = |sequence: u64| {
+            let share = sequence as f64 * 1e-3;
+            Pose::from_vectors(DVec3::new(1e-3, share * 1e-3, -0.5e-3), DVec3::new(0.02, 0.0, share * 0.05))
+        };
+        for sequence in 0..60 {
+            let solved = poser.solver.solve(&scan(&at(sequence), sequence)).expect("a head");
+            assert_eq!(solved.record.status, PoseStatus::Converged, "frame {sequence}");
+            let truth = at(sequence).translation_m;
+            let off =
+                (0..3).map(|i| (f64::from(solved.record.translation_m[i]) - truth[i]).powi(2)).sum::<f64>().sqrt();
+            // Words are whole numbers: half a step of 0.6 nA of some microamperes is a micrometre.
+            assert!(off < 3e-6, "frame {sequence}: {off}");
+            let covariance = solved.covariance.expect("a pose");
+            assert!(covariance[0] > 0.0 && covariance[20] > 0.0);
+        }
+    }
+}

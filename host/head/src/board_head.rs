@@ -27,3 +27,83 @@ pub fn compile(
     let readout = Readout { hashes, schedule: schedule.clone(), scaling: *scaling, stages: stages.collect() };
     Ok(Head { readout, solver })
 }
+
+#[cfg(test)]
+mod tests {
+    use slitpose_firmware::pose::HEAD_BYTES;
+    use slitpose_model::Tier;
+    use slitpose_protocol::{
+        Command, Decoder, HEAD_PART_BYTES, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord,
+        Request, Stream, Truth, encode,
+    };
+
+    use super::*;
+    use crate::scene_file::WIDE;
+    use crate::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+
+    fn send(board: &mut SimulatedBoard, command: Command) {
+        board.write(encode(&Request { number: 1, command }, &mut [0; MAX_REQUEST_BYTES]).expect("fits"));
+    }
+
+    /// A simulated board is a board: with a head it solves poses, and sends what it is asked for.
+    #[test]
+    fn a_simulated_board_solves_its_scans() {
+        let file = WIDE.read().expect("shipped");
+        let smooth = Trajectory::of_kind(TrajectoryKind::Smooth, 5, 1.0);
+        let mut board = SimulatedBoard::new(&file, smooth, Tier::Exact { tolerance: 1e-6 }, 5).expect("runs");
+        let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+        let mut bytes = Vec::new();
+        board.transmit(&mut bytes);
+        let mut hello = None;
+        let mut rest = &bytes[..];
+        while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
+            if let Ok(Message::Hello(said)) = message {
+                hello = Some((said.schedule, said.scaling));
+            }
+        }
+        let (schedule, scaling) = hello.expect("said at once");
+        let head = compile(&file, &schedule, &scaling, Hashes::default()).expect("slits and cosines");
+        let mut room = [0; HEAD_BYTES];
+        let whole = head.encode(&mut room).expect("six cells fit");
+        for (index, part) in whole.chunks(HEAD_PART_BYTES).enumerate() {
+            let (offset, total) = ((index * HEAD_PART_BYTES) as u16, whole.len() as u16);
+            send(&mut board, Command::Head(HeadPart { offset, total, bytes: part.iter().copied().collect() }));
+        }
+        send(&mut board, Command::Stream(Stream { scans: false, poses: true }));
+        send(&mut board, Command::Start);
+        bytes.clear();
+        (0..400).for_each(|_| board.step(&mut bytes));
+        let (mut truths, mut poses) = (Vec::<Truth>::new(), Vec::<(u64, PoseRecord)>::new());
+        let mut rest = &bytes[..];
+        while let Some(message) = decoder.next::<Message<'_>>(&mut rest) {
+            match message.expect("undamaged") {
+                Message::Truth(truth) => truths.push(truth),
+                Message::Poses(found) => {
+                    assert_eq!(found.missed, 0);
+                    poses.extend(found.iter(schedule.frame_ticks).map(|(sequence, _, record)| (sequence, record)));
+                }
+                Message::Batch(_) => panic!("scans were not asked for"),
+                _ => {}
+            }
+        }
+        assert!(poses.len() > 380, "{}", poses.len());
+        for (sequence, record) in &poses {
+            let truth = truths.iter().find(|truth| truth.sequence == *sequence).expect("of every scan");
+            let off =
+                (0..3).map(|i| (f64::from(record.translation_m[i]) - truth.translation_m[i]).powi(2)).sum::<f64>();
+            // σ is 2 µm; of the first frames, whose motion is unknown, up to 25.
+            assert!(off.sqrt() < if *sequence < 8 { 150e-6 } else { 15e-6 }, "frame {sequence}: {}", off.sqrt());
+        }
+    }
+
+    #[test]
+    fn what_the_board_does_not_compute_is_named() {
+        let mut file = WIDE.read().expect("shipped");
+        let configuration = slitpose_firmware::pcb::default_configuration();
+        file.scene.cells[3].slit.thickness_m = 0.1e-3;
+        let refused =
+            compile(&file, &configuration.schedule, &slitpose_firmware::pcb::default_scaling(), Hashes::default());
+        let text = refused.expect_err("a thick mask").to_string();
+        assert!(text.contains("cell 3") && text.contains("thick mask"), "{text}");
+    }
+}
