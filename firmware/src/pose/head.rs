@@ -223,7 +223,7 @@ pub(super) mod tests {
                 DVec3::new((FRAC_PI_3 * f64::from(k)).cos(), (FRAC_PI_3 * f64::from(k)).sin(), 0.0),
                 DVec3::new(-(FRAC_PI_3 * f64::from(k)).sin(), (FRAC_PI_3 * f64::from(k)).cos(), 0.0),
             );
-            let up = if k % 2 == 0 { DVec3::Z } else { -DVec3::Z };
+            let up = if k.is_multiple_of(2) { DVec3::Z } else { -DVec3::Z };
             Cell {
                 detector: Detector {
                     centre_base_m: 25e-3 * out,
