@@ -196,7 +196,11 @@ fn cases() -> Vec<Case> {
         Case { hellos: 1, while_storing: storing, ..Case::of("Store", Command::Store(hashes)) },
         Case { hellos: 1, while_storing: storing, ..Case::of("Forget", Command::Forget) },
         Case::raw("unknown kind", &payload(11, &[]), Rejection::Unsupported { kind: 11 }),
-        Case::raw("a head, to a board that solves no poses", &payload(9, &[0, 0, 0]), Rejection::Unsupported { kind: 9 }),
+        Case::raw(
+            "a head, to a board that solves no poses",
+            &payload(9, &[0, 0, 0]),
+            Rejection::Unsupported { kind: 9 },
+        ),
         Case::raw("Start with more behind", &payload(1, &[0]), Rejection::Malformed { kind: 1 }),
         Case::raw("Ping without its token", &payload(4, &[]), Rejection::Malformed { kind: 4 }),
         Case::raw("Reboot to nowhere", &payload(8, &[7]), Rejection::Malformed { kind: 8 }),
