@@ -72,6 +72,17 @@ pub struct HeadPart {
     pub bytes: Vec<u8, HEAD_PART_BYTES>,
 }
 
+impl HeadPart {
+    /// The parts of a whole head, in order.
+    pub fn all(head: &[u8]) -> impl Iterator<Item = Self> + '_ {
+        head.chunks(HEAD_PART_BYTES).enumerate().map(|(index, part)| Self {
+            offset: (index * HEAD_PART_BYTES) as u16,
+            total: head.len() as u16,
+            bytes: part.iter().copied().collect(),
+        })
+    }
+}
+
 /// What a board sends of each scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stream {
@@ -79,13 +90,6 @@ pub struct Stream {
     pub scans: bool,
     /// Its pose, if the board has a head.
     pub poses: bool,
-}
-
-impl Default for Stream {
-    /// Whatever the board has.
-    fn default() -> Self {
-        Self { scans: true, poses: true }
-    }
 }
 
 /// Hashes of the scene and calibration that a board belongs to. The board only stores

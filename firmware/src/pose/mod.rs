@@ -207,8 +207,8 @@ impl Poser {
     pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
         if let Some(poses) = self.batch.poses(self.configuration, self.missed) {
             outbox.push_poses(poses);
+            self.batch.clear();
         }
-        self.batch.clear();
     }
 
     /// Whether poses are sent.
@@ -252,25 +252,16 @@ fn triangle(matrix: &[[f32; 6]; 6]) -> [f32; TRIANGLE] {
 mod tests {
     use glam::DVec3;
     use slitpose_model::Pose;
-    use slitpose_protocol::HEAD_PART_BYTES;
 
     use super::head::tests::{head, scan};
     use super::*;
     use crate::pcb::default_configuration;
 
-    fn parts(bytes: &[u8]) -> impl Iterator<Item = HeadPart> + '_ {
-        bytes.chunks(HEAD_PART_BYTES).enumerate().map(|(index, part)| HeadPart {
-            offset: (index * HEAD_PART_BYTES) as u16,
-            total: bytes.len() as u16,
-            bytes: part.iter().copied().collect(),
-        })
-    }
-
     fn poser() -> (Poser, std::vec::Vec<u8>) {
         let schedule = default_configuration().schedule;
         let mut poser = Poser::new();
         let bytes = head().encode(&mut [0; HEAD_BYTES]).expect("room").to_vec();
-        let taken: std::vec::Vec<_> = parts(&bytes).map(|part| poser.take_part(&part, &schedule)).collect();
+        let taken: std::vec::Vec<_> = HeadPart::all(&bytes).map(|part| poser.take_part(&part, &schedule)).collect();
         assert!(taken[..taken.len() - 1].iter().all(|part| *part == Ok(false)), "{taken:?}");
         assert_eq!(taken.last(), Some(&Ok(true)));
         assert!(poser.is_at_work());
@@ -283,11 +274,11 @@ mod tests {
         let (mut poser, mut bytes) = poser();
         let malformed = Err(Rejection::Malformed { kind: HEAD_KIND });
         assert_eq!(slitpose_protocol::schema::COMMANDS[HEAD_KIND as usize].name, "Head");
-        let mut all = parts(&bytes);
+        let mut all = HeadPart::all(&bytes);
         assert_eq!(all.nth(1).map(|part| poser.take_part(&part, &schedule)), Some(malformed));
         drop(all);
         bytes[99] ^= 4;
-        assert_eq!(parts(&bytes).map(|part| poser.take_part(&part, &schedule)).last(), Some(malformed));
+        assert_eq!(HeadPart::all(&bytes).map(|part| poser.take_part(&part, &schedule)).last(), Some(malformed));
         assert!(poser.is_at_work());
         // More than it may be.
         let long = HeadPart { offset: 0, total: 2, bytes: [0; 3].into_iter().collect() };

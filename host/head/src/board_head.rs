@@ -33,8 +33,8 @@ mod tests {
     use slitpose_firmware::pose::HEAD_BYTES;
     use slitpose_model::Tier;
     use slitpose_protocol::{
-        Command, Decoder, HEAD_PART_BYTES, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord,
-        Request, Stream, Truth, encode,
+        Command, Decoder, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord, Request, Stream, Truth,
+        encode,
     };
 
     use super::*;
@@ -65,10 +65,7 @@ mod tests {
         let head = compile(&file, &schedule, &scaling, Hashes::default()).expect("slits and cosines");
         let mut room = [0; HEAD_BYTES];
         let whole = head.encode(&mut room).expect("six cells fit");
-        for (index, part) in whole.chunks(HEAD_PART_BYTES).enumerate() {
-            let (offset, total) = ((index * HEAD_PART_BYTES) as u16, whole.len() as u16);
-            send(&mut board, Command::Head(HeadPart { offset, total, bytes: part.iter().copied().collect() }));
-        }
+        HeadPart::all(whole).for_each(|part| send(&mut board, Command::Head(part)));
         send(&mut board, Command::Stream(Stream { scans: false, poses: true }));
         send(&mut board, Command::Start);
         bytes.clear();

@@ -24,19 +24,25 @@ use crate::rectangle::{Rectangle, RectangleLight};
 use crate::response::Integration;
 use crate::scalar::{Linear3, Scalar};
 
-/// Whether the whole spot lies behind the emitter's horizon: u·d, linear over the spot, is nowhere
-/// positive.
+/// u·d at the middle of the spot, and by how much it is more or less at a corner: it is linear over the spot.
+#[inline(always)]
+fn along_axis<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> (S, S) {
+    let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
+    (axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height, slopes)
+}
+
+/// Whether the whole spot lies behind the emitter's horizon: u·d is nowhere positive.
 #[inline(always)]
 pub(crate) fn faces_away<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
-    let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
-    axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height + slopes <= S::zero()
+    let (middle, slopes) = along_axis(spot, axis);
+    middle + slopes <= S::zero()
 }
 
 /// Whether no part of the spot lies behind the emitter's horizon.
 #[inline(always)]
 pub(crate) fn is_wholly_in_front<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> bool {
-    let slopes = (axis.x() * spot.x.half).abs() + (axis.y() * spot.y.half).abs();
-    axis.x() * spot.x.middle + axis.y() * spot.y.middle - axis.z() * spot.height > slopes
+    let (middle, slopes) = along_axis(spot, axis);
+    middle > slopes
 }
 
 /// Power and centroid of a rectangular spot by one tensor rule, and the rule's number of nodes; `None`

@@ -2,9 +2,9 @@
 //!
 //! The rule is that of the exact tier, power and power-weighted centroid by Gauss–Legendre nodes on the spot, but two by
 //! two of them everywhere: of spots as narrow as those of the shipped scenes it errs by some 10⁻⁵. What other cells have
-//! (thick masks, slits turned against their detector, tabulated profiles, effects) has no place in it, and no code. Derivatives are
-//! those of the middle of the spot, right to some 10⁻³: of a step of a σ that is nothing, and longer ones are followed by
-//! another.
+//! (thick masks, slits turned against their detector, tabulated profiles, effects) has no place in it, and no code.
+//! Derivatives are those of the middle of the spot, right to some 10⁻³: of a step of a σ that is nothing, and longer
+//! ones are followed by another.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use crate::exact;
 use crate::pose::{Pose, Transform};
 use crate::power::Power;
 use crate::rectangle::{Rectangle, Visibility};
-use crate::scalar::Scalar;
+use crate::scalar::{Linear3, Scalar};
 
 use super::optics::{Instant, Light, Place, Receiver, Seen, Source, of_sides};
 use super::{CellTerms, CompiledCell, Optics, Plan};
@@ -38,16 +38,15 @@ pub(crate) struct CompactCell<S: Scalar> {
 }
 
 impl<S: Scalar> CompactPlan<S> {
-    /// The cells of `plan`; `None` if there are more than [`BOARD_CELLS`] of them, or one is of another kind.
-    pub(crate) fn of(plan: &Plan<S>) -> Option<Self> {
-        if plan.cells.len() > BOARD_CELLS {
-            return None;
-        }
-        Some(Self { cells: plan.cells.iter().map(CompactCell::of).collect::<Option<_>>()? })
+    /// The cells of `plan`, [`BOARD_CELLS`] at most.
+    ///
+    /// # Errors
+    /// The first cell that has no place in a compact plan, and what it has.
+    pub(crate) fn of(plan: &Plan<S>) -> Result<Self, (usize, &'static str)> {
+        let cell = |(index, cell)| CompactCell::of(cell).map_err(|what| (index, what));
+        Ok(Self { cells: plan.cells.iter().enumerate().map(cell).collect::<Result<_, _>>()? })
     }
-}
 
-impl<S: Scalar> CompactPlan<S> {
     /// The currents of all cells with the tool at rest at `pose`.
     pub(crate) fn currents_at(&self, pose: &Pose) -> Vec<[S; 2], BOARD_CELLS> {
         let pose = &Transform::of(pose);
@@ -65,29 +64,18 @@ impl<S: Scalar> CompactPlan<S> {
     }
 }
 
-impl<S: Scalar> Plan<S> {
-    /// The first cell that has no place in a compact plan, and what it has.
-    pub(crate) fn not_compact(&self) -> Option<(usize, &'static str)> {
-        self.cells.iter().enumerate().find_map(|(index, cell)| {
-            let what = match &cell.aperture {
-                Aperture::Turned(_) => "a slit that is turned against its detector",
-                Aperture::Imperfect(_) => "effects",
-                Aperture::Thick(..) => "a thick mask",
-                Aperture::Thin(_) if cell.emitter.profile.as_power().is_none() => {
-                    "an emitter whose profile is no power of the cosine"
-                }
-                Aperture::Thin(_) => return None,
-            };
-            Some((index, what))
-        })
-    }
-}
-
 impl<S: Scalar> CompactCell<S> {
-    fn of(cell: &CompiledCell<S>) -> Option<Self> {
-        let Aperture::Thin(face) = cell.aperture else { return None };
-        let profile = cell.emitter.profile.as_power()?.clone();
-        Some(Self { receiver: cell.receiver.clone(), face, source: cell.emitter.source.clone(), profile })
+    /// The same cell, or what it has that has no place here.
+    fn of(cell: &CompiledCell<S>) -> Result<Self, &'static str> {
+        let face = match &cell.aperture {
+            Aperture::Thin(face) => *face,
+            Aperture::Thick(..) => return Err("a thick mask"),
+            Aperture::Turned(_) => return Err("a slit that is turned against its detector"),
+            Aperture::Imperfect(_) => return Err("effects"),
+        };
+        let profile = cell.emitter.profile.as_power().ok_or("an emitter whose profile is no power of the cosine")?;
+        let (receiver, source) = (cell.receiver.clone(), cell.emitter.source.clone());
+        Ok(Self { receiver, face, source, profile: profile.clone() })
     }
 
     /// The emitter at the exposure of cell number `index`.
@@ -104,7 +92,6 @@ impl<S: Scalar> CompactCell<S> {
     /// The light of the cell's emitter; `None` without a spot, or if part of it is beyond the emitter's horizon.
     #[inline(always)]
     fn light<const GRADIENT: bool>(&self, seen: &Seen<S>) -> (Option<Light<S>>, Visibility<S>) {
-        use crate::scalar::Linear3;
         let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
         let (spot, visibility) = Rectangle::of_beam([self.face], emitter, self.receiver.half);
         if !visibility.status(0).has_spot() || !exact::is_wholly_in_front(&spot, seen.axis) {

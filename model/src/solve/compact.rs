@@ -90,16 +90,14 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         if scene.cells.len() > BOARD_CELLS {
             return Err(CompactError::Cells { cells: scene.cells.len(), most: BOARD_CELLS });
         }
+        let other_kind = |(cell, what)| CompactError::Kind { cell, what };
         let truth = Plan::<f64>::compile(scene, Tier::Exact { tolerance: TRUE_TOLERANCE })?;
-        if let Some((cell, what)) = truth.not_compact() {
-            return Err(CompactError::Kind { cell, what });
-        }
-        let error = CompactPlan::<f64>::of(&truth).map_or(f64::INFINITY, |plan| worst_error(&plan, &truth));
+        let error = worst_error(&CompactPlan::of(&truth).map_err(other_kind)?, &truth);
         if error > TOLERANCE {
             return Err(CompactError::Spots { error });
         }
         let Solver { compiled, max_steps } = Solver::<S>::new(scene, Tier::Exact { tolerance: TOLERANCE })?;
-        let Some(plan) = CompactPlan::of(&compiled.plan) else { return Err(CompactError::Spots { error }) };
+        let plan = CompactPlan::of(&compiled.plan).map_err(other_kind)?;
         Ok(Self { compiled: compiled.with_plan(plan), max_steps })
     }
 

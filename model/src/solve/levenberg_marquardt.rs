@@ -124,41 +124,34 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
         let at = self.linearise(&start, whiteners, workspace);
-        self.minimum_in_one_step(&start, &at, stopping, workspace)
-            .unwrap_or_else(|| self.descend(start, at, whiteners, stopping, workspace))
-    }
-
-    /// The minimum, if one step from `pose`, where the normal equations are `at`, leads there. Apart, because it is how
-    /// most end where the tool is expected, and a board has little room for fast code.
-    #[inline(always)]
-    fn minimum_in_one_step(
-        &self,
-        pose: &Transform<S>,
-        at: &NormalEquations<S>,
-        stopping: Stopping<S>,
-        workspace: &Workspace<S>,
-    ) -> Option<Minimum<S>> {
-        if stopping.max_iterations == 0 || workspace.work == 0 {
-            return None;
+        // Apart from what follows, because most end here where the tool is expected, and a board has little room for
+        // fast code.
+        let first =
+            if stopping.max_iterations > 0 && workspace.work > 0 { self.step(&at, S::zero(), workspace) } else { None };
+        if let Some(step) = first.as_ref().filter(|step| !step.is_by_qr && step.is_finite())
+            && self.reach(step, (&start, &at), 1, stopping, workspace).is_last
+        {
+            return self.end_of(step, self.moved(&start, &step.step), &at, 1);
         }
-        let step = self.step(at, S::zero(), workspace).filter(|step| !step.is_by_qr && step.is_finite())?;
-        let reach = self.reach(&step, (pose, at), 1, stopping, workspace);
-        reach.is_last.then(|| Minimum {
-            pose: self.moved(pose, &step.step),
-            chi2: (at.chi2 - step.predicted_reduction).max(S::zero()),
-            factor: Some(step.factor),
-            iterations: 1,
-            converged: true,
-        })
+        self.descend(start, at, first, whiteners, stopping, workspace)
     }
 
-    /// The minimum of χ² that is reached in steps from `pose`, where the normal equations are `at`.
+    /// The minimum at `end`, where the undamped `step` from where the normal equations are `at` has led.
+    #[inline(always)]
+    fn end_of(&self, step: &Step<S>, end: Transform<S>, at: &NormalEquations<S>, iterations: usize) -> Minimum<S> {
+        let chi2 = (at.chi2 - step.predicted_reduction).max(S::zero());
+        Minimum { pose: end, chi2, factor: Some(step.factor), iterations, converged: true }
+    }
+
+    /// The minimum of χ² that is reached in steps from `pose`, where the normal equations are `at`, and the `first` of
+    /// them is known.
     #[cold]
     #[inline(never)]
     fn descend(
         &self,
         mut pose: Transform<S>,
         mut at: NormalEquations<S>,
+        mut first: Option<Step<S>>,
         whiteners: &Whiteners<S>,
         stopping: Stopping<S>,
         workspace: &mut Workspace<S>,
@@ -167,7 +160,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         let mut iterations = 0;
         let mut converged = false;
         while iterations < stopping.max_iterations && damping < S::of(STUCK) && workspace.work > 0 {
-            let proposed = self.step(&at, damping, workspace);
+            let proposed = first.take().or_else(|| self.step(&at, damping, workspace));
             let Some(step) = proposed.as_ref().filter(|step| step.is_finite()) else {
                 damping = raised(damping);
                 continue;
@@ -180,11 +173,11 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             let trial = self.moved(&pose, &step.step);
             let is_hardly_damped = damping <= S::of(FIRST_DAMPING);
             if reach.is_last && is_hardly_damped {
-                let chi2 = (at.chi2 - step.predicted_reduction).max(S::zero());
+                let minimum = self.end_of(step, trial, &at, iterations);
                 if damping == S::zero() {
-                    return Minimum { pose: trial, chi2, factor: Some(step.factor), iterations, converged: true };
+                    return minimum;
                 }
-                (pose, at.chi2, converged) = (trial, chi2, true);
+                (pose, at.chi2, converged) = (minimum.pose, minimum.chi2, true);
                 break;
             }
             if is_hardly_damped && iterations < stopping.max_iterations && is_reusable(step, reach) {

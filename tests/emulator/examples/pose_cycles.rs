@@ -54,7 +54,7 @@ fn main() {
         }
     }
     let spent = rig.machine().awake_ticks() - awake;
-    println!("stack {} bytes at most", 0x2001_8000 - rig.machine().cpu.min_sp());
+    println!("stack {} bytes at most", rig.stack_bytes());
     println!("load {:.1} %, {} cycles a frame", 100.0 * spent as f64 / (end - began) as f64, spent / FRAMES);
     println!("{:>8} {:>7}  function", "cycles", "calls");
     for function in profile.functions(&image).iter().take(FUNCTIONS) {

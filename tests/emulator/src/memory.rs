@@ -131,6 +131,11 @@ impl FlashArray {
         self.torn.contains(&(offset & !(DOUBLE_WORD_BYTES - 1)))
     }
 
+    /// Where the stack of the program begins: the first word of its vector table.
+    pub fn stack_start(&self) -> u32 {
+        self.double_word(0) as u32
+    }
+
     /// The double word at `offset` (a multiple of 8).
     pub fn double_word(&self, offset: usize) -> u64 {
         let bytes: [u8; 8] = self.bytes[offset..offset + DOUBLE_WORD_BYTES].try_into().expect("a slice of eight bytes");

@@ -7,13 +7,13 @@ use slitpose_firmware::pose::{HEAD_BYTES, Head};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, DELIMITER, HEAD_PART_BYTES, HeadPart, MAX_REQUEST_BYTES, Request, encode};
+use slitpose_protocol::{Command, DELIMITER, HeadPart, MAX_REQUEST_BYTES, Request, encode};
 use thiserror::Error;
 
 use crate::built::{self, StaleError};
 use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
-use crate::memory::{FlashArray, RAM_BASE, RAM_BYTES};
+use crate::memory::FlashArray;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::silicon::Silicon;
 use crate::world::{Flaw, Flaws, LOW_SUPPLY_V, NoiseSource, OpticsWorld, World, WorldError};
@@ -107,6 +107,8 @@ pub struct Rig<W = OpticsWorld> {
     machine: Machine<W>,
     link: Link,
     next_number: u16,
+    /// Where the program's stack begins.
+    stack_start: u32,
 }
 
 impl Rig {
@@ -158,10 +160,12 @@ impl<W: World> Rig<W> {
     pub fn power_on(image: &Image, world: W, silicon: Silicon) -> Self {
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
+        let stack_start = flash.stack_start();
         let mut rig = Self {
             machine: Machine::new(flash, world).with_silicon(silicon, SILICON_SEED),
             link: Link::Usb,
             next_number: 0,
+            stack_start,
         };
         while rig.machine.device_clock_origin().is_none() && rig.now() < BOOT_TICKS {
             if rig.machine.run_until(rig.now() + 100) != Stop::Reached {
@@ -255,9 +259,8 @@ impl<W: World> Rig<W> {
     pub fn send_head(&mut self, head: &Head) {
         let mut bytes = [0; HEAD_BYTES];
         let bytes = head.encode(&mut bytes).expect("a head of six cells fits");
-        for (index, part) in bytes.chunks(HEAD_PART_BYTES).enumerate() {
-            let (offset, total) = ((index * HEAD_PART_BYTES) as u16, bytes.len() as u16);
-            self.send(Command::Head(HeadPart { offset, total, bytes: part.iter().copied().collect() }));
+        for part in HeadPart::all(bytes) {
+            self.send(Command::Head(part));
             self.run_for(1e-3);
         }
     }
@@ -278,7 +281,7 @@ impl<W: World> Rig<W> {
 
     /// Deepest the stack has been since reset, in bytes.
     pub fn stack_bytes(&self) -> u32 {
-        (RAM_BASE + RAM_BYTES as u32).saturating_sub(self.machine.cpu.min_sp())
+        self.stack_start.saturating_sub(self.machine.cpu.min_sp())
     }
 
     /// What the program did against the controller's reference manual or the USB specification,

@@ -135,8 +135,7 @@ impl Stopwatch {
             image.symbols().find(|(name, _)| *name == MAILBOX_SYMBOL).ok_or(StopwatchError::NoMailbox)?;
         let mut flash = FlashArray::erased();
         image.load_into(&mut flash);
-        // The first word of the vector table.
-        let stack = flash.double_word(0) as u32;
+        let stack = flash.stack_start();
         let mut stopwatch = Self {
             machine: Machine::new(flash, Nothing),
             mailbox: mailbox.address,

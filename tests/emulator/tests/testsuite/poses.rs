@@ -2,6 +2,7 @@
 
 use crate::common::chain::Chain;
 use crate::common::silicon;
+use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_pose_image;
 use slitpose_emulator::world::NoiseSource;
@@ -133,6 +134,9 @@ fn every_frame_of_ten_seconds_is_solved_in_time() {
     }
     let status = chain.status.expect("twice a second");
     println!("load {load} per mille, {} poses, stack {} bytes", chain.poses.len(), chain.rig.stack_bytes());
+    let (stack, variables) =
+        (chain.rig.stack_bytes() as usize, open_pose_image().expect("an image").static_ram_bytes());
+    assert!(stack + variables <= RAM_BYTES - CCM_BYTES, "{stack} bytes of stack, {variables} of variables");
     assert!(chain.scans.is_empty(), "only poses are asked for");
     assert_eq!((chain.damaged, chain.missed, status.scans_lost), (0, 0, 0));
     assert!(chain.poses.len() >= 4_000 * seconds - 12, "{}", chain.poses.len());
