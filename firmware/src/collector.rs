@@ -1,6 +1,6 @@
 //! From finished scans to batches, and the counts of scans taken and lost.
 
-use slitpose_protocol::{BatchBuilder, HardwareFault, MAX_SCAN_BYTES, RawScan, Schedule};
+use slitpose_protocol::{BatchBuilder, HardwareFault, MAX_SCAN_BYTES, RawScan, Schedule, Stream};
 
 use crate::exposure::AutomaticExposure;
 use crate::hardware::{Acquisition, ScanError};
@@ -35,15 +35,15 @@ pub(crate) struct Collector {
     last_tick: Option<u64>,
     lost: u64,
     overruns: u32,
-    /// Whether scans are put into batches.
-    sends: bool,
+    /// Which scans are put into batches.
+    stream: Stream,
 }
 
 impl Collector {
     /// A collector without scans, prepared for scans of this configuration.
     pub fn new(configuration: u16, schedule: &Schedule) -> Self {
         let batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
-        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0, sends: true }
+        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0, stream: Stream::ALL }
     }
 
     /// Prepares the collector for scans of another configuration; the batch of the old one
@@ -103,9 +103,9 @@ impl Collector {
         self.batch.len() + self.batch.remaining()
     }
 
-    /// Whether scans are sent; the batch under way must have been flushed.
-    pub fn set_sends(&mut self, sends: bool) {
-        self.sends = sends;
+    /// Which scans are sent; the batch under way must have been flushed.
+    pub fn set_stream(&mut self, stream: Stream) {
+        self.stream = stream;
     }
 
     /// Scans the hardware has taken, by the highest sequence number so far.
@@ -139,7 +139,8 @@ impl Collector {
             return Err(HardwareFault::Counters);
         }
         self.last_tick = Some(self.scan.tick);
-        if !self.sends {
+        if !self.stream.has_scan(self.scan.sequence) {
+            self.flush(outbox);
             return Ok(());
         }
         if !self.batch.push(&self.scan) {

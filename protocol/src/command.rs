@@ -9,7 +9,7 @@ use heapless::Vec;
 use postcard::take_from_bytes;
 use serde::{Deserialize, Serialize};
 
-use crate::frame::{Packet, PayloadError};
+use crate::frame::{CRC, Packet, PayloadError};
 use crate::scan::Levels;
 use crate::schedule::Schedule;
 use crate::schema;
@@ -54,7 +54,7 @@ pub enum Command {
     Reboot(BootTarget),
     /// Take a part of the head that the board is to solve poses with; the last one ends it.
     Head(HeadPart),
-    /// Send scans, poses or both from now on, until the next reset.
+    /// Send these of the scans and poses from now on, until the next reset.
     Stream(Stream),
 }
 
@@ -83,13 +83,33 @@ impl HeadPart {
     }
 }
 
-/// What a board sends of each scan.
+/// Scans that a [sample](Stream::scans) holds: enough to learn how the tool moves, and then to judge poses.
+pub const SAMPLE_SCANS: u16 = 16;
+
+/// What a board sends of its scans and of the poses that it finds in them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stream {
-    /// Its words, in batches.
-    pub scans: bool,
-    /// Its pose, if the board has a head.
-    pub poses: bool,
+    /// Of this many consecutive scans the first [`SAMPLE_SCANS`] are sent: all, if it is no more than these; none, if
+    /// it is zero. They are counted from sequence number 0 on.
+    pub scans: u16,
+    /// Of this many consecutive poses one is sent, that of a scan whose number is a multiple; none, if it is zero.
+    pub poses: u8,
+}
+
+impl Stream {
+    /// All scans and all poses: what a board sends that has not been told otherwise.
+    pub const ALL: Self = Self { scans: 1, poses: 1 };
+
+    /// Whether scan number `sequence` is sent.
+    pub fn has_scan(self, sequence: u64) -> bool {
+        // A modulus of 32 bits is one instruction of the board's.
+        self.scans != 0 && sequence as u32 % u32::from(self.scans) < u32::from(SAMPLE_SCANS)
+    }
+
+    /// Whether the pose of scan number `sequence` is sent.
+    pub fn has_pose(self, sequence: u64) -> bool {
+        self.poses != 0 && (sequence as u32).is_multiple_of(u32::from(self.poses))
+    }
 }
 
 /// Hashes of the scene and calibration that a board belongs to. The board only stores
@@ -100,6 +120,17 @@ pub struct Hashes {
     pub scene: Option<u64>,
     /// Hash of the calibration; `None` without one.
     pub calibration: Option<u64>,
+}
+
+impl Hashes {
+    /// A number that tells heads apart: CRC-32/ISO-HDLC of both hashes, little endian, zero for none.
+    pub fn number(&self) -> u32 {
+        let mut digest = CRC.digest();
+        for hash in [self.scene, self.calibration] {
+            digest.update(&hash.unwrap_or(0).to_le_bytes());
+        }
+        digest.finalize()
+    }
 }
 
 /// The program that a board starts after a [`Reboot`](Command::Reboot).
@@ -145,5 +176,25 @@ impl<'p> Packet<'p> for Request {
             Ok((request, [])) => Ok(request),
             _ => Err(PayloadError::MalformedCommand { number, kind }),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sent(stream: Stream, scans: u64) -> (usize, usize) {
+        let count = |is_sent: &dyn Fn(u64) -> bool| (0..scans).filter(|&sequence| is_sent(sequence)).count();
+        (count(&|sequence| stream.has_scan(sequence)), count(&|sequence| stream.has_pose(sequence)))
+    }
+
+    #[test]
+    fn samples_begin_at_multiples_and_zero_is_none() {
+        assert_eq!(sent(Stream::ALL, 3_000), (3_000, 3_000));
+        assert_eq!(sent(Stream { scans: SAMPLE_SCANS, poses: 4 }, 3_000), (3_000, 750));
+        assert_eq!(sent(Stream { scans: 100, poses: 0 }, 3_000), (30 * usize::from(SAMPLE_SCANS), 0));
+        assert_eq!(sent(Stream { scans: 0, poses: 1 }, 3_000), (0, 3_000));
+        let sampled = Stream { scans: 100, poses: 0 };
+        assert!(sampled.has_scan(200) && sampled.has_scan(215) && !sampled.has_scan(216) && !sampled.has_scan(199));
     }
 }

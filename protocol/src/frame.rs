@@ -19,7 +19,7 @@ pub const MAX_MESSAGE_BYTES: usize = 1024;
 /// [`Configure`](crate::Command::Configure) of 16 cells in 17 slots, takes 140.
 pub const MAX_REQUEST_BYTES: usize = 160;
 
-static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+pub(crate) static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 const CRC_BYTES: usize = size_of::<u32>();
 
 /// The value of a packet: a [`Message`](crate::Message) or a

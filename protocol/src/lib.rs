@@ -86,9 +86,10 @@
 //! a quaternion x, y, z, w: the pose `base_from_tool` at the reference instant of that
 //! scan ([`Schedule::reference_ticks`]). Only simulators send it.
 //!
-//! **7 Poses**: `u16` configuration · `u64` sequence and `u64` tick of the first scan · `u32` scans
-//! missed · `?[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each
-//! ([`poses`]). Sent by boards that hold a head.
+//! **7 Poses**: `u16` configuration · `u64` sequence and `u64` tick of the first scan · `u8` scans
+//! from one pose to the next · `u32` scans missed · `u32` number of the head ([`Hashes::number`]) ·
+//! `?[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each ([`poses`]). Sent by
+//! boards that hold a head.
 //!
 //! # Host to board
 //! A payload is `u16` number of the command, chosen by the host, then one enum:
@@ -96,7 +97,8 @@
 //! enum exposure (0 fixed, 1 automatic) · **4 Ping**: `u32` token · **5 Identify**: `u8`
 //! seconds · **6 Store**: `?u64` scene hash, `?u64` calibration hash · **7 Forget** ·
 //! **8 Reboot**: enum target (0 firmware, 1 boot loader) · **9 Head**: `u16` offset, `u16` bytes of
-//! the whole, `list u8` bytes (128 at most) · **10 Stream**: `bool` scans, `bool` poses.
+//! the whole, `list u8` bytes (128 at most) · **10 Stream**: `u16` of how
+//! many scans the first 16 are sent, `u8` of how many poses one is sent, none if zero.
 //!
 //! Every command with a readable number gets one Reply, after all other messages it
 //! causes; a command of unknown kind gets rejection 0 (unsupported).
@@ -131,7 +133,8 @@
 //!     second u8}|Supply|Converters|Counters)|Storing|Storage))
 //! Pong:token u32,tick u64
 //! Truth:sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]
-//! Poses:configuration u16,sequence u64,tick u64,missed u32,covariance ?[f32;21],records bytes
+//! Poses:configuration u16,sequence u64,tick u64,every u8,missed u32,head u32,
+//!     covariance ?[f32;21],records bytes
 //! Hello:
 //! Start:
 //! Stop:
@@ -143,7 +146,7 @@
 //! Forget:
 //! Reboot:target(Firmware|BootLoader)
 //! Head:offset u16,total u16,bytes [u8;..128]
-//! Stream:scans bool,poses bool
+//! Stream:scans u16,poses u8
 //! ```
 //!
 //! # Example
@@ -217,7 +220,9 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 pub use batch::{Batch, BatchBuilder, BatchError, MAX_SCAN_BYTES, Scans};
-pub use command::{BootTarget, Command, Configuration, Exposure, HEAD_PART_BYTES, Hashes, HeadPart, Request, Stream};
+pub use command::{
+    BootTarget, Command, Configuration, Exposure, HEAD_PART_BYTES, Hashes, HeadPart, Request, SAMPLE_SCANS, Stream,
+};
 pub use decoder::{Decoder, DecoderCounters};
 pub use frame::{
     DELIMITER, EncodeError, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Packet, PayloadError, encode,

@@ -1,6 +1,6 @@
 //! Poses that the board has solved itself.
 //!
-//! A packet holds the poses of consecutive scans, one record each. Every [`COVARIANCE_PACKETS`]th packet also holds the
+//! A packet holds the poses of consecutive scans, or of every nth, one record each. Every [`COVARIANCE_PACKETS`]th packet also holds the
 //! covariance of the last pose: over some milliseconds it hardly changes.
 //!
 //! | byte of a record | is |
@@ -33,7 +33,7 @@ pub const READY_TICKS: u32 = 64;
 /// Elements of the lower triangle of a covariance, row by row.
 pub const TRIANGLE: usize = 21;
 
-/// Consecutive poses, as sent on the wire.
+/// Poses at equal distances, as sent on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Poses<'a> {
     /// Number of the configuration of their scans.
@@ -42,8 +42,12 @@ pub struct Poses<'a> {
     pub sequence: u64,
     /// Device tick of the first scan's frame start.
     pub tick: u64,
+    /// Scans from one pose to the next.
+    pub every: u8,
     /// Scans since the reset that were not solved, because a newer one had come meanwhile.
     pub missed: u32,
+    /// [Number](crate::Hashes::number) of the head that solved them.
+    pub head: u32,
     /// Covariance of the last pose: of (δt, δθ) in the base frame, m², m·rad, rad²; lower triangle, row by row.
     pub covariance: Option<[f32; TRIANGLE]>,
     /// The records, in the layout above.
@@ -58,6 +62,7 @@ impl<'a> Poses<'a> {
         PoseIter {
             sequence: self.sequence,
             tick: self.tick,
+            every: self.every,
             frame_ticks,
             records: self.records.chunks_exact(POSE_BYTES),
         }
@@ -69,6 +74,7 @@ impl<'a> Poses<'a> {
 pub struct PoseIter<'a> {
     sequence: u64,
     tick: u64,
+    every: u8,
     frame_ticks: u32,
     records: ChunksExact<'a, u8>,
 }
@@ -79,8 +85,9 @@ impl Iterator for PoseIter<'_> {
     fn next(&mut self) -> Option<Self::Item> {
         let record = PoseRecord::read(self.records.next()?.try_into().ok()?);
         let (sequence, tick) = (self.sequence, self.tick);
-        self.sequence = sequence.saturating_add(1);
-        self.tick = tick.saturating_add(self.frame_ticks.into());
+        let every = u64::from(self.every);
+        self.sequence = sequence.saturating_add(every);
+        self.tick = tick.saturating_add(every.saturating_mul(self.frame_ticks.into()));
         Some((sequence, tick, record))
     }
 }
@@ -188,6 +195,7 @@ impl PoseRecord {
 pub struct PosesBuilder<const BYTES: usize> {
     sequence: u64,
     tick: u64,
+    every: u8,
     covariance: Option<[f32; TRIANGLE]>,
     /// Packets since the last covariance.
     packets: u8,
@@ -196,7 +204,7 @@ pub struct PosesBuilder<const BYTES: usize> {
 
 impl<const BYTES: usize> Default for PosesBuilder<BYTES> {
     fn default() -> Self {
-        Self { sequence: 0, tick: 0, covariance: None, packets: 0, records: Vec::new() }
+        Self { sequence: 0, tick: 0, every: 1, covariance: None, packets: 0, records: Vec::new() }
     }
 }
 
@@ -222,7 +230,7 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
     ) -> bool {
         if self.records.is_empty() {
             (self.sequence, self.tick, self.covariance) = (sequence, tick, None);
-        } else if sequence != self.sequence + self.len() as u64 {
+        } else if sequence != self.sequence + u64::from(self.every) * self.len() as u64 {
             return false;
         }
         if self.records.extend_from_slice(&record.write()).is_err() {
@@ -234,17 +242,24 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
         true
     }
 
-    /// The packet of scans of configuration number `configuration`, with the count of scans that were `missed`; `None`
-    /// if there is no pose.
-    pub fn poses(&self, configuration: u16, missed: u32) -> Option<Poses<'_>> {
+    /// The packet of scans of configuration number `configuration`, with the count of scans that were `missed` and the
+    /// number of the `head`; `None` if there is no pose.
+    pub fn poses(&self, configuration: u16, missed: u32, head: u32) -> Option<Poses<'_>> {
         (!self.is_empty()).then_some(Poses {
             configuration,
             sequence: self.sequence,
             tick: self.tick,
+            every: self.every,
             missed,
+            head,
             covariance: self.covariance,
             records: &self.records,
         })
+    }
+
+    /// From now on of every `every`th scan; the packet under way must have been taken.
+    pub fn set_every(&mut self, every: u8) {
+        self.every = every;
     }
 
     /// Forgets all poses: the next packet begins.
@@ -287,13 +302,14 @@ mod tests {
     #[test]
     fn a_packet_holds_consecutive_poses_and_the_last_covariance() {
         let mut builder = PosesBuilder::<{ 2 * POSE_BYTES }>::default();
-        assert_eq!(builder.poses(1, 0), None);
+        assert_eq!(builder.poses(1, 0, 0), None);
         assert!(builder.push((7, 700), &record(PoseStatus::Converged), Some(&[1.0; TRIANGLE])));
         assert!(!builder.push((9, 900), &record(PoseStatus::Converged), None), "a gap");
         assert!(builder.push((8, 800), &record(PoseStatus::Diverged), None));
         assert!(!builder.push((9, 900), &record(PoseStatus::Converged), None), "no room");
-        let poses = builder.poses(3, 5).unwrap();
-        assert_eq!((poses.configuration, poses.missed, poses.covariance), (3, 5, Some([1.0; TRIANGLE])));
+        let poses = builder.poses(3, 5, 9).unwrap();
+        assert_eq!((poses.configuration, poses.missed, poses.head), (3, 5, 9));
+        assert_eq!(poses.covariance, Some([1.0; TRIANGLE]));
         let mut all = poses.iter(100);
         assert_eq!(all.next(), Some((7, 700, record(PoseStatus::Converged))));
         assert_eq!(all.next(), Some((8, 800, record(PoseStatus::Diverged))));
@@ -301,8 +317,19 @@ mod tests {
         for packet in 1..=COVARIANCE_PACKETS {
             builder.clear();
             assert!(builder.push((30, 3000), &record(PoseStatus::Converged), Some(&[2.0; TRIANGLE])));
-            let covariance = builder.poses(3, 5).unwrap().covariance;
+            let covariance = builder.poses(3, 5, 9).unwrap().covariance;
             assert_eq!(covariance, (packet == COVARIANCE_PACKETS).then_some([2.0; TRIANGLE]), "packet {packet}");
         }
+    }
+
+    #[test]
+    fn a_packet_of_every_third_pose_says_which() {
+        let mut builder = PosesBuilder::<{ 2 * POSE_BYTES }>::default();
+        builder.set_every(3);
+        assert!(builder.push((6, 600), &record(PoseStatus::Converged), None));
+        assert!(!builder.push((7, 700), &record(PoseStatus::Converged), None));
+        assert!(builder.push((9, 900), &record(PoseStatus::Converged), None));
+        let poses = builder.poses(3, 0, 0).unwrap();
+        assert!(poses.iter(100).map(|(sequence, tick, _)| (sequence, tick)).eq([(6, 600), (9, 900)]));
     }
 }

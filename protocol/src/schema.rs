@@ -78,7 +78,10 @@ pub const MESSAGES: [Schema; 8] = [
     ),
     Schema::new("Pong", "token u32,tick u64"),
     Schema::new("Truth", "sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]"),
-    Schema::new("Poses", "configuration u16,sequence u64,tick u64,missed u32,covariance ?[f32;21],records bytes"),
+    Schema::new(
+        "Poses",
+        "configuration u16,sequence u64,tick u64,every u8,missed u32,head u32,covariance ?[f32;21],records bytes",
+    ),
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
@@ -93,7 +96,7 @@ pub const COMMANDS: [Schema; 11] = [
     Schema::new("Forget", ""),
     Schema::new("Reboot", "target(Firmware|BootLoader)"),
     Schema::new("Head", "offset u16,total u16,bytes [u8;..128]"),
-    Schema::new("Stream", "scans bool,poses bool"),
+    Schema::new("Stream", "scans u16,poses u8"),
 ];
 
 const KEY_BYTES: usize = size_of::<u64>();

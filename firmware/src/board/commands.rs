@@ -20,7 +20,6 @@
 
 use slitpose_protocol::{
     Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request, SettingsSource,
-    Stream,
 };
 
 use super::{Board, Emitters, Reboot, Storing};
@@ -93,14 +92,16 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 self.reboot = Some(Reboot { target, latest });
             }
             Command::Head(part) => {
+                // Poses of the head before say that they are its.
+                self.poser.flush(&mut self.outbox);
                 if self.poser.take_part(&part, &self.configuration.schedule)? {
                     self.warn_of_head();
                 }
             }
-            Command::Stream(Stream { scans, poses }) => {
+            Command::Stream(stream) => {
                 self.flush();
-                self.collector.set_sends(scans);
-                self.poser.set_sends(poses);
+                self.collector.set_stream(stream);
+                self.poser.set_stream(stream);
             }
         }
         Ok(Done::Now)

@@ -9,7 +9,7 @@ mod head;
 use heapless::{Deque, Vec};
 use slitpose_model::{BoardTracker, DegradedReason, Outcome, Solution};
 use slitpose_protocol::poses::{POSE_BYTES, READY_TICKS, TRIANGLE};
-use slitpose_protocol::{HeadPart, PoseRecord, PoseStatus, PosesBuilder, RawScan, Rejection, Schedule};
+use slitpose_protocol::{HeadPart, PoseRecord, PoseStatus, PosesBuilder, RawScan, Rejection, Schedule, Stream};
 
 pub use head::{CellStage, HEAD_BYTES, Head, HeadError, HeadSolver, Readout};
 
@@ -33,6 +33,8 @@ pub struct PoseSolver {
 #[derive(Debug)]
 struct Loaded {
     readout: Readout,
+    /// Tells it apart from others.
+    number: u32,
     /// Whether the schedule is the one it was compiled for.
     fits: bool,
 }
@@ -56,7 +58,8 @@ impl PoseSolver {
         let payload = head::payload(bytes)?;
         self.loaded = None;
         let readout = head::read(payload, self.tracker.solver_mut())?;
-        self.loaded = Some(Loaded { readout, fits: false });
+        let number = readout.hashes.number();
+        self.loaded = Some(Loaded { readout, number, fits: false });
         Ok(())
     }
 
@@ -90,7 +93,8 @@ pub(crate) struct Poser {
     batch: PosesBuilder<{ BATCH_SCANS * POSE_BYTES }>,
     configuration: u16,
     missed: u32,
-    sends: bool,
+    /// Which poses are sent.
+    stream: Stream,
 }
 
 impl Poser {
@@ -103,7 +107,7 @@ impl Poser {
             batch: PosesBuilder::default(),
             configuration: 0,
             missed: 0,
-            sends: true,
+            stream: Stream::ALL,
         }
     }
 
@@ -186,7 +190,7 @@ impl Poser {
         let ready = hardware.now_ticks().saturating_sub(scan.tick) / u64::from(READY_TICKS);
         pose.record.ready = u16::try_from(ready).unwrap_or(u16::MAX);
         hardware.pose_solved(&pose);
-        if self.sends {
+        if self.stream.has_pose(pose.sequence) {
             if !self.pack(&pose) {
                 self.flush(outbox);
                 // An empty packet takes any pose.
@@ -205,15 +209,17 @@ impl Poser {
 
     /// Sends the packet under way, full or not.
     pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
-        if let Some(poses) = self.batch.poses(self.configuration, self.missed) {
+        let head = self.solver.loaded.as_ref().map_or(0, |loaded| loaded.number);
+        if let Some(poses) = self.batch.poses(self.configuration, self.missed, head) {
             outbox.push_poses(poses);
             self.batch.clear();
         }
     }
 
-    /// Whether poses are sent.
-    pub fn set_sends(&mut self, sends: bool) {
-        self.sends = sends;
+    /// Which poses are sent; the packet under way must have been flushed.
+    pub fn set_stream(&mut self, stream: Stream) {
+        self.stream = stream;
+        self.batch.set_every(stream.poses);
     }
 }
 

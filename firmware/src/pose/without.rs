@@ -1,6 +1,6 @@
 //! A board that solves no poses.
 
-use slitpose_protocol::{HeadPart, RawScan, Rejection, Schedule};
+use slitpose_protocol::{HeadPart, RawScan, Rejection, Schedule, Stream};
 
 use crate::HEAD_KIND;
 use crate::hardware::System;
@@ -42,5 +42,5 @@ impl Poser {
 
     pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, _: &mut Outbox<M>) {}
 
-    pub fn set_sends(&mut self, _: bool) {}
+    pub fn set_stream(&mut self, _: Stream) {}
 }

@@ -66,7 +66,7 @@ mod tests {
         let mut room = [0; HEAD_BYTES];
         let whole = head.encode(&mut room).expect("six cells fit");
         HeadPart::all(whole).for_each(|part| send(&mut board, Command::Head(part)));
-        send(&mut board, Command::Stream(Stream { scans: false, poses: true }));
+        send(&mut board, Command::Stream(Stream { scans: 0, poses: 1 }));
         send(&mut board, Command::Start);
         bytes.clear();
         (0..400).for_each(|_| board.step(&mut bytes));

@@ -134,17 +134,19 @@ fn poses() {
         configuration: 3,
         sequence: 4_000,
         tick: 170_000_000,
+        every: 2,
         missed: 300,
+        head: 0x89ab_cdef,
         covariance: Some(core::array::from_fn(|i| (i + 1) as f32)),
         records: &record.write(),
     };
     assert_message(
         &Message::Poses(poses),
-        "0c0703a01f80fd8751ac02010103803f0101024001034040010380400103a04001\
-         03c0400103e0400101024101031041010320410103304101034041010350410103\
-         604101037041010380410103884101039041010398410103a0410104a841280102\
-         3f02020fe8036f12833a6f1203bb6f12033a01010101010101099a99193fcdcc4c\
-         3f0107a840e73c01a500",
+        "120703a01f80fd875102ac02ef9bafcd08010103803f0101024001034040010380\
+         400103a0400103c0400103e0400101024101031041010320410103304101034041\
+         010350410103604101037041010380410103884101039041010398410103a04101\
+         04a8412801023f02020fe8036f12833a6f1203bb6f12033a01010101010101099a\
+         99193fcdcc4c3f0107a840f794359000",
     );
     assert_eq!(poses.iter(42_500).collect::<std::vec::Vec<_>>(), [(4_000, 170_000_000, record)]);
 }
@@ -249,7 +251,15 @@ fn commands() {
     assert_command(9, Command::Reboot(BootTarget::BootLoader), "0809080103584e4f00");
     let part = HeadPart { offset: 128, total: 3_000, bytes: Vec::from_slice(&[0, 1, 2]).expect("room") };
     assert_command(10, Command::Head(part), "080a098001b8170307010283e5be6c00");
-    assert_command(11, Command::Stream(Stream { scans: true, poses: false }), "040b0a01058aecc9e200");
+    assert_command(11, Command::Stream(Stream { scans: 512, poses: 3 }), "0a0b0a80040356a91fc200");
+}
+
+/// By Python's `zlib.crc32(struct.pack("<QQ", …))`.
+#[test]
+fn numbers_of_heads() {
+    let hashes = Hashes { scene: Some(0x0123_4567_89ab_cdef), calibration: None };
+    assert_eq!(hashes.number(), 0x118b_aa44);
+    assert_ne!(Hashes { scene: None, calibration: hashes.scene }.number(), hashes.number());
 }
 
 /// The table and its hashes: a field list that changes without a new key, or a key that
@@ -268,7 +278,7 @@ fn schema_keys() {
             "Reply b70fb5cc8ecb3d93",
             "Pong b252f6723e82c8ae",
             "Truth 5399c5b5aa74e6b3",
-            "Poses fc7c91153a803426",
+            "Poses 8baf55d2a8af531c",
             "Hello 922503e07c5a06a3",
             "Start 9b3033813c8d813f",
             "Stop 04b4e713e8cb9e2d",
@@ -279,7 +289,7 @@ fn schema_keys() {
             "Forget fb7e7d17c5c6d5e2",
             "Reboot ef15508edfd220a6",
             "Head e2c6e609d22bd4de",
-            "Stream 26fa0d2cd3dd14f7",
+            "Stream 73b8e4ce7f67049c",
         ]
     );
 }

@@ -37,7 +37,7 @@ fn main() {
     rig.run_for(0.1);
     rig.send_head(&head);
     let stream = std::env::args().nth(3).unwrap_or_else(|| "both".to_owned());
-    rig.send(Command::Stream(Stream { scans: stream != "pose", poses: stream != "raw" }));
+    rig.send(Command::Stream(Stream { scans: u16::from(stream != "pose"), poses: u8::from(stream != "raw") }));
     rig.run_for(1e-3);
     rig.send(Command::Start);
     rig.run_for(skip);

@@ -122,7 +122,7 @@ fn poses_are_those_of_a_host_bit_for_bit() {
 fn every_frame_of_ten_seconds_is_solved_in_time() {
     let seconds = 10;
     let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
-    chain.rig.send(Command::Stream(Stream { scans: false, poses: true }));
+    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
     chain.run_for(1e-3);
     chain.rig.send(Command::Start);
     let mut load = 0;
@@ -218,7 +218,7 @@ fn statuses(chain: &mut Chain, seconds: f64) -> Vec<PoseStatus> {
 fn what_happens_to_light_schedule_and_head_shows_in_the_poses_and_passes() {
     let file = scene();
     let mut chain = chain(&file, NoiseSource::Seeded(SEED));
-    chain.rig.send(Command::Stream(Stream { scans: false, poses: true }));
+    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
     chain.run_for(1e-3);
     chain.rig.send(Command::Start);
     let whole = statuses(&mut chain, 0.1);
