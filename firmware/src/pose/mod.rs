@@ -65,7 +65,7 @@ impl PoseSolver {
 
     /// Scans of `schedule` follow, and the tool may be anywhere. A head that was compiled for another one solves none.
     pub fn begin(&mut self, schedule: &Schedule) {
-        if let Some(Loaded { readout, fits }) = &mut self.loaded {
+        if let Some(Loaded { readout, fits, .. }) = &mut self.loaded {
             *fits = readout.fits(schedule);
             self.tracker.restart(f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz));
         }
