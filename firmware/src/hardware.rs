@@ -59,9 +59,9 @@ pub trait Acquisition {
 
 /// Memory that keeps settings beyond the loss of supply.
 pub trait Storage {
-    /// Begins to keep `settings`, or with `None` to forget the settings that are kept.
-    /// Sampling goes on meanwhile.
-    fn store(&mut self, settings: Option<&Settings>);
+    /// Begins to keep `settings` and the bytes of a `head`, or with `None` to forget the settings that are kept.
+    /// Without bytes no head is kept. Sampling goes on meanwhile.
+    fn store(&mut self, settings: Option<&Settings>, head: &[u8]);
 
     /// How the last [`store`](Self::store) ended; `None` while it is under way.
     ///

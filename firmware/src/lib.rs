@@ -46,7 +46,7 @@
 //!     fn next_scan(&mut self, _: &mut RawScan) -> Result<bool, ScanError> { Ok(false) }
 //! }
 //! impl Storage for Desk {
-//!     fn store(&mut self, _: Option<&Settings>) {}
+//!     fn store(&mut self, _: Option<&Settings>, _: &[u8]) {}
 //!     fn stored(&mut self) -> Option<Result<(), StorageError>> { Some(Ok(())) }
 //! }
 //! impl System for Desk {

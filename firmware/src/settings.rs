@@ -35,6 +35,10 @@ const MAGIC: u32 = u32::from_le_bytes(*b"slit");
 const VERSION: u16 = 1;
 
 const HEADER_BYTES: usize = 16;
+
+/// Bytes of an area for a head: whole pages.
+pub const HEAD_BYTES: usize = 2 * PAGE_BYTES;
+
 const ERASED: u8 = 0xff;
 const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
@@ -45,6 +49,19 @@ pub struct Settings {
     pub configuration: Configuration,
     /// Hashes of the scene and the calibration that the board belongs to.
     pub hashes: Hashes,
+    /// Which of the two [areas](head_offset) keeps the head that goes with them, if any: written first, so that one
+    /// record puts both in force at once. Chosen by whoever writes them.
+    pub head: Option<u8>,
+}
+
+/// Place of an area for a head, in bytes from the start of the pages: behind them, one area behind the other.
+pub fn head_offset(area: u8) -> usize {
+    size_of::<Pages>() + usize::from(area & 1) * HEAD_BYTES
+}
+
+/// The area for the next head: that which the settings kept in `pages` do not name.
+pub fn free_area(pages: &Pages) -> u8 {
+    stored(pages).and_then(|settings| settings.head).map_or(0, |area| 1 - (area & 1))
 }
 
 /// Work that keeps settings: erase `page` if `erase`, then write `record` at `offset` of it.
@@ -77,8 +94,10 @@ pub fn stored(pages: &Pages) -> Option<Settings> {
     if newest.version != VERSION || newest.payload.is_empty() {
         return None;
     }
-    let (configuration, hashes) = postcard::from_bytes(newest.payload).ok()?;
-    Some(Settings { configuration, hashes })
+    let ((configuration, hashes), rest) = postcard::take_from_bytes(newest.payload).ok()?;
+    // Records of boards that knew no heads end here.
+    let head = if rest.is_empty() { None } else { postcard::from_bytes(rest).ok()? };
+    Some(Settings { configuration, hashes, head })
 }
 
 /// Work that stores `settings` in `pages`; with `None` it marks the settings there as
@@ -101,8 +120,8 @@ fn record(number: u32, settings: Option<&Settings>) -> Vec<u8, RECORD_BYTES> {
     let mut payload = [0; RECORD_BYTES - HEADER_BYTES];
     let payload: &[u8] = match settings {
         // The largest settings fit; see the test below.
-        Some(Settings { configuration, hashes }) => {
-            postcard::to_slice(&(configuration, hashes), &mut payload).map_or(&[], |bytes| bytes)
+        Some(Settings { configuration, hashes, head }) => {
+            postcard::to_slice(&(configuration, hashes, head), &mut payload).map_or(&[], |bytes| bytes)
         }
         None => &[],
     };
@@ -198,7 +217,11 @@ mod tests {
 
     fn settings(scene: u64) -> Settings {
         let hashes = Hashes { scene: Some(scene), calibration: None };
-        Settings { configuration: fixture::configuration(), hashes }
+        Settings {
+            configuration: fixture::configuration(),
+            hashes,
+            head: (scene % 3).try_into().ok().filter(|&area| area < 2),
+        }
     }
 
     /// Carries out the first `steps` pieces of an append, until the power is cut: an erased
@@ -264,6 +287,34 @@ mod tests {
         assert_eq!(stored(&pages), None, "a newer firmware's settings are not read as ours");
     }
 
+    #[test]
+    fn a_head_goes_where_the_one_in_force_is_not() {
+        let mut pages = BLANK;
+        assert_eq!(free_area(&pages), 0);
+        for (kept, next) in [(Some(0), 1), (Some(1), 0), (None, 0)] {
+            let append = append(&pages, Some(&Settings { head: kept, ..settings(0) }));
+            carry_out(&mut pages, &append, usize::MAX, 0);
+            assert_eq!(free_area(&pages), next, "{kept:?}");
+        }
+        assert_eq!([0, 1].map(head_offset), [4096, 8192]);
+    }
+
+    #[test]
+    fn settings_of_boards_that_knew_no_heads_are_read() {
+        let kept = Settings { head: None, ..settings(5) };
+        let mut payload = [0; 128];
+        let payload = postcard::to_slice(&(&kept.configuration, &kept.hashes), &mut payload).expect("room");
+        let mut record = std::vec::Vec::from(MAGIC.to_le_bytes());
+        record.extend(VERSION.to_le_bytes());
+        record.extend((payload.len() as u16).to_le_bytes());
+        record.extend(3_u32.to_le_bytes());
+        record.extend(checksum(VERSION, 3, payload).to_le_bytes());
+        record.extend_from_slice(payload);
+        let mut pages = BLANK;
+        pages[0][..record.len()].copy_from_slice(&record);
+        assert_eq!(stored(&pages), Some(kept));
+    }
+
     /// The checksum covers the number too, by which the newest record is found.
     #[test]
     fn a_flipped_bit_costs_its_record_and_no_other() {
@@ -320,6 +371,7 @@ mod tests {
                 exposure: Exposure::Automatic,
             },
             hashes: Hashes { scene: Some(u64::MAX), calibration: Some(u64::MAX) },
+            head: Some(1),
         };
         let mut pages = BLANK;
         let append = append(&pages, Some(&largest));

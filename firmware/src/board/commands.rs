@@ -9,7 +9,7 @@
 //! | Configure | replaced, and a hello | replaced from the next frame on, new batch, and a hello; if the hardware fails: idle, the old configuration stays |
 //! | Ping | a pong | a pong |
 //! | Identify | the indicator | the indicator |
-//! | Store, Forget | kept or forgotten beyond a reset, then a hello | the same; sampling goes on |
+//! | Store, Forget | kept, with the head in force, or forgotten beyond a reset, then a hello | the same; sampling goes on |
 //! | Reboot | the reply, then a reset | idle, the reply, then a reset |
 //! | Head | a part taken; with the last one the head is in force | the same, poses from the next scan on |
 //! | Stream | in force | in force, what is under way goes out |
@@ -111,9 +111,9 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         if self.storing.is_some() {
             return Err(Rejection::Storing);
         }
-        let settings = hashes.map(|hashes| Settings { configuration: self.configuration.clone(), hashes });
+        let settings = hashes.map(|hashes| Settings { configuration: self.configuration.clone(), hashes, head: None });
+        self.hardware.store(settings.as_ref(), self.poser.bytes()?);
         self.storing = Some(Storing { number: Some(number), hashes });
-        self.hardware.store(settings.as_ref());
         Ok(Done::Later)
     }
 

@@ -115,6 +115,8 @@ pub struct Board<H, M> {
     exposure: AutomaticExposure,
     storing: Option<Storing>,
     reboot: Option<Reboot>,
+    /// The head that the board has kept cannot be read.
+    has_lost_head: bool,
 }
 
 /// A Store or Forget that has not been answered yet.
@@ -179,7 +181,14 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             exposure: AutomaticExposure::new(identity.scaling),
             storing: None,
             reboot: None,
+            has_lost_head: false,
         })
+    }
+
+    /// Puts the head in `bytes`, which the board has kept, in force.
+    #[cfg(feature = "pose")]
+    pub fn restore_head(&mut self, bytes: &[u8]) {
+        self.has_lost_head = !self.poser.restore(bytes, &self.configuration.schedule);
     }
 
     /// Scans until there is something to do: until a batch is full, or, on a board that solves poses, one; none if
@@ -294,13 +303,15 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         }
     }
 
-    /// Queues a warning if the head on the board is for another schedule.
+    /// Queues a warning if the head on the board is for another schedule, or was lost.
     fn warn_of_head(&mut self) {
-        if self.poser.is_unfit() {
-            let now = self.hardware.now_ticks();
-            let text = format_args!("no poses: the head was compiled for another schedule; send it anew");
-            self.tell(now, Severity::Warning, text);
-        }
+        let text = match (self.poser.is_unfit(), self.has_lost_head && !self.poser.is_at_work()) {
+            (true, _) => "no poses: the head was compiled for another schedule; send it anew",
+            (false, true) => "no poses: the head that was stored cannot be read; store it anew",
+            (false, false) => return,
+        };
+        let now = self.hardware.now_ticks();
+        self.tell(now, Severity::Warning, format_args!("{text}"));
     }
 
     /// Queues a hello for the configuration in force.

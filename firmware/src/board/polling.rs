@@ -55,6 +55,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 self.status_tick = now;
                 self.introduce();
                 self.warn_of_start(now);
+                self.warn_of_head();
                 if let Some(tick) = self.host_gone.take() {
                     self.tell(
                         tick,

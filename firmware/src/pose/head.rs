@@ -15,8 +15,7 @@ use slitpose_model::{BOARD_CELLS, CompactFrame, CompactPart, CompactPlan, Pair, 
 use slitpose_protocol::{AdcScaling, Hashes, Level, RawScan, Schedule};
 use thiserror::Error;
 
-/// Bytes of the longest head.
-pub const HEAD_BYTES: usize = 4 * 1024;
+pub use crate::settings::HEAD_BYTES;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"head");
 

@@ -87,7 +87,10 @@ impl PoseSolver {
 /// Solves scans between packets and commands.
 #[derive(Debug)]
 pub(crate) struct Poser {
+    /// Parts of a head, or a whole one.
     receiving: Vec<u8, HEAD_BYTES>,
+    /// Whether it is that in force.
+    is_whole: bool,
     solver: PoseSolver,
     waiting: Deque<RawScan, WAITING>,
     batch: PosesBuilder<{ BATCH_SCANS * POSE_BYTES }>,
@@ -102,6 +105,7 @@ impl Poser {
     pub fn new() -> Self {
         Self {
             receiving: Vec::new(),
+            is_whole: false,
             solver: PoseSolver::default(),
             waiting: Deque::new(),
             batch: PosesBuilder::default(),
@@ -119,6 +123,7 @@ impl Poser {
     pub fn take_part(&mut self, part: &HeadPart, schedule: &Schedule) -> Result<bool, Rejection> {
         if part.offset == 0 {
             self.receiving.clear();
+            self.is_whole = false;
         }
         let is_next = usize::from(part.offset) == self.receiving.len();
         let end = usize::from(part.offset) + part.bytes.len();
@@ -133,9 +138,30 @@ impl Poser {
             self.solver.loaded = None;
         } else {
             self.solver.load(&self.receiving).map_err(|_| Rejection::Malformed { kind: HEAD_KIND })?;
+            self.is_whole = true;
         }
         self.begin(schedule);
         Ok(true)
+    }
+
+    /// Puts a whole head in force; `false` if it is none that this firmware reads.
+    pub fn restore(&mut self, bytes: &[u8], schedule: &Schedule) -> bool {
+        self.receiving.clear();
+        self.is_whole = self.receiving.extend_from_slice(bytes).is_ok() && self.solver.load(bytes).is_ok();
+        self.begin(schedule);
+        self.is_whole
+    }
+
+    /// The head in force as it was sent; empty without one.
+    ///
+    /// # Errors
+    /// If parts of the next one have come in its place.
+    pub fn bytes(&self) -> Result<&[u8], Rejection> {
+        match (self.solver.loaded.is_some(), self.is_whole) {
+            (true, true) => Ok(&self.receiving),
+            (true, false) => Err(Rejection::Malformed { kind: HEAD_KIND }),
+            (false, _) => Ok(&[]),
+        }
     }
 
     /// Scans of `schedule`, configuration number `configuration`, follow.

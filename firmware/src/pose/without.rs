@@ -20,6 +20,10 @@ impl Poser {
         Err(Rejection::Unsupported { kind: HEAD_KIND })
     }
 
+    pub fn bytes(&self) -> Result<&[u8], Rejection> {
+        Ok(&[])
+    }
+
     pub fn configure(&mut self, _: u16, _: &Schedule) {}
 
     pub fn is_at_work(&self) -> bool {

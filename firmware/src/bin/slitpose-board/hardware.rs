@@ -83,8 +83,8 @@ impl Acquisition for BoardHardware {
 
 impl Storage for BoardHardware {
     #[cfg(feature = "storage")]
-    fn store(&mut self, settings: Option<&Settings>) {
-        storage::begin(settings.cloned());
+    fn store(&mut self, settings: Option<&Settings>, head: &[u8]) {
+        storage::begin(settings.cloned(), head);
     }
 
     #[cfg(feature = "storage")]
@@ -93,7 +93,7 @@ impl Storage for BoardHardware {
     }
 
     #[cfg(not(feature = "storage"))]
-    fn store(&mut self, _: Option<&Settings>) {}
+    fn store(&mut self, _: Option<&Settings>, _: &[u8]) {}
 
     #[cfg(not(feature = "storage"))]
     fn stored(&mut self) -> Option<Result<(), StorageError>> {

@@ -140,6 +140,10 @@ async fn main(spawner: Spawner) {
         },
     };
     let core = make_core(hardware, identity, configuration.unwrap_or_else(default_configuration));
+    #[cfg(all(feature = "pose", feature = "storage"))]
+    if !is_passed_over {
+        storage::with_head(|head| core.lock(|core| core.borrow_mut().restore_head(head)));
+    }
     static LINKS: StaticCell<Links> = StaticCell::new();
     let links: &'static Links = LINKS.init_with(|| Links::new(core));
 

@@ -1,20 +1,37 @@
 //! Settings in the flash memory's second bank, written while the firmware runs from the
 //! first.
 
+#[cfg(feature = "pose")]
+use core::cell::RefCell;
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use embassy_stm32::flash::{Async, Bank2Region, Flash};
 use embassy_stm32::peripherals::FLASH;
 use embassy_stm32::{Peri, pac};
+#[cfg(feature = "pose")]
+use embassy_sync::blocking_mutex::Mutex as BlockingMutex;
 use embassy_sync::blocking_mutex::raw::ThreadModeRawMutex;
 use embassy_sync::signal::Signal;
+#[cfg(feature = "pose")]
+use heapless::Vec;
 use slitpose_firmware::StorageError;
+#[cfg(feature = "pose")]
+use slitpose_firmware::settings::HEAD_BYTES;
 use slitpose_firmware::settings::{self, Append, PAGE_BYTES, Pages, Settings};
 use static_cell::ConstStaticCell;
 
 use crate::Interrupts;
 
 type Bank = Bank2Region<'static, Async>;
+
+/// Bytes of a head that are written at once.
+#[cfg(feature = "pose")]
+const PIECE_BYTES: usize = 256;
+
+/// The head to keep next, or that was kept; empty: none.
+#[cfg(feature = "pose")]
+static HEAD: BlockingMutex<ThreadModeRawMutex, RefCell<Vec<u8, HEAD_BYTES>>> =
+    BlockingMutex::new(RefCell::new(Vec::new()));
 
 /// The settings to keep next; `None`: forget.
 static WANTED: Signal<ThreadModeRawMutex, Option<Settings>> = Signal::new();
@@ -49,6 +66,10 @@ pub fn open(flash: Peri<'static, FLASH>) -> Option<(Store, Option<Settings>)> {
     let bank = Flash::new(flash, Interrupts).into_regions().bank2_region;
     let mut store = Store { bank, pages: PAGES.take() };
     let settings = if store.load() { settings::stored(store.pages) } else { None };
+    #[cfg(feature = "pose")]
+    if let Some(area) = settings.as_ref().and_then(|settings| settings.head) {
+        store.load_head(area);
+    }
     Some((store, settings))
 }
 
@@ -57,9 +78,17 @@ pub fn is_reading() -> bool {
     IS_READING.load(Ordering::SeqCst)
 }
 
-/// Begins to keep `settings`, or with `None` to forget the settings kept.
-pub fn begin(settings: Option<Settings>) {
+/// Begins to keep `settings` and `head`, or with `None` to forget the settings kept.
+#[cfg_attr(not(feature = "pose"), expect(unused_variables, reason = "there is none"))]
+pub fn begin(settings: Option<Settings>, head: &[u8]) {
     DONE.reset();
+    #[cfg(feature = "pose")]
+    HEAD.lock(|place| {
+        let mut place = place.borrow_mut();
+        place.clear();
+        // No head is longer.
+        let _ = place.extend_from_slice(head);
+    });
     if HAS_BANK.load(Ordering::Relaxed) {
         WANTED.signal(settings);
     } else {
@@ -77,29 +106,31 @@ pub fn poll() -> Option<Result<(), StorageError>> {
 pub async fn keep(mut store: Store) {
     loop {
         let settings = WANTED.wait().await;
-        DONE.signal(store.keep(settings.as_ref()).await);
+        DONE.signal(store.keep(settings).await);
     }
 }
 
 impl Store {
     fn load(&mut self) -> bool {
-        IS_READING.store(true, Ordering::SeqCst);
-        let mut offset = 0;
-        let is_read = self.pages.iter_mut().all(|page| {
-            let read = self.bank.blocking_read(offset, page);
-            offset += PAGE_BYTES as u32;
-            read.is_ok()
-        });
-        // An error of the last words is reported before the mark is taken away.
-        cortex_m::asm::dsb();
-        IS_READING.store(false, Ordering::SeqCst);
-        is_read
+        let Self { bank, pages } = self;
+        let mut offsets = (0_u32..).step_by(PAGE_BYTES);
+        pages.iter_mut().all(|page| offsets.next().is_some_and(|offset| read(bank, offset, page)))
     }
 
-    async fn keep(&mut self, settings: Option<&Settings>) -> Result<(), StorageError> {
+    async fn keep(
+        &mut self,
+        #[cfg_attr(not(feature = "pose"), expect(unused_mut, reason = "there is no head"))] mut settings: Option<
+            Settings,
+        >,
+    ) -> Result<(), StorageError> {
         if !self.load() {
             return Err(StorageError);
         }
+        #[cfg(feature = "pose")]
+        if let Some(settings) = &mut settings {
+            settings.head = self.keep_head().await?;
+        }
+        let settings = settings.as_ref();
         let mut append = settings::append(self.pages, settings);
         for _ in 0..ATTEMPTS {
             self.carry_out(&append).await;
@@ -121,4 +152,81 @@ impl Store {
         }
         let _ = self.bank.write(page + append.offset as u32, &append.record).await;
     }
+
+    /// Writes the head to the area that is free, and gives the area; `None` without a head. The area in force stays as
+    /// it is.
+    #[cfg(feature = "pose")]
+    async fn keep_head(&mut self) -> Result<Option<u8>, StorageError> {
+        let length = HEAD.lock(|head| head.borrow().len());
+        if length == 0 {
+            return Ok(None);
+        }
+        let area = settings::free_area(self.pages);
+        let start = settings::head_offset(area) as u32;
+        for _ in 0..ATTEMPTS {
+            let _ = self.bank.erase(start, start + HEAD_BYTES as u32).await;
+            for offset in (0..length).step_by(PIECE_BYTES) {
+                let piece = Self::piece(offset);
+                let _ = self.bank.write(start + offset as u32, &piece).await;
+            }
+            if self.has_kept(start, length) {
+                return Ok(Some(area));
+            }
+        }
+        Err(StorageError)
+    }
+
+    /// A piece of the head, filled up with what erased memory holds.
+    #[cfg(feature = "pose")]
+    fn piece(offset: usize) -> [u8; PIECE_BYTES] {
+        let mut piece = [0xff; PIECE_BYTES];
+        HEAD.lock(|head| {
+            let head = head.borrow();
+            let rest = head.get(offset..).unwrap_or_default();
+            piece.iter_mut().zip(rest).for_each(|(place, &byte)| *place = byte);
+        });
+        piece
+    }
+
+    /// Whether the head stands in the memory from `start` on.
+    #[cfg(feature = "pose")]
+    fn has_kept(&mut self, start: u32, length: usize) -> bool {
+        (0..length).step_by(PIECE_BYTES).all(|offset| {
+            let mut piece = [0; PIECE_BYTES];
+            read(&mut self.bank, start + offset as u32, &mut piece) && piece == Self::piece(offset)
+        })
+    }
+
+    /// Reads the head in `area`.
+    #[cfg(feature = "pose")]
+    fn load_head(&mut self, area: u8) {
+        HEAD.lock(|head| {
+            let mut head = head.borrow_mut();
+            // As long as an area: there is room.
+            let _ = head.resize(HEAD_BYTES, 0);
+            // What is damaged shows when it is put in force.
+            let _ = read(&mut self.bank, settings::head_offset(area) as u32, &mut head);
+        });
+    }
+}
+
+/// Reads the memory, of which a power cut may have torn a part.
+fn read(bank: &mut Bank, offset: u32, bytes: &mut [u8]) -> bool {
+    IS_READING.store(true, Ordering::SeqCst);
+    let is_read = bank.blocking_read(offset, bytes).is_ok();
+    // An error of the last words is reported before the mark is taken away.
+    cortex_m::asm::dsb();
+    IS_READING.store(false, Ordering::SeqCst);
+    is_read
+}
+
+/// Gives the head that was kept to `take`, if there is one.
+#[cfg(feature = "pose")]
+pub fn with_head(take: impl FnOnce(&[u8])) {
+    HEAD.lock(|head| {
+        let head = head.borrow();
+        if !head.is_empty() {
+            take(&head);
+        }
+    });
 }

@@ -142,7 +142,7 @@ impl Acquisition for Fake {
 }
 
 impl Storage for Fake {
-    fn store(&mut self, settings: Option<&Settings>) {
+    fn store(&mut self, settings: Option<&Settings>, _: &[u8]) {
         if !self.refuse_store {
             self.kept = settings.cloned();
         }

@@ -182,7 +182,7 @@ impl Acquisition for SimulatedHardware {
 
 /// A simulated board stores nothing beyond its lifetime.
 impl Storage for SimulatedHardware {
-    fn store(&mut self, _: Option<&Settings>) {}
+    fn store(&mut self, _: Option<&Settings>, _: &[u8]) {}
 
     fn stored(&mut self) -> Option<Result<(), StorageError>> {
         Some(Ok(()))
