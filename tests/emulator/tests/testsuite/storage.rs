@@ -3,8 +3,15 @@
 use crate::common::talk::{Introduction, MS, Talk};
 use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::Ticks;
+
 use slitpose_firmware::pcb::default_configuration;
-use slitpose_protocol::{Command, Configuration, Hashes, Level, ResetCause, SettingsSource};
+use slitpose_firmware::pcb::default_scaling;
+use slitpose_firmware::pose::{HEAD_BYTES, Head};
+use slitpose_head::board_head;
+use slitpose_head::scene_file::WIDE;
+use slitpose_protocol::{
+    Command, Configuration, Hashes, HeadPart, Level, Rejection, ResetCause, SettingsSource, Stream,
+};
 
 /// From power-on to a serial port that listens, with much in hand: the clock starts within 1 ms.
 const BOOT_MS: f64 = 10.0;
@@ -207,5 +214,77 @@ fn a_cut_of_the_supply_leaves_the_old_settings_or_the_new() {
     let resets = talk.rig.machine().resets().to_vec();
     let by_itself = resets.iter().filter(|reset| reset.cause != slitpose_emulator::peripherals::ResetCause::PowerOn);
     assert_eq!(by_itself.count(), 0, "torn words do not reset the board");
+    talk.expect_no_faults();
+}
+
+/// Head `n`, to be told from all others by its hashes.
+fn head(n: u64) -> Head {
+    let (configuration, hashes) = settings(n);
+    let wide = WIDE.read().expect("shipped");
+    board_head::compile(&wide, &configuration.schedule, &default_scaling(), hashes).expect("slits and cosines")
+}
+
+/// Number of the head by which the board solves poses, nobody having sent it one since its start.
+fn solving(talk: &mut Talk) -> Option<u32> {
+    assert_eq!(talk.ask(Command::Stream(Stream { scans: 0, poses: 1 })), Ok(()));
+    talk.ear.heads.clear();
+    assert_eq!(talk.ask(Command::Start), Ok(()));
+    talk.run_ms(20.0);
+    assert_eq!(talk.ask(Command::Stop), Ok(()));
+    let heads = &talk.ear.heads;
+    assert!(heads.windows(2).all(|pair| pair[0] == pair[1]));
+    assert!(heads.is_empty() || heads.len() >= 10, "{}", heads.len());
+    heads.first().copied()
+}
+
+/// Sends head `n`, and says Store. `None`: until it is kept, and gives how long that took.
+fn store_head(talk: &mut Talk, n: u64, after: Option<Ticks>) -> Ticks {
+    let command = prepare(talk, n);
+    talk.rig.send_head(&head(n));
+    let (number, begin) = (talk.rig.send(command), talk.rig.now());
+    if let Some(after) = after {
+        talk.run_until(begin + after);
+        cut(talk);
+        return after;
+    }
+    assert!(talk.wait_for(300, |talk| !talk.ear.replies(number).is_empty()), "no reply");
+    assert_eq!(talk.ear.replies(number), [Ok(())]);
+    talk.rig.now() - begin
+}
+
+/// A head and its settings come into force together, whenever the supply is cut, and poses come by themselves.
+#[test]
+fn a_cut_of_the_supply_leaves_the_old_head_or_the_new_with_its_settings() {
+    const CUTS: u64 = 24;
+    let mut talk = Talk::solving_at_uart();
+    assert_eq!(solving(&mut talk), None, "a new board has no head");
+    let took = store_head(&mut talk, 1, None);
+    let (mut kept, mut old, mut new) = (1, 0, 0);
+    for step in 0..=CUTS {
+        let n = 2 + step;
+        store_head(&mut talk, n, Some(took * step / CUTS));
+        let found = number(&greet(&mut talk));
+        assert!(found == kept || found == n, "{found} instead of {kept} or {n}, cut {step}");
+        assert_eq!(solving(&mut talk), Some(settings(found).1.number()), "cut {step}");
+        old += u32::from(found == kept);
+        new += u32::from(found == n);
+        kept = found;
+    }
+    println!("a head is kept in {} ms; old {old}, new {new}", took / MS);
+    assert!(old >= 20 && new >= 1, "{old} {new}");
+    // Without a head in force none is kept.
+    talk.rig.send(Command::Head(HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() }));
+    assert_eq!(talk.ask(Command::Store(settings(kept).1)), Ok(()));
+    cut(&mut talk);
+    assert_eq!(number(&greet(&mut talk)), kept);
+    assert_eq!(solving(&mut talk), None);
+    // Of a head that is half sent nothing is kept.
+    talk.rig.send_head(&head(kept));
+    let whole = head(kept);
+    let mut bytes = [0; HEAD_BYTES];
+    let part = HeadPart::all(whole.encode(&mut bytes).expect("room")).next().expect("parts");
+    talk.rig.send(Command::Head(part));
+    let refused = talk.ask(Command::Store(settings(kept).1));
+    assert_eq!(refused, Err(Rejection::Malformed { kind: 9 }));
     talk.expect_no_faults();
 }

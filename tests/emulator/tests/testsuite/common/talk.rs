@@ -4,9 +4,10 @@
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
 use super::{is_of_silicon, silicon};
+use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
-use slitpose_emulator::rig::{Link, Rig, open_image};
+use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
 use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_head::scene_file::Shipped;
@@ -88,6 +89,8 @@ pub struct Listener {
     /// How often a link was closed or broken: what was on its way is lost.
     pub breaks: u64,
     pub status: Option<Status>,
+    /// Numbers of the heads of all packets of poses.
+    pub heads: Vec<u32>,
     /// Empty packets, and the instants of packets that were full and had none behind them.
     pub empty_packets: usize,
     full_since: Option<Ticks>,
@@ -107,6 +110,7 @@ impl Default for Listener {
             last: None,
             breaks: 0,
             status: None,
+            heads: Vec::new(),
             empty_packets: 0,
             full_since: None,
             longest_full: 0,
@@ -185,7 +189,10 @@ impl Listener {
             Message::Reply(reply) => Said::Reply(reply),
             Message::Pong(pong) => Said::Pong(pong),
             Message::Truth(truth) => panic!("a physical board knows the truth: {truth:?}"),
-            Message::Poses(poses) => panic!("a board without a head solved {poses:?}"),
+            Message::Poses(poses) => {
+                self.heads.push(poses.head);
+                return;
+            }
         };
         self.said.push((at, said));
     }
@@ -300,9 +307,12 @@ impl Talk {
     }
 
     fn boot_with(noise: NoiseSource, silicon: Silicon) -> Self {
-        let image = open_image(None).expect("firmware/build has made an image");
+        Self::boot_image(&open_image(None).expect("firmware/build has made an image"), noise, silicon)
+    }
+
+    fn boot_image(image: &Image, noise: NoiseSource, silicon: Silicon) -> Self {
         let scene = Shipped::named("wide").expect("a shipped scene").read().expect("shipped scenes are valid");
-        let rig = Rig::boot(&image, &scene, at_rest(), noise, silicon).expect("the board fits the scene");
+        let rig = Rig::boot(image, &scene, at_rest(), noise, silicon).expect("the board fits the scene");
         Self { rig, ear: Listener::default() }
     }
 
@@ -316,11 +326,20 @@ impl Talk {
 
     /// The same at the serial port.
     pub fn at_uart() -> Self {
-        let mut talk = Self::boot();
-        talk.rig = talk.rig.with_link(Link::Uart);
-        talk.run_ms(5.0);
-        assert_eq!(talk.ask(Command::Hello), Ok(()));
-        talk
+        Self::boot().turned_to_uart()
+    }
+
+    /// The same, and the board solves poses if it is given a head.
+    pub fn solving_at_uart() -> Self {
+        let image = open_pose_image().expect("firmware/build has made an image");
+        Self::boot_image(&image, NoiseSource::Off, silicon()).turned_to_uart()
+    }
+
+    fn turned_to_uart(mut self) -> Self {
+        self.rig = self.rig.with_link(Link::Uart);
+        self.run_ms(5.0);
+        assert_eq!(self.ask(Command::Hello), Ok(()));
+        self
     }
 
     /// Lets time pass and listens. The board must live.
