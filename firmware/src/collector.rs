@@ -43,7 +43,7 @@ impl Collector {
     /// A collector without scans, prepared for scans of this configuration.
     pub fn new(configuration: u16, schedule: &Schedule) -> Self {
         let batch = BatchBuilder::new(configuration, schedule, batch_scans(schedule));
-        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0, stream: Stream::ALL }
+        Self { scan: batch.blank(), batch, taken: 0, last_tick: None, lost: 0, overruns: 0, stream: Stream::SCANS }
     }
 
     /// Prepares the collector for scans of another configuration; the batch of the old one

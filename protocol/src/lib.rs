@@ -89,7 +89,7 @@
 //! **7 Poses**: `u16` configuration · `u64` sequence and `u64` tick of the first scan · `u8` scans
 //! from one pose to the next · `u32` scans missed · `u32` number of the head ([`Hashes::number`]) ·
 //! `?[f32; 21]` covariance of the last pose · `bytes` records, of 40 bytes each ([`poses`]). Sent by
-//! boards that hold a head.
+//! boards that hold a head, if they are asked for.
 //!
 //! # Host to board
 //! A payload is `u16` number of the command, chosen by the host, then one enum:

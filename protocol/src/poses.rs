@@ -1,7 +1,8 @@
 //! Poses that the board has solved itself.
 //!
-//! A packet holds the poses of consecutive scans, or of every nth, one record each. Every [`COVARIANCE_PACKETS`]th packet also holds the
-//! covariance of the last pose: over some milliseconds it hardly changes.
+//! A packet holds the poses of consecutive scans, or of every nth, one record each. Every [`COVARIANCE_PACKETS`]th
+//! packet, and each in which other cells are used than before, also holds the covariance of its last pose: over some
+//! milliseconds it hardly changes while the cells are the same.
 //!
 //! | byte of a record | is |
 //! |---|---|
@@ -197,6 +198,8 @@ pub struct PosesBuilder<const BYTES: usize> {
     tick: u64,
     every: u8,
     covariance: Option<[f32; TRIANGLE]>,
+    /// The cells of the last covariance.
+    cells: u16,
     /// Packets since the last covariance.
     packets: u8,
     records: Vec<u8, BYTES>,
@@ -204,7 +207,7 @@ pub struct PosesBuilder<const BYTES: usize> {
 
 impl<const BYTES: usize> Default for PosesBuilder<BYTES> {
     fn default() -> Self {
-        Self { sequence: 0, tick: 0, every: 1, covariance: None, packets: 0, records: Vec::new() }
+        Self { sequence: 0, tick: 0, every: 1, covariance: None, cells: 0, packets: 0, records: Vec::new() }
     }
 }
 
@@ -236,8 +239,10 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
         if self.records.extend_from_slice(&record.write()).is_err() {
             return false;
         }
-        if let (Some(covariance), 0) = (covariance, self.packets) {
-            self.covariance = Some(*covariance);
+        if let Some(covariance) = covariance
+            && (self.packets == 0 || self.covariance.is_some() || record.cells_used != self.cells)
+        {
+            (self.covariance, self.cells) = (Some(*covariance), record.cells_used);
         }
         true
     }
@@ -320,6 +325,23 @@ mod tests {
             let covariance = builder.poses(3, 5, 9).unwrap().covariance;
             assert_eq!(covariance, (packet == COVARIANCE_PACKETS).then_some([2.0; TRIANGLE]), "packet {packet}");
         }
+    }
+
+    #[test]
+    fn other_cells_bring_their_covariance_at_once() {
+        let mut builder = PosesBuilder::<{ 2 * POSE_BYTES }>::default();
+        let with = |cells_used| PoseRecord { cells_used, ..record(PoseStatus::FewerCells) };
+        let mut packet = |cells: [u16; 2], first: f32| {
+            assert!(builder.push((0, 0), &with(cells[0]), Some(&[first; TRIANGLE])));
+            assert!(builder.push((1, 9), &with(cells[1]), Some(&[first + 1.0; TRIANGLE])));
+            let covariance = builder.poses(0, 0, 0).unwrap().covariance;
+            builder.clear();
+            covariance.map(|covariance| covariance[0])
+        };
+        assert_eq!(packet([0x3f, 0x3f], 1.0), Some(2.0));
+        assert_eq!(packet([0x3f, 0x3f], 3.0), None);
+        assert_eq!(packet([0x3f, 0x1f], 5.0), Some(6.0));
+        assert_eq!(packet([0x1f, 0x1f], 7.0), None);
     }
 
     #[test]

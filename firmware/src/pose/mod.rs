@@ -111,7 +111,7 @@ impl Poser {
             batch: PosesBuilder::default(),
             configuration: 0,
             missed: 0,
-            stream: Stream::ALL,
+            stream: Stream::SCANS,
         }
     }
 

@@ -79,6 +79,7 @@ fn poses_are_those_of_a_host_bit_for_bit() {
     let mut configuration = default_configuration();
     configuration.schedule.frame_ticks = TICKS_PER_SECOND as u32 / 2_500;
     chain.rig.send(Command::Configure(configuration));
+    chain.rig.send(Command::Stream(Stream::BOTH));
     chain.run_for(2e-3);
     chain.rig.send(Command::Start);
     chain.run_for(1.2);
