@@ -54,7 +54,7 @@ pub enum Command {
     Reboot(BootTarget),
     /// Take a part of the head that the board is to solve poses with; the last one ends it.
     Head(HeadPart),
-    /// Send these of the scans and poses from now on, until the next reset. Before the first: [`Stream::SCANS`].
+    /// Send these of the scans and poses from now on. After a reset and after each Stop: [`Stream::SCANS`].
     Stream(Stream),
 }
 
@@ -84,7 +84,7 @@ impl HeadPart {
 }
 
 /// Scans that a [sample](Stream::scans) holds: enough to learn how the tool moves, and then to judge poses.
-pub const SAMPLE_SCANS: u16 = 16;
+pub const SAMPLE_SCANS: u16 = 32;
 
 /// What a board sends of its scans and of the poses that it finds in them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -103,8 +103,8 @@ impl Stream {
     /// All scans and all poses.
     pub const BOTH: Self = Self { scans: 1, poses: 1 };
 
-    /// All poses, and a sample of the scans by which a host can check them: 3 % of them, 31 in a second of 1 kHz.
-    pub const POSES: Self = Self { scans: 512, poses: 1 };
+    /// All poses, and a sample of the scans by which a host can check them: 3 % of them, 125 in a second of 4 kHz.
+    pub const POSES: Self = Self { scans: 1_024, poses: 1 };
 
     /// Whether scan number `sequence` is sent.
     pub fn has_scan(self, sequence: u64) -> bool {
@@ -201,6 +201,6 @@ mod tests {
         assert_eq!(sent(Stream { scans: 100, poses: 0 }, 3_000), (30 * usize::from(SAMPLE_SCANS), 0));
         assert_eq!(sent(Stream { scans: 0, poses: 1 }, 3_000), (0, 3_000));
         let sampled = Stream { scans: 100, poses: 0 };
-        assert!(sampled.has_scan(200) && sampled.has_scan(215) && !sampled.has_scan(216) && !sampled.has_scan(199));
+        assert!(sampled.has_scan(200) && sampled.has_scan(231) && !sampled.has_scan(232) && !sampled.has_scan(199));
     }
 }

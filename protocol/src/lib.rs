@@ -98,7 +98,7 @@
 //! seconds · **6 Store**: `?u64` scene hash, `?u64` calibration hash · **7 Forget** ·
 //! **8 Reboot**: enum target (0 firmware, 1 boot loader) · **9 Head**: `u16` offset, `u16` bytes of
 //! the whole, `list u8` bytes (128 at most) · **10 Stream**: `u16` of how
-//! many scans the first 16 are sent, `u8` of how many poses one is sent, none if zero.
+//! many scans the first 32 are sent, `u8` of how many poses one is sent, none if zero.
 //!
 //! Every command with a readable number gets one Reply, after all other messages it
 //! causes; a command of unknown kind gets rejection 0 (unsupported).

@@ -12,7 +12,7 @@
 //! | Store, Forget | kept, with the head in force, or forgotten beyond a reset, then a hello | the same; sampling goes on |
 //! | Reboot | the reply, then a reset | idle, the reply, then a reset |
 //! | Head | a part taken; with the last one the head is in force | the same, poses from the next scan on |
-//! | Stream | in force | in force, what is under way goes out |
+//! | Stream | in force until the next Stop | the same; what is under way goes out |
 //!
 //! A Configure changes nothing in either state if its schedule contradicts itself or is in
 //! other ticks than the board's, if its number of levels is wrong, or if the hardware
@@ -98,11 +98,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                     self.warn_of_head();
                 }
             }
-            Command::Stream(stream) => {
-                self.flush();
-                self.collector.set_stream(stream);
-                self.poser.set_stream(stream);
-            }
+            Command::Stream(stream) => self.set_stream(stream),
         }
         Ok(Done::Now)
     }

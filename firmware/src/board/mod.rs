@@ -13,6 +13,7 @@ use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
     AdcScaling, BoardKind, BootTarget, ClockSource, Configuration, Decoder, Event, Exposure, HardwareFault, Hashes,
     Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PROTOCOL, Rejection, ResetCause, SettingsSource, Severity,
+    Stream,
 };
 
 use crate::collector::Collector;
@@ -227,7 +228,14 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         }
     }
 
-    /// Ends acquisition in good order.
+    /// Sends these of the scans and poses from now on.
+    fn set_stream(&mut self, stream: Stream) {
+        self.flush();
+        self.collector.set_stream(stream);
+        self.poser.set_stream(stream);
+    }
+
+    /// Ends acquisition in good order. The next host may not know of poses.
     fn stop(&mut self) -> Result<(), HardwareFault> {
         let was_acquiring = self.acquiring;
         if was_acquiring {
@@ -236,10 +244,15 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         }
         // Dark first: encoding a batch takes so long that another scan would finish.
         let outcome = if self.emitters == Emitters::Off { Ok(()) } else { self.darken() };
-        if was_acquiring {
-            self.flush();
-        }
+        // Of scans that were taken the poses are sent, too. Each takes a frame at most.
+        while was_acquiring && self.solve_next() {}
+        self.set_stream(Stream::SCANS);
         outcome
+    }
+
+    /// Solves a scan that waits; `false` if none does.
+    fn solve_next(&mut self) -> bool {
+        self.poser.work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans())
     }
 
     /// Sends what is under way, full or not.

@@ -20,7 +20,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         self.follow(link, now);
         if self.acquiring {
             // A scan is solved at the poll after the one that has collected it: in between the link has its turn.
-            let has_solved = self.poser.work(&mut self.hardware, &mut self.outbox, self.collector.batch_scans());
+            let has_solved = self.solve_next();
             if !has_solved || self.poser.is_behind() {
                 self.collect();
             }

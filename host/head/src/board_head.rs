@@ -1,11 +1,36 @@
 //! Heads compiled for boards that solve poses themselves.
 
-use slitpose_firmware::pose::{CellStage, Head, Readout};
+use slitpose_firmware::pose::{CellStage, HEAD_BYTES, Head, HeadError, Readout};
 use slitpose_model::{CompactError, Solver};
 use slitpose_protocol::{AdcScaling, Hashes, Schedule};
+use thiserror::Error;
 
 use crate::front_end::Stage;
 use crate::scene_file::SceneFile;
+
+/// Why there is no head for a board.
+#[derive(Debug, Error)]
+pub enum BoardHeadError {
+    /// A cell has what boards do not compute.
+    #[error(transparent)]
+    Compact(#[from] CompactError),
+    /// It is too long.
+    #[error(transparent)]
+    TooLong(#[from] HeadError),
+}
+
+/// The bytes of [`compile`]'s head, as they are sent to the board.
+///
+/// # Errors
+/// If a cell has what the board does not compute.
+pub fn encode(
+    file: &SceneFile,
+    schedule: &Schedule,
+    scaling: &AdcScaling,
+    hashes: Hashes,
+) -> Result<Vec<u8>, BoardHeadError> {
+    Ok(compile(file, schedule, scaling, hashes)?.encode(&mut [0; HEAD_BYTES])?.to_vec())
+}
 
 /// The head of `file` for a board that runs `schedule` with `scaling`, `hashes` those of what it is compiled from.
 ///
@@ -30,7 +55,6 @@ pub fn compile(
 
 #[cfg(test)]
 mod tests {
-    use slitpose_firmware::pose::HEAD_BYTES;
     use slitpose_model::Tier;
     use slitpose_protocol::{
         Command, Decoder, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord, Request, Stream, Truth,

@@ -9,7 +9,7 @@ use slitpose_model::{Cell, Tier};
 use thiserror::Error;
 
 use crate::link::DeviceId;
-use crate::pipeline::Following;
+use crate::pipeline::{Following, PoseSource};
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{SceneFile, SceneFileError, fnv1a_64};
 
@@ -179,6 +179,9 @@ impl Setup {
                 put("tier", "exact".to_owned())
             }
         };
+        if following.source == PoseSource::Board {
+            put("poses", "board".to_owned());
+        }
         if let Some(filter_s) = following.filter_s {
             put("filter_s", filter_s.to_string());
         }
@@ -240,7 +243,12 @@ impl Setup {
         let source = texts.get(&hash).ok_or(SetupError::Scene { hash })?.to_string();
         let scene =
             CapturedScene { name: get("scene_name")?.clone(), origin: get("scene_origin")?.clone(), hash, source };
-        let settings = Settings { tier, following: Following { filter_s, without_clipped } };
+        let source = match map.get("poses").map(String::as_str) {
+            None => PoseSource::Host,
+            Some("board") => PoseSource::Board,
+            Some(_) => return Err(value("poses", "`board`, or nothing")),
+        };
+        let settings = Settings { tier, following: Following { source, filter_s, without_clipped } };
         let setup = Self { device, scene, basis, settings, program: get("program")?.clone() };
         Ok((setup, LinkChannels { link: channel("link_channel")?, hello: channel("hello_channel")? }))
     }
@@ -339,10 +347,11 @@ mod tests {
     fn setups_come_back_as_they_were() {
         let file = WIDE.read().unwrap();
         let channels = LinkChannels { link: 1, hello: 7 };
-        for (tier, filter_s, without_clipped) in
-            [(Tier::Paper, None, true), (Tier::Exact { tolerance: 1.0 / 3.0e6 }, Some(0.1 + 0.2), false)]
-        {
-            let settings = Settings { tier, following: Following { filter_s, without_clipped } };
+        for (tier, source, filter_s, without_clipped) in [
+            (Tier::Paper, PoseSource::Host, None, true),
+            (Tier::Exact { tolerance: 1.0 / 3.0e6 }, PoseSource::Board, Some(0.1 + 0.2), false),
+        ] {
+            let settings = Settings { tier, following: Following { source, filter_s, without_clipped } };
             let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
             let name = setup.attachment(|_| false);
             assert_eq!(name, "wide.toml");
@@ -356,7 +365,7 @@ mod tests {
 
     fn entries() -> (BTreeMap<String, String>, Texts) {
         let file = WIDE.read().unwrap();
-        let following = Following { filter_s: Some(0.005), without_clipped: false };
+        let following = Following { filter_s: Some(0.005), ..Following::default() };
         let settings = Settings { tier: Tier::Exact { tolerance: 1e-6 }, following };
         let setup = Setup::new(DeviceId(*b"0123456789ab"), &file.clone().into(), settings);
         let map = setup.to_metadata("wide.toml", LinkChannels { link: 1, hello: 7 });

@@ -197,6 +197,14 @@ pub(crate) enum CommandError {
         /// The device asked for.
         device: String,
     },
+    /// An option of solving, where the board solves.
+    #[error(
+        "{option} says how this program solves poses, and with --stream pose the board does; leave one of both out"
+    )]
+    OnlyHere {
+        /// The option.
+        option: &'static str,
+    },
     /// More scenes than one and yet not one for each board.
     #[error("{scenes} scenes for {devices} boards; give one for all, or one for each, in the same order")]
     Scenes {
@@ -317,6 +325,7 @@ impl CommandError {
             #[cfg(not(feature = "parquet"))]
             Self::NoParquet { .. } => ExitCode::from(2),
             Self::OnlySimulated { .. }
+            | Self::OnlyHere { .. }
             | Self::Scenes { .. }
             | Self::Calibrations { .. }
             | Self::Config(_)

@@ -6,8 +6,9 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
+use clap::ValueEnum;
 use slitpose_calibration::{Basis, Head};
-use slitpose_protocol::Hello;
+use slitpose_protocol::{Hello, Stream};
 
 use super::live::{Changes, FoxgloveOptions, LiveOptions};
 use super::mouse::MouseOptions;
@@ -23,7 +24,7 @@ use crate::device::{Search, Selector};
 use crate::http::Reach;
 use crate::link::DeviceId;
 use crate::live::{Access, LiveBoard, LivePlan, TakesSamples};
-use crate::pipeline::{self, PipelineError, SceneMatch};
+use crate::pipeline::{self, Following, PipelineError, PoseSource, SceneMatch};
 use crate::service::{self, Service};
 use crate::solving::head_by;
 use crate::spacenav::SpacenavServer;
@@ -65,6 +66,10 @@ pub(super) struct Args {
     /// its scene says
     #[arg(long, value_name = "FILE", value_delimiter = ',')]
     calibration: Vec<PathBuf>,
+    /// What the board sends: its scans, which are solved here; poses that it finds itself, and a sample of its scans to
+    /// check them by; or both, solved here and compared. A board that shall solve poses is sent its head first
+    #[arg(long, value_enum, value_name = "WHAT", default_value_t = StreamName::Raw)]
+    stream: StreamName,
     #[command(flatten)]
     poses: PoseOptions,
     #[command(flatten)]
@@ -105,6 +110,28 @@ pub(super) struct Args {
     pub(super) print_config: bool,
 }
 
+/// What a board sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum StreamName {
+    Raw,
+    Pose,
+    Both,
+}
+
+impl StreamName {
+    fn stream(self) -> Stream {
+        match self {
+            Self::Raw => Stream::SCANS,
+            Self::Pose => Stream::POSES,
+            Self::Both => Stream::BOTH,
+        }
+    }
+
+    fn source(self) -> PoseSource {
+        if self == Self::Pose { PoseSource::Board } else { PoseSource::Host }
+    }
+}
+
 /// How long to look for a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Patience(Option<Duration>);
@@ -118,6 +145,9 @@ fn parse_patience(text: &str) -> Result<Patience, String> {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    if let (StreamName::Pose, Some(option)) = (args.stream, args.poses.solving.for_this_program()) {
+        return Err(CommandError::OnlyHere { option });
+    }
     let zenoh = args.zenoh.open(&args.device)?;
     let boards = args.boards(zenoh.as_ref())?;
     let stop = interrupt()?;
@@ -319,7 +349,8 @@ impl Args {
             head,
             configuration,
             tier,
-            following: self.poses.following(),
+            following: Following { source: self.stream.source(), ..self.poses.following() },
+            stream: self.stream.stream(),
             until_s: self.poses.duration,
             patience,
             keeps_time,

@@ -8,7 +8,7 @@ use std::time::Duration;
 use crossbeam_channel::bounded;
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
-use slitpose_protocol::Configuration;
+use slitpose_protocol::{Configuration, Stream};
 
 use super::backlog::Backlog;
 use super::buffer_pool::{Producer, buffer_pool};
@@ -50,6 +50,8 @@ pub(crate) struct BoardPlan {
     pub head: Head,
     /// The board's configuration.
     pub configuration: Configuration,
+    /// What the board is to send.
+    pub stream: Stream,
     /// Decides whether a board may be followed.
     pub admit: Admit,
     /// The tier of the optics.
@@ -106,7 +108,7 @@ impl BoardThreads {
         let overflow = if plan.keeps_time { Overflow::Drop } else { Overflow::Wait };
         let keeps_all = shared.prints_each || plan.until_s.is_some();
         let tap = |ends| Tap::new(number, ends, overflow);
-        let pipeline = Pipeline::new(plan.head, plan.tier, SceneMatch::Required)
+        let pipeline = Pipeline::new(plan.head.clone(), plan.tier, SceneMatch::Required)
             .until(plan.until_s)
             .following(plan.following)
             .watched();
@@ -135,6 +137,8 @@ impl BoardThreads {
         let reader = Reader {
             opener: plan.opener,
             configuration: plan.configuration,
+            stream: plan.stream,
+            head: plan.head,
             admit: plan.admit,
             patience: plan.patience,
             handoff,

@@ -1,5 +1,6 @@
 //! Why a board is followed no longer.
 
+use slitpose_head::board_head::BoardHeadError;
 use slitpose_protocol::Rejection;
 use thiserror::Error;
 
@@ -16,6 +17,9 @@ pub(crate) enum BoardError {
     /// The board does not suit the scene.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+    /// The board cannot solve poses of its head.
+    #[error("the board cannot solve poses of this head, and this program can: give --stream raw")]
+    Head(#[from] BoardHeadError),
     /// The board refused a command.
     #[error("the board refused a command")]
     Refused(#[source] Rejection),
@@ -42,7 +46,7 @@ impl BoardError {
     pub(super) fn is_passing(&self) -> bool {
         match self {
             Self::Device(error) => error.is_passing(),
-            Self::Pipeline(_) | Self::Refused(_) | Self::Twice { .. } | Self::Thread(_) => false,
+            Self::Pipeline(_) | Self::Head(_) | Self::Refused(_) | Self::Twice { .. } | Self::Thread(_) => false,
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard};
 
-use slitpose_protocol::{Configuration, Hello};
+use slitpose_protocol::{Configuration, Hello, Stream};
 
 use super::error::BoardError;
 use crate::device::{
@@ -26,11 +26,12 @@ pub(crate) trait Feed {
     /// If no board answers, or `admit` refuses it.
     fn greet(&mut self, admit: &mut dyn FnMut(&Hello<'_>) -> Result<(), BoardError>) -> Result<(), BoardError>;
 
-    /// Has the board send scans by `configuration`, unless another host says by which.
+    /// Has the board send scans by `configuration`, and what `stream` says of them, unless another host says by which.
+    /// With a `head` it solves poses.
     ///
     /// # Errors
     /// If the board refuses, or does not reply.
-    fn start(&mut self, configuration: &Configuration) -> Result<(), DeviceError>;
+    fn start(&mut self, configuration: &Configuration, stream: Stream, head: Option<&[u8]>) -> Result<(), DeviceError>;
 
     /// Waits for bytes, a few hundredths of a second at most. `false` if the stream has ended.
     ///
@@ -57,8 +58,12 @@ impl Feed for Conversation {
         self.greet(admit)
     }
 
-    fn start(&mut self, configuration: &Configuration) -> Result<(), DeviceError> {
+    fn start(&mut self, configuration: &Configuration, stream: Stream, head: Option<&[u8]>) -> Result<(), DeviceError> {
         self.configure(configuration.clone())?;
+        if let Some(head) = head {
+            self.send_head(head)?;
+        }
+        self.stream(stream)?;
         self.start()
     }
 

@@ -6,7 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
-use slitpose_protocol::Configuration;
+use slitpose_calibration::Head;
+use slitpose_protocol::{Configuration, Stream};
 
 use super::claims::Claims;
 use super::error::BoardError;
@@ -17,6 +18,8 @@ use super::solver::Solver;
 use super::stream_event::StreamEvent;
 use crate::device::{DeviceError, Keep};
 use crate::link::DeviceId;
+use crate::pipeline::head_of;
+use crate::solving;
 
 /// Pause between searches for a board lost recently: a re-plugged one is back at once.
 const SOON: Duration = Duration::from_millis(100);
@@ -37,6 +40,10 @@ const MOMENT: Duration = Duration::from_millis(20);
 pub(super) struct Reader {
     pub(super) opener: Box<dyn Opener>,
     pub(super) configuration: Configuration,
+    /// What the board is to send.
+    pub(super) stream: Stream,
+    /// By which it solves poses, if these are asked for.
+    pub(super) head: Head,
     pub(super) admit: Admit,
     /// How long to go without a usable scan before giving up; `None`: for ever.
     pub(super) patience: Option<Duration>,
@@ -128,17 +135,21 @@ impl Reader {
         let mut board = self.opener.open()?;
         self.slot.link.connecting();
 
-        let Self { admit, opener, slot, claims, claimant, .. } = self;
+        let Self { admit, opener, slot, claims, claimant, stream, head, configuration, .. } = self;
         let name = board.name();
+        let mut compiled = None;
         board.greet(&mut |hello| {
             admit(hello)?;
             let device = DeviceId(hello.device_id);
             claims.claim(device, claimant)?;
             opener.greeted(device);
             slot.link.greeted(device, &name);
+            if stream.poses > 0 {
+                compiled = Some(solving::compile(&head_of(head, hello), &configuration.schedule, &hello.scaling)?);
+            }
             Ok(())
         })?;
-        board.start(&self.configuration)?;
+        board.start(configuration, *stream, compiled.as_deref())?;
         self.connection += 1;
         Ok(board)
     }

@@ -23,7 +23,7 @@ impl BoardSlot {
     pub(super) fn account(&self, pipeline: &Pipeline, statistics: &mut BoardStatistics) {
         statistics.set_clock(pipeline.drift_ppm(), pipeline.contradicts_crystal());
         let report = statistics.report(&pipeline.counts(), pipeline.health(), HostInstant::now());
-        *lock(&self.report) = report;
+        *lock(&self.report) = BoardReport { board_poses: pipeline.agreement(), ..report };
     }
 
     /// The newest state.

@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{
-    Command, Configuration, DELIMITER, Decoder, FrameError, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message,
-    PayloadError, Rejection, Request, encode,
+    Command, Configuration, DELIMITER, Decoder, FrameError, HeadPart, Hello, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES,
+    Message, PayloadError, Rejection, Request, Stream, encode,
 };
 
 use super::keep_alive::{self, KeepAlive, ping};
@@ -164,6 +164,27 @@ impl Conversation {
         Ok(())
     }
 
+    /// Sends a compiled head, by which the board then solves poses. Received bytes are appended to the inbox.
+    ///
+    /// # Errors
+    /// If the board refuses it, solves no poses, or does not reply.
+    pub(crate) fn send_head(&mut self, head: &[u8]) -> Result<(), DeviceError> {
+        HeadPart::all(head).try_for_each(|part| self.ask(Command::Head(part), Keep::All, REPLY_WITHIN).map(drop))
+    }
+
+    /// Chooses what the board sends once it is started. Received bytes are appended to the inbox.
+    ///
+    /// # Errors
+    /// If the board refuses, or does not reply.
+    pub(crate) fn stream(&mut self, stream: Stream) -> Result<(), DeviceError> {
+        // So it does without being told.
+        if stream == Stream::SCANS {
+            Ok(())
+        } else {
+            self.ask(Command::Stream(stream), Keep::All, REPLY_WITHIN).map(drop)
+        }
+    }
+
     /// Starts acquisition. Received bytes are appended to the inbox.
     ///
     /// # Errors
@@ -248,7 +269,7 @@ impl Conversation {
                 return match outcome {
                     Ok(()) => Ok(introduced),
                     Err(source) => {
-                        let next_step = next_step_of(&source);
+                        let next_step = next_step_of(name, &source);
                         Err(DeviceError::Refused { name: self.name(), command: name, next_step, source })
                     }
                 };
@@ -354,6 +375,8 @@ impl Drop for Conversation {
     }
 }
 
+const HEAD: &str = "Head";
+
 fn name_of(command: &Command) -> &'static str {
     match command {
         Command::Hello => "Hello",
@@ -365,13 +388,16 @@ fn name_of(command: &Command) -> &'static str {
         Command::Store(_) => "Store",
         Command::Forget => "Forget",
         Command::Reboot(_) => "Reboot",
-        Command::Head(_) => "Head",
+        Command::Head(_) => HEAD,
         Command::Stream(_) => "Stream",
     }
 }
 
-fn next_step_of(rejection: &Rejection) -> &'static str {
+fn next_step_of(command: &str, rejection: &Rejection) -> &'static str {
     match rejection {
+        Rejection::Unsupported { .. } if command == HEAD => {
+            "flash the image that solves poses, slitpose-board-pose, or let this program solve them: --stream raw"
+        }
         Rejection::Unsupported { .. } | Rejection::Malformed { .. } => {
             "build firmware and program from the same source"
         }

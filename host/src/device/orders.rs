@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use slitpose_protocol::{BootTarget, Command, Hashes, Message, Status};
+use slitpose_protocol::{BootTarget, Command, Hashes, HeadPart, Message, Rejection, Status};
 
 use super::conversation::REPLY_WITHIN;
 use super::{BoardInfo, Conversation, DeviceError, Keep};
@@ -55,6 +55,18 @@ impl Conversation {
     /// If the flash memory fails, or the board does not reply.
     pub(crate) fn store(&mut self, hashes: Hashes) -> Result<(), DeviceError> {
         self.order(Command::Store(hashes))
+    }
+
+    /// Takes the head from the board, which then solves no poses; `false` if it never does.
+    ///
+    /// # Errors
+    /// If the board does not reply.
+    pub(crate) fn forget_head(&mut self) -> Result<bool, DeviceError> {
+        let none = HeadPart { offset: 0, total: 0, bytes: [].into_iter().collect() };
+        match self.order(Command::Head(none)) {
+            Err(DeviceError::Refused { source: Rejection::Unsupported { .. }, .. }) => Ok(false),
+            outcome => outcome.map(|()| true),
+        }
     }
 
     /// Erases the board's stored configuration and hashes.

@@ -7,6 +7,7 @@
 //! [`receive`](Pipeline::receive), which only decodes, and chooses the scan that is solved next.
 
 mod board_clock;
+mod board_poses;
 mod counts;
 mod error;
 mod oddity;
@@ -23,10 +24,12 @@ use glam::{DQuat, DVec3};
 use slitpose_calibration::Head;
 use slitpose_head::scene_file::fnv1a_64;
 use slitpose_model::{Filtered, Photocurrents, Pose, Solution, Tier, Tracked, TwistEstimate};
+use slitpose_protocol::poses::READY_TICKS;
 use slitpose_protocol::{
-    Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Severity, Status, Truth,
+    Batch, BoardKind, DELIMITER, Decoder, Hello, MAX_MESSAGE_BYTES, Message, Poses, Severity, Status, Truth,
 };
 
+pub use board_poses::Agreement;
 pub use counts::Counts;
 pub use error::PipelineError;
 pub use oddity::Oddity;
@@ -42,7 +45,7 @@ use board_clock::BoardClock;
 use oddity::ClockWatch;
 use session::Session;
 use span::Span;
-use waiting::Waiting;
+use waiting::{Content, Waiting};
 
 /// True poses that may wait for their scans: more than a board queues.
 const MAX_TRUTHS: usize = 1024;
@@ -112,9 +115,21 @@ pub enum SceneMatch {
     Waived,
 }
 
+/// Who finds the poses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PoseSource {
+    /// This program, in the words of each scan.
+    #[default]
+    Host,
+    /// The board; what words it sends besides are a sample to check its poses by.
+    Board,
+}
+
 /// Options of the tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Following {
+    /// Who finds the poses. The options that follow are for poses found here.
+    pub source: PoseSource,
     /// Memory of a filter over many scans, seconds; `None` for no filter.
     pub filter_s: Option<f64>,
     /// Whether cells whose light falls on an end of the detector are left out.
@@ -149,6 +164,8 @@ struct Flow {
     is_opened: bool,
     /// Whether a board that is not simulated has sent true poses.
     has_false_truth: bool,
+    /// Whether the board has sent poses of another head.
+    has_other_head: bool,
     counts: Counts,
 }
 
@@ -180,6 +197,7 @@ impl Pipeline {
                 clock_watch: ClockWatch::default(),
                 is_opened: true,
                 has_false_truth: false,
+                has_other_head: false,
                 counts: Counts::default(),
             },
         }
@@ -264,12 +282,18 @@ impl Pipeline {
         self.flow.solve_newest()
     }
 
-    /// Takes the oldest waiting scan unsolved, with its photocurrents, and counts it as skipped.
+    /// Takes the oldest waiting scan that has photocurrents unsolved, with these, and counts it and those before as
+    /// skipped.
     pub fn take_currents(&mut self) -> Option<(Scan, Photocurrents)> {
-        let (scan, _) = self.flow.waiting.pop()?;
-        self.flow.counts.scans_skipped += 1;
-        let session = session_of(&mut self.flow.earlier, &mut self.flow.session, scan.session)?;
-        Some((scan, session.photocurrents(&scan.raw)))
+        loop {
+            let (scan, _) = self.flow.waiting.pop()?;
+            self.flow.counts.scans_skipped += 1;
+            let session = session_of(&mut self.flow.earlier, &mut self.flow.session, scan.session)?;
+            if let Content::Words(words) = &scan.content {
+                let photocurrents = session.photocurrents(words);
+                return Some((scan, photocurrents));
+            }
+        }
     }
 
     /// How many sessions have begun: a board introduced itself for the first time, or with another configuration. Each
@@ -337,7 +361,9 @@ impl Pipeline {
             let Ok(message) = result else {
                 continue;
             };
-            if self.flow.span.is_complete() && matches!(message, Message::Batch(_) | Message::Truth(_)) {
+            if self.flow.span.is_complete()
+                && matches!(message, Message::Batch(_) | Message::Poses(_) | Message::Truth(_))
+            {
                 return Ok(length - ahead);
             }
             self.flow.accept(&message, sink)?;
@@ -358,6 +384,11 @@ impl Pipeline {
     /// The health of the head, if it is [monitored](Self::watched).
     pub fn health(&self) -> Option<HeadHealth> {
         self.flow.session.as_ref()?.health()
+    }
+
+    /// How the board's poses compare with those found here; `None` if it has sent none.
+    pub fn agreement(&self) -> Option<Agreement> {
+        self.flow.session.as_ref()?.agreement()
     }
 
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.
@@ -439,8 +470,7 @@ impl Flow {
                 self.truths.push_back(*truth);
                 Ok(())
             }
-            // The board's own; here every scan is solved anew.
-            Message::Poses(_) => Ok(()),
+            Message::Poses(poses) => self.take_poses(poses, sink),
         }
     }
 
@@ -456,7 +486,7 @@ impl Flow {
             self.counts.begin_numbering();
         }
         self.clock_watch.begin_anew();
-        self.has_false_truth = false;
+        (self.has_false_truth, self.has_other_head) = (false, false);
         let number = self.sessions;
         let session =
             Session::open(&self.head, self.tier, self.scene_match, self.following, self.watched, hello, number)?;
@@ -484,28 +514,83 @@ impl Flow {
             return Ok(());
         };
         self.clock.arrive(session.last_tick(batch.tick, scans.len()));
+        if self.following.source == PoseSource::Board {
+            // A sample of those whose poses the board sends.
+            for scan in scans {
+                session.solve_words(&scan, true);
+            }
+            return Ok(());
+        }
         for scan in scans {
-            let device_time_s = session.time_s(&scan);
-            if !self.span.admits(device_time_s, session.frame_s()) {
+            if !self.queue(scan.sequence, scan.tick, Content::Words(scan), sink)? {
                 break;
             }
-            self.counts.count_scan(scan.sequence);
-            let frame_ticks = session.schedule().frame_ticks;
-            if let Some(oddity) = self.clock_watch.check(scan.sequence, scan.tick, frame_ticks, session.tick_hz()) {
-                sink(Item::Oddity { device_time_s, oddity })?;
-            }
-            let scan = Scan {
-                session: session.number(),
-                device_time_s,
-                host_time: self.clock.time_of(scan.tick, session.reference_ticks()),
-                arrival: self.clock.at(),
-                truth: truth_of(&mut self.truths, scan.sequence),
-                raw: scan,
-            };
-            self.waiting.push(scan);
-            sink(Item::Scan(&scan))?;
         }
         Ok(())
+    }
+
+    /// Takes poses of the board.
+    fn take_poses<E: From<PipelineError>>(
+        &mut self,
+        poses: &Poses<'_>,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let is_source = self.following.source == PoseSource::Board;
+        let Some(session) = self.session.as_mut().filter(|session| session.configuration() == poses.configuration)
+        else {
+            self.counts.batches_without_hello += u64::from(is_source);
+            return Ok(());
+        };
+        if let Some((_, tick, record)) = poses.iter(session.schedule().frame_ticks).last() {
+            // Not sent before it was solved.
+            self.clock.arrive(tick.saturating_add(u64::from(record.ready) * u64::from(READY_TICKS)));
+        }
+        let Some(known) = session.take_poses(poses) else {
+            return match std::mem::replace(&mut self.has_other_head, true) || !is_source {
+                true => Ok(()),
+                false => sink(Item::Oddity { device_time_s: f64::NAN, oddity: Oddity::OtherHead }),
+            };
+        };
+        if is_source {
+            for (sequence, tick, pose) in known {
+                if !self.queue(sequence, tick, Content::Pose(pose), sink)? {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets a scan wait for its turn; `false` if it lies behind the end.
+    fn queue<E: From<PipelineError>>(
+        &mut self,
+        sequence: u64,
+        tick: u64,
+        content: Content,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<bool, E> {
+        let Some(session) = &self.session else { return Ok(false) };
+        let device_time_s = session.time_s(tick);
+        if !self.span.admits(device_time_s, session.frame_s()) {
+            return Ok(false);
+        }
+        self.counts.count_scan(sequence);
+        let frame_ticks = session.schedule().frame_ticks;
+        if let Some(oddity) = self.clock_watch.check(sequence, tick, frame_ticks, session.tick_hz()) {
+            sink(Item::Oddity { device_time_s, oddity })?;
+        }
+        let scan = Scan {
+            sequence,
+            content,
+            session: session.number(),
+            device_time_s,
+            host_time: self.clock.time_of(tick, session.reference_ticks()),
+            arrival: self.clock.at(),
+            truth: truth_of(&mut self.truths, sequence),
+        };
+        self.waiting.push(scan);
+        sink(Item::Scan(&scan))?;
+        Ok(true)
     }
 
     fn solve_next(&mut self) -> Option<Record> {
@@ -515,7 +600,7 @@ impl Flow {
         }
         // A newer scan has already been counted for the health of the head.
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
-        let tracked = session.solve(&scan.raw, !is_passed);
+        let tracked = session.solve(&scan.content, !is_passed);
         self.counts.outcomes.count(&tracked.solution.outcome);
         Some(record(session, &scan, tracked))
     }
@@ -524,7 +609,7 @@ impl Flow {
         let is_first = self.waiting.queue().passed == 0;
         let scan = self.waiting.pass()?;
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
-        let tracked = session.solve_ahead(&scan.raw, is_first);
+        let tracked = session.solve_ahead(&scan.content, is_first);
         Some(record(session, &scan, tracked))
     }
 }

@@ -26,6 +26,12 @@ pub enum Oddity {
          firmware anew"
     )]
     Truth,
+    /// The board solves poses by another head than this one.
+    #[error(
+        "the board's poses are of another head than that of the scene and the calibration given: they are left out; \
+         store this head with `slitpose device set`, or give the scene and the calibration that the board has"
+    )]
+    OtherHead,
     /// The board's number changed although the link was not reopened.
     #[error(
         "the board calls itself {now} in the midst of its stream, and was {before}: the poses that follow are told as \

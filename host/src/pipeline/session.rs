@@ -2,11 +2,15 @@
 
 use slitpose_calibration::{Basis, Head};
 use slitpose_model::{Photocurrents, Solver, Tier, Tracked, Tracker};
+use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
+use super::board_poses::{Agreement, BoardPose, Comparison};
+use super::waiting::Content;
 use super::{Following, PipelineError, SceneMatch};
 use crate::health::{HeadHealth, Health};
 use crate::link::{DeviceId, Versions};
+use crate::solving;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::SceneFile;
 
@@ -29,6 +33,12 @@ pub(super) struct Session {
     /// Tracks the newest scans while older ones wait.
     ahead: Option<Box<Tracker<f64>>>,
     health: Option<Health>,
+    /// Number of the head that the board's poses must be of.
+    head_number: u32,
+    /// Poses of the board and of this program, once the board has sent any.
+    comparison: Option<Box<Comparison>>,
+    /// The latest that the board has told.
+    covariance: Option<[f32; TRIANGLE]>,
 }
 
 /// Checks the parts of `hello` that do not depend on the schedule: protocol, scaling and scene.
@@ -105,6 +115,7 @@ impl Session {
         } else {
             None
         };
+        let head_number = solving::hashes(&head).number();
         let stage = Stage::new(file, &hello.schedule, &hello.scaling);
         let scene = Stage::weighted_scene(file, &hello.schedule, &hello.scaling);
         let solver = Solver::new(&scene, tier)?.with_exposures(&stage.exposures_s());
@@ -125,6 +136,9 @@ impl Session {
             tracker,
             ahead: None,
             health,
+            head_number,
+            comparison: None,
+            covariance: None,
             stage,
             photocurrents: Photocurrents::default(),
             schedule: hello.schedule.clone(),
@@ -170,9 +184,9 @@ impl Session {
         self.schedule.frame_rate_hz().recip()
     }
 
-    /// The instant of a scan's pose, device seconds.
-    pub(super) fn time_s(&self, scan: &RawScan) -> f64 {
-        (scan.tick as f64 + self.reference_ticks) / self.tick_hz()
+    /// The instant of the pose of a scan whose frame began at `tick`, device seconds.
+    pub(super) fn time_s(&self, tick: u64) -> f64 {
+        (tick as f64 + self.reference_ticks) / self.tick_hz()
     }
 
     /// Ticks from the start of a scan's frame to the instant of its pose.
@@ -188,9 +202,50 @@ impl Session {
     }
 
     /// Solves the next scan in turn; `watched`: it counts for the health of the head.
-    pub(super) fn solve(&mut self, scan: &RawScan, watched: bool) -> Tracked {
+    pub(super) fn solve(&mut self, content: &Content, watched: bool) -> Tracked {
+        match content {
+            Content::Words(scan) => self.solve_words(scan, watched),
+            Content::Pose(pose) => {
+                let mut tracked = Tracked { solution: pose.solution(), twist: None, filtered: None };
+                self.head.complete_tracked(&mut tracked);
+                tracked
+            }
+        }
+    }
+
+    /// Takes the board's poses as known: those of each scan behind the first covariance. `None` if they are of another
+    /// head.
+    pub(super) fn take_poses<'p>(
+        &mut self,
+        poses: &Poses<'p>,
+    ) -> Option<impl Iterator<Item = (u64, u64, BoardPose)> + use<'p>> {
+        if poses.head != self.head_number {
+            return None;
+        }
+        self.covariance = poses.covariance.or(self.covariance);
+        let comparison = self.comparison.get_or_insert_default();
+        comparison.take_missed(poses.missed);
+        let all = poses.iter(self.schedule.frame_ticks);
+        all.clone().for_each(|(sequence, _, record)| comparison.take_board(sequence, &record));
+        let known = self.covariance;
+        Some(all.filter_map(move |(sequence, tick, record)| {
+            let covariance = if record.status.has_pose() { known? } else { [0.0; TRIANGLE] };
+            Some((sequence, tick, BoardPose { record, covariance }))
+        }))
+    }
+
+    /// How the board's poses compare with those found here; `None` if it has sent none.
+    pub(super) fn agreement(&self) -> Option<Agreement> {
+        self.comparison.as_ref().map(|comparison| comparison.agreement())
+    }
+
+    /// Solves a scan by its words.
+    pub(super) fn solve_words(&mut self, scan: &RawScan, watched: bool) -> Tracked {
         self.photocurrents = self.stage.photocurrents(scan);
         let mut tracked = self.tracker.track(scan.sequence, &self.photocurrents);
+        if let Some(comparison) = &mut self.comparison {
+            comparison.take_host(scan.sequence, tracked.solution.estimate.as_ref());
+        }
         self.head.complete_tracked(&mut tracked);
         if let Some(health) = self.health.as_mut().filter(|_| watched) {
             health.update(scan, &self.photocurrents, &tracked.solution);
@@ -209,7 +264,10 @@ impl Session {
     }
 
     /// Solves a scan ahead of the waiting ones; `first`: none of these has been solved ahead.
-    pub(super) fn solve_ahead(&mut self, scan: &RawScan, first: bool) -> Tracked {
+    pub(super) fn solve_ahead(&mut self, content: &Content, first: bool) -> Tracked {
+        let Content::Words(scan) = content else {
+            return self.solve(content, false);
+        };
         self.photocurrents = self.stage.photocurrents(scan);
         let ahead = match &mut self.ahead {
             // Starts from the latest pose.

@@ -10,11 +10,20 @@ use crate::clock::{HostInstant, HostTime};
 /// Initial capacity: 30 ms of a board at 4 kHz.
 const USUAL: usize = 128;
 
+/// What has come of a scan.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Content {
+    /// The words of its converters: to be solved here.
+    Words(RawScan),
+    /// The pose that the board has found.
+    Pose(super::board_poses::BoardPose),
+}
+
 /// A scan that is not solved yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
-    /// As it was sampled: ADC counts.
-    pub raw: RawScan,
+    pub(super) sequence: u64,
+    pub(super) content: Content,
     /// Number of its session.
     pub(super) session: u64,
     /// The instant of its pose by the board's clock, seconds.
@@ -30,7 +39,7 @@ pub struct Scan {
 impl Scan {
     /// Number of the scan, counted by the board.
     pub fn sequence(&self) -> u64 {
-        self.raw.sequence
+        self.sequence
     }
 }
 

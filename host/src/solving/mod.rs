@@ -1,5 +1,6 @@
 //! How readings are solved: choices that commands and other programs offer.
 
+mod board;
 mod rows;
 
 use std::path::Path;
@@ -10,6 +11,7 @@ use slitpose_calibration::{CalibrationFileError, Head};
 use slitpose_model::Tier;
 
 use crate::pipeline::Following;
+pub(crate) use board::{compile, hashes};
 pub use rows::{RowSolver, RowsOf};
 use slitpose_head::scene_file::SceneFile;
 
@@ -101,12 +103,20 @@ impl Solving {
     pub fn following_or(&self, recorded: Option<Following>) -> Following {
         let recorded = recorded.unwrap_or_default();
         Following {
+            source: recorded.source,
             filter_s: match self.filter {
                 Some(Filter(filter_s)) => filter_s,
                 None => recorded.filter_s,
             },
             without_clipped: self.without_clipped || recorded.without_clipped,
         }
+    }
+
+    /// An option that was given for poses found by this program.
+    pub(crate) fn for_this_program(&self) -> Option<&'static str> {
+        [(matches!(self.filter, Some(Filter(Some(_)))), "--filter"), (self.without_clipped, "--without-clipped")]
+            .into_iter()
+            .find_map(|(is_given, option)| is_given.then_some(option))
     }
 
     /// The tier to solve in: as it was, unless asked otherwise.

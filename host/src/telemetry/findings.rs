@@ -2,6 +2,7 @@
 
 use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
 use crate::clock::HostInstant;
+use crate::pipeline::Agreement;
 use slitpose_head::finding::{Finding, Grade};
 
 /// A report this old shows that the daemon hangs: reports are made several times per second.
@@ -15,6 +16,9 @@ const BEHIND_S: f64 = 1.0;
 
 /// Poses that are older than this when sent are useless to a control loop.
 const OLD_S: f64 = 0.25;
+
+/// Poses that a board finds differ by a few hundredths of σ from those found here, as its numbers are shorter.
+const APART_SIGMAS: f64 = 0.3;
 
 /// Damaged packets per second from which on the link is faulty: a good link damages none in a day.
 const DAMAGED_FROM: u64 = 3;
@@ -119,6 +123,14 @@ impl BoardReport {
         if 2 * poses < scans {
             let text = format!("only {poses} of the last {scans} scans gave a pose");
             let next_step = "bring the tool home, and check that the scene is this head's";
+            findings.push(Finding::failed("poses", text, next_step));
+        }
+        if let Some(Agreement { recent_rms_sigmas, .. }) = self.board_poses
+            && recent_rms_sigmas > APART_SIGMAS
+        {
+            let text =
+                format!("the board's own differ from those found here by {recent_rms_sigmas:.2} standard deviations");
+            let next_step = "build firmware and program from the same source, and use --stream raw until then";
             findings.push(Finding::failed("poses", text, next_step));
         }
         let LinkLosses { unreadable, .. } = self.recent_link_losses;

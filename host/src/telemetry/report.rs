@@ -13,7 +13,7 @@ use crate::clock::HostInstant;
 use crate::datagram::DatagramCounts;
 use crate::health::HeadHealth;
 use crate::link::DeviceId;
-use crate::pipeline::Outcomes;
+use crate::pipeline::{Agreement, Outcomes};
 
 /// The state of a daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
@@ -96,6 +96,8 @@ pub(crate) struct BoardReport {
     pub complaint: Option<BoardEvent>,
     /// Health of the board's head; `None` before the first scan.
     pub head: Option<HeadHealth>,
+    /// How the poses that the board finds itself compare with those found here; `None` if it sends none.
+    pub board_poses: Option<Agreement>,
 }
 
 /// State of the link to a board.

@@ -169,6 +169,7 @@ impl BoardStatistics {
             vitals: self.status.as_ref().map(|status| self.vitals(status)),
             complaint: self.complaint.clone(),
             head,
+            board_poses: None,
         }
     }
 

@@ -8,7 +8,7 @@ use ::zenoh::pubsub::Subscriber;
 use ::zenoh::sample::Sample;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use slitpose_protocol::{
-    Configuration, DELIMITER, Decoder, FrameError, Hello, MAX_MESSAGE_BYTES, Message, PayloadError,
+    Configuration, DELIMITER, Decoder, FrameError, Hello, MAX_MESSAGE_BYTES, Message, PayloadError, Stream,
 };
 
 use super::ZenohSession;
@@ -196,7 +196,7 @@ impl Feed for FarBoard {
     }
 
     /// The host with the board has started it, by its own scene.
-    fn start(&mut self, _: &Configuration) -> Result<(), DeviceError> {
+    fn start(&mut self, _: &Configuration, _: Stream, _: Option<&[u8]>) -> Result<(), DeviceError> {
         self.heard_at = Instant::now();
         Ok(())
     }

@@ -121,6 +121,11 @@ impl Cells {
         self.0 &= !(1 << cell);
     }
 
+    /// Cell k for bit k.
+    pub fn from_bits(bits: u16) -> Self {
+        Self(bits)
+    }
+
     /// The cells of the set, ascending.
     pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
         (0..MAX_CELLS).filter(|&cell| self.contains(cell))
@@ -237,6 +242,25 @@ impl Verified {
 }
 
 impl<S: Scalar> Solution<S> {
+    /// A pose, or why there is none, from a solver elsewhere that tells no more than this. Nothing is known of its steps,
+    /// its condition, and what an error in one cell would have done.
+    pub fn reported(
+        outcome: Outcome,
+        estimate: Option<Estimate<S>>,
+        chi2: S,
+        cells_used: Cells,
+        excluded: Cells,
+    ) -> Self {
+        Self {
+            rigid: estimate.as_ref().map_or_else(Rigid::home, |estimate| Rigid::of(&estimate.pose)),
+            estimate,
+            chi2,
+            redundancy: (2 * cells_used.count()).saturating_sub(6),
+            excluded,
+            ..Self::without_pose(outcome, cells_used)
+        }
+    }
+
     /// The pose in the solver's own numbers: translation in metres, rotation as a unit quaternion x, y, z, w.
     pub fn pose_numbers(&self) -> Option<([S; 3], [S; 4])> {
         self.estimate.is_some().then(|| self.rigid.numbers())

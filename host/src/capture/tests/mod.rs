@@ -41,7 +41,10 @@ fn later(at: HostInstant, ns: u64) -> HostInstant {
 }
 
 fn settings() -> Settings {
-    Settings { tier: Tier::Exact { tolerance: 1e-6 }, following: Following { filter_s: None, without_clipped: true } }
+    Settings {
+        tier: Tier::Exact { tolerance: 1e-6 },
+        following: Following { without_clipped: true, ..Following::default() },
+    }
 }
 
 fn setup(device: DeviceId) -> Setup {

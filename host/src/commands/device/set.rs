@@ -4,11 +4,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use slitpose_calibration::{Calibration, Head};
-use slitpose_protocol::Hashes;
+use slitpose_protocol::{Hashes, Schedule};
 
 use super::{BoardOptions, Connection};
 use crate::commands::{CommandError, Outcome, names};
 use crate::device::DeviceError;
+use crate::solving;
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::table::Output;
@@ -46,13 +47,21 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             let configuration = front_end::configuration(&file)?;
             let given =
                 args.calibration.as_deref().map(|path| Head::open_calibrated(file.clone(), path)).transpose()?;
-            let given = given.as_ref().and_then(Head::calibration).map(Calibration::hash);
+            let calibrated = given;
+            let given = calibrated.as_ref().and_then(Head::calibration).map(Calibration::hash);
             let mut connection = args.board.connect(&file)?.understood()?;
             let before = connection.info.hashes;
             let same = before.scene == Some(file.hash);
             let hashes = Hashes { scene: Some(file.hash), calibration: given.or(before.calibration.filter(|_| same)) };
             let schedule = configuration.schedule.clone();
             connection.board.configure(configuration)?;
+            let solving = if given == hashes.calibration {
+                let head = calibrated.unwrap_or_else(|| file.clone().into());
+                send_head(&mut connection, &head, &schedule)?
+            } else {
+                connection.board.forget_head()?;
+                "; it solves no poses itself: give the calibration, too".to_owned()
+            };
             connection.board.store(hashes)?;
             let after = connection.board.introduce(HELLO_WITHIN)?;
             if after.hashes != hashes || after.schedule != schedule {
@@ -64,7 +73,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
                 None => String::new(),
             };
             format!(
-                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s{calibration}\n",
+                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s{calibration}{solving}\n",
                 connection.name(),
                 file.name,
                 file.hash,
@@ -74,6 +83,22 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     };
     Output::open(None)?.write_text(&said)?;
     Ok(Outcome::Done)
+}
+
+/// Gives a board that solves poses its head, and says how that went.
+fn send_head(connection: &mut Connection, head: &Head, schedule: &Schedule) -> Result<String, CommandError> {
+    let Connection { board, info, .. } = connection;
+    // Of a board without the command, or of one that solves no poses, nothing is said: it has poses as ever, by `run`.
+    if !board.forget_head()? {
+        return Ok(String::new());
+    }
+    match solving::compile(head, schedule, &info.scaling) {
+        Ok(bytes) => {
+            board.send_head(&bytes)?;
+            Ok("; with them it solves poses itself".to_owned())
+        }
+        Err(error) => Ok(format!("; it solves no poses itself: {error}")),
+    }
 }
 
 fn clear(mut connection: Connection) -> Result<String, CommandError> {

@@ -1,0 +1,259 @@
+//! Poses that a board has found itself: taken as they are, or compared with those found here in the same scans.
+
+use glam::{DQuat, DVec3};
+use schemars::JsonSchema;
+use serde::Serialize;
+use slitpose_model::{Cells, DegradedReason, Directions, Estimate, Outcome, Pose, Solution};
+use slitpose_protocol::poses::TRIANGLE;
+use slitpose_protocol::{PoseRecord, PoseStatus};
+
+/// Scans that wait for the other pose: more than lie between a batch and the poses of its scans.
+const REMEMBERED: usize = 256;
+
+/// Consecutive scans after which a tracker knows how the tool moves, whatever it knew before.
+const SETTLED: u32 = 16;
+
+/// Weight of the latest pose in the recent mean square.
+const RECENT: f64 = 1.0 / 64.0;
+
+/// How a board's poses compare with those that this program finds in the same scans.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct Agreement {
+    /// Poses of the board of which this program has found the other.
+    pub compared: u64,
+    /// Scans in which one has found a pose and the other has not.
+    pub one_sided: u64,
+    /// Largest difference, in standard deviations of the coordinate that differs most.
+    pub worst_sigmas: f64,
+    /// Root mean square of that difference, over some hundred poses.
+    pub recent_rms_sigmas: f64,
+    /// Scans that the board could not solve in time.
+    pub missed: u64,
+}
+
+/// A pose as a board tells it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BoardPose {
+    pub(super) record: PoseRecord,
+    /// The latest that the board has told.
+    pub(super) covariance: [f32; TRIANGLE],
+}
+
+impl BoardPose {
+    pub(super) fn solution(&self) -> Solution {
+        let Self { record, covariance } = self;
+        let outcome = match record.status {
+            PoseStatus::Converged => Outcome::Converged,
+            PoseStatus::FewerCells => Outcome::Degraded(DegradedReason::FewerCells),
+            PoseStatus::CellExcluded => Outcome::Degraded(DegradedReason::CellExcluded),
+            PoseStatus::Misfit => Outcome::Degraded(DegradedReason::Misfit),
+            PoseStatus::Ambiguous => Outcome::Ambiguous,
+            // It does not tell which.
+            PoseStatus::Unobservable => Outcome::Unobservable(Directions::default()),
+            PoseStatus::TooDark => Outcome::TooDark,
+            PoseStatus::Diverged | PoseStatus::Unknown => Outcome::Diverged,
+        };
+        let mut full = [[0.0; 6]; 6];
+        let mut elements = covariance.iter().map(|&element| f64::from(element));
+        for i in 0..6 {
+            for j in 0..=i {
+                let element = elements.next().unwrap_or_default();
+                (full[i][j], full[j][i]) = (element, element);
+            }
+        }
+        let pose = pose_of(record).filter(|_| record.status.has_pose());
+        let estimate = pose.map(|pose| Estimate { pose, covariance: full });
+        // A pose that is no number is none, whatever the status says.
+        let outcome = if estimate.is_none() && record.status.has_pose() { Outcome::Diverged } else { outcome };
+        let cells = |bits| Cells::from_bits(bits);
+        Solution::reported(outcome, estimate, record.chi2.into(), cells(record.cells_used), cells(record.excluded))
+    }
+}
+
+fn pose_of(record: &PoseRecord) -> Option<Pose> {
+    let rotation = DQuat::from_array(record.rotation_xyzw.map(f64::from)).normalize();
+    let pose = Pose { rotation, translation_m: DVec3::from_array(record.translation_m.map(f64::from)) };
+    pose.is_finite().then_some(pose)
+}
+
+/// Pairs poses of the same scan.
+#[derive(Debug)]
+pub(super) struct Comparison {
+    by_board: Vec<Option<(u64, PoseRecord)>>,
+    by_host: Vec<Option<(u64, Option<Estimate>)>>,
+    board: Run,
+    host: Run,
+    agreement: Agreement,
+}
+
+/// Consecutive scans of one side.
+#[derive(Clone, Copy, Debug, Default)]
+struct Run {
+    next: u64,
+    length: u32,
+}
+
+impl Run {
+    /// Whether scan `sequence` is behind enough others.
+    fn is_settled(&mut self, sequence: u64) -> bool {
+        self.length = if sequence == self.next { self.length.saturating_add(1) } else { 0 };
+        self.next = sequence.wrapping_add(1);
+        self.length >= SETTLED
+    }
+}
+
+impl Default for Comparison {
+    fn default() -> Self {
+        Self {
+            by_board: vec![None; REMEMBERED],
+            by_host: vec![None; REMEMBERED],
+            board: Run::default(),
+            host: Run::default(),
+            agreement: Agreement::default(),
+        }
+    }
+}
+
+impl Comparison {
+    pub(super) fn agreement(&self) -> Agreement {
+        self.agreement
+    }
+
+    /// Takes the board's count of scans that it has missed since its reset.
+    pub(super) fn take_missed(&mut self, missed: u32) {
+        self.agreement.missed = missed.into();
+    }
+
+    /// Takes the board's pose of scan `sequence`.
+    pub(super) fn take_board(&mut self, sequence: u64, record: &PoseRecord) {
+        if !self.board.is_settled(sequence) {
+            return;
+        }
+        match take(&mut self.by_host, sequence) {
+            Some(found) => self.compare(record, found.as_ref()),
+            None => self.by_board[place(sequence)] = Some((sequence, *record)),
+        }
+    }
+
+    /// Takes this program's pose of scan `sequence`, from the light alone.
+    pub(super) fn take_host(&mut self, sequence: u64, found: Option<&Estimate>) {
+        if !self.host.is_settled(sequence) {
+            return;
+        }
+        match take(&mut self.by_board, sequence) {
+            Some(record) => self.compare(&record, found),
+            None => self.by_host[place(sequence)] = Some((sequence, found.copied())),
+        }
+    }
+
+    fn compare(&mut self, record: &PoseRecord, found: Option<&Estimate>) {
+        let Agreement { compared, one_sided, worst_sigmas, recent_rms_sigmas, .. } = &mut self.agreement;
+        let by_board = pose_of(record).filter(|_| record.status.has_pose());
+        let (by_board, found) = match (by_board, found) {
+            (Some(by_board), Some(found)) => (by_board, found),
+            (None, None) => return,
+            _ => {
+                *one_sided += 1;
+                return;
+            }
+        };
+        let (translation, rotation) = by_board.displacement_from(&found.pose);
+        let off = translation.to_array().into_iter().chain(rotation.to_array());
+        let off = off.zip(found.sigma()).fold(0.0, |most: f64, (off, sigma)| most.max((off / sigma).abs()));
+        let weight = RECENT.max(1.0 / (*compared + 1) as f64);
+        let mean = recent_rms_sigmas.powi(2);
+        *recent_rms_sigmas = (mean + weight * (off * off - mean)).sqrt();
+        *worst_sigmas = worst_sigmas.max(off);
+        *compared += 1;
+    }
+}
+
+fn place(sequence: u64) -> usize {
+    (sequence % REMEMBERED as u64) as usize
+}
+
+fn take<T: Copy>(remembered: &mut [Option<(u64, T)>], sequence: u64) -> Option<T> {
+    let place = &mut remembered[place(sequence)];
+    let (_, value) = place.filter(|(of, _)| *of == sequence)?;
+    *place = None;
+    Some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIGMA: f64 = 1e-6;
+
+    fn record(status: PoseStatus, x: f32) -> PoseRecord {
+        PoseRecord {
+            status,
+            cells_used: 0x3f,
+            excluded: 0,
+            ready: 0,
+            translation_m: [x, 0.0, 0.0],
+            rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+            chi2: 6.0,
+        }
+    }
+
+    fn estimate(x: f64) -> Estimate {
+        let mut covariance = [[0.0; 6]; 6];
+        (0..6).for_each(|i| covariance[i][i] = SIGMA * SIGMA);
+        Estimate { pose: Pose { translation_m: DVec3::new(x, 0.0, 0.0), ..Pose::HOME }, covariance }
+    }
+
+    #[test]
+    fn poses_of_one_scan_are_compared_whichever_comes_first() {
+        let mut comparison = Comparison::default();
+        for sequence in 100..140 {
+            comparison.take_host(sequence, Some(&estimate(1e-3)));
+        }
+        // f32 rounds a millimetre by 1e-10 at most.
+        let board = |x: f32| record(PoseStatus::Converged, x);
+        (90..120).for_each(|sequence| comparison.take_board(sequence, &board(1e-3 + 0.5e-6)));
+        let agreement = comparison.agreement();
+        // Both are settled from 116 on.
+        assert_eq!((agreement.compared, agreement.one_sided), (4, 0));
+        assert!((agreement.worst_sigmas - 0.5).abs() < 1e-3, "{agreement:?}");
+        assert!((agreement.recent_rms_sigmas - 0.5).abs() < 1e-3, "{agreement:?}");
+        (120..139).for_each(|sequence| comparison.take_board(sequence, &board(1e-3)));
+        comparison.take_board(139, &record(PoseStatus::TooDark, f32::NAN));
+        comparison.take_board(140, &board(1e-3 + 2e-6));
+        comparison.take_host(140, Some(&estimate(1e-3)));
+        let agreement = comparison.agreement();
+        assert_eq!((agreement.compared, agreement.one_sided), (24, 1));
+        assert!((agreement.worst_sigmas - 2.0).abs() < 1e-3, "{agreement:?}");
+    }
+
+    #[test]
+    fn poses_behind_a_gap_are_not_compared_yet() {
+        let mut comparison = Comparison::default();
+        (0..100).for_each(|sequence| comparison.take_board(sequence, &record(PoseStatus::Converged, 0.0)));
+        (50..66).for_each(|sequence| comparison.take_host(sequence, Some(&estimate(0.0))));
+        assert_eq!(comparison.agreement().compared, 0);
+        comparison.take_host(66, Some(&estimate(0.0)));
+        assert_eq!(comparison.agreement().compared, 1);
+        // Of another scan than the one remembered in its place.
+        let far = 99 + REMEMBERED as u64;
+        (far - 20..=far).for_each(|sequence| comparison.take_host(sequence, Some(&estimate(0.0))));
+        assert_eq!(comparison.agreement().compared, 1);
+    }
+
+    #[test]
+    fn a_reported_pose_says_what_the_board_said_and_no_more() {
+        let mut covariance = [0.0; TRIANGLE];
+        (covariance[0], covariance[1], covariance[20]) = (4.0, 1.0, 9.0);
+        let pose = BoardPose { record: record(PoseStatus::CellExcluded, 2.0), covariance };
+        let solution = pose.solution();
+        assert_eq!(solution.outcome, Outcome::Degraded(DegradedReason::CellExcluded));
+        let found = solution.estimate.expect("a pose");
+        assert_eq!(found.pose.translation_m, DVec3::new(2.0, 0.0, 0.0));
+        let told = &found.covariance;
+        assert_eq!((told[0][0], told[0][1], told[1][0], told[5][5]), (4.0, 1.0, 1.0, 9.0));
+        assert_eq!((solution.chi2, solution.redundancy, solution.cells_used.bits()), (6.0, 6, 0x3f));
+        let status = |status, x| BoardPose { record: record(status, x), covariance }.solution();
+        assert_eq!(status(PoseStatus::Converged, f32::NAN).outcome, Outcome::Diverged);
+        assert!(status(PoseStatus::TooDark, 0.0).estimate.is_none());
+    }
+}
