@@ -45,7 +45,8 @@ pub struct Poses<'a> {
     pub tick: u64,
     /// Scans from one pose to the next.
     pub every: u8,
-    /// Scans since the reset that were not solved, because a newer one had come meanwhile.
+    /// Scans of this configuration that were not solved, because newer ones had come meanwhile or the head was replaced.
+    /// Those that lie between two packets are counted by the second.
     pub missed: u32,
     /// [Number](crate::Hashes::number) of the head that solved them.
     pub head: u32,

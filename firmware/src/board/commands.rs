@@ -162,6 +162,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             self.fail(fault);
             return Err(Rejection::Hardware(fault));
         }
+        while self.solve_next() {}
         self.flush();
         self.configuration = new;
         self.configuration_number = self.configuration_number.wrapping_add(1);

@@ -168,9 +168,11 @@ impl Poser {
     pub fn configure(&mut self, configuration: u16, schedule: &Schedule) {
         self.configuration = configuration;
         self.begin(schedule);
+        self.missed = 0;
     }
 
     fn begin(&mut self, schedule: &Schedule) {
+        self.missed = self.missed.saturating_add(self.waiting.len() as u32);
         self.waiting.clear();
         self.solver.begin(schedule);
     }

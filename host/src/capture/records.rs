@@ -168,7 +168,11 @@ impl<R: Read> Records<R> {
         let Some((opcode, length)) = frame(bytes) else { return Ok(Found::End) };
         let chunk = chunk_bytes(bytes);
         if opcode == op::CHUNK && length.is_some() && chunk == length {
-            return self.found(at, opcode, length);
+            let found = self.found(at, opcode, length)?;
+            let Found::Record { body, end, .. } = &found else { return Ok(found) };
+            // Where bytes are missing in it, the next chunk may begin within its length.
+            let is_right = self.is_record_or_end(*end)? || ChunkRecords::is_whole(self.window.slice(body.clone()));
+            return Ok(if is_right { found } else { Found::None });
         }
         if chunk.is_some_and(|_| !is_uncompressed(bytes)) {
             // A chunk whose frame is damaged.

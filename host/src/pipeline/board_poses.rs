@@ -27,7 +27,7 @@ pub struct Agreement {
     pub worst_sigmas: f64,
     /// Root mean square of that difference, over some hundred poses.
     pub recent_rms_sigmas: f64,
-    /// Scans that the board could not solve in time.
+    /// Scans of this configuration that the board could not solve in time.
     pub missed: u64,
 }
 
@@ -119,9 +119,9 @@ impl Comparison {
         self.agreement
     }
 
-    /// Takes the board's count of scans that it has missed since its reset.
-    pub(super) fn take_missed(&mut self, missed: u32) {
-        self.agreement.missed = missed.into();
+    /// Takes the board's count of scans that it has not solved.
+    pub(super) fn take_missed(&mut self, missed: u64) {
+        self.agreement.missed = missed;
     }
 
     /// Takes the board's pose of scan `sequence`.

@@ -31,13 +31,17 @@ pub struct Counts {
 }
 
 impl Counts {
-    pub(super) fn count_scan(&mut self, sequence: u64) {
-        self.scans += 1;
-        match self.next_sequence {
-            Some(expected) if sequence >= expected => self.scans_lost += sequence - expected,
-            Some(_) => self.restarts += 1,
-            None => {}
-        }
+    /// Scans missing in the numbering before scan `sequence`.
+    pub(super) fn missing_before(&self, sequence: u64) -> u64 {
+        self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected))
+    }
+
+    /// Counts a scan. `unsolved` of those missing before it came to the board, which did not solve them.
+    pub(super) fn count_scan(&mut self, sequence: u64, unsolved: u64) {
+        self.scans += 1 + unsolved;
+        self.scans_skipped += unsolved;
+        self.scans_lost += self.missing_before(sequence) - unsolved;
+        self.restarts += u64::from(self.next_sequence.is_some_and(|expected| sequence < expected));
         self.next_sequence = Some(sequence.wrapping_add(1));
     }
 
@@ -94,9 +98,11 @@ mod tests {
     fn gaps_are_counted_and_restarts_are_no_gaps() {
         let mut counts = Counts::default();
         for sequence in [7, 8, 11, 12, 0, 1] {
-            counts.count_scan(sequence);
+            counts.count_scan(sequence, 0);
         }
         assert_eq!((counts.scans, counts.scans_lost, counts.restarts), (6, 2, 1));
+        counts.count_scan(12, 7);
+        assert_eq!((counts.scans, counts.scans_skipped, counts.scans_lost), (14, 7, 5));
     }
 
     #[test]
@@ -120,11 +126,11 @@ mod tests {
         // Skipped scans were not lost on the way, and a gap between boards is no loss.
         assert!(!Counts { scans_skipped: 1, ..Counts::default() }.has_loss());
         let mut counts = Counts::default();
-        counts.count_scan(1000);
+        counts.count_scan(1000, 0);
         counts.begin_numbering();
-        counts.count_scan(3);
+        counts.count_scan(3, 0);
         counts.begin_numbering();
-        counts.count_scan(7000);
+        counts.count_scan(7000, 0);
         assert!(!counts.has_loss(), "{counts:?}");
     }
 }

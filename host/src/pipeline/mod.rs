@@ -569,18 +569,23 @@ impl Flow {
         content: Content,
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<bool, E> {
-        let Some(session) = &self.session else { return Ok(false) };
+        let Some(session) = &mut self.session else { return Ok(false) };
         let device_time_s = session.time_s(tick);
         if !self.span.admits(device_time_s, session.frame_s()) {
             return Ok(false);
         }
-        self.counts.count_scan(sequence);
+        let unsolved = match content {
+            Content::Words(_) => 0,
+            Content::Pose(_) => session.place_unsolved(self.counts.missing_before(sequence)),
+        };
+        self.counts.count_scan(sequence, unsolved);
         let frame_ticks = session.schedule().frame_ticks;
         if let Some(oddity) = self.clock_watch.check(sequence, tick, frame_ticks, session.tick_hz()) {
             sink(Item::Oddity { device_time_s, oddity })?;
         }
         let scan = Scan {
             sequence,
+            unsolved,
             content,
             session: session.number(),
             device_time_s,

@@ -39,6 +39,9 @@ pub(super) struct Session {
     comparison: Option<Box<Comparison>>,
     /// The latest that the board has told.
     covariance: Option<[f32; TRIANGLE]>,
+    /// Scans that the board has not solved, and those among them whose place is known.
+    missed: u64,
+    placed: u64,
 }
 
 /// Checks the parts of `hello` that do not depend on the schedule: protocol, scaling and scene.
@@ -139,6 +142,8 @@ impl Session {
             head_number,
             comparison: None,
             covariance: None,
+            missed: 0,
+            placed: 0,
             stage,
             photocurrents: Photocurrents::default(),
             schedule: hello.schedule.clone(),
@@ -224,7 +229,8 @@ impl Session {
         }
         self.covariance = poses.covariance.or(self.covariance);
         let comparison = self.comparison.get_or_insert_default();
-        comparison.take_missed(poses.missed);
+        self.missed = self.missed.max(poses.missed.into());
+        comparison.take_missed(self.missed);
         let all = poses.iter(self.schedule.frame_ticks);
         all.clone().for_each(|(sequence, _, record)| comparison.take_board(sequence, &record));
         let known = self.covariance;
@@ -232,6 +238,13 @@ impl Session {
             let covariance = if record.status.has_pose() { known? } else { [0.0; TRIANGLE] };
             Some((sequence, tick, BoardPose { record, covariance }))
         }))
+    }
+
+    /// How many of `missing` scans in a row the board says not to have solved.
+    pub(super) fn place_unsolved(&mut self, missing: u64) -> u64 {
+        let unsolved = missing.min(self.missed - self.placed);
+        self.placed += unsolved;
+        unsolved
     }
 
     /// How the board's poses compare with those found here; `None` if it has sent none.

@@ -1,11 +1,12 @@
 //! The pipeline with a simulated board.
 
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, MAX_REQUEST_BYTES, Request, encode};
+use slitpose_protocol::{Command, Hashes, HeadPart, MAX_REQUEST_BYTES, Request, Stream, encode};
 
-use super::{Item, Pipeline, PipelineError, Record, SceneMatch};
+use super::{Following, Item, Oddity, Pipeline, PipelineError, PoseSource, Record, SceneMatch};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment};
+use slitpose_head::board_head;
 use slitpose_head::front_end;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
@@ -204,4 +205,94 @@ fn a_status_sets_the_bounds_of_the_clock() {
         assert!(statuses >= 4, "{statuses}");
         assert_eq!(pipeline.contradicts_crystal(), contradicts, "{permille}");
     }
+}
+
+/// A pipeline that takes the poses of a board with the head of a scene whose hash is that of `wide`, or another; and what
+/// came of some hundred frames.
+fn of_board(source: PoseSource, change: u64) -> (Pipeline, Vec<Record>, Vec<Oddity>) {
+    let mut link = SimulatedLink::new();
+    let (mut pipeline, mut said) = (link.pipeline(), None);
+    let heard = pipeline.push(&link.segment(1, 0).bytes, |item| {
+        if let Item::Hello(hello) = item {
+            said = Some((hello.schedule.clone(), hello.scaling));
+        }
+        Ok::<_, PipelineError>(())
+    });
+    heard.unwrap();
+    let (schedule, scaling) = said.unwrap();
+    let hashes = Hashes { scene: Some(link.file.hash ^ change), calibration: None };
+    let head = board_head::encode(&link.file, &schedule, &scaling, hashes).unwrap();
+    for (number, part) in (10..).zip(HeadPart::all(&head)) {
+        link.tell(number, Command::Head(part));
+    }
+    link.tell(9, Command::Stream(if source == PoseSource::Board { Stream::POSES } else { Stream::BOTH }));
+    pipeline = link.pipeline().following(Following { source, ..Following::default() });
+    // The session began without it.
+    link.tell(8, Command::Hello);
+    let (mut records, mut oddities) = (Vec::new(), Vec::new());
+    for token in 0..3 {
+        let segment = link.segment(400, token);
+        let taken = pipeline.feed(&segment, |item| {
+            match item {
+                Item::Pose(record) => records.push(*record),
+                Item::Oddity { oddity, .. } => oddities.push(oddity),
+                _ => {}
+            }
+            Ok::<_, PipelineError>(())
+        });
+        taken.unwrap();
+    }
+    (pipeline, records, oddities)
+}
+
+#[test]
+fn poses_of_the_board_are_passed_on_and_checked_by_a_sample_of_its_scans() {
+    let (pipeline, records, oddities) = of_board(PoseSource::Board, 0);
+    assert!(oddities.is_empty(), "{oddities:?}");
+    let counts = pipeline.counts();
+    assert_eq!((counts.scans, counts.scans_lost, counts.scans_skipped), (records.len() as u64, 0, 0));
+    assert!(records.windows(2).all(|pair| pair[1].sequence == pair[0].sequence + 1));
+    assert!(records.len() > 1190, "{}", records.len());
+    for record in &records[20..] {
+        let (found, truth) = (record.solution.estimate.unwrap(), record.truth.unwrap());
+        let (dt, dr) = found.pose.displacement_from(&truth);
+        let off = [dt.x, dt.y, dt.z, dr.x, dr.y, dr.z];
+        // Of 7,000 normal numbers 4e-3 lie beyond 5 σ.
+        assert!(off.iter().zip(found.sigma()).all(|(off, sigma)| off.abs() < 5.0 * sigma), "{off:?}");
+        assert!(record.host_time.is_some() && record.arrival.is_some());
+    }
+    // Two samples of 32 scans, the first of which lacks some, and 16 of each show how the tool moves.
+    let agreement = pipeline.agreement().unwrap();
+    assert!((25..32).contains(&agreement.compared), "{agreement:?}");
+    assert_eq!((agreement.one_sided, agreement.missed), (0, 0));
+    // Optics to 1e-4 of currents of some microamperes are 0.1 nA, of some nanoamperes of noise.
+    assert!(agreement.worst_sigmas < 0.5 && agreement.recent_rms_sigmas > 1e-6, "{agreement:?}");
+}
+
+#[test]
+fn where_all_scans_come_the_poses_are_found_here_and_all_are_compared() {
+    let (pipeline, records, _) = of_board(PoseSource::Host, 0);
+    let mut alone = SimulatedLink::new();
+    let mut host = alone.pipeline();
+    alone.segment(1, 0);
+    alone.tell(9, Command::Stream(Stream::SCANS));
+    alone.tell(8, Command::Hello);
+    for (token, records) in (0..).zip(records.chunks(400)) {
+        let (_, expected) = feed(&mut host, &alone.segment(400, token));
+        for (record, expected) in records.iter().zip(&expected) {
+            assert_eq!(record.sequence, expected.sequence);
+            assert_eq!(record.solution.estimate, expected.solution.estimate);
+        }
+    }
+    let agreement = pipeline.agreement().unwrap();
+    assert!(agreement.compared > 1170 && agreement.worst_sigmas < 0.5, "{agreement:?}");
+}
+
+#[test]
+fn poses_by_another_head_are_left_out_and_told_once() {
+    let (pipeline, records, oddities) = of_board(PoseSource::Board, 1);
+    assert_eq!((records.len(), oddities), (0, vec![Oddity::OtherHead]));
+    assert_eq!(pipeline.agreement(), None);
+    let (pipeline, records, oddities) = of_board(PoseSource::Host, 1);
+    assert!(records.len() > 1190 && oddities.is_empty() && pipeline.agreement().is_none());
 }

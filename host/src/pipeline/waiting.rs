@@ -23,6 +23,8 @@ pub(super) enum Content {
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
     pub(super) sequence: u64,
+    /// Scans before it that the board says not to have solved: they are missing, and yet not lost.
+    pub unsolved: u64,
     pub(super) content: Content,
     /// Number of its session.
     pub(super) session: u64,

@@ -27,9 +27,11 @@ impl LossBook {
         self.next_sequence = None;
     }
 
-    /// Adds the number of the next scan. A number that goes back shows that the board was reset.
-    pub(super) fn scan(&mut self, sequence: u64) {
-        self.missed += self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected));
+    /// Adds the number of the next scan, and how many of those missing before it were not lost. A number that goes back
+    /// shows that the board was reset.
+    pub(super) fn scan(&mut self, sequence: u64, not_lost: u64) {
+        let missing = self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected));
+        self.missed += missing.saturating_sub(not_lost);
         self.next_sequence = Some(sequence.wrapping_add(1));
     }
 
@@ -112,18 +114,27 @@ mod tests {
     }
 
     #[test]
+    fn scans_that_a_board_says_not_to_have_solved_are_not_lost() {
+        let mut book = LossBook::default();
+        book.scan(0, 0);
+        book.scan(8, 5);
+        book.status(&status(1, 0, 0));
+        assert_eq!(shares(&book), (0, 0, 2));
+    }
+
+    #[test]
     fn each_missing_scan_has_one_place() {
         let mut book = LossBook::default();
         // 1000 scans dropped before the link was opened, 4 lost since then in the first half second.
-        [0, 1, 6].iter().for_each(|&sequence| book.scan(sequence));
+        [0, 1, 6].iter().for_each(|&sequence| book.scan(sequence, 0));
         book.status(&status(1, 1004, 7));
         assert_eq!(shares(&book), (4, 0, 0));
         // The board has dropped 10 more; the numbering shows 6 of them so far.
-        book.scan(13);
+        book.scan(13, 0);
         book.status(&status(2, 1014, 7));
         assert_eq!(shares(&book), (14, 0, 0));
         // Those, and 3 that the board does not report.
-        book.scan(21);
+        book.scan(21, 0);
         book.status(&status(3, 1014, 7));
         assert_eq!(shares(&book), (14, 0, 3));
         // Another drop, not in the numbering yet, does not reduce the losses of the link.
@@ -134,9 +145,9 @@ mod tests {
     #[test]
     fn no_scan_is_missing_between_two_boards() {
         let mut book = LossBook::default();
-        [5, 6].iter().for_each(|&sequence| book.scan(sequence));
+        [5, 6].iter().for_each(|&sequence| book.scan(sequence, 0));
         book.begin_numbering();
-        [900, 901].iter().for_each(|&sequence| book.scan(sequence));
+        [900, 901].iter().for_each(|&sequence| book.scan(sequence, 0));
         book.status(&status(1, 0, 0));
         assert_eq!(shares(&book), (0, 0, 0));
     }
@@ -144,11 +155,11 @@ mod tests {
     #[test]
     fn a_reset_of_the_board_takes_nothing_back() {
         let mut book = LossBook::default();
-        book.scan(0);
+        book.scan(0, 0);
         book.status(&status(100, 50, 0));
-        book.scan(6);
+        book.scan(6, 0);
         book.status(&status(200, 55, 0));
-        [0, 4].iter().for_each(|&sequence| book.scan(sequence));
+        [0, 4].iter().for_each(|&sequence| book.scan(sequence, 0));
         book.status(&status(10, 2, 1));
         assert_eq!(shares(&book), (7, 1, 0));
     }

@@ -272,6 +272,15 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     boards.each("slitpose_scans_skipped_total", counter, "Scans that were given up unsolved.", |board| {
         Some(board.lag.skipped_scans as f64)
     });
+    boards.each(
+        "slitpose_board_pose_difference_sigmas",
+        gauge,
+        "The board's own poses differ by so much from those found here, root mean square.",
+        |board| board.board_poses.as_ref().map(|poses| poses.recent_rms_sigmas),
+    );
+    boards.each("slitpose_board_poses_missed_total", counter, "Scans that the board did not solve in time.", |board| {
+        board.board_poses.as_ref().map(|poses| poses.missed as f64)
+    });
     boards.latency();
     boards.each("slitpose_clock_uncertainty_seconds", gauge, "The instants of scans are right to this.", |board| {
         board.clock.uncertainty_s

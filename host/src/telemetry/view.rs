@@ -7,6 +7,7 @@ use super::report::{BoardReport, DaemonReport, LinkState, Losses, RecorderReport
 use crate::clock::HostInstant;
 use crate::health::{CellHealth, Verdict};
 use crate::link::{contradicted_crystal, start_findings};
+use crate::pipeline::Agreement;
 use crate::terminal::{Line, Tone, WIDTH, layout};
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::foreign::printable;
@@ -121,6 +122,14 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     let recent = &report.recent_outcomes;
     let tone = if recent.all() > 0 && recent.poses() == 0 { Tone::Wrong } else { Tone::Plain };
     put(&mut lines, "outcomes", &report.outcomes.words()).tone(tone).rank(1);
+    if let Some(poses) = &report.board_poses {
+        let Agreement { compared, worst_sigmas, recent_rms_sigmas, one_sided, missed } = poses;
+        let text = format!(
+            "of the board: {compared} compared with those found here, {recent_rms_sigmas:.3} sigma apart, {worst_sigmas:.3} \
+             at worst; {one_sided} found by one only, {missed} scans not solved in time"
+        );
+        put(&mut lines, "poses", &text).rank(1);
+    }
     let latencies = &report.latencies;
     for (name, latency) in [("link", &latencies.link), ("host", &latencies.host), ("total", &latencies.total)] {
         if latency.total.count > 0 {

@@ -256,7 +256,7 @@ fn damage_of_any_kind_stays_in_its_place() {
         at += 9 + length as usize;
     }
     assert_eq!(at, whole.bytes.len() - mcap::MAGIC.len());
-    for round in 0..300 {
+    for round in 0..1000 {
         let begin = random.random_range(0..whole.bytes.len());
         let hit = begin..random.random_range(begin + 1..whole.bytes.len().min(begin + 1000) + 1);
         let mut damaged = whole.bytes.clone();
