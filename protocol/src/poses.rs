@@ -1,8 +1,8 @@
 //! Poses that the board has solved itself.
 //!
 //! A packet holds the poses of consecutive scans, or of every nth, one record each. Every [`COVARIANCE_PACKETS`]th
-//! packet, and each in which other cells are used than before, also holds the covariance of its last pose: over some
-//! milliseconds it hardly changes while the cells are the same.
+//! packet, and each in which a variance is no longer what was told of it, also holds the covariance of its last pose:
+//! over some milliseconds it hardly changes unless the tool is fast, or a cell goes dark.
 //!
 //! | byte of a record | is |
 //! |---|---|
@@ -30,6 +30,9 @@ pub const COVARIANCE_PACKETS: u8 = 4;
 
 /// Device ticks in a unit of [`PoseRecord::ready`].
 pub const READY_TICKS: u32 = 64;
+
+/// Relative change of a variance that is told at once.
+const CHANGE: f32 = 0.1;
 
 /// Elements of the lower triangle of a covariance, row by row.
 pub const TRIANGLE: usize = 21;
@@ -199,8 +202,8 @@ pub struct PosesBuilder<const BYTES: usize> {
     tick: u64,
     every: u8,
     covariance: Option<[f32; TRIANGLE]>,
-    /// The cells of the last covariance.
-    cells: u16,
+    /// The last one that was told.
+    told: [f32; TRIANGLE],
     /// Packets since the last covariance.
     packets: u8,
     records: Vec<u8, BYTES>,
@@ -208,7 +211,15 @@ pub struct PosesBuilder<const BYTES: usize> {
 
 impl<const BYTES: usize> Default for PosesBuilder<BYTES> {
     fn default() -> Self {
-        Self { sequence: 0, tick: 0, every: 1, covariance: None, cells: 0, packets: 0, records: Vec::new() }
+        Self {
+            sequence: 0,
+            tick: 0,
+            every: 1,
+            covariance: None,
+            told: [0.0; TRIANGLE],
+            packets: 0,
+            records: Vec::new(),
+        }
     }
 }
 
@@ -241,9 +252,10 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
             return false;
         }
         if let Some(covariance) = covariance
-            && (self.packets == 0 || self.covariance.is_some() || record.cells_used != self.cells)
+            && (self.packets == 0 || self.covariance.is_some() || has_changed(&self.told, covariance))
         {
-            (self.covariance, self.cells) = (Some(*covariance), record.cells_used);
+            self.covariance = Some(*covariance);
+            self.told = *covariance;
         }
         true
     }
@@ -273,6 +285,12 @@ impl<const BYTES: usize> PosesBuilder<BYTES> {
         self.packets = (self.packets + 1) % COVARIANCE_PACKETS;
         self.records.clear();
     }
+}
+
+/// Whether a variance of `now` is another than that of `before`.
+fn has_changed(before: &[f32; TRIANGLE], now: &[f32; TRIANGLE]) -> bool {
+    // The diagonal.
+    [0, 2, 5, 9, 14, 20].into_iter().any(|i| (now[i] - before[i]).abs() > CHANGE * before[i])
 }
 
 #[cfg(test)]
@@ -322,27 +340,29 @@ mod tests {
         assert_eq!(all.next(), None);
         for packet in 1..=COVARIANCE_PACKETS {
             builder.clear();
-            assert!(builder.push((30, 3000), &record(PoseStatus::Converged), Some(&[2.0; TRIANGLE])));
+            assert!(builder.push((30, 3000), &record(PoseStatus::Converged), Some(&[1.05; TRIANGLE])));
             let covariance = builder.poses(3, 5, 9).unwrap().covariance;
-            assert_eq!(covariance, (packet == COVARIANCE_PACKETS).then_some([2.0; TRIANGLE]), "packet {packet}");
+            assert_eq!(covariance, (packet == COVARIANCE_PACKETS).then_some([1.05; TRIANGLE]), "packet {packet}");
         }
     }
 
     #[test]
-    fn other_cells_bring_their_covariance_at_once() {
+    fn a_variance_that_changes_is_told_at_once() {
         let mut builder = PosesBuilder::<{ 2 * POSE_BYTES }>::default();
-        let with = |cells_used| PoseRecord { cells_used, ..record(PoseStatus::FewerCells) };
-        let mut packet = |cells: [u16; 2], first: f32| {
-            assert!(builder.push((0, 0), &with(cells[0]), Some(&[first; TRIANGLE])));
-            assert!(builder.push((1, 9), &with(cells[1]), Some(&[first + 1.0; TRIANGLE])));
+        let mut packet = |variances: [f32; 2], last: f32| {
+            for (sequence, variance) in (0..).zip(variances) {
+                let mut covariance = [variance; TRIANGLE];
+                covariance[20] = last;
+                assert!(builder.push((sequence, 0), &record(PoseStatus::Converged), Some(&covariance)));
+            }
             let covariance = builder.poses(0, 0, 0).unwrap().covariance;
             builder.clear();
-            covariance.map(|covariance| covariance[0])
+            covariance.map(|covariance| (covariance[0], covariance[20]))
         };
-        assert_eq!(packet([0x3f, 0x3f], 1.0), Some(2.0));
-        assert_eq!(packet([0x3f, 0x3f], 3.0), None);
-        assert_eq!(packet([0x3f, 0x1f], 5.0), Some(6.0));
-        assert_eq!(packet([0x1f, 0x1f], 7.0), None);
+        assert_eq!(packet([1.0, 1.05], 1.0), Some((1.05, 1.0)));
+        assert_eq!(packet([1.1, 1.0], 1.05), None);
+        assert_eq!(packet([1.1, 1.1], 1.2), Some((1.1, 1.2)));
+        assert_eq!(packet([1.1, 0.9], 1.2), Some((0.9, 1.2)));
     }
 
     #[test]

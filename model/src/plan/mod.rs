@@ -103,6 +103,9 @@ pub trait Optics<S: Scalar> {
     /// Bound on the distance to the minimum that may remain where the tool is expected, in σ of the pose: tens of times
     /// too cautious, so that a part of a tenth of that remains.
     const NEAR_SIGMAS: f64;
+    /// Whether a frame that contradicts the expected motion is first taken for another motion, and only then for a cell
+    /// that lies, which costs more to find.
+    const DOUBTS_MOTION_FIRST: bool;
 
     /// Number of cells.
     fn cell_count(&self) -> usize;
@@ -256,6 +259,7 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     // With six lit cells no pose but the truth keeps all of them lit, if their planes fix a pose.
     const UNIQUE_FROM: usize = 6;
     const NEAR_SIGMAS: f64 = 0.8;
+    const DOUBTS_MOTION_FIRST: bool = false;
 
     fn cell_count(&self) -> usize {
         self.cells.len()

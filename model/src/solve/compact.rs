@@ -17,6 +17,7 @@ use super::solver::Solver;
 use super::starts;
 use super::tracker::{Budget, Tracker};
 use super::weights::CellNoise;
+use crate::effects::Effects;
 
 /// Relative error of the currents that the rule may have: a fiftieth of what noise does to them in a frame at 4 kHz.
 const TOLERANCE: f64 = 2e-5;
@@ -42,7 +43,7 @@ pub enum CompactError {
         most: usize,
     },
     /// A cell is of a kind that has no place there.
-    #[error("cell {cell} has what the board does not compute, {what}: solve on the host, or leave it out")]
+    #[error("cell {cell} has what the board does not compute, {what}: and the host does")]
     Kind {
         /// Number of the cell.
         cell: usize,
@@ -90,7 +91,10 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
         if scene.cells.len() > BOARD_CELLS {
             return Err(CompactError::Cells { cells: scene.cells.len(), most: BOARD_CELLS });
         }
-        let other_kind = |(cell, what)| CompactError::Kind { cell, what };
+        let other_kind = |(cell, what): (usize, _)| {
+            let effect = scene.cells[cell].acting_effects().and_then(Effects::first);
+            CompactError::Kind { cell, what: effect.unwrap_or(what) }
+        };
         let truth = Plan::<f64>::compile(scene, Tier::Exact { tolerance: TRUE_TOLERANCE })?;
         let error = worst_error(&CompactPlan::of(&truth).map_err(other_kind)?, &truth);
         if error > TOLERANCE {
@@ -289,6 +293,8 @@ mod tests {
         assert!(matches!(turned, CompactError::Kind { cell: 4, .. }), "{turned}");
         let thick = compact(&|scene| scene.cells[5].slit.thickness_m = 1e-4);
         assert!(matches!(thick, CompactError::Kind { cell: 5, .. }), "{thick}");
+        let covered = compact(&|scene| scene.cells[2].effects.nonlinearity_m = [1e-6].into_iter().collect());
+        assert!(matches!(covered, CompactError::Kind { cell: 2, what: "a detector that is not linear" }), "{covered}");
         let wide = compact(&|scene| scene.cells[1].detector.width_m = 8e-3);
         assert!(matches!(wide, CompactError::Spots { error } if error > TOLERANCE), "{wide}");
         let empty = compact(&|scene| scene.cells.clear());

@@ -292,7 +292,15 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction<S>, workspace: &mut Workspace<S>) -> Solution<S> {
         let start = expected.pose.to_transform();
         let motion = self.motion_prior(expected);
-        let mut solution = self.solver.compiled.follow(sorted, &motion, start, self.left_out, workspace);
+        let compiled = &self.solver.compiled;
+        let mut solution = if P::DOUBTS_MOTION_FIRST && !self.is_misfit && expected.frames >= BEND_FROM {
+            compiled.follow_agreeing(sorted, &motion, start, self.left_out, workspace, |minimum, _| Solution {
+                iterations: minimum.iterations,
+                ..Solution::without_pose(Outcome::Diverged, sorted.used)
+            })
+        } else {
+            compiled.follow(sorted, &motion, start, self.left_out, workspace)
+        };
         // While the motion is not known yet, any is as expected.
         let is_expected = solution.estimate.is_some()
             && (expected.frames < BEND_FROM || self.is_near(&solution.rigid, &solution, expected));

@@ -26,6 +26,23 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         left_out: Option<usize>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
+        self.follow_agreeing(sorted, motion, start, left_out, workspace, |minimum, workspace| {
+            self.follow_misfit(sorted, motion, start, minimum, workspace)
+        })
+    }
+
+    /// The pose near `start` if all cells agree on it, or all but the one that was `left_out` in the frame before. Else
+    /// what `otherwise` makes of the minimum of χ².
+    #[inline(always)]
+    pub(super) fn follow_agreeing(
+        &self,
+        sorted: &Sorted<S>,
+        motion: &Prior<S>,
+        start: Transform<S>,
+        left_out: Option<usize>,
+        workspace: &mut Workspace<S>,
+        otherwise: impl FnOnce(&Minimum<S>, &mut Workspace<S>) -> Solution<S>,
+    ) -> Solution<S> {
         let problem = self.problem(sorted, motion);
         if let Some(solution) = left_out.and_then(|cell| self.still_without(sorted, motion, cell, start, workspace)) {
             return solution;
@@ -36,7 +53,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         if fit != Fit::None {
             return self.conclude_near(sorted, &problem, &whiteners, &minimum, workspace, fit);
         }
-        self.follow_misfit(sorted, motion, start, &minimum, workspace)
+        otherwise(&minimum, workspace)
     }
 
     /// The pose near `start` where not all cells agree at the `minimum` of χ²: of all cells but one; or at the minimum
