@@ -73,7 +73,12 @@ pub fn open_image(path: Option<&Path>) -> Result<Image, OpenError> {
 /// # Errors
 /// If there is none, or it is older than its sources.
 pub fn open_pose_image() -> Result<Image, OpenError> {
-    open_built(&built::image_path("slitpose-board-pose"), "firmware/build")
+    open_built(&pose_image_path(), "firmware/build")
+}
+
+/// Where `firmware/build` puts the image that solves poses.
+pub fn pose_image_path() -> PathBuf {
+    built::image_path("slitpose-board-pose")
 }
 
 /// Reads the image in `path`, which `build` has made.
