@@ -203,7 +203,20 @@ fn a_board_keeps_the_scene_it_is_given() {
     let wanted = slitpose_head::front_end::configuration(&scene).expect("schedule");
     let stored = Hashes { scene: Some(scene.hash), calibration: None };
     let expected = [Command::Hello, Command::Configure(wanted), Command::Store(stored), Command::Hello];
-    assert_eq!(log.commands(), expected);
+    let (heads, others): (Vec<_>, Vec<_>) =
+        log.commands().into_iter().partition(|command| matches!(command, Command::Head(_)));
+    assert_eq!(others, expected);
+    // The head before goes, and that of the scene is sent whole, in order.
+    assert!(text.contains("it solves poses itself"), "{text}");
+    let mut end = 0;
+    for head in &heads[1..] {
+        let Command::Head(part) = head else { unreachable!("sorted out") };
+        assert_eq!(usize::from(part.offset), end);
+        end += part.bytes.len();
+        assert!(end <= usize::from(part.total));
+    }
+    assert!(matches!(&heads[0], Command::Head(part) if part.total == 0));
+    assert!(matches!(&heads[heads.len() - 1], Command::Head(part) if usize::from(part.total) == end));
 
     let (finished, log, _) = at(board(FIRST), &["set", "--clear"]);
     assert!(finished.done().contains("keeps no scene"));
