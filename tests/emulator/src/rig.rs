@@ -77,7 +77,7 @@ pub fn open_pose_image() -> Result<Image, OpenError> {
 }
 
 /// Where `firmware/build` puts the image that solves poses.
-pub fn pose_image_path() -> PathBuf {
+fn pose_image_path() -> PathBuf {
     built::image_path("slitpose-board-pose")
 }
 

@@ -123,41 +123,6 @@ fn ten_seconds_of_the_image_behind_the_programs() {
     emulator.close();
 }
 
-/// Of the image that solves poses: the daemon prints what the board finds, a replay the same, and the board's light is
-/// solved in time. A board without that image says what to do.
-#[test]
-fn the_board_finds_the_poses_itself() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let record = folder.path().join("poses.mcap");
-    let record = record.to_str().expect("UTF-8");
-    let image = slitpose_emulator::rig::pose_image_path();
-    let image = image.to_str().expect("UTF-8");
-    let emulator = Emulator::start(&["wide", "--seed", "24", "--speed", "max", "--elf", image]);
-    let finished = emulator.run(&["--stream", "pose", "--duration", "2s", "--record", record]);
-    assert_eq!(finished.code, 0, "{}", finished.stderr);
-    let printed = finished.stdout.clone();
-    let mut lines = ndjson::parse_measured(&finished.done());
-    let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, 24, HORIZON_S);
-    lines.iter_mut().for_each(|line| line.truth = Some(trajectory.pose(line.device_time_s)));
-    // While the first poses are found, scans may be passed over.
-    assert!((7_950..=8_000).contains(&lines.len()), "{}", lines.len());
-    assert_complete(&lines[100..], lines[100].sequence, lines.len() - 100, RATE_HZ);
-    let honest = honesty(&lines);
-    assert_eq!(honest.converged, lines.len());
-    assert!(honest.beyond_five_sigma <= 3 && (4.5..6.5).contains(&honest.median_nees));
-    assert!((RMS_M.0..RMS_M.1).contains(&honest.translation_m));
-    let replayed = slitpose!().run(["replay", record]);
-    assert_eq!(replayed.code, 0, "{}", replayed.stderr);
-    assert!(replayed.stdout == printed, "replay differs from run");
-    emulator.close();
-
-    let emulator = Emulator::start(&["wide", "--speed", "max"]);
-    emulator.run(&["--stream", "pose", "--duration", "1s"]).assert_refused(1, &["Head", "slitpose-board-pose"]);
-    let covered = slitpose!().run(["run", "--device", &emulator.path, "--stream", "pose", "--duration", "1s"]);
-    covered.assert_refused(1, &["cell 0", "a cover on its detector", "--stream raw"]);
-    emulator.close();
-}
-
 #[test]
 fn four_times_the_usual_speed_costs_no_pose() {
     let emulator = Emulator::start(&["wide", "--trajectory", "fast", "--seed", "22", "--speed", "max"]);

@@ -1,10 +1,10 @@
 //! The image that solves poses: its poses are those that a host finds in the same words, and come in time.
 
 use crate::common::chain::Chain;
-use crate::common::silicon;
 use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_pose_image;
+use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
@@ -36,11 +36,11 @@ fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
     board_head::compile(scene, schedule, &scaling, hashes).expect("a head for the board")
 }
 
-/// A board with the image that solves poses, its port open, and the head of `scene` sent to it.
+/// A board of sound silicon with the image that solves poses, its port open, and the head of `scene` sent to it.
 fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
     println!("seed {SEED}");
     let image = open_pose_image().expect("an image");
-    let mut chain = Chain::open_with(&image, scene, smooth(), noise, silicon());
+    let mut chain = Chain::open_with(&image, scene, smooth(), noise, Silicon::default());
     let head = head_of(&chain, scene);
     chain.rig.send_head(&head);
     chain.run_for(1e-3);
