@@ -88,7 +88,7 @@ pub use identify::identified_relative_intensity;
 pub use plan::{BOARD_CELLS, CompactPlan, CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Integration, Pair, Response, Status};
-pub use scalar::{Linear3, Scalar, Vector3};
+pub use scalar::{Linear3, Real, Scalar, Vector3};
 pub use scene::{
     BOLTZMANN_J_PER_K, Cell, DEFAULT_FAINT_A, Detector, ELEMENTARY_CHARGE_C, Emitter, Fault, MAX_CELLS,
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,

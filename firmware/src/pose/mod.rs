@@ -4,6 +4,7 @@
 //! between. Following a tool takes a part of a frame. Looking for a lost one takes several frames, during which
 //! scans are passed over: the queue keeps the newest, and what it drops is counted.
 
+pub mod frame;
 mod head;
 
 use heapless::{Deque, Vec};
