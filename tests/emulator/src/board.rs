@@ -8,17 +8,18 @@
 use crate::memory::{Bits, FlashArray, RAM_BASE, RAM_BYTES, TS_CAL1, TS_CAL2, VREFINT_CAL, load, store};
 use crate::peripherals::adc::AdcGroup;
 use crate::peripherals::backup::Backup;
+use crate::peripherals::crc::Crc;
 use crate::peripherals::crs::Crs;
 use crate::peripherals::dac::Dac;
 use crate::peripherals::dma::{CHANNELS as DMA_CHANNELS, Dma};
 use crate::peripherals::exti::{Exti, PVD_LINE};
 use crate::peripherals::flash::Flash;
 use crate::peripherals::gpio::{PORTS, Port};
-use crate::peripherals::lpuart::Lpuart;
 use crate::peripherals::power::Power;
 use crate::peripherals::rcc::{Gate, Pulled, Rcc};
 use crate::peripherals::syscfg::Syscfg;
 use crate::peripherals::timer::Timer;
+use crate::peripherals::uart::Uart;
 use crate::peripherals::usb::Usb;
 use crate::peripherals::watchdog::Watchdog;
 use crate::peripherals::{Edge, Effects, Request, ResetCause, Ticks};
@@ -78,8 +79,10 @@ pub struct Board<W> {
     pub usb: Usb,
     /// The host at the other end of the USB cable.
     pub usb_host: UsbHost,
-    /// The serial port.
-    pub lpuart: Lpuart,
+    /// LPUART1: the serial port to the debugger.
+    pub lpuart: Uart,
+    /// USART1: the serial port to a motor controller.
+    pub usart: Uart,
     ram: Box<[u8]>,
     flash: Flash,
     rcc: Rcc,
@@ -91,6 +94,7 @@ pub struct Board<W> {
     dacs: [Dac; 2],
     watchdog: Watchdog,
     crs: Crs,
+    crc: Crc,
     /// Temperature of the chip, in degrees Celsius.
     temperature_c: f64,
     /// Output of the voltage detector, as the interrupt controller last saw it.
@@ -114,7 +118,8 @@ impl<W: World> Board<W> {
             dma: Dma::new(),
             usb: Usb::new(),
             usb_host: UsbHost::new(),
-            lpuart: Lpuart::new(),
+            lpuart: Uart::lpuart1(),
+            usart: Uart::usart1(),
             ram: vec![0; RAM_BYTES].into_boxed_slice(),
             flash: Flash::new(array),
             rcc: Rcc::new(),
@@ -126,6 +131,7 @@ impl<W: World> Board<W> {
             dacs: [Dac::new(), Dac::new()],
             watchdog: Watchdog::new(),
             crs: Crs::new(),
+            crc: Crc::new(),
             temperature_c: CALIBRATION_C[0],
             pvd: false,
             gates: 0,
@@ -200,7 +206,9 @@ impl<W: World> Board<W> {
         self.dma.reset_multiplexer();
         self.usb.reset(&mut self.effects);
         self.lpuart.reset(&mut self.effects);
+        self.usart.reset(&mut self.effects);
         self.crs.reset();
+        self.crc.reset();
         self.watchdog = Watchdog::new();
         if matches!(cause, ResetCause::PowerOn | ResetCause::BrownOut) {
             self.scramble_ram();
@@ -323,6 +331,9 @@ impl<W: World> Board<W> {
         if self.lpuart.next_event() == now {
             self.lpuart.advance(&mut self.effects);
         }
+        if self.usart.next_event() == now {
+            self.usart.advance(&mut self.effects);
+        }
         if self.usb.next_event() == now {
             self.usb.advance(&mut self.effects);
         }
@@ -388,6 +399,7 @@ impl<W: World> Board<W> {
         self.next_event = timers
             .min(self.adc12.next_event())
             .min(self.lpuart.next_event())
+            .min(self.usart.next_event())
             .min(self.usb.next_event())
             .min(self.usb_host.next_event())
             .min(self.flash.next_event())
@@ -487,6 +499,12 @@ impl<W: World> Board<W> {
         }
         if pulled.includes(Gate::LPUART1) {
             self.lpuart.reset(effects);
+        }
+        if pulled.includes(Gate::USART1) {
+            self.usart.reset(effects);
+        }
+        if pulled.includes(Gate::CRC) {
+            self.crc.reset();
         }
         if pulled.includes(Gate::CRS) {
             self.crs.reset();

@@ -14,6 +14,7 @@ use crate::built::{self, StaleError};
 use crate::image::{Image, ImageError};
 use crate::machine::{Machine, Stop};
 use crate::memory::FlashArray;
+use crate::peripherals::uart::SentByte;
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
 use crate::silicon::Silicon;
 use crate::world::{Flaw, Flaws, LOW_SUPPLY_V, NoiseSource, OpticsWorld, World, WorldError};
@@ -282,6 +283,16 @@ impl<W: World> Rig<W> {
     /// What has come since the last call.
     pub fn take_bytes(&mut self) -> Vec<u8> {
         self.take_packets().into_iter().flat_map(|(_, bytes)| bytes).collect()
+    }
+
+    /// From now on what the board sends to a motor controller is kept.
+    pub fn listen_as_controller(&mut self) {
+        self.machine.board.usart.listen();
+    }
+
+    /// What has come to the motor controller since the last call: each byte with the end of its stop bit.
+    pub fn take_controller_bytes(&mut self) -> Vec<SentByte> {
+        self.machine.board.usart.take_sent()
     }
 
     /// Deepest the stack has been since reset, in bytes.

@@ -12,6 +12,8 @@ use crate::acquisition::Sampler;
 use crate::clock::Clock;
 use crate::emitters::Emitters;
 use crate::faults;
+#[cfg(feature = "pose")]
+use crate::pose_port::PosePort;
 #[cfg(feature = "sensors")]
 use crate::sensors::Sensors;
 #[cfg(feature = "storage")]
@@ -26,9 +28,8 @@ pub struct BoardHardware {
     load: Load,
     #[cfg(feature = "sensors")]
     sensors: Sensors,
-    /// Toggles with every pose.
     #[cfg(feature = "pose")]
-    ready: Output<'static>,
+    poses: PosePort,
 }
 
 impl BoardHardware {
@@ -39,7 +40,7 @@ impl BoardHardware {
         clock: Clock,
         light: Output<'static>,
         #[cfg(feature = "sensors")] sensors: Sensors,
-        #[cfg(feature = "pose")] ready: Output<'static>,
+        #[cfg(feature = "pose")] poses: PosePort,
     ) -> Self {
         Self {
             emitters,
@@ -50,7 +51,7 @@ impl BoardHardware {
             #[cfg(feature = "sensors")]
             sensors,
             #[cfg(feature = "pose")]
-            ready,
+            poses,
         }
     }
 
@@ -125,8 +126,8 @@ impl System for BoardHardware {
     }
 
     #[cfg(feature = "pose")]
-    fn pose_solved(&mut self, _: &slitpose_firmware::SolvedPose) {
-        self.ready.toggle();
+    fn pose_solved(&mut self, pose: &slitpose_firmware::SolvedPose) {
+        self.poses.tell(pose);
     }
 
     fn reboot(&mut self, target: BootTarget) {

@@ -26,6 +26,8 @@ mod faults;
 mod guard;
 mod hardware;
 mod link;
+#[cfg(feature = "pose")]
+mod pose_port;
 #[cfg(feature = "sensors")]
 mod sensors;
 #[cfg(feature = "storage")]
@@ -120,7 +122,7 @@ async fn main(spawner: Spawner) {
         #[cfg(feature = "sensors")]
         sensors::Sensors::new(p.ADC5),
         #[cfg(feature = "pose")]
-        Output::new(p.PA8, Level::Low, Speed::Medium),
+        pose_port::PosePort::new(Output::new(p.PA8, Level::Low, Speed::Medium), p.USART1, p.PA9, p.DMA2_CH3, p.CRC),
     );
     let hashes = settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes);
     // Another firmware may have left settings that this board cannot run.

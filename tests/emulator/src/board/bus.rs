@@ -128,6 +128,7 @@ impl<W: World> Board<W> {
             Unit::Dac(index) => self.dacs[index].read(offset, effects),
             Unit::Usb => self.usb.read(offset, effects),
             Unit::Lpuart => self.lpuart.read(offset, effects),
+            Unit::Usart => self.usart.read(offset, effects),
             Unit::Rcc => self.rcc.read(offset, effects),
             Unit::Flash => self.flash.read(offset, effects),
             Unit::Power => self.power.read(offset, effects),
@@ -136,6 +137,7 @@ impl<W: World> Board<W> {
             Unit::Backup => self.backup.read(offset, effects),
             Unit::Watchdog => self.watchdog.read(offset, effects),
             Unit::Crs => self.crs.read(offset, effects),
+            Unit::Crc => self.crc.read(offset, effects),
         }
     }
 
@@ -165,6 +167,7 @@ impl<W: World> Board<W> {
             }
             Unit::Usb => self.usb.write(offset, value, effects),
             Unit::Lpuart => self.lpuart.write(offset, value, effects),
+            Unit::Usart => self.usart.write(offset, value, effects),
             Unit::Rcc => self.write_rcc(offset, value),
             Unit::Flash => self.flash.write(offset, value, effects),
             Unit::Power => {
@@ -176,6 +179,7 @@ impl<W: World> Board<W> {
             Unit::Backup => self.backup.write(offset, value, self.power.backup_access(), effects),
             Unit::Watchdog => self.watchdog.write(offset, value, effects),
             Unit::Crs => self.crs.write(offset, value, effects),
+            Unit::Crc => self.crc.write(offset, value, effects),
         }
     }
 }
@@ -233,6 +237,7 @@ enum Unit {
     Dac(usize),
     Usb,
     Lpuart,
+    Usart,
     Rcc,
     Flash,
     Power,
@@ -241,6 +246,7 @@ enum Unit {
     Backup,
     Watchdog,
     Crs,
+    Crc,
 }
 
 /// The address map (RM0440, "Memory map and peripheral register boundary addresses").
@@ -258,12 +264,14 @@ fn unit_at(address: u32) -> Option<(Unit, Option<Gate>)> {
         0x4000_8000 => (Unit::Lpuart, Gate::LPUART1),
         // VREFBUF, comparators and amplifiers share the kilobyte with SYSCFG.
         0x4001_0000 if address < 0x4001_0030 => (Unit::Syscfg, Gate::SYSCFG),
+        0x4001_3800 => (Unit::Usart, Gate::USART1),
         0x4001_0400 => return Some((Unit::Exti, None)),
         0x4002_0000 => (Unit::Dma(0), Gate::DMA1),
         0x4002_0400 => (Unit::Dma(1), Gate::DMA2),
         0x4002_0800 => (Unit::Dmamux, Gate::DMAMUX1),
         0x4002_1000 => return Some((Unit::Rcc, None)),
         0x4002_2000 => (Unit::Flash, Gate::FLASH),
+        0x4002_3000 => (Unit::Crc, Gate::CRC),
         0x4800_0000..=0x4800_1800 => (Unit::Gpio(index as usize), Gate::gpio(index)),
         0x5000_0000 => (Unit::Adc12, Gate::ADC12),
         0x5000_0400 => (Unit::Adc345, Gate::ADC345),
@@ -305,6 +313,8 @@ mod tests {
             ("USB_BASE", Unit::Usb),
             ("PWR_BASE", Unit::Power),
             ("LPUART1_BASE", Unit::Lpuart),
+            ("USART1_BASE", Unit::Usart),
+            ("CRC_BASE", Unit::Crc),
             ("SYSCFG_BASE", Unit::Syscfg),
             ("EXTI_BASE", Unit::Exti),
             ("DMA1_BASE", Unit::Dma(0)),

@@ -21,6 +21,7 @@ pub mod interrupt {
     pub const TIM2: u8 = 28;
     pub const TIM3: u8 = 29;
     pub const TIM4: u8 = 30;
+    pub const USART1: u8 = 37;
     pub const EXTI15_10: u8 = 40;
     pub const USB_WAKEUP: u8 = 42;
     pub const ADC3: u8 = 47;
@@ -42,6 +43,10 @@ pub struct Request(pub u8);
 impl Request {
     /// ADC1 has a result.
     pub const ADC1: Self = Self(5);
+    /// USART1 has received a byte.
+    pub const USART1_RX: Self = Self(24);
+    /// USART1 has room for a byte to send.
+    pub const USART1_TX: Self = Self(25);
     /// LPUART1 has received a byte.
     pub const LPUART1_RX: Self = Self(34);
     /// LPUART1 has room for a byte to send.
@@ -300,7 +305,7 @@ mod tests {
         assert_facts!(""; USB_LP = "USB_LP_IRQn", EXTI9_5 = "EXTI9_5_IRQn", TIM2 = "TIM2_IRQn", TIM3 = "TIM3_IRQn");
         assert_facts!(""; TIM4 = "TIM4_IRQn", EXTI15_10 = "EXTI15_10_IRQn", USB_WAKEUP = "USBWakeUp_IRQn");
         assert_facts!(""; ADC3 = "ADC3_IRQn", TIM5 = "TIM5_IRQn", DMA2_CHANNEL1 = "DMA2_Channel1_IRQn");
-        assert_facts!(""; ADC4 = "ADC4_IRQn", ADC5 = "ADC5_IRQn", CRS = "CRS_IRQn", LPUART1 = "LPUART1_IRQn");
+        assert_facts!(""; ADC4 = "ADC4_IRQn", ADC5 = "ADC5_IRQn", CRS = "CRS_IRQn", LPUART1 = "LPUART1_IRQn", USART1 = "USART1_IRQn");
         assert_facts!(""; DMA1_CHANNEL8 = "DMA1_Channel8_IRQn", DMA2_CHANNEL6 = "DMA2_Channel6_IRQn");
     }
 
@@ -309,6 +314,8 @@ mod tests {
         let offset = |request: Request, by: u8| Request(request.0 + by);
         let requests = [
             ("ADC1", Request::ADC1),
+            ("USART1_RX", Request::USART1_RX),
+            ("USART1_TX", Request::USART1_TX),
             ("LPUART1_RX", Request::LPUART1_RX),
             ("LPUART1_TX", Request::LPUART1_TX),
             ("ADC2", Request::ADC2),

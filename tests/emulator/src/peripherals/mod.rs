@@ -30,6 +30,7 @@
 
 pub mod adc;
 pub mod backup;
+pub mod crc;
 pub mod crs;
 pub mod dac;
 pub mod dma;
@@ -37,11 +38,11 @@ mod effects;
 pub mod exti;
 pub mod flash;
 pub mod gpio;
-pub mod lpuart;
 pub mod power;
 pub mod rcc;
 pub mod syscfg;
 pub mod timer;
+pub mod uart;
 pub mod usb;
 pub mod watchdog;
 

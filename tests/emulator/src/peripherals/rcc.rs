@@ -77,6 +77,7 @@ impl Gate {
     pub const DMA2: Self = Self { register: AHB1ENR, bit: 1 };
     pub const DMAMUX1: Self = Self { register: AHB1ENR, bit: 2 };
     pub const FLASH: Self = Self { register: AHB1ENR, bit: 8 };
+    pub const CRC: Self = Self { register: AHB1ENR, bit: 12 };
     pub const ADC12: Self = Self { register: AHB2ENR, bit: 13 };
     pub const ADC345: Self = Self { register: AHB2ENR, bit: 14 };
     pub const CRS: Self = Self { register: APB1ENR1, bit: 8 };
@@ -85,6 +86,7 @@ impl Gate {
     pub const PWR: Self = Self { register: APB1ENR1, bit: 28 };
     pub const LPUART1: Self = Self { register: APB1ENR2, bit: 0 };
     pub const SYSCFG: Self = Self { register: APB2ENR, bit: 0 };
+    pub const USART1: Self = Self { register: APB2ENR, bit: 14 };
 
     /// Port `index`, 0 for GPIOA.
     pub const fn gpio(index: u32) -> Self {
@@ -482,6 +484,7 @@ mod tests {
             ("AHB1ENR", "DMA2EN", Gate::DMA2),
             ("AHB1ENR", "DMAMUX1EN", Gate::DMAMUX1),
             ("AHB1ENR", "FLASHEN", Gate::FLASH),
+            ("AHB1ENR", "CRCEN", Gate::CRC),
             ("AHB2ENR", "ADC12EN", Gate::ADC12),
             ("AHB2ENR", "ADC345EN", Gate::ADC345),
             ("AHB2ENR", "GPIOAEN", Gate::gpio(0)),
@@ -496,6 +499,7 @@ mod tests {
             ("APB1ENR1", "PWREN", Gate::PWR),
             ("APB1ENR2", "LPUART1EN", Gate::LPUART1),
             ("APB2ENR", "SYSCFGEN", Gate::SYSCFG),
+            ("APB2ENR", "USART1EN", Gate::USART1),
         ];
         for (register, bit, gate) in gates {
             assert_eq!(gate.register, facts::bits(&format!("RCC_TypeDef.{register}")), "{bit}");

@@ -1,9 +1,9 @@
-//! The serial port LPUART1, and the line to its other end (RM0440, "Low-power universal
-//! asynchronous receiver transmitter").
+//! The serial ports LPUART1 and USART1, and the lines to their other ends (RM0440, "Low-power universal
+//! asynchronous receiver transmitter", "Universal synchronous/asynchronous receiver transmitter").
 //!
-//! Eight data bits without parity, no flow control; the kernel clock is PCLK1. The other end talks
-//! at the rate that BRR sets. FIFOs, when they are on, are one byte deep here: a program that moves
-//! bytes by DMA cannot tell.
+//! Eight data bits without parity, no flow control, oversampling by 16; the kernel clock runs at the
+//! core's 170 MHz, as PCLK and SYSCLK do. The other end talks at the rate that BRR sets. FIFOs, when
+//! they are on, are one byte deep here: a program that moves bytes by DMA cannot tell.
 
 use std::collections::VecDeque;
 
@@ -21,7 +21,7 @@ const RDR: u32 = 0x24;
 const TDR: u32 = 0x28;
 const PRESC: u32 = 0x2c;
 
-// LPUART_CR1.
+// USART_CR1.
 const CR1_UE: u32 = 1 << 0;
 const CR1_RE: u32 = 1 << 2;
 const CR1_TE: u32 = 1 << 3;
@@ -31,14 +31,16 @@ const CR1_TCIE: u32 = 1 << 6;
 const CR1_TXEIE: u32 = 1 << 7;
 const CR1_FIFOEN: u32 = 1 << 29;
 const CR1_MODELLED: u32 = CR1_UE | CR1_RE | CR1_TE | CR1_IDLEIE | CR1_RXNEIE | CR1_TCIE | CR1_TXEIE | CR1_FIFOEN;
-/// Word length, parity, driver-enable times and FIFO mode: only to be changed while disabled.
-const CR1_FORMAT: u32 = 1 << 29 | 1 << 28 | 0x3ff << 16 | 1 << 12 | 1 << 11 | 1 << 10 | 1 << 9;
+/// Word length, parity, oversampling, driver-enable times and FIFO mode: only to be changed while disabled.
+const CR1_FORMAT: u32 = 1 << 29 | 1 << 28 | 0x3ff << 16 | CR1_OVER8 | 1 << 12 | 1 << 11 | 1 << 10 | 1 << 9;
+/// Oversampling by 8, which USART1 has: not modelled.
+const CR1_OVER8: u32 = 1 << 15;
 
-/// STOP of LPUART_CR2: 00 is one stop bit, 10 are two.
+/// STOP of USART_CR2: 00 is one stop bit, 10 are two.
 const CR2_STOP: u32 = 0b11 << 12;
 const CR2_TWO_STOP_BITS: u32 = 0b10 << 12;
 
-// LPUART_CR3.
+// USART_CR3.
 const CR3_EIE: u32 = 1 << 0;
 const CR3_DMAR: u32 = 1 << 6;
 const CR3_DMAT: u32 = 1 << 7;
@@ -49,7 +51,7 @@ const CR3_FORMAT: u32 = 1 << 15 | 1 << 14 | 1 << 13 | CR3_OVRDIS | 1 << 9 | 1 <<
 
 const RQR_RXFRQ: u32 = 1 << 3;
 
-// LPUART_ISR.
+// USART_ISR.
 const ISR_ORE: u32 = 1 << 3;
 const ISR_IDLE: u32 = 1 << 4;
 const ISR_RXNE: u32 = 1 << 5;
@@ -58,10 +60,6 @@ const ISR_TXE: u32 = 1 << 7;
 const ISR_BUSY: u32 = 1 << 16;
 const ISR_TEACK: u32 = 1 << 21;
 const ISR_REACK: u32 = 1 << 22;
-
-/// The smallest divider (RM0440, "LPUART baud rate generation").
-const LEAST_BRR: u32 = 0x300;
-const BRR_MASK: u32 = 0xf_ffff;
 
 /// What PRESC divides the kernel clock by.
 const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
@@ -78,9 +76,44 @@ pub struct SentByte {
     pub byte: u8,
 }
 
-/// The serial port.
+/// What the two kinds of port do not share.
+#[derive(Debug, PartialEq)]
+struct Kind {
+    /// Parts of a period of the divided clock in a unit of BRR.
+    divider_parts: u64,
+    least_divider: u32,
+    divider_mask: u32,
+    interrupt: u8,
+    receive: Request,
+    transmit: Request,
+}
+
+/// A bit is BRR/256 periods (RM0440, "LPUART baud rate generation").
+const LPUART1: Kind = Kind {
+    divider_parts: 256,
+    least_divider: 0x300,
+    divider_mask: 0xf_ffff,
+    interrupt: interrupt::LPUART1,
+    receive: Request::LPUART1_RX,
+    transmit: Request::LPUART1_TX,
+};
+
+/// A bit is BRR periods (RM0440, "USART baud rate generation"; the least divider from HAL hal_uart.c).
+const USART1: Kind = Kind {
+    divider_parts: 1,
+    least_divider: 0x10,
+    divider_mask: 0xffff,
+    interrupt: interrupt::USART1,
+    receive: Request::USART1_RX,
+    transmit: Request::USART1_TX,
+};
+
+/// A serial port.
 #[derive(Debug)]
-pub struct Lpuart {
+pub struct Uart {
+    kind: &'static Kind,
+    /// Whether somebody takes what has left.
+    is_heard: bool,
     cr1: u32,
     cr2: u32,
     cr3: u32,
@@ -104,16 +137,21 @@ pub struct Lpuart {
     idle_at: Option<Ticks>,
 }
 
-impl Default for Lpuart {
-    fn default() -> Self {
-        Self::new()
+impl Uart {
+    /// LPUART1 after power-on, and somebody at its other end.
+    pub fn lpuart1() -> Self {
+        Self { is_heard: true, ..Self::new(&LPUART1) }
     }
-}
 
-impl Lpuart {
-    /// State after power-on.
-    pub fn new() -> Self {
+    /// USART1 after power-on. What it sends is lost until somebody [listens](Self::listen).
+    pub fn usart1() -> Self {
+        Self::new(&USART1)
+    }
+
+    fn new(kind: &'static Kind) -> Self {
         Self {
+            kind,
+            is_heard: false,
             cr1: 0,
             cr2: 0,
             cr3: 0,
@@ -131,9 +169,14 @@ impl Lpuart {
         }
     }
 
+    /// From now on what has left is kept until it is [taken](Self::take_sent).
+    pub fn listen(&mut self) {
+        self.is_heard = true;
+    }
+
     /// State after reset. What has left stays with the other end.
     pub fn reset(&mut self, effects: &mut Effects) {
-        *self = Self { sent: std::mem::take(&mut self.sent), ..Self::new() };
+        *self = Self { sent: std::mem::take(&mut self.sent), is_heard: self.is_heard, ..Self::new(self.kind) };
         self.update(effects);
     }
 
@@ -207,7 +250,7 @@ impl Lpuart {
             }
             BRR => {
                 self.must_be_disabled(value, effects);
-                self.brr = value & BRR_MASK;
+                self.brr = value & self.kind.divider_mask;
             }
             PRESC => {
                 self.must_be_disabled(value, effects);
@@ -224,7 +267,7 @@ impl Lpuart {
             ICR => self.flags &= !value,
             TDR => {
                 if self.to_send.is_some() {
-                    effects.violation(value, "LPUART: TDR written while TXE is 0");
+                    effects.violation(value, "UART: TDR written while TXE is 0");
                 }
                 self.to_send = Some(value as u8);
                 self.flags &= !ISR_TC;
@@ -249,7 +292,9 @@ impl Lpuart {
         {
             self.sending = None;
             if let Some(byte) = byte {
-                self.sent.push(SentByte { at: now, byte });
+                if self.is_heard {
+                    self.sent.push(SentByte { at: now, byte });
+                }
                 if self.to_send.is_none() {
                     self.flags |= ISR_TC;
                 }
@@ -276,11 +321,11 @@ impl Lpuart {
         }
         let (sent, received) = (self.sends(), self.receives());
         if sent && value & CR1_UE == 0 && (self.sending.is_some() || self.to_send.is_some()) {
-            effects.violation(value, "LPUART: disabled while a byte is being sent");
+            effects.violation(value, "UART: disabled while a byte is being sent");
         }
         self.cr1 = value & CR1_MODELLED;
-        if value & CR1_UE != 0 && self.brr < LEAST_BRR {
-            effects.violation(self.brr, "LPUART: enabled with a divider below 0x300");
+        if value & CR1_UE != 0 && self.brr < self.kind.least_divider {
+            effects.violation(self.brr, "UART: enabled with a divider below the least");
         }
         if value & CR1_UE == 0 {
             self.flags = ISR_TC;
@@ -300,7 +345,7 @@ impl Lpuart {
 
     fn must_be_disabled(&self, value: u32, effects: &mut Effects) {
         if self.cr1 & CR1_UE != 0 {
-            effects.violation(value, "LPUART: may only be written while UE is 0");
+            effects.violation(value, "UART: may only be written while UE is 0");
         }
     }
 
@@ -312,11 +357,12 @@ impl Lpuart {
         self.cr1 & (CR1_UE | CR1_RE) == CR1_UE | CR1_RE
     }
 
-    /// Time of a byte with its start and stop bits: a bit is BRR/256 periods of the divided clock.
+    /// Time of a byte with its start and stop bits.
     fn frame_ticks(&self) -> Ticks {
         let stop_bits = if self.cr2 == CR2_TWO_STOP_BITS { 2 } else { 1 };
         let prescaler = PRESCALERS.get(self.presc as usize).copied().unwrap_or(256);
-        ((START_AND_DATA_BITS + stop_bits) * u64::from(self.brr) * prescaler).div_ceil(256)
+        let bits = START_AND_DATA_BITS + stop_bits;
+        (bits * u64::from(self.brr) * prescaler).div_ceil(self.kind.divider_parts)
     }
 
     fn start_sending(&mut self, now: Ticks) {
@@ -360,10 +406,10 @@ impl Lpuart {
         let own = [(CR1_TXEIE, ISR_TXE), (CR1_TCIE, ISR_TC), (CR1_RXNEIE, ISR_RXNE | ISR_ORE), (CR1_IDLEIE, ISR_IDLE)];
         let raised = own.iter().any(|&(enable, flags)| self.cr1 & enable != 0 && status & flags != 0);
         let error = self.cr3 & CR3_EIE != 0 && status & ISR_ORE != 0;
-        effects.set_line(interrupt::LPUART1, raised || error);
+        effects.set_line(self.kind.interrupt, raised || error);
         let mut ask = |request, wanted| if wanted { effects.request(request) } else { effects.withdraw(request) };
-        ask(Request::LPUART1_TX, self.sends() && self.cr3 & CR3_DMAT != 0 && status & ISR_TXE != 0);
-        ask(Request::LPUART1_RX, self.cr3 & CR3_DMAR != 0 && status & ISR_RXNE != 0);
+        ask(self.kind.transmit, self.sends() && self.cr3 & CR3_DMAT != 0 && status & ISR_TXE != 0);
+        ask(self.kind.receive, self.cr3 & CR3_DMAR != 0 && status & ISR_RXNE != 0);
     }
 }
 
@@ -377,8 +423,8 @@ mod tests {
     /// Ten bits of it, rounded up.
     const FRAME: Ticks = 567;
 
-    fn enabled() -> (Lpuart, Effects) {
-        let (mut lpuart, mut effects) = (Lpuart::new(), Effects::default());
+    fn enabled() -> (Uart, Effects) {
+        let (mut lpuart, mut effects) = (Uart::lpuart1(), Effects::default());
         lpuart.write(BRR, BRR_3M, &mut effects);
         lpuart.write(CR1, CR1_UE | CR1_RE | CR1_TE, &mut effects);
         run(&mut lpuart, &mut effects, FRAME);
@@ -387,10 +433,10 @@ mod tests {
     }
 
     /// Lets time pass until `until`.
-    fn run(lpuart: &mut Lpuart, effects: &mut Effects, until: Ticks) {
-        while lpuart.next_event() <= until {
-            effects.now = lpuart.next_event();
-            lpuart.advance(effects);
+    fn run(uart: &mut Uart, effects: &mut Effects, until: Ticks) {
+        while uart.next_event() <= until {
+            effects.now = uart.next_event();
+            uart.advance(effects);
         }
         effects.now = until;
     }
@@ -468,6 +514,29 @@ mod tests {
     }
 
     #[test]
+    fn usart1_divides_by_whole_periods_and_is_kept_only_when_heard() {
+        let (mut usart, mut effects) = (Uart::usart1(), Effects::default());
+        // 170 MHz / 34: 5 Mbaud, ten bits a byte.
+        usart.write(BRR, 34, &mut effects);
+        usart.write(CR1, CR1_UE | CR1_TE, &mut effects);
+        run(&mut usart, &mut effects, 340);
+        usart.write(TDR, 1, &mut effects);
+        run(&mut usart, &mut effects, 680);
+        assert_eq!((usart.next_event(), usart.take_sent()), (Ticks::MAX, vec![]));
+        usart.listen();
+        usart.write(CR3, CR3_DMAT, &mut effects);
+        assert!(asks(&effects, Request::USART1_TX) && !asks(&effects, Request::LPUART1_TX));
+        usart.write(TDR, 2, &mut effects);
+        run(&mut usart, &mut effects, 1_020);
+        assert_eq!(usart.take_sent(), [SentByte { at: 1_020, byte: 2 }]);
+        assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (0, 0));
+        usart.write(CR1, 0, &mut effects);
+        usart.write(BRR, 15, &mut effects);
+        usart.write(CR1, CR1_UE | CR1_OVER8, &mut effects);
+        assert_eq!((effects.violation_count(), effects.unmodelled_accesses().len()), (1, 1), "divider; by 8");
+    }
+
+    #[test]
     fn rules_are_watched() {
         let (mut lpuart, mut effects) = enabled();
         lpuart.write(BRR, BRR_3M, &mut effects);
@@ -490,10 +559,17 @@ mod tests {
     fn registers_are_those_of_st() {
         assert_facts!("USART_TypeDef."; CR1, CR2, CR3, BRR, RQR, ISR, ICR, RDR, TDR, PRESC);
         assert_facts!("USART_"; CR1_UE, CR1_RE, CR1_TE, CR1_IDLEIE, CR1_RXNEIE = "CR1_RXNEIE_RXFNEIE", CR1_TCIE);
-        assert_facts!("USART_"; CR1_TXEIE = "CR1_TXEIE_TXFNFIE", CR1_FIFOEN, CR2_STOP, CR2_TWO_STOP_BITS = "CR2_STOP_1");
+        assert_facts!("USART_"; CR1_TXEIE = "CR1_TXEIE_TXFNFIE", CR1_FIFOEN, CR1_OVER8, CR2_STOP, CR2_TWO_STOP_BITS = "CR2_STOP_1");
         assert_facts!("USART_"; CR3_EIE, CR3_DMAR, CR3_DMAT, CR3_OVRDIS, RQR_RXFRQ, ISR_ORE, ISR_IDLE);
         assert_facts!("USART_"; ISR_RXNE = "ISR_RXNE_RXFNE", ISR_TC, ISR_TXE = "ISR_TXE_TXFNF", ISR_BUSY);
         assert_facts!("USART_"; ISR_TEACK, ISR_REACK);
-        assert_facts!(""; LEAST_BRR = "LPUART_BRR_least");
+        let kinds = [("LPUART", LPUART1), ("USART", USART1)];
+        for (name, kind) in kinds {
+            let least = crate::facts::bits(&format!("{name}_BRR_least"));
+            let parts = crate::facts::number(&format!("{name}_BRR_factor"));
+            assert_eq!((kind.least_divider, kind.divider_parts as f64), (least, parts), "{name}");
+        }
+        let masks = ["USART_BRR_LPUART", "USART_BRR_BRR"].map(crate::facts::bits);
+        assert_eq!([LPUART1.divider_mask, USART1.divider_mask], masks);
     }
 }

@@ -23,6 +23,7 @@ fn the_wiring_table_has_the_pins_of_microcontroller_and_nucleo() {
     let serial: Vec<_> = serial.map(|wire| wire.pin).collect();
     assert_eq!(serial, ["LPUART1_TX", "LPUART1_RX"].map(|name| facts::fact(name).value));
     assert_eq!(pin("light LD2"), facts::fact("LD2").value);
+    assert_eq!(pin("poses to a motor controller"), facts::fact("USART1_TX").value);
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod disturbances;
 mod exposure;
 mod facts;
 mod facts_page;
+mod frames;
 mod light;
 mod links;
 mod poses;

@@ -1,52 +1,20 @@
 //! The image that solves poses: its poses are those that a host finds in the same words, and come in time.
 
 use crate::common::chain::Chain;
+use crate::common::solving::{SEED, chain, head_of, is_ready_high, scene, smooth};
 use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_pose_image;
-use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
-use slitpose_head::board_head;
 use slitpose_head::front_end::Stage;
-use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Estimate, Pose, Solver, Tier, Tracker};
 use slitpose_protocol::poses::{PoseRecord, PoseStatus, READY_TICKS};
-use slitpose_protocol::{Command, Configuration, Hashes, HeadPart, Level, RawScan, Schedule, Stream};
-
-const SEED: u64 = 17;
+use slitpose_protocol::{Command, Configuration, HeadPart, Level, RawScan, Schedule, Stream};
 
 /// Mean of χ² of six degrees of freedom, and half its variance.
 const DEGREES: f64 = 6.0;
-
-fn smooth() -> Trajectory {
-    Trajectory::of_kind(TrajectoryKind::Smooth, SEED, 20.0)
-}
-
-fn scene() -> SceneFile {
-    WIDE.read().expect("shipped")
-}
-
-/// The head of `scene` for the schedule that the board starts with.
-fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
-    let (schedule, scaling) = (chain.schedule.as_ref().expect("a hello"), chain.scaling.expect("a hello"));
-    let hashes = Hashes { scene: Some(scene.hash), calibration: None };
-    board_head::compile(scene, schedule, &scaling, hashes).expect("a head for the board")
-}
-
-/// A board of sound silicon with the image that solves poses, its port open, and the head of `scene` sent to it.
-fn chain(scene: &SceneFile, noise: NoiseSource) -> Chain {
-    println!("seed {SEED}");
-    let image = open_pose_image().expect("an image");
-    let mut chain = Chain::open_with(&image, scene, smooth(), noise, Silicon::default());
-    let head = head_of(&chain, scene);
-    chain.rig.send_head(&head);
-    chain.run_for(1e-3);
-    assert!(!chain.replies.is_empty() && chain.replies.iter().all(|&accepted| accepted), "{:?}", chain.replies);
-    chain
-}
 
 /// What a host that runs the board's solver makes of `scans`, the first of them the first that the board has solved.
 fn replayed<'a>(head: &Head, schedule: &Schedule, scans: impl Iterator<Item = &'a RawScan>) -> Vec<PoseRecord> {
@@ -201,11 +169,6 @@ fn every_frame_of_ten_seconds_is_solved_in_time() {
         // A microsecond between two looks, a unit of `ready`, and the way from the clock's reading to the pin.
         assert!(off <= 170 + 64 + 170, "{off}");
     }
-}
-
-/// Pin PA8.
-fn is_ready_high(chain: &mut Chain) -> bool {
-    chain.rig.machine().board.driven_high(0) & 1 << 8 != 0
 }
 
 fn statuses(chain: &mut Chain, seconds: f64) -> Vec<PoseStatus> {

@@ -4,6 +4,7 @@ pub mod chain;
 pub mod light;
 pub mod pins;
 pub mod registers;
+pub mod solving;
 pub mod talk;
 pub mod wiring;
 

@@ -18,6 +18,13 @@ pub struct Wire {
     pub arduino: &'static str,
 }
 
+impl Wire {
+    /// Whether only the image that solves poses drives the pin.
+    pub fn is_for_poses(&self) -> bool {
+        self.function.ends_with("image with poses")
+    }
+}
+
 /// All rows, those of two pins as two.
 pub fn wires() -> Vec<Wire> {
     let table = PAGE.split_once("| signal | pin |").expect("the table").1;

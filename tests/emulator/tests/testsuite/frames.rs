@@ -1,0 +1,321 @@
+//! Poses on the line to a motor controller: a frame for each, the same numbers as over USB, and in time.
+//!
+//! What is read here follows the table of `slitpose_firmware::pose::frame`; its code has no part in it.
+
+use crate::common::chain::Chain;
+use crate::common::registers::{multiplexer, register};
+use crate::common::solving::{SEED, chain, chain_of, is_ready_high, scene};
+use crate::common::wiring::{port_and_number, wires};
+use slitpose_emulator::facts::{bits, number};
+use slitpose_emulator::peripherals::uart::SentByte;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::silicon::{Fault, Silicon};
+use slitpose_emulator::world::NoiseSource;
+use slitpose_firmware::pcb::default_configuration;
+use slitpose_protocol::poses::{PoseStatus, READY_TICKS};
+use slitpose_protocol::{Command, Level, PoseRecord, Stream};
+
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+
+const BYTES: usize = 64;
+
+/// 34 periods a bit, ten bits a byte.
+const BYTE_TICKS: Ticks = 340;
+
+/// Of DMA2, from 0; the multiplexer's channels of DMA2 begin with the ninth.
+const CHANNEL: u32 = 2;
+const FIRST_OF_DMA2: usize = 8;
+
+/// A frame whose checksum is right.
+#[derive(Debug)]
+struct Frame {
+    bytes: [u8; BYTES],
+    /// The beginning of its first start bit, and the end of its last stop bit.
+    began: Ticks,
+    over: Ticks,
+}
+
+impl Frame {
+    fn half(&self, at: usize) -> u16 {
+        u16::from_le_bytes([self.bytes[at], self.bytes[at + 1]])
+    }
+
+    fn word(&self, at: usize) -> u32 {
+        u32::from(self.half(at)) | u32::from(self.half(at + 2)) << 16
+    }
+
+    fn number(&self, at: usize) -> f32 {
+        f32::from_bits(self.word(at))
+    }
+
+    fn unsent(&self) -> u16 {
+        self.half(14)
+    }
+
+    fn has_pose(&self) -> bool {
+        self.bytes[3] < 4
+    }
+
+    /// Asserts that it is of the pose of USB with these numbers.
+    fn assert_is(&self, (sequence, tick, record): &(u64, u64, PoseRecord)) {
+        let record_bytes = record.write();
+        assert_eq!((self.word(4), self.word(8)), (*sequence as u32, *tick as u32), "frame {sequence}");
+        assert_eq!((self.bytes[2], self.bytes[3]), (1, record_bytes[0]), "frame {sequence}");
+        let counts = (self.half(12), self.half(16), self.half(18));
+        assert_eq!(counts, (record.ready, record.cells_used, record.excluded), "frame {sequence}");
+        assert_eq!(self.bytes[20..48], record_bytes[8..36], "frame {sequence}");
+        assert_eq!(self.bytes[56..60], record_bytes[36..], "frame {sequence}");
+    }
+}
+
+/// The frames in what has come, and the number of bytes that belong to none.
+fn frames(sent: &[SentByte]) -> (Vec<Frame>, usize) {
+    let (mut found, mut others, mut at) = (Vec::new(), 0, 0);
+    while at < sent.len() {
+        let bytes = sent.get(at..at + BYTES).map(|sent| std::array::from_fn(|k| sent[k].byte));
+        let whole = bytes.filter(|bytes: &[u8; BYTES]| {
+            bytes[..2] == [0xa5, 0x5a] && CRC.checksum(&bytes[..60]).to_le_bytes() == bytes[60..]
+        });
+        if let Some(bytes) = whole {
+            let (began, over) = (sent[at].at - BYTE_TICKS, sent[at + BYTES - 1].at);
+            found.push(Frame { bytes, began, over });
+            at += BYTES;
+        } else {
+            others += 1;
+            at += 1;
+        }
+    }
+    (found, others)
+}
+
+/// Ends sampling, and gives what has come to the controller since the last call.
+fn stop(chain: &mut Chain) -> (Vec<Frame>, usize) {
+    chain.rig.send(Command::Stop);
+    chain.run_for(5e-3);
+    frames(&chain.rig.take_controller_bytes())
+}
+
+fn us(ticks: Ticks) -> f64 {
+    ticks as f64 * 1e6 / TICKS_PER_SECOND as f64
+}
+
+/// A second at 4 kHz, a moving tool, poses alone over USB.
+#[test]
+fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
+    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
+    chain.rig.listen_as_controller();
+    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
+    chain.run_for(1e-3);
+    chain.rig.send(Command::Start);
+    chain.run_for(1.0);
+    let (frames, others) = stop(&mut chain);
+    assert_eq!((others, chain.missed, chain.damaged), (0, 0, 0));
+    assert!(frames.len() >= 3_990, "{}", frames.len());
+    assert_eq!(frames.len(), chain.poses.len());
+    for (frame, (_, pose)) in frames.iter().zip(&chain.poses) {
+        frame.assert_is(pose);
+        assert_eq!(frame.unsent(), 0);
+    }
+    for (index, triangle) in &chain.covariances {
+        for (at, places) in [(48, [0, 2, 5]), (52, [9, 14, 20])] {
+            let sigma = places.iter().map(|&place| f64::from(triangle[place])).sum::<f64>().sqrt();
+            let off = f64::from(frames[*index].number(at)) / sigma - 1.0;
+            assert!(off.abs() < 1e-6, "{off}");
+        }
+    }
+
+    // From the reading of the clock that the record tells, in units of 64 ticks, to the line.
+    let ready = |(_, tick, record): &(u64, u64, PoseRecord)| {
+        chain.origin + tick + u64::from(record.ready) * u64::from(READY_TICKS)
+    };
+    let pairs = || frames.iter().zip(&chain.poses);
+    let mut begin: Vec<_> = pairs().map(|(frame, (_, pose))| frame.began - ready(pose)).collect();
+    let mut over: Vec<_> = pairs().map(|(frame, (_, pose))| frame.over - ready(pose)).collect();
+    begin.sort_unstable();
+    over.sort_unstable();
+    let (middle, last) = (frames.len() / 2, frames.len() - 1);
+    println!(
+        "pose to first bit: median {:.2} µs, at most {:.2} µs; to the last: {:.2} µs, {:.2} µs",
+        us(begin[middle]),
+        us(begin[last]),
+        us(over[middle]),
+        us(over[last])
+    );
+    assert!(us(begin[last]) < 6.0 && us(over[last]) < 134.0);
+    let nearest = frames.windows(2).map(|pair| pair[1].began - pair[0].began).min().expect("frames");
+    println!("least distance of two frames: {:.1} µs", us(nearest));
+    assert!(frames.iter().all(|frame| frame.over - frame.began == BYTES as Ticks * BYTE_TICKS), "without a gap");
+}
+
+/// From the pin's edge, looked at every tenth of a microsecond, to the end of the frame.
+#[test]
+fn a_frame_is_over_129_us_after_the_pin_says_that_its_pose_is_ready() {
+    let mut chain = chain(&scene(), NoiseSource::Off);
+    chain.rig.listen_as_controller();
+    chain.rig.send(Command::Start);
+    chain.run_for(20e-3);
+    chain.rig.take_controller_bytes();
+    let (end, mut toggles) = (chain.rig.now() + 20 * 42_500, Vec::new());
+    let mut high = is_ready_high(&mut chain);
+    while chain.rig.now() < end {
+        let _ = chain.rig.run_for(1e-7);
+        if is_ready_high(&mut chain) != high {
+            high = !high;
+            toggles.push(chain.rig.now());
+        }
+    }
+    let (frames, _) = stop(&mut chain);
+    assert!(toggles.len() >= 19, "{}", toggles.len());
+    let late = toggles.iter().map(|toggle| {
+        let frame = frames.iter().find(|frame| frame.began > *toggle).expect("each has its frame");
+        us(frame.over - toggle)
+    });
+    let (least, most) = late.fold((f64::MAX, 0.0_f64), |(least, most), late| (least.min(late), most.max(late)));
+    println!("pin to last bit: {least:.1} to {most:.1} µs");
+    assert!((128.0..131.0).contains(&least) && most < 131.0, "{least} {most}");
+}
+
+/// The stream is the host's: the controller has every pose with scans alone, and with each tenth pose.
+#[test]
+fn frames_leave_whatever_the_host_asks_for() {
+    let mut chain = chain(&scene(), NoiseSource::Off);
+    chain.rig.listen_as_controller();
+    for stream in [Stream::SCANS, Stream { scans: 0, poses: 10 }] {
+        chain.rig.send(Command::Stream(stream));
+        chain.run_for(1e-3);
+        chain.poses.clear();
+        chain.rig.send(Command::Start);
+        chain.run_for(0.1);
+        let (frames, others) = stop(&mut chain);
+        assert_eq!(others, 0);
+        assert!(frames.len() >= 390, "{stream:?}: {}", frames.len());
+        // While the tool is looked for, scans are passed over.
+        assert!(frames[40..].windows(2).all(|pair| pair[1].word(4) == pair[0].word(4) + 1), "{stream:?}");
+        assert_eq!(chain.poses.len() > 30, stream.poses > 0);
+        for (_, pose) in &chain.poses {
+            frames.iter().find(|frame| frame.word(4) == pose.0 as u32).expect("it is among them").assert_is(pose);
+        }
+    }
+}
+
+/// The tool is taken away and comes back: frames say that there is no pose, and what was not sent is counted.
+#[test]
+fn without_a_tool_frames_have_a_status_and_no_numbers() {
+    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
+    chain.rig.listen_as_controller();
+    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
+    chain.run_for(1e-3);
+    chain.rig.send(Command::Start);
+    chain.run_for(0.05);
+    let mut dark = default_configuration();
+    dark.levels.iter_mut().for_each(|level| *level = Level(0));
+    for configuration in [dark, default_configuration()] {
+        chain.rig.send(Command::Configure(configuration));
+        chain.run_for(0.05);
+    }
+    let (frames, others) = stop(&mut chain);
+    assert_eq!((others, chain.damaged), (0, 0));
+    let without: Vec<_> = frames.iter().filter(|frame| !frame.has_pose()).collect();
+    assert!(without.len() > 100, "{}", without.len());
+    for frame in without {
+        assert!((20..56).step_by(4).all(|at| frame.number(at).is_nan()), "{frame:?}");
+    }
+    assert!(frames[frames.len() - 20..].iter().all(Frame::has_pose), "it is back");
+    let unsent = frames[frames.len() - 1].unsent();
+    println!("{} frames, {unsent} not sent, {} poses over USB", frames.len(), chain.poses.len());
+    assert_eq!(frames.len() + usize::from(unsent), chain.poses.len());
+    for (_, pose) in &chain.poses {
+        match frames.iter().find(|frame| frame.word(4) == pose.0 as u32) {
+            Some(frame) => frame.assert_is(pose),
+            // Only scans without a pose follow one another faster than frames.
+            None => assert!(!pose.2.status.has_pose(), "{pose:?}"),
+        }
+    }
+}
+
+/// Slow DMA, late triggers and disturbed converters: poses may be missing, but no byte is wrong.
+#[test]
+fn on_faulty_silicon_no_frame_is_wrong() {
+    let faults = [Fault::DmaLatency, Fault::TriggerPhase, Fault::AdcNeighbour, Fault::AdcStop, Fault::AdcStale];
+    let silicon: Silicon = faults.into_iter().collect();
+    let mut chain = chain_of(&scene(), NoiseSource::Seeded(SEED), silicon);
+    chain.rig.listen_as_controller();
+    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
+    chain.run_for(1e-3);
+    chain.rig.send(Command::Start);
+    chain.run_for(0.5);
+    let (frames, others) = stop(&mut chain);
+    println!("{} frames, {} poses over USB", frames.len(), chain.poses.len());
+    assert_eq!(others, 0);
+    assert!(frames.len() > 1_000 && frames.len() == chain.poses.len(), "{}", frames.len());
+    frames.iter().zip(&chain.poses).for_each(|(frame, (_, pose))| frame.assert_is(pose));
+}
+
+/// The DMA meets a bus error within a frame: that one is cut short, the next one counts it and all others are right.
+#[test]
+fn a_frame_that_the_dma_has_cut_short_costs_no_other() {
+    let mut chain = chain(&scene(), NoiseSource::Off);
+    chain.rig.listen_as_controller();
+    chain.rig.send(Command::Stream(Stream { scans: 0, poses: 1 }));
+    chain.run_for(1e-3);
+    chain.rig.send(Command::Start);
+    chain.run_for(20e-3);
+    chain.rig.take_controller_bytes();
+    // Until the first bytes of a frame are there; they are not looked at again.
+    while chain.rig.take_controller_bytes().is_empty() {
+        let _ = chain.rig.run_for(1e-6);
+    }
+    chain.rig.machine().board.dma.fail_next(FIRST_OF_DMA2 + CHANNEL as usize);
+    chain.run_for(20e-3);
+    let (frames, others) = stop(&mut chain);
+    assert!((1..BYTES).contains(&others), "the rest of one frame: {others}");
+    assert!(frames.len() > 70 && frames.iter().all(|frame| frame.unsent() == 1), "{}", frames.len());
+    assert!(frames.iter().all(|frame| frame.bytes[3] == PoseStatus::Converged as u8));
+    for frame in &frames {
+        let pose = chain.poses.iter().find(|(_, pose)| pose.0 as u32 == frame.word(4)).expect("it is among them");
+        frame.assert_is(&pose.1);
+    }
+    assert!(frames.windows(2).all(|pair| pair[1].word(4) == pair[0].word(4) + 1), "none between them");
+}
+
+#[test]
+fn the_controllers_port_is_set_by_st_s_numbers() {
+    let mut chain = chain(&scene(), NoiseSource::Off);
+    let board = &mut chain.rig.machine().board;
+    let divider = register(board, "USART1_BASE", "USART_TypeDef.BRR", 0);
+    assert_eq!(number("f_HCLK") * 1e6 / (number("USART_BRR_factor") * f64::from(divider)), 5e6);
+    assert!(divider >= bits("USART_BRR_least"));
+    assert_eq!(Ticks::from(divider) * 10, BYTE_TICKS);
+    let on = ["UE", "TE", "FIFOEN"].iter().map(|name| bits(&format!("USART_CR1_{name}"))).sum();
+    assert_eq!(register(board, "USART1_BASE", "USART_TypeDef.CR1", 0), on, "it only sends");
+    assert_eq!(register(board, "USART1_BASE", "USART_TypeDef.CR3", 0), bits("USART_CR3_DMAT"));
+    let selected = register(board, "RCC_BASE", "RCC_TypeDef.CCIPR", 0);
+    assert_eq!(selected & bits("RCC_CCIPR_USART1SEL"), 0, "PCLK2");
+
+    let request = multiplexer(board, FIRST_OF_DMA2 + CHANNEL as usize);
+    assert_eq!(request, bits("LL_DMAMUX_REQ_USART1_TX"));
+    let span = bits("DMA1_Channel2_BASE") - bits("DMA1_Channel1_BASE");
+    let to_channel = bits("DMA2_BASE") - bits("DMA1_BASE") + CHANNEL * span;
+    let mut dma =
+        |name: &str| register(board, "DMA1_Channel1_BASE", &format!("DMA_Channel_TypeDef.{name}"), to_channel);
+    assert_eq!(dma("CPAR"), bits("USART1_BASE") + bits("USART_TypeDef.TDR"));
+    // Bytes, once, with the least priority.
+    assert_eq!(dma("CCR"), bits("DMA_CCR_DIR") | bits("DMA_CCR_MINC"));
+
+    let wires: Vec<_> = wires().into_iter().filter(|wire| wire.is_for_poses()).collect();
+    assert_eq!(wires.len(), 2);
+    for wire in wires {
+        let (port, pin) = port_and_number(wire.pin);
+        let offset = port * (bits("GPIOB_BASE") - bits("GPIOA_BASE"));
+        let mode = register(board, "GPIOA_BASE", "GPIO_TypeDef.MODER", offset) >> (2 * pin) & 3;
+        if wire.function.starts_with("output") {
+            assert_eq!(mode, bits("LL_GPIO_MODE_OUTPUT"), "{}", wire.signal);
+        } else {
+            let function =
+                register(board, "GPIOA_BASE", "GPIO_TypeDef.AFR", offset + pin / 8 * 4) >> (4 * (pin % 8)) & 15;
+            let both = (bits("LL_GPIO_MODE_ALTERNATE"), bits("GPIO_AF7_USART1"));
+            assert_eq!((mode, function), both, "{}", wire.signal);
+        }
+    }
+    assert_eq!(chain.rig.faults(), Vec::<String>::new());
+}
