@@ -26,7 +26,7 @@
 //! | value | [`PoseStatus`] | a controller |
 //! |---|---|---|
 //! | 0 | converged | uses the pose |
-//! | 1 | fewer cells | uses it if both σ suffice: they are larger by what the missing cells would have told |
+//! | 1 | fewer cells | uses it if both σ suffice: they are those of the cells that were used |
 //! | 2 | a cell left out | the same; the cell is named in bytes 18 and 19, and should be seen to |
 //! | 3 | misfit | uses it only to come to a stop: the residuals are larger than the noise explains, so σ says too little |
 //! | 4 to 7 | ambiguous, unobservable, too dark, diverged | has no pose |
@@ -38,20 +38,24 @@
 //! Look for a5 5a, take 64 bytes, and compare the CRC. If it or the version differs, go on with the byte behind that a5:
 //! numbers may contain the same two bytes. A frame that is damaged or missing is not repeated; the next one comes with
 //! the next scan. Differences of the sequence number show what is missing, and bytes 14 and 15 how many of those the
-//! board has not sent. No frame comes while the board does not sample, has no head for its schedule, or is in reset. So
-//! let a time run: after two frame periods without a pose hold on, and after a time that your plant allows bring it to
-//! rest. Bytes 4 to 11 begin anew at a reset of the board.
+//! board has not sent. No frame comes while the board does not sample, has no head for its schedule, or is in reset: use
+//! a timeout, of a millisecond at least, because a frame may come half a millisecond later than the one before it would
+//! let expect. When it has run out, or poses are missing for as long, bring the plant to rest. Sequence and tick begin
+//! anew at a reset of the board. `firmware/include/slitpose_frame.h` does all of this but the timeout, in C.
 //!
 //! # Age
 //! The pose is that of the *reference instant*, the mean of the lit instants: `tick` and the schedule's
-//! [`reference_ticks`](slitpose_protocol::Schedule::reference_ticks), 9 712 ticks or 57.1 µs by default. When its last
-//! byte has come a pose is 64·`ready` ticks − 57.1 µs + 128 µs old at 5 Mbaud, and the few microseconds from the reading
-//! of the clock to the first bit. `firmware/README.md` has what was measured.
+//! [`reference_ticks`](slitpose_protocol::Schedule::reference_ticks), 9 712 ticks or 57.1 µs by default. `ready` says
+//! when it was solved; from then to the end of the last byte 131 µs pass at 5 Mbaud (in the emulator): with the default
+//! schedule a pose is then 64·`ready` ticks + 74 µs old.
 //!
 //! # Not promised
 //! Equal distances of frames: a scan that took longer is followed by the next ones sooner. A pause between two frames. A
-//! frame for every scan: scans are passed over while the board looks for a lost tool. Any field in place of another in a
-//! later version, but bytes 0 to 2; the length may change with the version.
+//! frame for every scan: scans are passed over while the board looks for a lost tool. That a later version keeps the length,
+//! or any field but bytes 0 to 2.
+//!
+//! [`PoseRecord::ready`]: slitpose_protocol::PoseRecord::ready
+//! [`PoseStatus`]: slitpose_protocol::PoseStatus
 
 use slitpose_model::Real;
 

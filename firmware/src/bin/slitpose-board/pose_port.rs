@@ -87,6 +87,7 @@ impl Sender {
 
     fn send(&mut self, pose: &SolvedPose) {
         let was_cut_short = FRAME_DMA.has_failed();
+        // What the DMA has moved may still be in the port's FIFO, and leaves ahead of the next frame.
         let is_busy = FRAME_DMA.remaining() > 0;
         if is_busy {
             self.unsent = self.unsent.wrapping_add(1);

@@ -142,6 +142,18 @@ fn every_pose_is_on_the_line_bit_for_bit_and_none_is_missing_at_4_khz() {
         us(over[last])
     );
     assert!(us(begin[last]) < 6.0 && us(over[last]) < 134.0);
+    // When the last byte has come; the first poses are found from nothing.
+    let schedule = chain.schedule.as_ref().expect("a hello");
+    let passed = |since: Ticks| {
+        let after = pairs().skip(40).map(|(frame, (_, (_, tick, _)))| frame.over - (chain.origin + tick + since));
+        let mut after: Vec<_> = after.collect();
+        after.sort_unstable();
+        (us(after[after.len() / 2]), us(after[after.len() - 1]))
+    };
+    let of_last_conversion = passed(schedule.last_sample_ticks());
+    let age = passed(schedule.reference_ticks() as Ticks);
+    println!("last conversion to last byte: median and most {of_last_conversion:.1?} µs; age: {age:.1?} µs");
+    assert!(age.0 < 500.0 && age.1 < 1_000.0);
     let nearest = frames.windows(2).map(|pair| pair[1].began - pair[0].began).min().expect("frames");
     println!("least distance of two frames: {:.1} µs", us(nearest));
     assert!(frames.iter().all(|frame| frame.over - frame.began == BYTES as Ticks * BYTE_TICKS), "without a gap");
@@ -276,6 +288,83 @@ fn a_frame_that_the_dma_has_cut_short_costs_no_other() {
         frame.assert_is(&pose.1);
     }
     assert!(frames.windows(2).all(|pair| pair[1].word(4) == pair[0].word(4) + 1), "none between them");
+}
+
+/// Prints what the header reads from the line, numbers as their bits.
+const PRINT_FRAMES: &str = r#"
+#include <inttypes.h>
+#include <stdio.h>
+#include "slitpose_frame.h"
+static void print(const float *numbers, int count)
+{
+    for (int i = 0; i < count; i++) {
+        uint32_t word;
+        memcpy(&word, numbers + i, 4);
+        printf(" %" PRIx32, word);
+    }
+}
+int main(void)
+{
+    static struct slitpose_receiver receiver;
+    struct slitpose_frame f;
+    for (int byte; (byte = getchar()) != EOF;)
+        if (slitpose_receive(&receiver, (uint8_t)byte, &f)) {
+            printf("%d %d %" PRIu32 " %" PRIu32 " %" PRIu32, f.status, slitpose_has_pose(&f), f.sequence, f.tick,
+                   f.ready_ticks);
+            printf(" %d %d %d", f.unsent, f.cells_used, f.excluded_cells);
+            print(f.translation_m, 3);
+            print(f.rotation_xyzw, 4);
+            print(&f.sigma_m, 1);
+            print(&f.sigma_rad, 1);
+            print(&f.chi2, 1);
+            printf("\n");
+        }
+    return 0;
+}
+"#;
+
+/// Bytes of the board, some of them damaged or missing, through the header for controllers in C.
+#[test]
+fn a_controller_in_c_reads_what_the_board_sends() {
+    let mut chain = chain(&scene(), NoiseSource::Seeded(SEED));
+    chain.rig.listen_as_controller();
+    chain.rig.send(Command::Start);
+    chain.run_for(20e-3);
+    let mut sent = chain.rig.take_controller_bytes();
+    // Begins within a frame; one is damaged in the middle, one lacks a byte, one lacks its end.
+    sent[20 * BYTES + 30].byte ^= 0x10;
+    for gap in [50 * BYTES + 20..51 * BYTES, 40 * BYTES + 7..40 * BYTES + 8, 0..10] {
+        sent.drain(gap);
+    }
+    let (frames, _) = frames(&sent);
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let (source, program) = (folder.path().join("frames.c"), folder.path().join("frames"));
+    std::fs::write(&source, PRINT_FRAMES).expect("room");
+    let header = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware/include");
+    let warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wundef", "-Werror", "-std=c99"];
+    let mut compiler = std::process::Command::new("cc");
+    let compiled = compiler.args(warnings).arg("-I").arg(header).arg("-o").args([&program, &source]).output();
+    let compiled = compiled.expect("a C compiler, as `cc`");
+    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    let line = folder.path().join("line");
+    std::fs::write(&line, sent.iter().map(|sent| sent.byte).collect::<Vec<_>>()).expect("room");
+    let output = std::process::Command::new(&program).stdin(std::fs::File::open(&line).expect("written")).output();
+    let text = String::from_utf8(output.expect("it runs").stdout).expect("text");
+
+    let expected: String = frames
+        .iter()
+        .map(|frame| {
+            let ready_ticks = u32::from(frame.half(12)) * READY_TICKS;
+            let counts = [14, 16, 18].map(|at| frame.half(at).to_string()).join(" ");
+            let numbers: Vec<_> = (20..60).step_by(4).map(|at| format!("{:x}", frame.word(at))).collect();
+            let has_pose = u8::from(frame.has_pose());
+            let (status, sequence, tick) = (frame.bytes[3], frame.word(4), frame.word(8));
+            format!("{status} {has_pose} {sequence} {tick} {ready_ticks} {counts} {}\n", numbers.join(" "))
+        })
+        .collect();
+    assert!(frames.len() > 50, "{}", frames.len());
+    assert_eq!(text, expected);
 }
 
 #[test]
