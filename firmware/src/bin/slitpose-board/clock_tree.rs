@@ -81,11 +81,23 @@ fn crystal_starts() -> bool {
 }
 
 /// embassy's clock has been set for 16 MHz: its timer, TIM4, divides by more from now on.
+///
+/// The count goes on where it was. The driver numbers the halves of the counter's range as it enters them, and a count that
+/// began at zero again in an odd half would be half a range off at every border between two: an alarm set in the last
+/// microsecond before one would come a whole range, 65.5 ms, late.
 fn set_time_driver() {
     let timer = pac::TIM4;
     timer.psc().write_value((TICK_HZ / TIME_HZ - 1) as u16);
-    // The prescaler takes effect at an update, here one that raises no flag.
-    timer.cr1().modify(|w| w.set_urs(Urs::COUNTER_ONLY));
-    timer.egr().write(|w| w.set_ug(true));
-    timer.cr1().modify(|w| w.set_urs(Urs::ANY_EVENT));
+    cortex_m::interrupt::free(|_| {
+        // A count that is written at a border might enter the half twice.
+        let mut count = timer.cnt().read().0;
+        while count & 0x7FFF == 0 {
+            count = timer.cnt().read().0;
+        }
+        // The prescaler takes effect at an update, here one that raises no flag.
+        timer.cr1().modify(|w| w.set_urs(Urs::COUNTER_ONLY));
+        timer.egr().write(|w| w.set_ug(true));
+        timer.cr1().modify(|w| w.set_urs(Urs::ANY_EVENT));
+        timer.cnt().modify(|w| w.0 = count);
+    });
 }

@@ -1,6 +1,7 @@
 //! The image that solves poses: its poses are those that a host finds in the same words, and come in time.
 
 use crate::common::chain::Chain;
+use crate::common::silicon;
 use crate::common::solving::{SEED, chain, head_of, is_ready_high, scene, smooth};
 use slitpose_emulator::memory::{CCM_BYTES, RAM_BYTES};
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
