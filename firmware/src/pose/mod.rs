@@ -366,4 +366,84 @@ mod tests {
             assert!(covariance[0] > 0.0 && covariance[20] > 0.0);
         }
     }
+
+    /// Poses all over the workspace, the same ones every time: multiples of powers of the root of x⁷ = x + 1 (Roberts 2018).
+    fn pose_of_many(index: u32) -> Pose {
+        let power = |k: i32| 1.112_775_684_278_706_f64.powi(-k);
+        let [x, y, z, a, b, c] = [1, 2, 3, 4, 5, 6].map(|k| 2.0 * (f64::from(index + 1) * power(k)).fract() - 1.0);
+        Pose::from_vectors(DVec3::new(x, y, z) * 3.5e-3, DVec3::new(a, b, c) * 0.22)
+    }
+
+    /// Poses in which a cell's words are those of another pose, in turn: what came of up to `most` frames, until the cell
+    /// was excluded, if `known` frames were honest before.
+    fn lies(known: u64, most: u64) -> impl Iterator<Item = std::vec::Vec<PoseRecord>> {
+        (0..120).map(move |index| {
+            let cell = index as usize % 6;
+            let pose = pose_of_many(2 * index);
+            let (honest, other) = (scan(&pose, 0), scan(&pose_of_many(2 * index + 1), 0));
+            let (mut poser, _) = poser();
+            let mut records = std::vec::Vec::new();
+            for sequence in 0..known + most {
+                let mut next = honest;
+                next.sequence = sequence;
+                if sequence >= known {
+                    next.lit_mut()[cell] = other.lit()[cell];
+                }
+                let record = poser.solver.solve(&next).expect("a head").record;
+                if sequence >= known {
+                    records.push(record);
+                }
+                let off = (0..3).map(|i| (f64::from(record.translation_m[i]) - pose.translation_m[i]).abs());
+                // Of the first frame the motion is unknown. A pose that is none is not far off.
+                let is_right = off.fold(0.0, f64::max) < 50e-6 || record.status == PoseStatus::Misfit;
+                assert!(is_right, "pose {index}, cell {cell}, frame {sequence}: {record:?}");
+                if record.status == PoseStatus::CellExcluded && record.excluded == 1 << cell {
+                    break;
+                }
+            }
+            records
+        })
+    }
+
+    #[test]
+    fn a_cell_that_begins_to_lie_is_excluded_within_the_frame() {
+        for (index, records) in lies(30, 1).enumerate() {
+            assert_eq!(records[0].status, PoseStatus::CellExcluded, "pose {index}");
+        }
+    }
+
+    /// A board that is switched on with a faulty cell: the search goes on over scans.
+    #[test]
+    fn a_cell_that_has_always_lied_is_found_out() {
+        let mut frames: std::vec::Vec<_> = lies(0, 400)
+            .enumerate()
+            .map(|(index, records)| {
+                let status = records.last().map(|record| record.status);
+                assert_eq!(status, Some(PoseStatus::CellExcluded), "pose {index} after {} frames", records.len());
+                records.len()
+            })
+            .collect();
+        frames.sort_unstable();
+        std::println!("found out after {} frames in the median, {} at most", frames[60], frames[119]);
+    }
+
+    #[test]
+    fn a_saturated_cell_is_missing_and_comes_back() {
+        let (mut poser, _) = poser();
+        let honest = scan(&Pose::HOME, 0);
+        let mut sequence = 0;
+        let mut next = |saturated: Option<usize>| {
+            let mut scan = honest;
+            scan.sequence = sequence;
+            sequence += 1;
+            // Code 0 is full scale.
+            saturated.into_iter().for_each(|cell| scan.lit_mut()[cell] = [0; 2]);
+            poser.solver.solve(&scan).expect("a head").record
+        };
+        for cell in 0..6 {
+            assert_eq!(next(None).status, PoseStatus::Converged);
+            let fewer = next(Some(cell));
+            assert_eq!((fewer.status, fewer.cells_used), (PoseStatus::FewerCells, 0b11_1111 & !(1 << cell)));
+        }
+    }
 }

@@ -114,6 +114,8 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     const UNIQUE_FROM: usize = 5;
     // A second evaluation takes half a frame.
     const NEAR_SIGMAS: f64 = 2.0;
+    // What is left of a frame's work is for another motion, and for the cell that lies.
+    const NEAR_WORK: usize = 3;
     // A blow changes the motion of each tool, and there are evaluations for one of both.
     const DOUBTS_MOTION_FIRST: bool = true;
 

@@ -103,6 +103,8 @@ pub trait Optics<S: Scalar> {
     /// Bound on the distance to the minimum that may remain where the tool is expected, in σ of the pose: tens of times
     /// too cautious, so that a part of a tenth of that remains.
     const NEAR_SIGMAS: f64;
+    /// Evaluations within which a minimum near the expected pose is reached, unless the tool jumped or a cell lies.
+    const NEAR_WORK: usize;
     /// Whether a frame that contradicts the expected motion is first taken for another motion, and only then for a cell
     /// that lies, which costs more to find.
     const DOUBTS_MOTION_FIRST: bool;
@@ -259,6 +261,7 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     // With six lit cells no pose but the truth keeps all of them lit, if their planes fix a pose.
     const UNIQUE_FROM: usize = 6;
     const NEAR_SIGMAS: f64 = 0.8;
+    const NEAR_WORK: usize = 6;
     const DOUBTS_MOTION_FIRST: bool = false;
 
     fn cell_count(&self) -> usize {

@@ -16,7 +16,7 @@ use super::minima::{Minima, Seen};
 use super::mirror_images::{IMAGES, SOFT_STEPS, image};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution};
-use super::outlier::{OutlierSearch, exclude};
+use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
 use super::readings::Sorted;
 use super::{observability, starts};
 
@@ -235,7 +235,9 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         let on_planes = self.on_planes(sorted);
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
-        if !search.has_begun || !may_have_images {
+        // Of a small piece the half would not suffice to leave out the next cell.
+        let is_needed = search.outlier.is_paused() && workspace.work / 2 < LEAST_WORK;
+        if !search.has_begun || !may_have_images && !is_needed {
             // A start that fails on the currents of one frame may succeed on those of another.
             // It leaves half of a later piece to the starts that have not been tried yet.
             let held_back = if search.has_begun { workspace.work / 2 } else { 0 };

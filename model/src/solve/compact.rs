@@ -177,7 +177,7 @@ const NEGLIGIBLE_MOTION: f64 = 0.15;
 
 /// At some 0.1 ms each, while the tool is looked for: a frame then takes no more than two milliseconds, and the
 /// motion is not forgotten over the frames that are passed over meanwhile.
-const BUDGET: Budget = Budget { frame: 8, saved_a_frame: 0, most_saved: 0, first: 0 };
+const BUDGET: Budget = Budget { frame: 12, saved_a_frame: 0, most_saved: 0, first: 0 };
 
 impl BoardTracker {
     /// Without cells and frames: see [`Tracker::solver_mut`] and [`Tracker::restart`].

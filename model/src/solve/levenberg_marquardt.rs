@@ -51,9 +51,6 @@ const MAX_ITERATIONS: usize = 40;
 /// Steps of a rough approach before it is given up.
 const ROUGH_ITERATIONS: usize = 20;
 
-/// Evaluations within which a minimum near the expected pose is reached, unless the tool jumped.
-const QUICK: usize = 6;
-
 impl<S: Scalar> Stopping<S> {
     /// Next to the minimum, so that noise-free data give the pose itself.
     pub(super) fn exact() -> Self {
@@ -238,7 +235,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let held_back = workspace.work.saturating_sub(QUICK);
+        let held_back = workspace.work.saturating_sub(P::NEAR_WORK);
         workspace.work -= held_back;
         let stopping = Stopping { tolerance_sigmas: S::of(P::NEAR_SIGMAS), ..Stopping::near() };
         let minimum = self.minimise(start, whiteners, stopping, workspace);

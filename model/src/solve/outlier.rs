@@ -27,7 +27,7 @@ const OUTLIER_THRESHOLD: f64 = 20.0;
 const PROMISED_GATES: f64 = 4.0;
 
 /// Evaluations that must be left for one more cell to be tried.
-const LEAST_WORK: usize = 8;
+pub(super) const LEAST_WORK: usize = 8;
 
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
@@ -40,18 +40,52 @@ pub(super) struct OutlierSearch<S: Scalar> {
     runner_up: S,
     may_pause: bool,
     is_paused: bool,
+    /// How far the next reading's exclusion has come when the work was used up.
+    under_way: Option<UnderWay<S>>,
+}
+
+/// Where the others have led so far, in how many steps, and whether these were by the true weights.
+#[derive(Clone, Copy, Debug)]
+struct UnderWay<S: Scalar> {
+    pose: Transform<S>,
+    steps: usize,
+    is_near: bool,
 }
 
 impl<S: Scalar> OutlierSearch<S> {
     /// One that has not begun; `may_pause`: it goes on with another frame's currents when the work of
     /// one is used up.
     pub(super) fn new(may_pause: bool) -> Self {
-        Self { next: 0, best: None, is_stale: false, runner_up: S::infinity(), may_pause, is_paused: false }
+        Self {
+            next: 0,
+            best: None,
+            is_stale: false,
+            runner_up: S::infinity(),
+            may_pause,
+            is_paused: false,
+            under_way: None,
+        }
     }
 
     /// Whether cells are left to be tried.
     pub(super) fn is_paused(&self) -> bool {
         self.is_paused
+    }
+
+    /// Pauses before reading `index` is left out, or on the way.
+    fn pause(&mut self, index: usize, under_way: Option<UnderWay<S>>) {
+        (self.next, self.under_way, self.is_paused, self.is_stale) = (index, under_way, true, true);
+    }
+
+    /// Whether `minimum`, `steps` steps after the start, is no end but a place to go on from.
+    fn is_cut_short(
+        &self,
+        minimum: &Minimum<S>,
+        steps: usize,
+        stopping: Stopping<S>,
+        workspace: &Workspace<S>,
+    ) -> bool {
+        self.may_pause && workspace.work == 0 && !minimum.converged && steps < stopping.max_iterations
     }
 }
 
@@ -72,21 +106,37 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         let mut iterations = 0;
         for index in search.next..sorted.usable.len() {
             if search.may_pause && workspace.work < LEAST_WORK {
-                (search.next, search.is_paused, search.is_stale) = (index, true, true);
+                search.pause(index, search.under_way);
                 return None;
             }
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
-            let start = self.on_planes(&others);
-            let approach = problem.minimise(start, &problem.coarse_whiteners(), Stopping::rough(), workspace);
-            iterations += approach.iterations;
-            // No coarse weight exceeds the true one, so χ² by the true ones is no less.
-            if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(OUTLIER_THRESHOLD)) {
-                search.runner_up = search.runner_up.min(approach.chi2);
-                continue;
+            let before = search.under_way.take();
+            let mut near = before.filter(|before| before.is_near);
+            if near.is_none() {
+                let (start, before) = before.map_or_else(|| (self.on_planes(&others), 0), |it| (it.pose, it.steps));
+                let approach = problem.minimise(start, &problem.coarse_whiteners(), Stopping::rough(), workspace);
+                iterations += approach.iterations;
+                let under_way = UnderWay { pose: approach.pose, steps: before + approach.iterations, is_near: false };
+                if search.is_cut_short(&approach, under_way.steps, Stopping::rough(), workspace) {
+                    search.pause(index, Some(under_way));
+                    return None;
+                }
+                // No coarse weight exceeds the true one, so χ² by the true ones is no less.
+                if search.best.is_some_and(|(_, best)| approach.chi2 - best.chi2 >= S::of(OUTLIER_THRESHOLD)) {
+                    search.runner_up = search.runner_up.min(approach.chi2);
+                    continue;
+                }
+                near = Some(UnderWay { steps: 0, is_near: true, ..under_way });
             }
-            let minimum = problem.minimise(approach.pose, &problem.whiteners(), Stopping::exact(), workspace);
+            let Some(UnderWay { pose, steps, .. }) = near else { continue };
+            let minimum = problem.minimise(pose, &problem.whiteners(), Stopping::exact(), workspace);
             iterations += minimum.iterations;
+            let steps = steps + minimum.iterations;
+            if search.is_cut_short(&minimum, steps, Stopping::exact(), workspace) {
+                search.pause(index, Some(UnderWay { pose: minimum.pose, steps, is_near: true }));
+                return None;
+            }
             if !minimum.converged {
                 continue;
             }
@@ -102,6 +152,10 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             }
         }
         let (cell, mut found) = search.best?;
+        if search.may_pause && workspace.work < LEAST_WORK {
+            search.pause(sorted.usable.len(), None);
+            return None;
+        }
         let index = sorted.usable.iter().position(|reading| reading.cell == cell)?;
         if search.is_stale {
             let others = sorted.without(index);
