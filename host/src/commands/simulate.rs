@@ -17,6 +17,7 @@ use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Following;
 use crate::telemetry::report_schema;
+use slitpose_head::faults::Faults;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -58,6 +59,8 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    Faults::check_simulate(&args.tool.faults.fault)?;
+    args.tool.faults.tell();
     let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
     let schedule = front_end::configuration(&head.file)?.schedule;
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
