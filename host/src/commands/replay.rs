@@ -49,9 +49,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let printing = Printing { sink, target: "standard output", format, is_terminal };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
-    args.faults.tell();
     let (faults, speed) = (args.faults.fault.clone(), args.speed.unwrap_or(usual));
     let playback = Playback::new(&args.files, &args.play, &args.poses, faults, speed, printing)?;
+    args.faults.tell();
     let Some(access) = access else { return playback.run() };
     let length_s = args.play.to().unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
     let orders = Orders::default();

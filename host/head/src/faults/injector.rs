@@ -13,6 +13,9 @@ use super::spec::{Effect, Fault};
 use super::wire::{Passage, WireFault};
 use super::words::{WordFaults, WordScale};
 
+/// How the text of an event begins that announces a fault.
+pub const ANNOUNCED: &str = "injected fault: ";
+
 /// Longest text of a fault in its announcement; what is longer is cut.
 const TEXT_BYTES: usize = 200;
 
@@ -265,7 +268,7 @@ fn packet_of(message: &Message<'_>) -> Option<Vec<u8>> {
 }
 
 fn announce(fault: &Fault, begun: u64, tick: u64, out: &mut Vec<u8>) {
-    let mut text = String::from("injected fault: ");
+    let mut text = String::from(ANNOUNCED);
     text.extend(fault.to_string().chars().take(TEXT_BYTES));
     if fault.window.every_s.is_some() {
         // A string takes everything.

@@ -6,6 +6,7 @@ use super::Faults;
 use super::kinds::Layer;
 use super::schedule::FaultClock;
 use super::spec::{Effect, Fault};
+use crate::boxed::boxed_plan;
 
 /// Change of an emitter's power, 1/K: the temperature coefficient of GaAlAs emitters (Vishay TSAL6200, −0.6 %/K).
 const EMITTER_PER_K: f64 = -0.006;
@@ -40,11 +41,7 @@ impl LightFaults {
         let mut of_light = Vec::new();
         for (fault, _) in faults.of(Layer::Light) {
             let moved = match fault.effect {
-                Effect::Move { cell, by_m } => {
-                    let mut scene = scene.clone();
-                    scene.cells[cell].slit.offset_m.x += by_m;
-                    Some(Box::new(Plan::compile(&scene, tier)?))
-                }
+                Effect::Move { cell, by_m } => Some(moved(scene, cell, by_m, tier)?),
                 _ => None,
             };
             of_light.push(LightFault { fault, moved });
@@ -92,6 +89,15 @@ impl LightFaults {
         let dark_a = 0.5 * self.dark_a[cell] * (DARK_PER_K.powf(warmer_k) - 1.0);
         Pair { i_x1_a: share * light.i_x1_a + dark_a, i_x2_a: share * light.i_x2_a + dark_a }
     }
+}
+
+/// The optics of `scene` with the slit of a cell elsewhere.
+// A scene is as large as a plan.
+#[inline(never)]
+fn moved(scene: &Scene, cell: usize, by_m: f64, tier: Tier) -> Result<Box<Plan<f64>>, SceneError> {
+    let mut scene = Box::new(scene.clone());
+    scene.cells[cell].slit.offset_m.x += by_m;
+    boxed_plan(&scene, tier)
 }
 
 #[cfg(test)]

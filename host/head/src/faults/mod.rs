@@ -27,7 +27,7 @@ mod words;
 
 pub use board::{BoardFaults, Trouble};
 pub use error::FaultError;
-pub use injector::{Injector, Link};
+pub use injector::{ANNOUNCED, Injector, Link};
 pub use kinds::{KINDS, Key, Kind, Lasts, Layer};
 pub use light::LightFaults;
 pub use quantity::Unit;

@@ -42,6 +42,8 @@ struct Troubled {
     clock: FaultClock,
     /// When the board last looked at its scans, seconds of device time.
     polled_s: f64,
+    /// The board has no time to do anything.
+    is_busy: bool,
     /// Ticks until the board has started.
     boots_for: u64,
     /// How long the board is without supply, seconds, until its host has noticed.
@@ -127,9 +129,11 @@ impl SimulatedBoard {
     pub fn with_faults(mut self, faults: &Faults, file: &SceneFile, tier: Tier) -> Result<Self, SimulatorError> {
         let light = LightFaults::of(faults, &file.scene, tier)?;
         self.board.hardware_mut().inject(light, WordFaults::of(faults));
-        let (clock, polled_s, boots_for, off_s) = (FaultClock::default(), 0.0, 0, None);
-        self.troubled =
-            BoardFaults::of(faults).map(|faults| Box::new(Troubled { faults, clock, polled_s, boots_for, off_s }));
+        let troubled = |faults| {
+            let clock = FaultClock::default();
+            Box::new(Troubled { faults, clock, polled_s: 0.0, is_busy: false, boots_for: 0, off_s: None })
+        };
+        self.troubled = BoardFaults::of(faults).map(troubled);
         Ok(self)
     }
 
@@ -141,14 +145,24 @@ impl SimulatedBoard {
     /// Lets one frame period pass, then [`transmit`](Self::transmit)s.
     pub fn step(&mut self, bytes: &mut Vec<u8>) {
         self.board.hardware_mut().advance(self.frame_ticks);
-        if !self.is_busy() {
-            self.transmit(bytes);
+        let is_busy = self.begin_faults();
+        if let Some(troubled) = &mut self.troubled {
+            troubled.is_busy = is_busy;
         }
+        self.transmit(bytes);
+    }
+
+    /// Whether the board lights and samples.
+    pub fn is_acquiring(&self) -> bool {
+        self.board.is_acquiring()
     }
 
     /// Lets one frame period pass with the link closed.
     pub fn step_closed(&mut self) {
         self.board.hardware_mut().advance(self.frame_ticks);
+        if let Some(troubled) = &mut self.troubled {
+            (troubled.is_busy, troubled.boots_for) = (false, 0);
+        }
         self.board.poll(Link::Closed);
     }
 
@@ -158,8 +172,8 @@ impl SimulatedBoard {
         self.troubled.as_mut()?.off_s.take()
     }
 
-    /// Lets faults of the board begin; whether they keep it from looking at its scans.
-    fn is_busy(&mut self) -> bool {
+    /// Lets faults of the board begin; whether they keep it from all it has to do.
+    fn begin_faults(&mut self) -> bool {
         let Some(troubled) = &mut self.troubled else { return false };
         if troubled.boots_for > 0 {
             troubled.boots_for = troubled.boots_for.saturating_sub(self.frame_ticks);
@@ -205,6 +219,9 @@ impl SimulatedBoard {
     /// Appends to `bytes` the data that the board sends over its open link: packets as on a wire, with
     /// the true pose of each scan ahead of it.
     pub fn transmit(&mut self, bytes: &mut Vec<u8>) {
+        if self.troubled.as_ref().is_some_and(|troubled| troubled.is_busy) {
+            return;
+        }
         self.board.poll(Link::Open);
         let mut packet = [0; MAX_MESSAGE_BYTES];
         for truth in self.board.hardware_mut().take_truths() {
