@@ -68,7 +68,12 @@ fn main() -> ExitCode {
     let mut verdicts = Verdicts::default();
     let (sound, faulty) = reports.split_at(1);
     verdicts.check(sound.iter().all(|report| report.by.is_empty()), "nothing is noticed where there is no fault");
-    verdicts.check(faulty.iter().all(|report| report.detected == report.injected), "each fault is noticed");
+    // Of many jumps of a clock the first, second, fourth, eighth … are reported.
+    let noticed = |report: &Report| match report.fault.as_str() {
+        "step" => report.detected > report.injected.ilog2() as usize,
+        _ => report.detected == report.injected,
+    };
+    verdicts.check(faulty.iter().all(noticed), "each fault is noticed, of jumps of the clock those that are reported");
     verdicts.check(reports.iter().all(|report| report.silently_lost == 0), "no scan is lost silently");
     verdicts.check(reports.iter().all(|report| report.out_of_order == 0), "poses come in the order of their scans");
     let unflagged: usize = reports.iter().map(|report| report.unflagged).sum();

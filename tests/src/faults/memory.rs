@@ -23,6 +23,9 @@ const LOOK_S: f64 = 0.25;
 /// A scan that arrives so long after it was taken is late, seconds: a batch spans a millisecond.
 const LATE_S: f64 = 0.02;
 
+/// From here on the host knows the board's clock, seconds.
+const SETTLED_S: f64 = 1.0;
+
 /// A clock this far from the host's drifts, ppm: crystals err by 50, and a ping tells the time to a quarter of a
 /// millisecond.
 const DRIFT_PPM: f64 = 200.0;
@@ -209,6 +212,10 @@ fn hear(trace: &mut Trace, truths: &mut BTreeMap<u64, Pose>, now_s: f64, item: &
             }
             if is_late(record) {
                 trace.signs.push((now_s, Sign::Late));
+            }
+            // From the first pings on there are times.
+            if record.host_time.is_none() && now_s > SETTLED_S {
+                trace.signs.push((now_s, Sign::Untimed));
             }
             trace.scans.push(Scan {
                 sequence: record.sequence,

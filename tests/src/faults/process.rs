@@ -9,8 +9,8 @@ use crate::consistency::worst_axis;
 use crate::ndjson;
 use crate::process::Slitpose;
 
-/// Longest silence in which nothing happened, seconds: twenty frames of the default scene.
-const SILENCE_S: f64 = 0.005;
+/// Longest silence in which nothing happened, seconds: three frames of the default scene.
+const SILENCE_S: f64 = 0.75e-3;
 
 /// What `slitpose run` makes of a fault of `kind`, and its exit code.
 ///

@@ -46,6 +46,8 @@ pub enum Sign {
     Clock,
     /// A drift of the board's clock.
     Drift,
+    /// Poses without a time of the host, because the board's clock cannot be trusted.
+    Untimed,
     /// An event of the board.
     Event,
 }
@@ -128,8 +130,7 @@ impl Report {
         let is_wrong = |scan: &&Scan| scan.sigmas.is_some_and(|sigmas| sigmas > WRONG_SIGMAS);
         for span in 0..spans.count {
             let (begin_s, end_s) = (spans.begin_s(span), spans.begin_s(span + 1));
-            // Times of a run whose clock began anew are not those of the fault.
-            let is_in = |time_s: f64| trace.is_renumbered || (begin_s - 1e-6..end_s).contains(&time_s);
+            let is_in = |time_s: f64| (begin_s - 1e-6..end_s).contains(&time_s);
             let mut words: Vec<_> =
                 trace.signs.iter().filter(|(at, _)| is_in(*at)).map(|(_, sign)| sign.word()).collect();
             words.sort_unstable();
@@ -141,8 +142,11 @@ impl Report {
                 recovery_s.push(recovery(&trace.scans, over_s, end_s));
             }
         }
+        // Times of a board that was lost are not those of the fault.
         if trace.missing.is_some() {
             detected = trace.silences_s.len().min(spans.count);
+            by.clear();
+            trace.signs.iter().for_each(|(_, sign)| *by.entry(sign.word()).or_default() += 1);
         }
         recovery_s.sort_by(f64::total_cmp);
         let missing = trace.missing.unwrap_or_else(|| trace.taken.saturating_sub(trace.scans.len() as u64));

@@ -16,7 +16,8 @@ const SEED: u64 = 20_180_718;
 
 /// Faults whose errors may be so small that the redundancy of six cells does not reveal each of them, with the most
 /// poses that were wrong and unflagged. What such a pose says of itself covers its error all the same.
-const SUBTLE: [(&str, usize); 4] = [("noisy", 200), ("swap-cells", 5), ("move", 100), ("warm", 5)];
+const SUBTLE: [(&str, usize); 5] =
+    [("noisy", 200), ("swap-electrodes", 5), ("swap-cells", 5), ("move", 100), ("warm", 5)];
 
 fn conditions(spans: Spans) -> Conditions {
     let mut file = Box::new(WIDE.read().expect("shipped"));
