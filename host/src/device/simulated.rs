@@ -107,20 +107,25 @@ impl SimulatedDevice {
         self.wire.as_ref().is_some_and(|wire| wire.hung_up_s.is_some())
     }
 
-    /// Opens the port again after the link was lost, once it is back; `false` if it never is.
+    /// Opens the port again after the link was lost, once it is back; `false` if faults have not broken it.
     pub(crate) fn reopen(&mut self) -> bool {
         let Some(wire) = &mut self.wire else { return false };
-        let away = (wire.hung_up_s.take().unwrap_or(0.0) / self.frame_s).ceil() as u64;
-        let until = self.frames.min(self.frames_passed.saturating_add(away));
-        // A closed port is seen by the board at once.
-        self.board.step_closed();
-        self.frames_passed += 1;
-        while self.frames_passed < until {
+        // A port that is closed for a moment only is still seen to be closed.
+        let away = ((wire.hung_up_s.take().unwrap_or(0.0) / self.frame_s).ceil() as u64).max(1);
+        for _ in 0..away {
             self.board.step_closed();
-            self.frames_passed += 1;
+            self.pass_frame();
         }
         self.said.clear();
-        self.frames_passed < self.frames
+        true
+    }
+
+    /// A frame has passed. A board that a fault has stopped is to be started again, however late its host notices.
+    fn pass_frame(&mut self) {
+        self.frames_passed += 1;
+        if self.wire.is_some() && !self.board.is_acquiring() {
+            self.frames = self.frames.saturating_add(1);
+        }
     }
 
     /// Passes on bytes of the board from `start` of `bytes` on as a faulty link does.
@@ -134,7 +139,7 @@ impl SimulatedDevice {
             (Link::HungUp { for_s }, _) => Some(for_s),
             (Link::Open, off_s) => off_s,
         };
-        if self.frames_passed == self.frames && wire.hung_up_s.is_none() {
+        if self.frames_passed >= self.frames && wire.hung_up_s.is_none() {
             wire.injector.finish(bytes);
         }
     }
@@ -183,11 +188,7 @@ impl Device for SimulatedDevice {
         let until = self.frames.min(self.frames_passed.saturating_add(self.frames_at_once));
         while self.frames_passed < until {
             self.board.step(bytes);
-            self.frames_passed += 1;
-            // A board that a fault has stopped is to be started again, however late its host notices.
-            if self.wire.is_some() && !self.board.is_acquiring() {
-                self.frames = self.frames.saturating_add(1);
-            }
+            self.pass_frame();
         }
         self.inject(bytes, before);
         self.pace.wait(self.passed_s());
