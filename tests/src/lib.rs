@@ -8,6 +8,7 @@
 //! * [`consistency`] judges poses against the truth, [`statistics`] says how far chance goes;
 //! * [`monte_carlo`] studies the solver over many random poses;
 //! * [`lit_cells`] counts what a tracker costs whatever its head sees;
+//! * [`faults`] injects every kind of fault and says what became of it;
 //! * [`acceptance`] puts the whole daemon to long, rough and fast use; [`verdicts`] counts what is out of bounds.
 //!
 //! Nothing here calls the product to judge the product: errors, their covariances and
@@ -16,6 +17,7 @@
 pub mod acceptance;
 pub mod capture;
 pub mod consistency;
+pub mod faults;
 pub mod latency;
 pub mod lit_cells;
 pub mod monte_carlo;

@@ -6,6 +6,7 @@
 //! * [`table`] reads and writes CSV, and writes results;
 //! * [`pace`] holds a stream to a multiple of device time;
 //! * [`boxed`] keeps plans and solvers off the stack;
+//! * [`faults`] injects faults into boards, heads and links;
 //! * [`finding`] states a fault and its remedy;
 //! * [`foreign`] escapes text of others for a terminal;
 //! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
@@ -53,6 +54,7 @@
 
 pub mod board_head;
 pub mod boxed;
+pub mod faults;
 pub mod finding;
 pub mod foreign;
 pub mod front_end;

@@ -91,6 +91,7 @@ impl Captures {
                 Some(warm_up_s) => Yields::PosesOfPart { warm_up_s },
                 None => Yields::Poses,
             },
+            faults: Vec::new(),
         };
         Ok(Self {
             playback: beside(py, |_| Playback::open(files, choice))?.map_err(raised)?.into(),

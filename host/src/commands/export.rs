@@ -44,7 +44,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let is_terminal = output.is_terminal();
     let sink = args.poses.open_sink(format, &mut output, is_terminal)?;
     let printing = Printing { sink, target: &target, format, is_terminal };
-    let outcome = Playback::new(&args.files, &args.play, &args.poses, Speed::Max, printing)?.run()?;
+    let outcome = Playback::new(&args.files, &args.play, &args.poses, Vec::new(), Speed::Max, printing)?.run()?;
     if stop.load(Ordering::Relaxed) {
         return Err(OutputError::Interrupted { target }.into());
     }

@@ -12,6 +12,7 @@ mod defaults;
 mod device;
 mod doctor;
 mod export;
+mod faults;
 mod identify;
 mod live;
 mod losses;
@@ -66,6 +67,7 @@ use slitpose_calibration::{CalibrateError, CalibrationFileError};
 use slitpose_design::optimise::OptimiseError;
 use slitpose_design::plot::PlotError;
 use slitpose_design::report::ReportError;
+use slitpose_head::faults::FaultError;
 use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFileError;
 use slitpose_head::simulator::{PathError, SimulatorError};
@@ -93,6 +95,7 @@ enum Verb {
     Status(status::Args),
     Doctor(doctor::Args),
     Simulate(simulate::Args),
+    Faults(faults::Args),
     Model(model::Args),
     Solve(solve::Args),
     Identify(identify::Args),
@@ -189,6 +192,9 @@ pub(crate) enum CommandError {
     /// A motion of the tool.
     #[error(transparent)]
     Path(#[from] PathError),
+    /// A fault that cannot be injected.
+    #[error(transparent)]
+    Fault(#[from] FaultError),
     /// An option that means nothing to a real board.
     #[error("{option} is for simulated boards and means nothing to {device}; leave it out, or give --device sim")]
     OnlySimulated {
@@ -324,7 +330,9 @@ impl CommandError {
         match self {
             #[cfg(not(feature = "parquet"))]
             Self::NoParquet { .. } => ExitCode::from(2),
-            Self::OnlySimulated { .. }
+            Self::Fault(_)
+            | Self::Playback(PlaybackError::Fault(_))
+            | Self::OnlySimulated { .. }
             | Self::OnlyHere { .. }
             | Self::Scenes { .. }
             | Self::Calibrations { .. }
@@ -381,6 +389,7 @@ fn run(arguments: &[OsString]) -> Result<Outcome, CommandError> {
         Verb::Status(args) => status::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
         Verb::Simulate(args) => simulate::run(&args),
+        Verb::Faults(args) => faults::run(&args),
         Verb::Model(args) => model::run(&args),
         Verb::Solve(args) => solve::run(&args),
         Verb::Identify(args) => identify::run(&args),

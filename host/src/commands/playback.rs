@@ -20,6 +20,7 @@ use crate::playback::{self, Choice, Event, PlaybackError, Yields};
 use crate::sink::{Account, Format, Note, Sink};
 use crate::telemetry::{BoardReport, BoardStatistics, DaemonReport, LinkReport, LinkState, RecorderReport};
 use crate::terminal::{Amount, Progress};
+use slitpose_head::faults::Fault;
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::table::OutputError;
 use thiserror::Error;
@@ -112,6 +113,7 @@ impl<'a> Playback<'a> {
         files: &'a [PathBuf],
         play: &PlayOptions,
         poses: &PoseOptions,
+        faults: Vec<Fault>,
         speed: Speed,
         Printing { sink, target, format, is_terminal }: Printing<'a>,
     ) -> Result<Self, CommandError> {
@@ -125,6 +127,7 @@ impl<'a> Playback<'a> {
             // Only people look at the cells.
             is_watched: format == Format::Summary,
             yields: Yields::Poses,
+            faults,
         };
         let captures = playback::Playback::open(files.to_vec(), choice.clone())?;
         let comparison = play.compare.as_deref().map(Comparison::open).transpose()?;

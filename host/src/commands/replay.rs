@@ -3,6 +3,7 @@
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 
+use super::faults::FaultOptions;
 use super::live::LiveOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
@@ -32,6 +33,8 @@ pub(super) struct Args {
     #[command(flatten)]
     poses: PoseOptions,
     #[command(flatten)]
+    faults: FaultOptions,
+    #[command(flatten)]
     live: LiveOptions,
     /// Seconds of the recording per second, or max
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -46,7 +49,9 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let printing = Printing { sink, target: "standard output", format, is_terminal };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
-    let playback = Playback::new(&args.files, &args.play, &args.poses, args.speed.unwrap_or(usual), printing)?;
+    let (faults, speed) = (args.faults.fault.clone(), args.speed.unwrap_or(usual));
+    let playback = Playback::new(&args.files, &args.play, &args.poses, faults, speed, printing)?;
+    args.faults.tell();
     let Some(access) = access else { return playback.run() };
     let length_s = args.play.to().unwrap_or(f64::INFINITY).min(playback::Playback::length_s(&args.files)?);
     let orders = Orders::default();

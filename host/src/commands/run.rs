@@ -53,6 +53,7 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 #[command(after_help = "Examples:\n  slitpose run --scene head.toml\n  \
                   slitpose run --device sim --duration 10s\n  \
                   slitpose run --device sim --trajectory contact --record contact.mcap > poses.ndjson\n  \
+                  slitpose run --device sim --duration 3s --fault occlude:cell=2,from=1s,for=500ms\n  \
                   slitpose run --device /dev/ttyACM0 --publish unix:/run/slitpose/pose --status 127.0.0.1:7450 --format none")]
 pub(super) struct Args {
     /// Which board: `auto`, a serial number, the path of a port, zenoh:KEY, or `sim`, a simulated one;
@@ -150,6 +151,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     let zenoh = args.zenoh.open(&args.device)?;
     let boards = args.boards(zenoh.as_ref())?;
+    args.tool.faults.tell();
     let stop = interrupt()?;
     let datagrams = if args.publish.is_empty() { None } else { Some(DatagramServer::bind(&args.publish)?) };
     for address in datagrams.iter().flat_map(DatagramServer::addresses) {

@@ -17,6 +17,7 @@ use crate::device::{Conversation, DeviceError, Keep, SimulatedDevice};
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Following;
 use crate::telemetry::report_schema;
+use slitpose_head::faults::Faults;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -58,11 +59,13 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    Faults::check_simulate(&args.tool.faults.fault)?;
     let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
     let schedule = front_end::configuration(&head.file)?.schedule;
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
     let device = args.tool.device(0, head.simulated(), tier, args.duration, Speed::Max)?;
+    args.tool.faults.tell();
     let sources = [args.scene.as_str(), args.tool.table().unwrap_or_default()].map(Path::new);
     let sources = sources.into_iter().chain(args.calibration.file());
     refuse_twice(&args.output, sources.clone())?;

@@ -2,8 +2,10 @@
 
 use slitpose_model::Tier;
 
+use super::faults::FaultOptions;
 use super::{CommandError, names};
 use crate::device::SimulatedDevice;
+use slitpose_head::faults::{Faults, Injector};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
@@ -18,12 +20,14 @@ pub(super) struct ToolOptions {
     /// Seed of motion and noise
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
+    #[command(flatten)]
+    pub(super) faults: FaultOptions,
 }
 
 impl ToolOptions {
     /// The first option that was given, if any.
     pub(super) fn given(&self) -> Option<&'static str> {
-        self.trajectory.as_ref().map(|_| "--trajectory").or(self.seed.map(|_| "--seed"))
+        self.trajectory.as_ref().map(|_| "--trajectory").or(self.seed.map(|_| "--seed")).or(self.faults.given())
     }
 
     /// The table of a motion, if it is one.
@@ -46,7 +50,10 @@ impl ToolOptions {
         let seed = self.seed(number);
         let trajectory = self.trajectory(file, number, duration_s)?;
         let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed)?;
-        Ok(SimulatedDevice::new(board, frame_s, duration_s, speed))
+        let faults = Faults::new(self.faults.fault.clone(), file.scene.cells.len())?;
+        let board = board.with_faults(&faults, file, tier)?;
+        let device = SimulatedDevice::new(board, frame_s, duration_s, speed);
+        Ok(device.with_faults(Injector::of_link(&faults)))
     }
 
     fn seed(&self, number: u8) -> u64 {

@@ -1,6 +1,6 @@
 //! Opens the board of a reader, at the start and after each loss.
 
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use slitpose_protocol::{Configuration, Hello, Stream};
 
@@ -150,15 +150,16 @@ impl Opener for PortOpener {
     }
 }
 
-/// Opens a simulated board, once.
+/// Opens a simulated board: once, or again after faults on its link.
 pub(crate) struct SimulatedOpener {
-    device: Option<SimulatedDevice>,
+    device: Arc<Mutex<SimulatedDevice>>,
+    is_opened: bool,
 }
 
 impl SimulatedOpener {
     /// For `device`.
     pub(crate) fn new(device: SimulatedDevice) -> Self {
-        Self { device: Some(device) }
+        Self { device: Arc::new(Mutex::new(device)), is_opened: false }
     }
 }
 
@@ -168,9 +169,10 @@ impl Opener for SimulatedOpener {
     }
 
     fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError> {
-        match self.device.take() {
-            Some(device) => Ok(Box::new(Conversation::open(Box::new(device))?)),
-            None => Err(DeviceError::Missing { name: self.name() }),
+        let is_there = !std::mem::replace(&mut self.is_opened, true) || lock(&self.device).reopen();
+        match is_there {
+            true => Ok(Box::new(Conversation::open(Box::new(Arc::clone(&self.device)))?)),
+            false => Err(DeviceError::Missing { name: self.name() }),
         }
     }
 }

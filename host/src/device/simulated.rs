@@ -1,14 +1,20 @@
 //! The simulated board as a device: device time passes while its host waits for bytes.
 
 use std::io;
+use std::sync::{Arc, Mutex};
 
 use slitpose_model::Tier;
 
 use super::Device;
+use slitpose_head::faults::{Injector, Link};
 use slitpose_head::front_end;
 use slitpose_head::pace::{Pace, Speed};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, SimulatorError, Trajectory, TrajectoryKind};
+use slitpose_head::threads::lock;
+
+/// What its user calls it.
+const NAME: &str = "sim";
 
 /// Device time that passes between two waits.
 const WAIT_EVERY_S: f64 = 2e-3;
@@ -30,6 +36,17 @@ pub(crate) struct SimulatedDevice {
     frames: u64,
     /// Bytes sent while catching up, not fetched yet.
     said: Vec<u8>,
+    wire: Option<Box<FaultyWire>>,
+}
+
+/// A link on which faults are injected.
+#[derive(Debug)]
+struct FaultyWire {
+    injector: Injector,
+    /// Bytes of the board, ahead of the injector.
+    sent: Vec<u8>,
+    /// The link is broken, and the port is back after so many seconds of device time.
+    hung_up_s: Option<f64>,
 }
 
 impl SimulatedDevice {
@@ -60,7 +77,23 @@ impl SimulatedDevice {
         // The number of frames must not depend on rounding of either argument. Saturates.
         let frames = (duration_s / frame_s - 1e-6).ceil() as u64;
         let frames_at_once = (WAIT_EVERY_S / frame_s).ceil() as u64;
-        Self { board, frame_s, pace: Pace::new(speed), frames_at_once, frames_passed: 0, frames, said: Vec::new() }
+        Self {
+            board,
+            frame_s,
+            pace: Pace::new(speed),
+            frames_at_once,
+            frames_passed: 0,
+            frames,
+            said: Vec::new(),
+            wire: None,
+        }
+    }
+
+    /// With faults on its link.
+    #[must_use]
+    pub(crate) fn with_faults(mut self, injector: Option<Injector>) -> Self {
+        self.wire = injector.map(|injector| Box::new(FaultyWire { injector, sent: Vec::new(), hung_up_s: None }));
+        self
     }
 }
 
@@ -69,15 +102,59 @@ impl SimulatedDevice {
     fn passed_s(&self) -> f64 {
         self.frames_passed as f64 * self.frame_s
     }
+
+    fn is_hung_up(&self) -> bool {
+        self.wire.as_ref().is_some_and(|wire| wire.hung_up_s.is_some())
+    }
+
+    /// Opens the port again after the link was lost, once it is back; `false` if faults have not broken it.
+    pub(crate) fn reopen(&mut self) -> bool {
+        let Some(wire) = &mut self.wire else { return false };
+        // A port that is closed for a moment only is still seen to be closed.
+        let away = ((wire.hung_up_s.take().unwrap_or(0.0) / self.frame_s).ceil() as u64).max(1);
+        for _ in 0..away {
+            self.board.step_closed();
+            self.pass_frame();
+        }
+        self.said.clear();
+        true
+    }
+
+    /// A frame has passed. A board that a fault has stopped is to be started again, however late its host notices.
+    fn pass_frame(&mut self) {
+        self.frames_passed += 1;
+        if self.wire.is_some() && !self.board.is_acquiring() {
+            self.frames = self.frames.saturating_add(1);
+        }
+    }
+
+    /// Passes on bytes of the board from `start` of `bytes` on as a faulty link does.
+    fn inject(&mut self, bytes: &mut Vec<u8>, start: usize) {
+        let Some(wire) = &mut self.wire else { return };
+        wire.sent.clear();
+        wire.sent.extend(bytes.drain(start..));
+        let link = wire.injector.push(&wire.sent, bytes);
+        let off_s = self.board.take_off_s();
+        wire.hung_up_s = match (link, off_s) {
+            (Link::HungUp { for_s }, _) => Some(for_s),
+            (Link::Open, off_s) => off_s,
+        };
+        if self.frames_passed >= self.frames && wire.hung_up_s.is_none() {
+            wire.injector.finish(bytes);
+        }
+    }
 }
 
 impl Device for SimulatedDevice {
     fn name(&self) -> &str {
-        "sim"
+        NAME
     }
 
     /// A board in real time first catches up with its host.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if self.is_hung_up() {
+            return Err(io::ErrorKind::ConnectionReset.into());
+        }
         if self.pace.is_real_time() && self.frames_passed > 0 {
             let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
             let within = self.frames_passed + (CATCH_UP_S / self.frame_s) as u64;
@@ -96,19 +173,44 @@ impl Device for SimulatedDevice {
 
     /// Commands are answered at once: replies come before time passes.
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
+        // The bytes before the break have been fetched.
+        if self.is_hung_up() {
+            return Err(io::ErrorKind::ConnectionReset.into());
+        }
         let before = bytes.len();
         bytes.append(&mut self.said);
         self.board.transmit(bytes);
         if bytes.len() > before {
+            self.inject(bytes, before);
             self.pace.wait(self.passed_s());
             return Ok(true);
         }
         let until = self.frames.min(self.frames_passed.saturating_add(self.frames_at_once));
         while self.frames_passed < until {
             self.board.step(bytes);
-            self.frames_passed += 1;
+            self.pass_frame();
         }
+        self.inject(bytes, before);
         self.pace.wait(self.passed_s());
         Ok(bytes.len() > before || self.frames_passed < self.frames)
+    }
+}
+
+/// A port that may be opened again.
+impl Device for Arc<Mutex<SimulatedDevice>> {
+    fn name(&self) -> &str {
+        NAME
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        lock(self).send(bytes)
+    }
+
+    fn keeps_time(&self) -> bool {
+        lock(self).keeps_time()
+    }
+
+    fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
+        lock(self).receive(bytes)
     }
 }

@@ -13,6 +13,8 @@ pub struct Counts {
     pub scans_lost: u64,
     /// Scans that arrived but were not solved, because the solver was behind or interrupted.
     pub scans_skipped: u64,
+    /// Scans that came again, or behind later ones; they are not solved.
+    pub scans_repeated: u64,
     /// Restarts of the board, detected by restarts of its numbering.
     pub restarts: u64,
     /// Solved scans by outcome.
@@ -28,9 +30,28 @@ pub struct Counts {
     /// The board's latest status.
     pub board_status: Option<Status>,
     next_sequence: Option<u64>,
+    /// The board has introduced itself since the last scan: it may have restarted.
+    is_greeted: bool,
 }
 
+/// Scans that come again, or late, are at most so many behind the newest: more than a board queues.
+const MOST_BEHIND: u64 = 1024;
+
 impl Counts {
+    /// Takes note that the board has introduced itself, as it does when it starts.
+    pub(super) fn greet(&mut self) {
+        self.is_greeted = true;
+    }
+
+    /// Counts scan `sequence` if it came again, or behind later ones; returns whether it did. A board that has
+    /// restarted introduces itself before it sends a scan.
+    pub(super) fn count_repeat(&mut self, sequence: u64) -> bool {
+        let behind = self.next_sequence.map_or(0, |expected| expected.saturating_sub(sequence));
+        let is_repeat = !self.is_greeted && (1..=MOST_BEHIND).contains(&behind);
+        self.scans_repeated += u64::from(is_repeat);
+        is_repeat
+    }
+
     /// Scans missing in the numbering before scan `sequence`.
     pub(super) fn missing_before(&self, sequence: u64) -> u64 {
         self.next_sequence.map_or(0, |expected| sequence.saturating_sub(expected))
@@ -43,6 +64,7 @@ impl Counts {
         self.scans_lost += self.missing_before(sequence) - unsolved;
         self.restarts += u64::from(self.next_sequence.is_some_and(|expected| sequence < expected));
         self.next_sequence = Some(sequence.wrapping_add(1));
+        self.is_greeted = false;
     }
 
     /// Begins a new numbering: another board, or another session of the same board.
@@ -63,6 +85,7 @@ impl Counts {
     /// Whether data were damaged or lost before the end.
     pub fn has_loss_before_end(&self) -> bool {
         self.scans_lost > 0
+            || self.scans_repeated > 0
             || self.restarts > 0
             || self.batches_without_hello > 0
             || self.batches_unreadable > 0
@@ -76,9 +99,10 @@ impl Counts {
         let decoder = self.decoder;
         is_lossy.then(|| {
             format!(
-                "data were damaged or lost: {} scans missing, {} restarts of the board, {} damaged and {} unreadable \
+                "data were damaged or lost: {} scans missing, {} repeated or late, {} restarts of the board, {} damaged and {} unreadable \
                  packets ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello",
                 self.scans_lost,
+                self.scans_repeated,
                 self.restarts,
                 decoder.damaged(),
                 decoder.unknown + decoder.malformed + self.batches_unreadable,
@@ -106,10 +130,26 @@ mod tests {
     }
 
     #[test]
+    fn scans_that_come_again_are_no_restart_unless_the_board_has_introduced_itself() {
+        let mut counts = Counts::default();
+        assert!(!counts.count_repeat(7));
+        for sequence in 7..2000 {
+            counts.count_scan(sequence, 0);
+        }
+        let repeats = [2000, 1999, 976, 975, 2001].map(|sequence| counts.count_repeat(sequence));
+        assert_eq!((repeats, counts.scans_repeated), ([false, true, true, false, false], 2));
+        counts.greet();
+        assert!(!counts.count_repeat(1990));
+        counts.count_scan(1990, 0);
+        assert_eq!((counts.restarts, counts.count_repeat(1990)), (1, true));
+    }
+
+    #[test]
     fn every_kind_of_loss_is_one_by_itself() {
         assert!(!Counts::default().has_loss() && !Counts::default().has_loss_before_end());
-        let kinds: [fn(&mut Counts); 5] = [
+        let kinds: [fn(&mut Counts); 6] = [
             |counts| counts.scans_lost = 1,
+            |counts| counts.scans_repeated = 1,
             |counts| counts.restarts = 1,
             |counts| counts.batches_without_hello = 1,
             |counts| counts.batches_unreadable = 1,

@@ -477,6 +477,7 @@ impl Flow {
     /// Opens a session, unless the present one continues; returns an oddity if the board's number has changed.
     fn greet(&mut self, hello: &Hello<'_>) -> Result<Option<Oddity>, PipelineError> {
         let is_opened = std::mem::take(&mut self.is_opened);
+        self.counts.greet();
         if self.session.as_ref().is_some_and(|session| session.is_of(hello)) {
             return Ok(None);
         }
@@ -573,6 +574,10 @@ impl Flow {
         let device_time_s = session.time_s(tick);
         if !self.span.admits(device_time_s, session.frame_s()) {
             return Ok(false);
+        }
+        // Scans are solved in the order of their numbers.
+        if self.counts.count_repeat(sequence) {
+            return Ok(true);
         }
         let unsolved = match content {
             Content::Words(_) => 0,

@@ -6,6 +6,7 @@ use crate::capture::Setup;
 use crate::link::DeviceId;
 use crate::pipeline::Pipeline;
 
+use super::faulty::Faulty;
 use super::host_clock::HostClock;
 
 /// A board of a capture.
@@ -21,6 +22,8 @@ pub struct Board {
     /// Nothing more can be made of it until its link was opened anew.
     pub(super) is_unusable: bool,
     pub(super) phase: Phase,
+    /// Faults in its bytes, if any are injected.
+    pub(super) faulty: Option<Box<Faulty>>,
     pub(super) seam: Seam,
     /// When the sessions began behind which a part can begin, seconds after the beginning.
     pub(super) sessions_s: Vec<f64>,
@@ -57,6 +60,7 @@ impl Board {
         head: Head,
         pipeline: Pipeline,
         phase: Phase,
+        faulty: Option<Box<Faulty>>,
     ) -> Self {
         let (host_clock, seam) = (HostClock::default(), Seam::default());
         Self {
@@ -67,6 +71,7 @@ impl Board {
             host_clock,
             is_unusable: false,
             phase,
+            faulty,
             seam,
             sessions_s: Vec::new(),
             has_begun: false,

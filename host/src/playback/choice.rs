@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use slitpose_head::faults::{Fault, Faults};
+
 use crate::solving::Solving;
 
 use super::PlaybackError;
@@ -25,6 +27,8 @@ pub struct Choice {
     pub is_watched: bool,
     /// What is made of the scans.
     pub yields: Yields,
+    /// Faults that are injected into the bytes of each board.
+    pub faults: Vec<Fault>,
 }
 
 /// What is made of scans.
@@ -46,6 +50,7 @@ pub enum Yields {
 
 impl Choice {
     pub(super) fn check(&self) -> Result<(), PlaybackError> {
+        Faults::check_recording(&self.faults)?;
         match (self.from_s, self.to_s) {
             (Some(from_s), Some(to_s)) if to_s <= from_s => Err(PlaybackError::Range { from_s, to_s }),
             _ => Ok(()),

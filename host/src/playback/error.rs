@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use slitpose_calibration::CalibrationFileError;
+use slitpose_head::faults::FaultError;
 use slitpose_head::scene_file::SceneFileError;
 use slitpose_model::SceneError;
 use thiserror::Error;
@@ -25,6 +26,9 @@ pub enum PlaybackError {
     /// The optics of the scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// A fault that cannot be injected.
+    #[error(transparent)]
+    Fault(#[from] FaultError),
     /// A board that does not suit the scene.
     #[error(transparent)]
     Board(#[from] PipelineError),

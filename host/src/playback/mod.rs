@@ -7,6 +7,7 @@
 mod board;
 mod choice;
 mod error;
+mod faulty;
 mod files;
 mod host_clock;
 
@@ -29,6 +30,7 @@ pub use choice::{Choice, Yields};
 pub use error::PlaybackError;
 
 use board::Phase;
+use faulty::Faulty;
 
 /// Boards are recorded a piece at a time: what one said before the end may stand so far behind it.
 const LATEST_NS: u64 = 1_000_000_000;
@@ -204,7 +206,16 @@ impl Playback {
         // Then the bytes after that were not waited for.
         let is_cut = self.is_over || self.reader.is_some();
         let (mut scans, mut bytes, mut packets) = (0, 0, 0);
-        for board in &mut self.boards {
+        for (number, board) in self.boards.iter_mut().enumerate() {
+            if let (Some(faulty), false) = (&mut board.faulty, board.is_unusable) {
+                let device = board.device;
+                let listen = |item: Item<'_>| hear(Event::Item { number, device, item }).map_err(Broken::Heard);
+                match board.pipeline.feed(faulty.finish(), listen) {
+                    Ok(_) => {}
+                    Err(Broken::Board(error)) => return Err(PlaybackError::Board(error).into()),
+                    Err(Broken::Heard(error)) => return Err(error),
+                }
+            }
             let counts = board.pipeline.counts();
             scans += counts.scans;
             bytes += counts.decoder.bytes;
@@ -271,7 +282,11 @@ impl Playback {
         let head = head_by(self.choice.calibration.as_deref(), file, |file| head_of(file, &setup, is_scene_given))?;
         let pipeline = self.pipeline(head.clone(), scene_match, Some(&setup));
         let phase = known.map_or(self.first_phase(), |at| self.boards[at].phase);
-        let board = Board::new(Some(setup.device), Some(setup), head, pipeline, phase);
+        let faulty = match known {
+            Some(at) => self.boards[at].faulty.take(),
+            None => self.faulty(&head)?,
+        };
+        let board = Board::new(Some(setup.device), Some(setup), head, pipeline, phase, faulty);
         match known {
             // Seams are those of the part, not of a setup.
             Some(at) => {
@@ -283,6 +298,10 @@ impl Playback {
         }
         let number = known.unwrap_or(self.boards.len() - 1);
         hear(Event::Board { number, device: self.boards[number].device })
+    }
+
+    fn faulty(&self, head: &Head) -> Result<Option<Box<Faulty>>, PlaybackError> {
+        Ok(Faulty::of(&self.choice, head.file.scene.cells.len())?)
     }
 
     fn first_phase(&self) -> Phase {
@@ -342,6 +361,10 @@ impl Playback {
         let listen = |item: Item<'_>| match is_heard {
             true => hear(Event::Item { number, device, item }).map_err(Broken::Heard),
             false => Ok(()),
+        };
+        let segment = match &mut board.faulty {
+            Some(faulty) => faulty.pass(segment),
+            None => segment,
         };
         let pipeline = &mut board.pipeline;
         let fed = if yields == Yields::Currents || board.phase == Phase::Before {
@@ -410,7 +433,8 @@ impl Playback {
             Head::uncalibrated(file).map_err(PlaybackError::from)
         })?;
         let pipeline = self.pipeline(head.clone(), scene_match, None);
-        self.boards.push(Board::new(device, None, head, pipeline, self.first_phase()));
+        let faulty = self.faulty(&head)?;
+        self.boards.push(Board::new(device, None, head, pipeline, self.first_phase(), faulty));
         let number = self.boards.len() - 1;
         hear(Event::Board { number, device })?;
         Ok(Some(number))

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
+use slitpose_head::faults::ANNOUNCED;
 use slitpose_model::{self as model, Estimate, Pose, TwistEstimate};
 
 use super::{Accounts, Note, Sink};
@@ -153,6 +154,15 @@ impl<'a> From<&'a Record> for Line<'a> {
     }
 }
 
+/// The begin of an injected fault.
+#[derive(Serialize)]
+struct FaultLine<'a> {
+    kind: &'static str,
+    fault: &'a str,
+    device: Option<DeviceId>,
+    device_time_s: f64,
+}
+
 /// Writes NDJSON.
 pub(super) struct Ndjson<W> {
     output: W,
@@ -170,8 +180,13 @@ impl<W: Write> Sink for Ndjson<W> {
         self.output.write_all(b"\n")
     }
 
-    fn note(&mut self, _: &Note) -> io::Result<()> {
-        Ok(())
+    /// Poses that follow an injected fault are not what the board would have given: the stream says so.
+    fn note(&mut self, note: &Note) -> io::Result<()> {
+        let Note::Event { device, device_time_s, text, .. } = note else { return Ok(()) };
+        let Some(fault) = text.strip_prefix(ANNOUNCED) else { return Ok(()) };
+        let line = FaultLine { kind: "injected_fault", fault, device: *device, device_time_s: *device_time_s };
+        serde_json::to_writer(&mut self.output, &line)?;
+        self.output.write_all(b"\n")
     }
 
     fn tick(&mut self, _: &Accounts<'_>) -> io::Result<()> {

@@ -225,8 +225,11 @@ fn undamaged_nonsense_gives_no_nonsense() {
             bytes.extend_from_slice(encode(message, &mut buffer).expect("room"));
         }
         let (records, counts) = solve(&whole.file, Tier::Paper, &bytes);
-        assert_eq!((records.len(), counts.batches_unreadable), (SCANS + 1, 1), "round {round}");
-        let last = records[SCANS];
+        // A number that has come already is left out.
+        let repeated = usize::from(sequence < SCANS as u64);
+        assert_eq!((records.len(), counts.batches_unreadable), (SCANS + 1 - repeated, 1), "round {round}");
+        assert_eq!(counts.scans_repeated, repeated as u64, "round {round}");
+        let last = records[records.len() - 1];
         assert!(last.truth.is_none_or(|truth| truth.is_finite()), "round {round}: {last:?}");
         assert_eq!(last.solution.estimate.is_some(), last.solution.outcome.has_pose(), "round {round}");
         if let Some(estimate) = last.solution.estimate {

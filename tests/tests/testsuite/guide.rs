@@ -244,6 +244,11 @@ fn the_analyst_judges_poses() {
 }
 
 #[test]
+fn faults_are_injected_and_seen() {
+    works("faults.md");
+}
+
+#[test]
 fn an_uncalibrated_head_has_its_first_light() {
     works("first_light.md");
 }

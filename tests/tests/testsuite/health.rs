@@ -7,14 +7,10 @@ use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_model::{Solver, Tier, Tracker};
-use slitpose_protocol::RawScan;
-use slitpose_tests::capture::{capture, decode};
+use slitpose_tests::capture::{capture, decode, with_faults};
 
 /// Frames a second: a quarter of the shipped rate. What is said rests on a second of scans, however many these are.
 const FRAME_RATE: usize = 1000;
-
-/// Steps of a word for one step of a conversion: four are added up.
-const WORD_STEPS: f64 = 4.0;
 
 fn wide() -> SceneFile {
     let mut file = WIDE.read().expect("shipped");
@@ -22,25 +18,25 @@ fn wide() -> SceneFile {
     file
 }
 
-/// Watches the head of `board` over `seconds`, taken for that of `file`; `edit` is what befalls the
-/// words of each scan, `take` sees what is said every quarter of a second.
+/// Watches the head of `board` over `seconds`, taken for that of `file`; `faults` are injected into its scans, `take`
+/// sees what is said every quarter of a second.
 fn watch(
     file: &SceneFile,
     board: &SceneFile,
     trajectory: Trajectory,
     seconds: usize,
-    edit: impl Fn(usize, &mut RawScan),
+    faults: &[String],
     mut take: impl FnMut(&HeadHealth),
 ) {
-    let decoded = decode(&capture(board, trajectory, Tier::Paper, 61, seconds * FRAME_RATE));
+    let bytes = capture(board, trajectory, Tier::Paper, 61, seconds * FRAME_RATE);
+    let decoded = decode(&with_faults(bytes, board.scene.cells.len(), faults));
     let (schedule, scaling) = (&decoded.schedule, &decoded.scaling);
     let stage = Stage::new(file, schedule, scaling);
     let scene = Stage::weighted_scene(file, schedule, scaling);
     let solver = Solver::new(&scene, Tier::Paper).expect("valid").with_exposures(&stage.exposures_s());
     let mut tracker: Tracker<f64> = Tracker::new(solver, schedule.frame_rate_hz().recip());
     let mut health = Health::new(file, Tier::Paper, schedule, scaling).expect("valid");
-    for (number, mut scan) in decoded.scans.into_iter().enumerate() {
-        edit(number, &mut scan);
+    for (number, scan) in decoded.scans.into_iter().enumerate() {
         let photocurrents = stage.photocurrents(&scan);
         let solution = tracker.track(scan.sequence, &photocurrents).solution;
         health.update(&scan, &photocurrents, &solution);
@@ -51,17 +47,18 @@ fn watch(
 }
 
 /// What is said after so many `seconds`: the first is not judged.
-fn said_of(board: &SceneFile, kind: TrajectoryKind, seconds: usize, edit: impl Fn(usize, &mut RawScan)) -> HeadHealth {
+fn said_of(board: &SceneFile, kind: TrajectoryKind, seconds: usize, faults: &[&str]) -> HeadHealth {
     let mut last = HeadHealth::default();
     let motion = Trajectory::of_kind(kind, 62, seconds as f64);
-    watch(&wide(), board, motion, seconds, edit, |health| last = health.clone());
+    let faults: Vec<String> = faults.iter().map(|&fault| fault.to_owned()).collect();
+    watch(&wide(), board, motion, seconds, &faults, |health| last = health.clone());
     last.findings.iter().for_each(|finding| println!("{finding:?}"));
     last
 }
 
-/// What is said in the end of a head that moves smoothly, and `edit` befalls it.
-fn smooth(edit: impl Fn(usize, &mut RawScan)) -> HeadHealth {
-    said_of(&wide(), TrajectoryKind::Smooth, 3, edit)
+/// What is said in the end of a head that moves smoothly, with `faults`.
+fn smooth(faults: &[&str]) -> HeadHealth {
+    said_of(&wide(), TrajectoryKind::Smooth, 3, faults)
 }
 
 /// That the only finding is `verdict` on `cell`.
@@ -106,7 +103,7 @@ fn a_detector_is_saturated_by_light_and_dark_current_together() {
     let said = |file: &SceneFile| {
         let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 2.0);
         let mut last = HeadHealth::default();
-        watch(file, file, still, 2, |_, _| {}, |health| last = health.clone());
+        watch(file, file, still, 2, &[], |health| last = health.clone());
         last
     };
     let mut file = with_dark_current();
@@ -131,18 +128,11 @@ fn a_healthy_head_raises_nothing() {
         let mut findings: Vec<Diagnosis> = Vec::new();
         let mut judged = 0;
         let mut last = HeadHealth::default();
-        watch(
-            &file,
-            &file,
-            motion,
-            20,
-            |_, _| {},
-            |health| {
-                judged += usize::from(health.cells.iter().all(|cell| cell.verdict != Verdict::Unknown));
-                findings.extend(health.findings.iter().cloned());
-                last = health.clone();
-            },
-        );
+        watch(&file, &file, motion, 20, &[], |health| {
+            judged += usize::from(health.cells.iter().all(|cell| cell.verdict != Verdict::Unknown));
+            findings.extend(health.findings.iter().cloned());
+            last = health.clone();
+        });
         let totals: Vec<_> = last.cells.iter().map(|cell| cell.totals).collect();
         println!("{name}: {} findings in {judged} looks of 20 s; {totals:?}", findings.len());
         assert_eq!(judged, 76, "all but the first second are judged");
@@ -164,92 +154,60 @@ fn a_healthy_head_raises_nothing() {
 fn nothing_is_said_of_the_first_second() {
     let mut verdicts = Vec::new();
     let still = Trajectory::of_kind(TrajectoryKind::Still, 1, 1.0);
-    // Codes fall as the current rises: cell 2 is saturated from the first scan on.
-    let saturate = |_: usize, scan: &mut RawScan| scan.lit_mut()[2] = [0, 0];
-    watch(&wide(), &wide(), still, 2, saturate, |health| verdicts.push(health.cells[2].verdict));
+    let saturated = ["saturate:cell=2".to_owned()];
+    watch(&wide(), &wide(), still, 2, &saturated, |health| verdicts.push(health.cells[2].verdict));
     assert_eq!(verdicts[0], Verdict::Unknown);
     assert_eq!(verdicts[7], Verdict::Saturated);
 }
 
 #[test]
 fn each_fault_of_a_cell_is_named() {
-    // Codes fall as the current rises: 0 is more than can be measured.
-    assert_only(
-        &smooth(|number, scan| {
-            if number % 3 == 0 {
-                scan.lit_mut()[1] = [0, 4000];
-            }
-        }),
-        1,
-        Verdict::Saturated,
-    );
-    // An emitter that has failed: lit as dark, but for what the words were worth in noise.
-    let dead = smooth(|_, scan| scan.lit_mut()[4] = scan.dark().expect("dark slot")[4].map(|word| word - 1));
-    assert_only(&dead, 4, Verdict::Dark);
+    // Every third scan.
+    assert_only(&smooth(&["saturate:cell=1,for=1ms,every=3ms"]), 1, Verdict::Saturated);
+    // An emitter that has failed.
+    assert_only(&smooth(&["occlude:cell=4"]), 4, Verdict::Dark);
     // A loose plug: dark for a quarter of a second every second.
-    let loose = smooth(|number, scan| {
-        if number % FRAME_RATE < FRAME_RATE / 4 {
-            scan.lit_mut()[4] = scan.dark().expect("dark slot")[4];
-        }
-    });
-    assert_only(&loose, 4, Verdict::Dark);
+    assert_only(&smooth(&["occlude:cell=4,for=250ms,every=1s"]), 4, Verdict::Dark);
     // Dirt on one slit: 70 % of the light.
-    let dirty = smooth(|_, scan| {
-        let dark = scan.dark().expect("dark slot")[0];
-        for (lit, dark) in scan.lit_mut()[0].iter_mut().zip(dark) {
-            *lit = (f64::from(dark) + 0.7 * (f64::from(*lit) - f64::from(dark))).round() as u16;
-        }
-    });
+    let dirty = smooth(&["dim:cell=0,to=0.7"]);
     assert_only(&dirty, 0, Verdict::Excluded);
     let brightness = dirty.cells[0].brightness.expect("lit");
     assert!((brightness - 0.7).abs() < 0.01, "{brightness}");
     // The converter repeats itself from some scan on. Smooth motion: it contradicts, too, and that is why.
-    let first = std::cell::Cell::new(None);
-    let stuck = smooth(|number, scan| {
-        if number == FRAME_RATE / 40 {
-            first.set(Some((scan.lit()[5], scan.dark().expect("dark slot")[5])));
-        }
-        if let Some((lit, dark)) = first.get() {
-            scan.lit_mut()[5] = lit;
-            scan.dark_mut().expect("dark slot")[5] = dark;
-        }
-    });
-    assert_only(&stuck, 5, Verdict::Stuck);
-}
-
-/// Light of `full_scales` of an electrode on both electrodes of cell 3, in all slots.
-fn stray(scan: &mut RawScan, full_scales: f64) {
-    // 4095 − 64 steps to full scale: see the simulator's front end.
-    let words = (full_scales * 4031.0 * WORD_STEPS).round() as u16;
-    for word in scan.lit_mut()[3].iter_mut() {
-        *word -= words;
-    }
-    for word in scan.dark_mut().expect("dark slot")[3].iter_mut() {
-        *word -= words;
-    }
+    assert_only(&smooth(&["stuck:cell=5,from=25ms"]), 5, Verdict::Stuck);
+    // Noise of a bad contact, less than what contradicts the other cells.
+    assert_only(&smooth(&["noisy:cell=2,rms=4nA"]), 2, Verdict::Noisy);
 }
 
 #[test]
 fn stray_light_that_rises_is_told_and_steady_stray_light_is_not() {
-    let since = |number: usize| number.saturating_sub(FRAME_RATE) as f64 / (2 * FRAME_RATE) as f64;
-    // From the second second on, up to 2 % on both electrodes.
-    let rising = smooth(|number, scan| stray(scan, 0.02 * since(number)));
-    assert_only(&rising, 3, Verdict::StrayRising);
+    // From the second second on, up to so much on both electrodes of cell 3, in forty steps.
+    let rising = |most_na: f64| -> Vec<String> {
+        let step = |number: u32| {
+            let from_ms = 1000 + 50 * number;
+            format!("stray:cell=3,current={}nA,from={from_ms}ms", most_na / 40.0)
+        };
+        (0..40).map(step).collect()
+    };
+    let said = |faults: &[String]| smooth(&faults.iter().map(String::as_str).collect::<Vec<_>>());
+    // Full scale are 10 µA: 2 %.
+    let rising_much = said(&rising(200.0));
+    assert_only(&rising_much, 3, Verdict::StrayRising);
     // The mean of the last second, some 1.4 % twice.
-    let rise_a = rising.cells[3].stray_rise_a.expect("dark words");
+    let rise_a = rising_much.cells[3].stray_rise_a.expect("dark words");
     assert!((0.22e-6..0.4e-6).contains(&rise_a), "{rise_a}");
 
-    let steady = smooth(|_, scan| stray(scan, 0.02));
+    let steady = smooth(&["stray:cell=3,current=200nA"]);
     assert!(steady.findings.is_empty(), "{:?}", steady.findings);
     let stray_a = steady.cells[3].stray_a.expect("dark words");
     assert!((stray_a - 0.4e-6).abs() < 5e-9, "{stray_a}");
 
     // A third of a per cent is less than an offset drifts.
-    let little = smooth(|number, scan| stray(scan, 0.003 * since(number)));
+    let little = said(&rising(30.0));
     assert!(little.findings.is_empty(), "{:?}", little.findings);
 
-    // A lamp that flickers at half the frame rate: 3 steps of the converter up and down, some six times the noise of a word.
-    let flicker = smooth(|number, scan| stray(scan, if number % 2 == 0 { 6.0 / 4031.0 } else { 0.0 }));
+    // A lamp that flickers at half the frame rate: some 3 steps of the converter up and down, some six times the noise of a word.
+    let flicker = smooth(&["stray:cell=3,current=15nA,for=1ms,every=2ms"]);
     assert_only(&flicker, 3, Verdict::Noisy);
 }
 
@@ -257,10 +215,7 @@ fn stray_light_that_rises_is_told_and_steady_stray_light_is_not() {
 fn exchanged_electrodes_are_named() {
     // The head looks the same from every second cell, and from the others in a mirror.
     for (cell, kind) in [(0, TrajectoryKind::Smooth), (1, TrajectoryKind::Contact)] {
-        let health = said_of(&wide(), kind, 2, |_, scan| {
-            scan.lit_mut()[cell].swap(0, 1);
-            scan.dark_mut().expect("dark slot")[cell].swap(0, 1);
-        });
+        let health = said_of(&wide(), kind, 2, &[&format!("swap-electrodes:cell={cell}")]);
         let faults: Vec<_> = health.findings.iter().map(|finding| finding.fault).collect();
         assert_eq!(faults, [Fault::Exchange(Exchange::Electrodes { cell })], "{kind:?}");
         assert_eq!(health.cells[cell].verdict, Verdict::Swapped);
@@ -275,7 +230,7 @@ fn exchanged_cells_are_named() {
         // then lit together, and shine on each other's detectors.
         let mut board = wide();
         board.scene.cells.swap(first, second);
-        let health = said_of(&board, TrajectoryKind::Smooth, 2, |_, _| {});
+        let health = said_of(&board, TrajectoryKind::Smooth, 2, &[]);
         let faults: Vec<_> = health.findings.iter().map(|finding| finding.fault).collect();
         assert_eq!(faults, [Fault::Exchange(Exchange::Cells { cells: [first, second] })]);
         assert!([first, second].iter().all(|&cell| health.cells[cell].verdict == Verdict::Swapped));
@@ -285,11 +240,11 @@ fn exchanged_cells_are_named() {
 #[test]
 fn what_cannot_be_seen_is_not_claimed() {
     // At home every spot is in the middle, and all cells are alike.
-    let electrodes = said_of(&wide(), TrajectoryKind::Still, 2, |_, scan| scan.lit_mut()[3].swap(0, 1));
+    let electrodes = said_of(&wide(), TrajectoryKind::Still, 2, &["swap-electrodes:cell=3"]);
     assert!(electrodes.findings.is_empty(), "{:?}", electrodes.findings);
     let mut board = wide();
     board.scene.cells.swap(0, 1);
-    let cells = said_of(&board, TrajectoryKind::Still, 2, |_, _| {});
+    let cells = said_of(&board, TrajectoryKind::Still, 2, &[]);
     assert!(cells.findings.is_empty(), "{:?}", cells.findings);
 }
 
@@ -298,17 +253,15 @@ fn a_head_that_is_another_one_is_told_without_a_guess() {
     // Three cells in a ring: no exchange of two explains it.
     let mut board = wide();
     board.scene.cells[..3].rotate_left(1);
-    let health = said_of(&board, TrajectoryKind::Smooth, 2, |_, _| {});
+    let health = said_of(&board, TrajectoryKind::Smooth, 2, &[]);
     let faults: Vec<_> = health.findings.iter().map(|finding| finding.fault).collect();
     assert_eq!(faults, [Fault::Unexplained]);
 }
 
 #[test]
 fn a_tool_that_was_taken_away_is_one_finding() {
-    let health = smooth(|_, scan| {
-        let dark: Vec<_> = scan.dark().expect("dark slot").to_vec();
-        scan.lit_mut().copy_from_slice(&dark);
-    });
+    let occluded: Vec<String> = (0..6).map(|cell| format!("occlude:cell={cell}")).collect();
+    let health = smooth(&occluded.iter().map(String::as_str).collect::<Vec<_>>());
     let faults: Vec<_> = health.findings.iter().map(|finding| finding.fault).collect();
     assert_eq!(faults, [Fault::TooDark]);
 }

@@ -15,6 +15,7 @@ mod doctor;
 mod documents;
 mod effects;
 mod emulated;
+mod faults;
 mod foreign_text;
 mod full_disk;
 mod guide;

@@ -1,5 +1,7 @@
 //! A simulated board as seen by its host: bytes in, bytes out, and time.
 
+use std::sync::Arc;
+
 use slitpose_firmware::{Board, Identity, Link, TRANSMIT_BYTES, TransmitBuffer};
 use slitpose_model::{Plan, SceneError, Tier};
 use slitpose_protocol::{
@@ -12,6 +14,7 @@ use super::electronics::Electronics;
 use super::hardware::SimulatedHardware;
 use super::light::Light;
 use super::trajectory::Trajectory;
+use crate::faults::{BoardFaults, FaultClock, Faults, LightFaults, Trouble, WordFaults};
 use crate::front_end::{self, TimingError};
 use crate::scene_file::SceneFile;
 
@@ -22,8 +25,29 @@ const QUEUE_BYTES: usize = 25 * 1024;
 /// The firmware's core over simulated hardware.
 #[derive(Debug)]
 pub struct SimulatedBoard {
-    board: Box<Board<SimulatedHardware, Box<[u8]>>>,
+    board: Box<Core>,
     frame_ticks: u64,
+    /// With which it starts again.
+    identity: Identity,
+    configuration: Configuration,
+    troubled: Option<Box<Troubled>>,
+}
+
+type Core = Board<SimulatedHardware, Box<[u8]>>;
+
+/// A board that faults befall.
+#[derive(Debug)]
+struct Troubled {
+    faults: BoardFaults,
+    clock: FaultClock,
+    /// When the board last looked at its scans, seconds of device time.
+    polled_s: f64,
+    /// The board has no time to do anything.
+    is_busy: bool,
+    /// Ticks until the board has started.
+    boots_for: u64,
+    /// How long the board is without supply, seconds, until its host has noticed.
+    off_s: Option<f64>,
 }
 
 /// Why a scene cannot be simulated.
@@ -61,7 +85,7 @@ impl SimulatedBoard {
         tier: Tier,
         seed: u64,
     ) -> Result<Self, SimulatorError> {
-        Self::with_light(number, file, Box::new(Plan::compile(&file.scene, tier)?), trajectory, seed)
+        Self::with_light(number, file, Arc::new(Plan::compile(&file.scene, tier)?), trajectory, seed)
     }
 
     /// As [`numbered`](Self::numbered), with a head that `file` describes, but whose detectors get `light`.
@@ -71,7 +95,7 @@ impl SimulatedBoard {
     pub fn with_light(
         number: u8,
         file: &SceneFile,
-        light: Box<dyn Light>,
+        light: Arc<dyn Light>,
         trajectory: Trajectory,
         seed: u64,
     ) -> Result<Self, SimulatorError> {
@@ -93,9 +117,24 @@ impl SimulatedBoard {
         };
         let hardware = SimulatedHardware::new(light, trajectory, electronics, configuration.schedule.tick_hz, seed);
         let frame_ticks = u64::from(configuration.schedule.frame_ticks);
-        let memory = vec![0; QUEUE_BYTES].into_boxed_slice();
-        let board = Board::new(hardware, identity, configuration, memory).map_err(SimulatorError::Refused)?;
-        Ok(Self { board: Box::new(board), frame_ticks })
+        let board = start(hardware, identity, &configuration).map_err(SimulatorError::Refused)?;
+        Ok(Self { board: Box::new(board), frame_ticks, identity, configuration, troubled: None })
+    }
+
+    /// With these of the `faults`: in the board, and in the head of `file`, whose optics are those of `tier`. Those of the
+    /// wire are for an [`Injector`](crate::faults::Injector).
+    ///
+    /// # Errors
+    /// If a part has moved to where the optics cannot have it.
+    pub fn with_faults(mut self, faults: &Faults, file: &SceneFile, tier: Tier) -> Result<Self, SimulatorError> {
+        let light = LightFaults::of(faults, &file.scene, tier)?;
+        self.board.hardware_mut().inject(light, WordFaults::of(faults));
+        let troubled = |faults| {
+            let clock = FaultClock::default();
+            Box::new(Troubled { faults, clock, polled_s: 0.0, is_busy: false, boots_for: 0, off_s: None })
+        };
+        self.troubled = BoardFaults::of(faults).map(troubled);
+        Ok(self)
     }
 
     /// Sends bytes from the host to the board.
@@ -106,12 +145,83 @@ impl SimulatedBoard {
     /// Lets one frame period pass, then [`transmit`](Self::transmit)s.
     pub fn step(&mut self, bytes: &mut Vec<u8>) {
         self.board.hardware_mut().advance(self.frame_ticks);
+        let is_busy = self.begin_faults();
+        if let Some(troubled) = &mut self.troubled {
+            troubled.is_busy = is_busy;
+        }
         self.transmit(bytes);
+    }
+
+    /// Whether the board lights and samples.
+    pub fn is_acquiring(&self) -> bool {
+        self.board.is_acquiring()
+    }
+
+    /// Lets one frame period pass with the link closed.
+    pub fn step_closed(&mut self) {
+        self.board.hardware_mut().advance(self.frame_ticks);
+        if let Some(troubled) = &mut self.troubled {
+            (troubled.is_busy, troubled.boots_for) = (false, 0);
+        }
+        self.board.poll(Link::Closed);
+    }
+
+    /// How long the board is without supply since this was last asked, seconds of device time; `None` if it has not
+    /// lost it. Its link is closed meanwhile.
+    pub fn take_off_s(&mut self) -> Option<f64> {
+        self.troubled.as_mut()?.off_s.take()
+    }
+
+    /// Lets faults of the board begin; whether they keep it from all it has to do.
+    fn begin_faults(&mut self) -> bool {
+        let Some(troubled) = &mut self.troubled else { return false };
+        if troubled.boots_for > 0 {
+            troubled.boots_for = troubled.boots_for.saturating_sub(self.frame_ticks);
+            return troubled.boots_for > 0;
+        }
+        let hardware = self.board.hardware_mut();
+        let (now, tick_hz) = hardware.clock();
+        if let Some(tick) = hardware.frame_tick() {
+            troubled.clock.take(tick, tick_hz);
+        }
+        let Some(time_s) = troubled.clock.at(now, tick_hz) else { return false };
+        let trouble = troubled.faults.begin(time_s);
+        if let Some(Trouble::Reset(off_s) | Trouble::Restart(off_s)) = trouble {
+            let identity = Identity { reset_cause: ResetCause::Watchdog, ..self.identity };
+            let identity = match trouble {
+                Some(Trouble::Restart(_)) => {
+                    troubled.off_s = Some(off_s);
+                    Identity { reset_cause: ResetCause::PowerOn, ..identity }
+                }
+                _ => {
+                    troubled.boots_for = (off_s * f64::from(tick_hz)) as u64;
+                    identity
+                }
+            };
+            // The board has run this configuration.
+            if let Ok(board) = start(hardware.reset(), identity, &self.configuration) {
+                *self.board = board;
+            }
+            return true;
+        }
+        match trouble {
+            Some(Trouble::Overrun(scans)) => hardware.overrun(scans),
+            Some(Trouble::Stop) => hardware.fail(),
+            _ => {}
+        }
+        let waits = troubled.faults.poll_s(time_s).is_some_and(|poll_s| time_s < troubled.polled_s + poll_s);
+        if !waits {
+            troubled.polled_s = time_s;
+        }
+        waits
     }
 
     /// Appends to `bytes` the data that the board sends over its open link: packets as on a wire, with
     /// the true pose of each scan ahead of it.
     pub fn transmit(&mut self, bytes: &mut Vec<u8>) {
+        if self.troubled.as_ref().is_some_and(|troubled| troubled.is_busy) {
+            return;
+        }
         self.board.poll(Link::Open);
         let mut packet = [0; MAX_MESSAGE_BYTES];
         for truth in self.board.hardware_mut().take_truths() {
@@ -128,4 +238,8 @@ impl SimulatedBoard {
             bytes.extend_from_slice(sent);
         }
     }
+}
+
+fn start(hardware: SimulatedHardware, identity: Identity, configuration: &Configuration) -> Result<Core, Rejection> {
+    Board::new(hardware, identity, configuration.clone(), vec![0; QUEUE_BYTES].into_boxed_slice())
 }

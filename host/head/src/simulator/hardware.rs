@@ -1,6 +1,7 @@
 //! The firmware's hardware trait, implemented by a simulated tool, optics and electronics.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use heapless::Vec;
 use rand::SeedableRng;
@@ -13,15 +14,19 @@ use slitpose_protocol::{BootTarget, Configuration, HardwareFault, Level, RawScan
 use super::electronics::Electronics;
 use super::light::Light;
 use super::trajectory::Trajectory;
+use crate::faults::{LightFaults, WordFaults, WordScale};
 
 /// The sensors of a simulated board.
 const HEALTH: Health = Health { supply_v: 3.3, temperature_k: 298.15, cpu_load_permille: 0 };
+
+/// Words in the ring of a converter, as on the board: see `RING_WORDS` in its firmware.
+const RING_WORDS: u64 = 2048;
 
 /// Simulated emitters, slits, detectors and converters of one head. Time passes only in
 /// [`SimulatedHardware::advance`].
 #[derive(Debug)]
 pub(crate) struct SimulatedHardware {
-    optics: Box<dyn Light>,
+    optics: Arc<dyn Light>,
     trajectory: Trajectory,
     electronics: Electronics,
     rng: ChaCha8Rng,
@@ -30,6 +35,12 @@ pub(crate) struct SimulatedHardware {
     run: Option<Run>,
     next_sequence: u64,
     truths: VecDeque<Truth>,
+    /// Ticks before the last reset.
+    earlier_ticks: u64,
+    /// What the next scan comes to grief by.
+    trouble: Option<ScanError>,
+    light_faults: Option<Box<LightFaults>>,
+    word_faults: Option<Box<WordFaults>>,
 }
 
 /// An acquisition under way.
@@ -41,7 +52,7 @@ struct Run {
 
 impl SimulatedHardware {
     pub(super) fn new(
-        optics: Box<dyn Light>,
+        optics: Arc<dyn Light>,
         trajectory: Trajectory,
         electronics: Electronics,
         tick_hz: u32,
@@ -57,7 +68,59 @@ impl SimulatedHardware {
             run: None,
             next_sequence: 0,
             truths: VecDeque::new(),
+            earlier_ticks: 0,
+            trouble: None,
+            light_faults: None,
+            word_faults: None,
         }
+    }
+
+    /// As after a reset: dark, with counters from zero. The tool moves on, and so do faults of the head.
+    pub(crate) fn reset(&mut self) -> Self {
+        Self {
+            optics: Arc::clone(&self.optics),
+            trajectory: self.trajectory.clone(),
+            electronics: self.electronics.clone(),
+            rng: self.rng.clone(),
+            now_ticks: 0,
+            tick_hz: self.tick_hz,
+            run: None,
+            next_sequence: 0,
+            truths: VecDeque::new(),
+            earlier_ticks: self.earlier_ticks + self.now_ticks,
+            trouble: None,
+            light_faults: self.light_faults.take(),
+            word_faults: self.word_faults.take(),
+        }
+    }
+
+    /// Injects faults of the head.
+    pub(crate) fn inject(&mut self, light: Option<LightFaults>, words: Option<WordFaults>) {
+        (self.light_faults, self.word_faults) = (light.map(Box::new), words.map(Box::new));
+    }
+
+    /// Overwrites the next `scans` before they can be collected.
+    pub(crate) fn overrun(&mut self, scans: u64) {
+        if let Some(run) = &mut self.run {
+            self.next_sequence += scans;
+            run.next_frame_ticks += scans * u64::from(run.configuration.schedule.frame_ticks);
+            self.trouble = Some(ScanError::Overrun);
+        }
+    }
+
+    /// Lets the converters fail at the next scan.
+    pub(crate) fn fail(&mut self) {
+        self.trouble = self.run.as_ref().map(|_| ScanError::Fault(HardwareFault::Converters));
+    }
+
+    /// Ticks since the last reset, and ticks a second.
+    pub(crate) fn clock(&self) -> (u64, u32) {
+        (self.now_ticks, self.tick_hz)
+    }
+
+    /// Ticks of the frame under way; `None` while no scan is taken.
+    pub(crate) fn frame_tick(&self) -> Option<u64> {
+        self.run.as_ref().map(|run| run.next_frame_ticks)
     }
 
     /// Lets device time pass.
@@ -71,7 +134,7 @@ impl SimulatedHardware {
     }
 
     fn pose_at(&self, ticks: f64) -> Pose {
-        self.trajectory.pose(ticks / f64::from(self.tick_hz))
+        self.trajectory.pose((self.earlier_ticks as f64 + ticks) / f64::from(self.tick_hz))
     }
 
     /// Photocurrents of `cell` at `ticks` from its own emitter in `slot` and from the other emitters of that
@@ -79,8 +142,12 @@ impl SimulatedHardware {
     fn light(&self, configuration: &Configuration, cell: usize, slot: usize, ticks: f64) -> Pair<f64> {
         let emitters = configuration.schedule.slots[slot].emitters();
         let lit = emitters.map(|emitter| (emitter, configuration.levels[emitter].relative()));
-        let lit: Vec<_, MAX_CELLS> = lit.collect();
-        self.optics.photocurrents(cell, &lit, &self.pose_at(ticks))
+        let mut lit: Vec<_, MAX_CELLS> = lit.collect();
+        let pose = self.pose_at(ticks);
+        let Some(faults) = &self.light_faults else { return self.optics.photocurrents(cell, &lit, &pose) };
+        lit.retain(|(emitter, _)| !faults.is_dead(*emitter));
+        let light = faults.moved(cell, &lit, &pose).unwrap_or_else(|| self.optics.photocurrents(cell, &lit, &pose));
+        faults.warmed(cell, light)
     }
 
     /// Runs one frame through optics and electronics.
@@ -89,8 +156,12 @@ impl SimulatedHardware {
         let tick_s = f64::from(self.tick_hz).recip();
         let slot_ticks = f64::from(schedule.slot_ticks);
         let conversion_ticks = f64::from(schedule.conversion_ticks);
-        let dark = Pair::default();
+        if let Some(faults) = &mut self.light_faults {
+            faults.begin(frame_ticks, self.tick_hz);
+        }
         for cell in 0..usize::from(schedule.cells) {
+            let dark =
+                self.light_faults.as_ref().map_or(Pair::default(), |faults| faults.warmed(cell, Pair::default()));
             for slot in 0..schedule.slots.len() {
                 let start = frame_ticks as f64 + slot as f64 * slot_ticks;
                 let end = start + slot_ticks;
@@ -145,7 +216,7 @@ impl Acquisition for SimulatedHardware {
     fn limit_levels(&self, _: &Schedule, _: &mut [Level]) {}
 
     fn acquire(&mut self, configuration: Option<&Configuration>) -> Result<(), HardwareFault> {
-        self.run = None;
+        (self.run, self.trouble) = (None, None);
         let Some(configuration) = configuration else {
             return Ok(());
         };
@@ -158,13 +229,34 @@ impl Acquisition for SimulatedHardware {
         let Some(mut run) = self.run.take() else {
             return Ok(false);
         };
-        let period = u64::from(run.configuration.schedule.frame_ticks);
+        if let Some(trouble) = self.trouble.take() {
+            // Converters that fail leave the emitters dark.
+            self.run = (trouble == ScanError::Overrun).then_some(run);
+            return Err(trouble);
+        }
+        let schedule = &run.configuration.schedule;
+        let period = u64::from(schedule.frame_ticks);
+        let ring = (RING_WORDS / (schedule.words_per_scan() as u64).max(1)).max(2);
+        let waiting = self.now_ticks.saturating_sub(run.next_frame_ticks) / period;
+        if waiting > ring {
+            // The ring goes on from where it is; half of it has not been overwritten when the words are looked at.
+            let lost = waiting - ring / 2;
+            self.next_sequence += lost;
+            run.next_frame_ticks += lost * period;
+            self.run = Some(run);
+            return Err(ScanError::Overrun);
+        }
         let finished = run.next_frame_ticks + period <= self.now_ticks;
         if finished {
             scan.sequence = self.next_sequence;
             scan.tick = run.next_frame_ticks;
             scan.levels_mut().copy_from_slice(&run.configuration.levels);
             self.expose(&run.configuration, run.next_frame_ticks, scan);
+            if let Some(faults) = &mut self.word_faults {
+                let schedule = &run.configuration.schedule;
+                let (scaling, oversampling) = (self.electronics.scaling(), schedule.oversampling);
+                faults.apply(scan, &WordScale { scaling, oversampling, tick_hz: self.tick_hz });
+            }
             let reference = run.configuration.schedule.reference_ticks();
             let pose = self.pose_at(run.next_frame_ticks as f64 + reference);
             self.truths.push_back(Truth {
@@ -195,7 +287,8 @@ impl System for SimulatedHardware {
     }
 
     fn housekeeping(&mut self, _: Indicator) -> Health {
-        HEALTH
+        let warmer_k = self.light_faults.as_ref().map_or(0.0, |faults| faults.warmer_k());
+        Health { temperature_k: HEALTH.temperature_k + warmer_k as f32, ..HEALTH }
     }
 
     fn reboot(&mut self, _: BootTarget) {}

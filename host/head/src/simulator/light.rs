@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use slitpose_model::{Pair, Plan, Pose};
 
 /// Optics of a head. [`Plan`] has those of the model; a virtual bench may have more.
-pub trait Light: Debug + Send {
+pub trait Light: Debug + Send + Sync {
     /// Number of cells.
     fn cell_count(&self) -> usize;
 

@@ -1,0 +1,150 @@
+//! Faults of a head on the light of its emitters and detectors.
+
+use slitpose_model::{Pair, Plan, Pose, Scene, SceneError, Tier};
+
+use super::Faults;
+use super::kinds::Layer;
+use super::schedule::FaultClock;
+use super::spec::{Effect, Fault};
+use crate::boxed::boxed_plan;
+
+/// Change of an emitter's power, 1/K: the temperature coefficient of GaAlAs emitters (Vishay TSAL6200, −0.6 %/K).
+const EMITTER_PER_K: f64 = -0.006;
+
+/// Factor of the dark current of a silicon detector for each kelvin: usual in Hamamatsu's data sheets.
+const DARK_PER_K: f64 = 1.15;
+
+/// The faults of one head on light.
+#[derive(Debug)]
+pub struct LightFaults {
+    faults: Vec<LightFault>,
+    clock: FaultClock,
+    /// Device time of the scan under way, seconds.
+    time_s: f64,
+    /// Dark current of each cell at nominal temperature, both electrodes, amperes.
+    dark_a: Vec<f64>,
+}
+
+#[derive(Debug)]
+struct LightFault {
+    fault: Fault,
+    /// The optics with the part that has moved.
+    moved: Option<Box<Plan<f64>>>,
+}
+
+impl LightFaults {
+    /// Those of `faults` that act on the light of `scene`; `None` if none does.
+    ///
+    /// # Errors
+    /// If a part has moved to where the optics of `tier` cannot have it.
+    pub fn of(faults: &Faults, scene: &Scene, tier: Tier) -> Result<Option<Self>, SceneError> {
+        let mut of_light = Vec::new();
+        for (fault, _) in faults.of(Layer::Light) {
+            let moved = match fault.effect {
+                Effect::Move { cell, by_m } => Some(moved(scene, cell, by_m, tier)?),
+                _ => None,
+            };
+            of_light.push(LightFault { fault, moved });
+        }
+        let dark_a = scene.cells.iter().map(|cell| cell.detector.dark_current_a).collect();
+        Ok((!of_light.is_empty()).then(|| Self { faults: of_light, clock: FaultClock::default(), time_s: 0.0, dark_a }))
+    }
+
+    /// Begins the scan at `tick`.
+    pub(crate) fn begin(&mut self, tick: u64, tick_hz: u32) {
+        self.time_s = self.clock.take(tick, tick_hz);
+    }
+
+    /// The faults that act now.
+    fn open(&self) -> impl Iterator<Item = &LightFault> {
+        self.faults.iter().filter(|it| it.fault.window.is_open(self.time_s))
+    }
+
+    /// Temperature above nominal, kelvin.
+    pub(crate) fn warmer_k(&self) -> f64 {
+        let of_fault = |it: &LightFault| match (it.fault.effect, it.fault.window.since_s(self.time_s)) {
+            (Effect::Warm { by_k, over_s }, Some(since_s)) if since_s < over_s => by_k * since_s / over_s,
+            (Effect::Warm { by_k, .. }, Some(_)) => by_k,
+            _ => 0.0,
+        };
+        self.faults.iter().map(of_fault).sum()
+    }
+
+    /// Whether the emitter is dark.
+    pub(crate) fn is_dead(&self, emitter: usize) -> bool {
+        self.open().any(|it| matches!(it.fault.effect, Effect::Dead { emitter: dead } if dead == emitter))
+    }
+
+    /// Photocurrents of `cell` where a part has moved: of the emitters `lit`, with the tool at `pose`.
+    pub(crate) fn moved(&self, cell: usize, lit: &[(usize, f64)], pose: &Pose) -> Option<Pair<f64>> {
+        let is_of_cell = |it: &&LightFault| it.fault.effect.cells().any(|of| of == cell);
+        let plan = self.open().filter(is_of_cell).find_map(|it| it.moved.as_ref())?;
+        Some(plan.photocurrents_of(cell, lit.iter().copied(), pose))
+    }
+
+    /// Light as a warm emitter gives it, and what the dark current of a warm detector has more than a cold one's.
+    pub(crate) fn warmed(&self, cell: usize, light: Pair<f64>) -> Pair<f64> {
+        let warmer_k = self.warmer_k();
+        let share = (1.0 + EMITTER_PER_K * warmer_k).max(0.0);
+        let dark_a = 0.5 * self.dark_a[cell] * (DARK_PER_K.powf(warmer_k) - 1.0);
+        Pair { i_x1_a: share * light.i_x1_a + dark_a, i_x2_a: share * light.i_x2_a + dark_a }
+    }
+}
+
+/// The optics of `scene` with the slit of a cell elsewhere.
+// A scene is as large as a plan.
+#[inline(never)]
+fn moved(scene: &Scene, cell: usize, by_m: f64, tier: Tier) -> Result<Box<Plan<f64>>, SceneError> {
+    let mut scene = Box::new(scene.clone());
+    scene.cells[cell].slit.offset_m.x += by_m;
+    boxed_plan(&scene, tier)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene_file::WIDE;
+
+    fn faults(text: &str) -> LightFaults {
+        let mut scene = WIDE.read().unwrap().scene;
+        scene.cells[0].detector.dark_current_a = 20e-9;
+        let faults = Faults::new(vec![text.parse().unwrap()], 6).unwrap();
+        LightFaults::of(&faults, &scene, Tier::Paper).unwrap().unwrap()
+    }
+
+    #[test]
+    fn an_emitter_is_dead_within_its_span() {
+        let mut dead = faults("dead:emitter=3,from=1s");
+        dead.begin(0, 10);
+        assert!(!dead.is_dead(3));
+        dead.begin(10, 10);
+        assert!(dead.is_dead(3) && !dead.is_dead(2));
+    }
+
+    #[test]
+    fn warmth_comes_by_and_by() {
+        let mut warm = faults("warm:by=20K,over=2s,from=1s");
+        let light = Pair { i_x1_a: 1e-6, i_x2_a: 2e-6 };
+        for (tick, warmer_k) in [(0, 0.0), (10, 0.0), (20, 10.0), (30, 20.0), (90, 20.0)] {
+            warm.begin(tick, 10);
+            assert_eq!(warm.warmer_k(), warmer_k, "{tick}");
+        }
+        // 12 % less light, and 16.37 times the 10 nA of an electrode.
+        let warmed = warm.warmed(0, light);
+        let [first, second] = [warmed.i_x1_a - 0.88e-6, warmed.i_x2_a - 1.76e-6];
+        assert!((first - 153.7e-9).abs() < 0.1e-9 && (second - first).abs() < 1e-15, "{first} {second}");
+    }
+
+    #[test]
+    fn a_slit_that_has_moved_shifts_the_light_of_its_cell_alone() {
+        let mut moved = faults("move:cell=2,by=50um");
+        moved.begin(0, 10);
+        let plan = Plan::<f64>::compile(&WIDE.read().unwrap().scene, Tier::Paper).unwrap();
+        let sound = plan.photocurrents_of(2, [(2, 1.0)], &Pose::HOME);
+        let shifted = moved.moved(2, &[(2, 1.0)], &Pose::HOME).unwrap();
+        let place = |pair: Pair<f64>| (pair.i_x2_a - pair.i_x1_a) / pair.total_a();
+        // By more than 50 µm of the 6 mm to either side, and not by twice that.
+        assert!((0.0083..0.0167).contains(&(place(shifted) - place(sound))), "{} {}", place(shifted), place(sound));
+        assert_eq!(moved.moved(1, &[(1, 1.0)], &Pose::HOME), None);
+    }
+}
