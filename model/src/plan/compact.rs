@@ -116,6 +116,7 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     const NEAR_SIGMAS: f64 = 2.0;
     // What is left of a frame's work is for another motion, and for the cell that lies.
     const NEAR_WORK: usize = 3;
+    const HAS_SMALL_FRAMES: bool = true;
     // A blow changes the motion of each tool, and there are evaluations for one of both.
     const DOUBTS_MOTION_FIRST: bool = true;
 

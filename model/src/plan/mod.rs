@@ -105,6 +105,8 @@ pub trait Optics<S: Scalar> {
     const NEAR_SIGMAS: f64;
     /// Evaluations within which a minimum near the expected pose is reached, unless the tool jumped or a cell lies.
     const NEAR_WORK: usize;
+    /// Whether a frame has so little work that the others of a cell that is left out take more than one.
+    const HAS_SMALL_FRAMES: bool;
     /// Whether a frame that contradicts the expected motion is first taken for another motion, and only then for a cell
     /// that lies, which costs more to find.
     const DOUBTS_MOTION_FIRST: bool;
@@ -262,6 +264,7 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     const UNIQUE_FROM: usize = 6;
     const NEAR_SIGMAS: f64 = 0.8;
     const NEAR_WORK: usize = 6;
+    const HAS_SMALL_FRAMES: bool = false;
     const DOUBTS_MOTION_FIRST: bool = false;
 
     fn cell_count(&self) -> usize {

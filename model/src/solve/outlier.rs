@@ -44,11 +44,10 @@ pub(super) struct OutlierSearch<S: Scalar> {
     under_way: Option<UnderWay<S>>,
 }
 
-/// Where the others have led so far, in how many steps, and whether these were by the true weights.
+/// Where the others have led so far, and whether by the true weights.
 #[derive(Clone, Copy, Debug)]
 struct UnderWay<S: Scalar> {
     pose: Transform<S>,
-    steps: usize,
     is_near: bool,
 }
 
@@ -77,15 +76,10 @@ impl<S: Scalar> OutlierSearch<S> {
         (self.next, self.under_way, self.is_paused, self.is_stale) = (index, under_way, true, true);
     }
 
-    /// Whether `minimum`, `steps` steps after the start, is no end but a place to go on from.
-    fn is_cut_short(
-        &self,
-        minimum: &Minimum<S>,
-        steps: usize,
-        stopping: Stopping<S>,
-        workspace: &Workspace<S>,
-    ) -> bool {
-        self.may_pause && workspace.work == 0 && !minimum.converged && steps < stopping.max_iterations
+    /// Whether `minimum` is no end but a place to go on from: once, for where cells contradict each other without an
+    /// outlier among them the way is long and leads nowhere.
+    fn is_cut_short(&self, minimum: &Minimum<S>, is_continued: bool, workspace: &Workspace<S>) -> bool {
+        self.may_pause && workspace.work == 0 && !minimum.converged && !is_continued
     }
 }
 
@@ -112,14 +106,13 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             let others = sorted.without(index);
             let problem = self.problem(&others, motion);
             let before = search.under_way.take();
-            let mut near = before.filter(|before| before.is_near);
+            let mut near = before.filter(|before| before.is_near).map(|before| before.pose);
             if near.is_none() {
-                let (start, before) = before.map_or_else(|| (self.on_planes(&others), 0), |it| (it.pose, it.steps));
+                let start = before.map_or_else(|| self.on_planes(&others), |before| before.pose);
                 let approach = problem.minimise(start, &problem.coarse_whiteners(), Stopping::rough(), workspace);
                 iterations += approach.iterations;
-                let under_way = UnderWay { pose: approach.pose, steps: before + approach.iterations, is_near: false };
-                if search.is_cut_short(&approach, under_way.steps, Stopping::rough(), workspace) {
-                    search.pause(index, Some(under_way));
+                if P::HAS_SMALL_FRAMES && search.is_cut_short(&approach, before.is_some(), workspace) {
+                    search.pause(index, Some(UnderWay { pose: approach.pose, is_near: false }));
                     return None;
                 }
                 // No coarse weight exceeds the true one, so χ² by the true ones is no less.
@@ -127,14 +120,15 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
                     search.runner_up = search.runner_up.min(approach.chi2);
                     continue;
                 }
-                near = Some(UnderWay { steps: 0, is_near: true, ..under_way });
+                near = Some(approach.pose);
             }
-            let Some(UnderWay { pose, steps, .. }) = near else { continue };
-            let minimum = problem.minimise(pose, &problem.whiteners(), Stopping::exact(), workspace);
+            let Some(start) = near else { continue };
+            let minimum = problem.minimise(start, &problem.whiteners(), Stopping::exact(), workspace);
             iterations += minimum.iterations;
-            let steps = steps + minimum.iterations;
-            if search.is_cut_short(&minimum, steps, Stopping::exact(), workspace) {
-                search.pause(index, Some(UnderWay { pose: minimum.pose, steps, is_near: true }));
+            if P::HAS_SMALL_FRAMES
+                && search.is_cut_short(&minimum, before.is_some_and(|before| before.is_near), workspace)
+            {
+                search.pause(index, Some(UnderWay { pose: minimum.pose, is_near: true }));
                 return None;
             }
             if !minimum.converged {
