@@ -14,13 +14,17 @@ pub(crate) type Matrix6<S> = [[S; 6]; 6];
 
 /// Scalar product.
 #[inline(always)]
-pub(crate) fn dot<S: Scalar>(a: &Vector6<S>, b: &Vector6<S>) -> S {
-    a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y)
+pub(crate) fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
+    let mut sum = a[0].constant(0.0);
+    for (&x, &y) in a.iter().zip(b) {
+        sum += x * y;
+    }
+    sum
 }
 
 /// |v|².
 #[inline(always)]
-pub(crate) fn square<S: Scalar>(v: &Vector6<S>) -> S {
+pub(crate) fn square<R: Real>(v: &Vector6<R>) -> R {
     dot(v, v)
 }
 
@@ -32,97 +36,106 @@ pub(crate) struct Factor<S> {
     inverses: Vector6<S>,
 }
 
-impl<S: Scalar> Factor<S> {
-    /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
-    /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
-    /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
-    /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
-    #[inline]
-    pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
-        let mut factor = Self { lower: [[S::zero(); 6]; 6], inverses: [S::zero(); 6] };
-        let Self { lower, inverses } = &mut factor;
-        let least = if damping > S::zero() {
-            S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
-        } else {
-            S::zero()
-        };
-        for i in 0..6 {
-            for j in 0..i {
-                let mut sum = matrix[i][j];
-                for k in 0..j {
-                    sum -= lower[i][k] * lower[j][k];
-                }
-                lower[i][j] = sum * inverses[j];
+impl<R: Real> Factor<R> {
+    /// From L and 1/L_ii.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn of_parts(lower: Matrix6<R>, inverses: Vector6<R>) -> Self {
+        Self { lower, inverses }
+    }
+
+    /// L.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn lower(&self) -> &Matrix6<R> {
+        &self.lower
+    }
+
+    /// 1/L_ii.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn inverses(&self) -> Vector6<R> {
+        self.inverses
+    }
+
+    /// Row `i` of L left of its diagonal, the rows above being complete, and what is left of the `diagonal` element:
+    /// the pivot L_ii².
+    #[inline(always)]
+    pub(crate) fn pivot(&mut self, matrix: &Matrix6<R>, i: usize, diagonal: R) -> R {
+        let Self { lower, inverses } = self;
+        for j in 0..i {
+            let mut sum = matrix[i][j];
+            for k in 0..j {
+                sum = sum - lower[i][k] * lower[j][k];
             }
-            let diagonal = matrix[i][i] + damping * matrix[i][i].max(least);
-            let mut pivot = diagonal;
-            for k in 0..i {
-                pivot -= lower[i][k] * lower[i][k];
-            }
-            // Written so that NaN fails, too.
-            let safe = pivot > threshold * diagonal;
-            if !safe {
-                return None;
-            }
-            inverses[i] = pivot.inverse_root();
-            lower[i][i] = pivot * inverses[i];
+            lower[i][j] = sum * inverses[j];
         }
-        Some(factor)
+        let mut pivot = diagonal;
+        for k in 0..i {
+            pivot = pivot - lower[i][k] * lower[i][k];
+        }
+        pivot
+    }
+
+    /// Completes row `i`.
+    #[inline(always)]
+    pub(crate) fn set_pivot(&mut self, i: usize, pivot: R) {
+        self.inverses[i] = pivot.inverse_root();
+        self.lower[i][i] = pivot * self.inverses[i];
     }
 
     /// L⁻¹·v.
     #[inline(always)]
-    pub(crate) fn forward(&self, v: &Vector6<S>) -> Vector6<S> {
+    pub(crate) fn forward(&self, v: &Vector6<R>) -> Vector6<R> {
         let mut x = *v;
         for i in 0..6 {
             for k in 0..i {
-                let known = self.lower[i][k] * x[k];
-                x[i] -= known;
+                x[i] = x[i] - self.lower[i][k] * x[k];
             }
-            x[i] *= self.inverses[i];
+            x[i] = x[i] * self.inverses[i];
         }
         x
     }
 
     /// L⁻ᵀ·v.
     #[inline(always)]
-    pub(crate) fn backward(&self, v: &Vector6<S>) -> Vector6<S> {
+    pub(crate) fn backward(&self, v: &Vector6<R>) -> Vector6<R> {
         let mut x = *v;
         for i in (0..6).rev() {
             for k in i + 1..6 {
-                let known = self.lower[k][i] * x[k];
-                x[i] -= known;
+                x[i] = x[i] - self.lower[k][i] * x[k];
             }
-            x[i] *= self.inverses[i];
+            x[i] = x[i] * self.inverses[i];
         }
         x
     }
 
     /// (L·Lᵀ)⁻¹·v.
-    #[inline]
-    pub(crate) fn solve(&self, v: &Vector6<S>) -> Vector6<S> {
+    #[inline(always)]
+    pub(crate) fn solve(&self, v: &Vector6<R>) -> Vector6<R> {
         self.backward(&self.forward(v))
     }
 
     /// (L·Lᵀ)⁻¹ = L⁻ᵀ·L⁻¹.
-    #[inline]
-    pub(crate) fn inverse(&self) -> Matrix6<S> {
+    #[inline(always)]
+    pub(crate) fn inverse(&self) -> Matrix6<R> {
+        let zero = self.inverses[0].constant(0.0);
         // Columns of L⁻¹, each from its diagonal down.
-        let mut columns = [[S::zero(); 6]; 6];
+        let mut columns = [[zero; 6]; 6];
         for j in 0..6 {
             columns[j][j] = self.inverses[j];
             for i in j + 1..6 {
-                let mut sum = S::zero();
+                let mut sum = zero;
                 for k in j..i {
                     sum += self.lower[i][k] * columns[j][k];
                 }
                 columns[j][i] = -(sum * self.inverses[i]);
             }
         }
-        let mut inverse = [[S::zero(); 6]; 6];
+        let mut inverse = [[zero; 6]; 6];
         for i in 0..6 {
             for j in 0..=i {
-                let mut sum = S::zero();
+                let mut sum = zero;
                 for k in i..6 {
                     sum += columns[i][k] * columns[j][k];
                 }
@@ -131,6 +144,33 @@ impl<S: Scalar> Factor<S> {
             }
         }
         inverse
+    }
+}
+
+impl<S: Scalar> Factor<S> {
+    /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
+    /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
+    /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
+    /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
+    #[inline]
+    pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
+        let least = if damping > S::zero() {
+            S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
+        } else {
+            S::zero()
+        };
+        let mut factor = Self { lower: [[S::zero(); 6]; 6], inverses: [S::zero(); 6] };
+        for i in 0..6 {
+            let diagonal = matrix[i][i] + damping * matrix[i][i].max(least);
+            let pivot = factor.pivot(matrix, i, diagonal);
+            // Written so that NaN fails, too.
+            let safe = pivot > threshold * diagonal;
+            if !safe {
+                return None;
+            }
+            factor.set_pivot(i, pivot);
+        }
+        Some(factor)
     }
 
     /// The same in `f64`.
@@ -234,20 +274,20 @@ impl<S: Scalar, const N: usize> Triangle<S, N> {
     }
 }
 
-/// Whether a processor does a whole square sooner than its lower half: with more than one lane.
-const fn adds_squares<S: Scalar>() -> bool {
-    <S::Lanes as Real>::LANES > 1
+/// Whether a processor does a whole square sooner than its lower half: with more lanes than the number type.
+const fn adds_squares<R: Real>() -> bool {
+    <<R::Element as Scalar>::Lanes as Real>::LANES > 1 && R::LANES == 1
 }
 
 /// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
 #[inline(always)]
-pub(super) fn add_outer<S: Scalar, const N: usize>(
-    matrix: &mut Matrix6<S>,
-    left: [&Vector6<S>; N],
-    right: [&Vector6<S>; N],
+pub(super) fn add_outer<R: Real, const N: usize>(
+    matrix: &mut Matrix6<R>,
+    left: [&Vector6<R>; N],
+    right: [&Vector6<R>; N],
 ) {
     for i in 0..6 {
-        let end = if adds_squares::<S>() { 6 } else { i + 1 };
+        let end = if adds_squares::<R>() { 6 } else { i + 1 };
         for j in 0..end {
             let mut sum = matrix[i][j];
             for k in 0..N {
