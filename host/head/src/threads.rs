@@ -138,7 +138,8 @@ mod tests {
             assert_eq!(in_order(jobs, next, work, take), Err("no more"));
             assert_eq!(taken.load(Ordering::Relaxed), 100);
             let mut left = 10..20;
-            let stopped = in_order(jobs, || Ok(left.next()), |item| item, |item| if item < 13 { Ok(()) } else { Err(item) });
+            let stopped =
+                in_order(jobs, || Ok(left.next()), |item| item, |item| if item < 13 { Ok(()) } else { Err(item) });
             assert_eq!(stopped, Err(13));
         }
     }

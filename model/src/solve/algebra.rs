@@ -193,13 +193,33 @@ impl<S: Scalar> Factor<S> {
     /// Singular values of Lᵀ (ascending) with their right vectors, by one-sided Jacobi rotations
     /// (Hestenes 1958): slow, but small ones keep their digits.
     pub(crate) fn singular(&self) -> [(S, Vector6<S>); 6] {
-        /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
-        const SWEEPS: usize = 14;
-        // Columns of Lᵀ are rows of L; the rotations of columns are gathered in `vectors`.
-        let mut columns = self.lower;
         let mut vectors: Matrix6<S> =
             core::array::from_fn(|i| core::array::from_fn(|j| if i == j { S::one() } else { S::zero() }));
+        let columns = self.orthogonal_columns(|p, q, cosine, sine| rotate(&mut vectors, p, q, cosine, sine));
+        let mut pairs: [(S, Vector6<S>); 6] =
+            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).root(), vectors[i]));
+        pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
+        pairs
+    }
+
+    /// The least and the largest singular value.
+    pub(crate) fn extreme_singular_values(&self) -> [S; 2] {
+        let columns = self.orthogonal_columns(|_, _, _, _| ());
+        let mut values = columns.map(|column| dot(&column, &column).root());
+        values.sort_unstable_by(|x, y| x.partial_cmp(y).unwrap_or(core::cmp::Ordering::Equal));
+        [values[0], values[5]]
+    }
+
+    /// The columns of Lᵀ after rotations of each two that leave all at right angles; `rotated` is told columns, cosine
+    /// and sine of each.
+    #[inline(always)]
+    fn orthogonal_columns(&self, mut rotated: impl FnMut(usize, usize, S, S)) -> Matrix6<S> {
+        /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
+        const SWEEPS: usize = 14;
+        // Columns of Lᵀ are rows of L.
+        let mut columns = self.lower;
         for _ in 0..SWEEPS {
+            let mut is_done = true;
             for p in 0..5 {
                 for q in p + 1..6 {
                     let (a, b, c) =
@@ -207,24 +227,31 @@ impl<S: Scalar> Factor<S> {
                     if c == S::zero() || c.abs() <= S::of(0.25) * S::epsilon() * (a * b).root() {
                         continue;
                     }
+                    is_done = false;
                     let theta = (b - a) / (S::two() * c);
                     let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).root());
                     let cosine = (t * t + S::one()).root().recip();
                     let sine = t * cosine;
-                    for set in [&mut columns, &mut vectors] {
-                        for k in 0..6 {
-                            let (x, y) = (set[p][k], set[q][k]);
-                            set[p][k] = cosine * x - sine * y;
-                            set[q][k] = sine * x + cosine * y;
-                        }
-                    }
+                    rotate(&mut columns, p, q, cosine, sine);
+                    rotated(p, q, cosine, sine);
                 }
             }
+            // Another sweep would find the same.
+            if is_done {
+                break;
+            }
         }
-        let mut pairs: [(S, Vector6<S>); 6] =
-            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).root(), vectors[i]));
-        pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
-        pairs
+        columns
+    }
+}
+
+/// Rotates the rows `p` and `q` of `rows` by an angle.
+#[inline(always)]
+fn rotate<S: Scalar>(rows: &mut Matrix6<S>, p: usize, q: usize, cosine: S, sine: S) {
+    for k in 0..6 {
+        let (x, y) = (rows[p][k], rows[q][k]);
+        rows[p][k] = cosine * x - sine * y;
+        rows[q][k] = sine * x + cosine * y;
     }
 }
 
@@ -398,7 +425,9 @@ mod tests {
         for spread in [1.0, 1e6, 1e11] {
             let rows = rows(spread);
             let (factor, _) = triangle(&rows, &[0.0; 6]).last_six();
-            for (value, vector) in factor.singular() {
+            let pairs = factor.singular();
+            assert_eq!(factor.extreme_singular_values(), [pairs[0].0, pairs[5].0], "{spread:e}");
+            for (value, vector) in pairs {
                 // |A·v| = σ, to the rounding of A's larger elements.
                 let length = rows
                     .iter()

@@ -17,4 +17,4 @@ pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, is_capture, refuse
 pub use pose_columns::{POSE_COLUMNS, PoseColumns};
 pub use reader::{Column, Row, Rows, TableError, TableReader};
 pub use solution_columns::{SOLUTION_COLUMNS, SolutionRow};
-pub use writer::{TableRows, TableWriter};
+pub use writer::{ChunkedTable, TableRows, TableWriter};

@@ -227,7 +227,8 @@ impl TableReader {
     }
 
     fn advance(&mut self) -> Result<bool, TableError> {
-        let more = self.reader.read_record(&mut self.record).map_err(|error| damaged(&self.names.file, self.rows, error))?;
+        let more =
+            self.reader.read_record(&mut self.record).map_err(|error| damaged(&self.names.file, self.rows, error))?;
         self.rows += u64::from(more);
         Ok(more)
     }
@@ -356,6 +357,35 @@ mod tests {
         let row = table.next_row().unwrap().unwrap();
         assert_eq!((row.text(id), row.number(b).unwrap()), ("second", -1e-3));
         assert!(table.next_row().unwrap().is_none());
+    }
+
+    #[test]
+    fn many_rows_at_a_time_are_those_that_come_one_by_one_up_to_the_same_error() {
+        let text = "id, b\n1,2.5\n 2 ,\" -3 \"\n\n3,x\n4,5\n5\n6,7\n";
+        for most in 1..8 {
+            let mut table = table(text).unwrap();
+            let (id, b) = (table.column("id").unwrap(), table.column("b").unwrap());
+            let mut read = Vec::new();
+            let damage = loop {
+                match table.next_rows(most) {
+                    Ok(rows) => {
+                        assert!((1..=most).contains(&rows.len()) && !rows.is_empty(), "{most}");
+                        let line = |row: Row<'_>| {
+                            let number = row.number(b).map_err(|error| error.to_string());
+                            (row.text(id).to_owned(), row.number_of_row(), number)
+                        };
+                        read.extend(rows.iter().map(line));
+                    }
+                    Err(error) => break error.to_string(),
+                }
+            };
+            let (rows, numbers): (Vec<_>, Vec<_>) =
+                read.into_iter().map(|(id, row, number)| ((id, row), number)).unzip();
+            assert_eq!(rows, [("1", 1), ("2", 2), ("3", 3), ("4", 4)].map(|(id, row)| (id.to_owned(), row)), "{most}");
+            assert_eq!([&numbers[0], &numbers[1], &numbers[3]], [&Ok(2.5), &Ok(-3.0), &Ok(5.0)], "{most}");
+            assert!(numbers[2].as_ref().unwrap_err().contains("row 3 (line 5)"), "{most}: {:?}", numbers[2]);
+            assert!(damage.contains("row 5 (line 7)"), "{most}: {damage}");
+        }
     }
 
     #[test]

@@ -5,12 +5,18 @@ use std::io::{self, Write};
 use super::output::{Output, OutputError};
 use crate::foreign::printable_lines;
 
-/// A CSV table that is written field by field, or many rows at a time.
+/// A CSV table that is written field by field.
 pub struct TableWriter {
     fields: Fields<Output>,
 }
 
-/// Rows of a table, written by any thread into memory for [`TableWriter::append`].
+/// A CSV table of which many rows come at a time.
+pub struct ChunkedTable {
+    output: Output,
+    is_terminal: bool,
+}
+
+/// Rows of a table, written by any thread into memory for [`ChunkedTable::append`].
 pub struct TableRows {
     fields: Fields<Vec<u8>>,
 }
@@ -84,24 +90,13 @@ impl TableWriter {
         written.map_err(|error| self.error(error))
     }
 
-    /// What starts the rows for [`Self::append`].
-    pub fn rows(&self) -> impl Fn() -> TableRows + Sync + use<> {
-        let is_terminal = self.fields.is_terminal;
-        move || TableRows { fields: Fields::of(Vec::new(), is_terminal) }
-    }
-
-    /// Adds whole rows. The writer is then another, which knows no number of fields yet.
-    pub fn append(self, rows: TableRows) -> Result<Self, OutputError> {
+    /// The same table, of which only whole rows are to follow.
+    pub fn into_chunks(self) -> Result<ChunkedTable, OutputError> {
         let is_terminal = self.fields.is_terminal;
         let target = self.fields.writer.get_ref().target().to_owned();
-        let failed = |source| OutputError::Write { target, source };
-        match (self.fields.writer.into_inner(), rows.fields.writer.into_inner()) {
-            (Ok(mut output), Ok(text)) => {
-                output.write_all(&text).map_err(failed)?;
-                Ok(Self { fields: Fields::of(output, is_terminal) })
-            }
-            (Err(error), _) => Err(failed(error.into_error())),
-            (_, Err(error)) => Err(failed(error.into_error())),
+        match self.fields.writer.into_inner() {
+            Ok(output) => Ok(ChunkedTable { output, is_terminal }),
+            Err(error) => Err(OutputError::Write { target, source: error.into_error() }),
         }
     }
 
@@ -116,6 +111,25 @@ impl TableWriter {
 
     fn error(&self, error: csv::Error) -> OutputError {
         self.fields.writer.get_ref().error(cause(error))
+    }
+}
+
+impl ChunkedTable {
+    /// What begins rows for [`Self::append`].
+    pub fn starting(&self) -> impl Fn() -> TableRows + Sync + use<> {
+        let is_terminal = self.is_terminal;
+        move || TableRows { fields: Fields::of(Vec::new(), is_terminal) }
+    }
+
+    /// Adds whole rows.
+    pub fn append(&mut self, rows: TableRows) -> Result<(), OutputError> {
+        let text = rows.fields.writer.into_inner().map_err(|error| in_memory(error.into_error().into()))?;
+        self.output.write_all(&text).map_err(|source| self.output.error(source))
+    }
+
+    /// Ends the table; a file appears under its name now.
+    pub fn finish(self) -> Result<(), OutputError> {
+        self.output.finish()
     }
 }
 
@@ -179,6 +193,35 @@ mod tests {
             let back = table.next_row().unwrap().unwrap().number(column).unwrap();
             assert_eq!(back.to_bits(), number.to_bits(), "{number:?} became {back:?}");
         }
+    }
+
+    #[test]
+    fn a_table_of_many_rows_at_a_time_is_that_of_one_row_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = ["rows.csv", "chunks.csv"].map(|name| folder.path().join(name));
+        let numbers = [Some(0.1), None, Some(-2e-300), Some(4.0)];
+        let start = |path| TableWriter::new(Output::file(path).unwrap(), ["id", "number"]).unwrap();
+        let mut rows = start(&paths[0]);
+        for number in numbers {
+            rows.text("a, b").unwrap();
+            rows.optional(number).unwrap();
+            rows.end_row().unwrap();
+        }
+        rows.finish().unwrap();
+        let mut chunks = start(&paths[1]).into_chunks().unwrap();
+        let starting = chunks.starting();
+        for numbers in numbers.chunks(3) {
+            let mut rows = starting();
+            for number in numbers {
+                rows.text("a, b").unwrap();
+                rows.optional(*number).unwrap();
+                rows.end_row().unwrap();
+            }
+            chunks.append(rows).unwrap();
+        }
+        chunks.finish().unwrap();
+        let [rows, chunks] = paths.map(|path| std::fs::read_to_string(path).unwrap());
+        assert_eq!(rows, chunks);
     }
 
     #[test]
