@@ -79,7 +79,7 @@ pub fn in_order<T: Send, R: Send, E>(
         // Workers end when it is gone.
         let items = items;
         for _ in 0..jobs.get() {
-            scope.spawn(&run);
+            scope.spawn(run);
         }
         let mut under_way = VecDeque::new();
         let mut end = Ok(());

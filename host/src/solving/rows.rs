@@ -19,7 +19,7 @@ pub struct RowSolver {
     tier: Tier,
     without_clipped: bool,
     /// By the frames that a reading is the mean of.
-    solvers: Mutex<BTreeMap<u64, Arc<Box<Solver<f64>>>>>,
+    solvers: Mutex<BTreeMap<u64, Arc<Solver<f64>>>>,
 }
 
 impl RowSolver {
@@ -58,7 +58,7 @@ impl RowSolver {
                 if solvers.len() >= MOST_SOLVERS {
                     solvers.clear();
                 }
-                Arc::clone(solvers.entry(key).or_insert(Arc::new(solver)))
+                Arc::clone(solvers.entry(key).or_insert(Arc::from(solver)))
             }
         };
         Ok(RowsOf { head: &self.head, solver })
@@ -69,8 +69,7 @@ impl RowSolver {
 #[derive(Clone)]
 pub struct RowsOf<'a> {
     head: &'a Head,
-    // The solver is large: it stays where it was made.
-    solver: Arc<Box<Solver<f64>>>,
+    solver: Arc<Solver<f64>>,
 }
 
 impl RowsOf<'_> {
