@@ -113,7 +113,8 @@ fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
     compare(&wide(), Tier::Exact { tolerance: 1e-6 }, 40, 1.0);
 }
 
-/// `cargo nextest run -p slitpose-model --release --run-ignored only a_million`, some minutes.
+/// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`; without `--release` it
+/// takes ten minutes and more.
 #[test]
 #[ignore = "takes minutes"]
 fn a_million_frames_at_once_have_the_bits_of_each_alone() {
