@@ -10,13 +10,17 @@ use wide::{CmpGe, f64x2};
 
 use crate::scalar::{Linear3, Real};
 
+/// Most lanes of any processor.
+#[cfg(feature = "batch")]
+pub(crate) const MAX_LANES: usize = 8;
+
 impl Real for f64x2 {
     type Element = f64;
-    type Vec3 = PairVec3;
+    type Vec3 = Lanes3<Self>;
     const LANES: usize = 2;
 
     #[inline(always)]
-    fn of_lanes(mut lane: impl FnMut(usize) -> f64) -> Self {
+    fn each(self, mut lane: impl FnMut(usize) -> f64) -> Self {
         Self::new([lane(0), lane(1)])
     }
     #[inline(always)]
@@ -29,7 +33,7 @@ impl Real for f64x2 {
     }
     #[inline(always)]
     fn inverse_root(self) -> Self {
-        Self::constant(1.0) / self.sqrt()
+        self.constant(1.0) / self.sqrt()
     }
     #[inline(always)]
     fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
@@ -37,33 +41,50 @@ impl Real for f64x2 {
     }
 }
 
-/// Three components for each of two lanes.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PairVec3 {
-    x: f64x2,
-    y: f64x2,
-    z: f64x2,
+/// `[of(0), of(1), …]`, of which `fill` is no part. Unlike `core::array::from_fn` and `map` it leaves no function of its
+/// own behind, which would lack the instructions of wide lanes.
+#[inline(always)]
+pub(crate) fn array<T: Copy, const N: usize>(fill: T, mut of: impl FnMut(usize) -> T) -> [T; N] {
+    let mut all = [fill; N];
+    for (i, one) in all.iter_mut().enumerate() {
+        *one = of(i);
+    }
+    all
 }
 
-impl Linear3<f64x2> for PairVec3 {
+/// The first three numbers of the optics, 0, ½ and 1, in the lanes of `like`.
+#[inline(always)]
+pub(crate) fn zero_half_one<R: Real>(like: R) -> [R; 3] {
+    [like.constant(0.0), like.constant(0.5), like.constant(1.0)]
+}
+
+/// Three components for each lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Lanes3<R> {
+    x: R,
+    y: R,
+    z: R,
+}
+
+impl<R: Real> Linear3<R> for Lanes3<R> {
     #[inline(always)]
-    fn new(x: f64x2, y: f64x2, z: f64x2) -> Self {
+    fn new(x: R, y: R, z: R) -> Self {
         Self { x, y, z }
     }
     #[inline(always)]
-    fn x(self) -> f64x2 {
+    fn x(self) -> R {
         self.x
     }
     #[inline(always)]
-    fn y(self) -> f64x2 {
+    fn y(self) -> R {
         self.y
     }
     #[inline(always)]
-    fn z(self) -> f64x2 {
+    fn z(self) -> R {
         self.z
     }
     #[inline(always)]
-    fn dot(self, other: Self) -> f64x2 {
+    fn dot(self, other: Self) -> R {
         self.x * other.x + self.y * other.y + self.z * other.z
     }
     #[inline(always)]
@@ -75,12 +96,12 @@ impl Linear3<f64x2> for PairVec3 {
         }
     }
     #[inline(always)]
-    fn length(self) -> f64x2 {
-        self.dot(self).sqrt()
+    fn length(self) -> R {
+        self.dot(self).root()
     }
 }
 
-impl Add for PairVec3 {
+impl<R: Real> Add for Lanes3<R> {
     type Output = Self;
     #[inline(always)]
     fn add(self, other: Self) -> Self {
@@ -88,14 +109,14 @@ impl Add for PairVec3 {
     }
 }
 
-impl AddAssign for PairVec3 {
+impl<R: Real> AddAssign for Lanes3<R> {
     #[inline(always)]
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
 }
 
-impl Sub for PairVec3 {
+impl<R: Real> Sub for Lanes3<R> {
     type Output = Self;
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
@@ -103,15 +124,15 @@ impl Sub for PairVec3 {
     }
 }
 
-impl Mul<f64x2> for PairVec3 {
+impl<R: Real> Mul<R> for Lanes3<R> {
     type Output = Self;
     #[inline(always)]
-    fn mul(self, factor: f64x2) -> Self {
+    fn mul(self, factor: R) -> Self {
         Self { x: self.x * factor, y: self.y * factor, z: self.z * factor }
     }
 }
 
-impl Neg for PairVec3 {
+impl<R: Real> Neg for Lanes3<R> {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {

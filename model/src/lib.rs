@@ -79,6 +79,8 @@ mod scalar;
 mod scene;
 mod solid_angle;
 mod solve;
+#[cfg(feature = "batch")]
+mod width;
 
 pub use effects::{
     AZIMUTHAL_TERMS, Converters, Effects, MAX_CONVERTER, MAX_NONLINEARITY, ModelError, Opening, ProfileShape,
@@ -97,3 +99,7 @@ pub use solve::{
     AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate, Filtered,
     MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker, TwistEstimate, Verified,
 };
+#[cfg(feature = "batch")]
+pub use solve::{Batch, Starts};
+#[cfg(feature = "batch")]
+pub use width::Width;

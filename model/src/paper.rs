@@ -6,6 +6,7 @@
 //! equation (3), Ω = 4·arccos √((1+α²+β²)/((1+α²)(1+β²))), equals
 //! Ω = 4·atan(αβ/√(1+α²+β²)), which keeps all digits for small plates.
 
+use crate::lanes::{array, zero_half_one};
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
@@ -48,7 +49,7 @@ impl<R: Real> HalfAngle<R> {
     /// Derivatives of ln tan(θ/2) with respect to `low`, `high` and d².
     #[inline(always)]
     fn slopes(&self) -> [R; 3] {
-        let (one, half) = (R::constant(1.0), R::constant(0.5));
+        let (one, half) = (self.length.constant(1.0), self.length.constant(0.5));
         // 1/length and 1/d² from one division.
         let both = (self.length * self.distance2).inverse();
         let (per_length, per_distance2) = (both * self.distance2, both * self.length);
@@ -63,7 +64,7 @@ impl<R: Real> HalfAngle<R> {
 /// Equation (3) and its derivatives with respect to ln α and ln β.
 #[inline(always)]
 fn plate_solid_angle<R: Real>(alpha2: R, beta2: R) -> (R, R, R) {
-    let (one, four) = (R::constant(1.0), R::constant(4.0));
+    let (one, four) = (alpha2.constant(1.0), alpha2.constant(4.0));
     let (alpha, beta) = (one + alpha2, one + beta2);
     // tan(Ω/4) = αβ/√(1 + α² + β²).
     let tangent = (alpha2 * beta2 / (alpha + beta2)).root();
@@ -77,14 +78,18 @@ const SMALL_TANGENT: f64 = 0.03;
 /// arctan of a tangent ≥ 0.
 #[inline(always)]
 fn quarter_angle<R: Real>(tangent: R) -> R {
-    if (0..R::LANES).any(|i| tangent.lane(i) > R::Element::of(SMALL_TANGENT)) {
-        return R::of_lanes(|i| tangent.lane(i).arc_tangent());
+    if !R::ARE_POSES && (0..R::LANES).any(|i| tangent.lane(i) > R::Element::of(SMALL_TANGENT)) {
+        return tangent.each(|i| tangent.lane(i).arc_tangent());
     }
     let square = tangent * tangent;
     // t⁰/1 − t²/3 + t⁴/5 − …: the first term left out is t¹²/13, 4e-20 of the first.
-    let sum = [9.0, 7.0, 5.0, 3.0, 1.0]
-        .into_iter()
-        .fold(R::constant(1.0 / 11.0), |sum, odd: f64| R::constant(odd.recip()) - square * sum);
+    let mut sum = tangent.constant(1.0 / 11.0);
+    for odd in [9.0, 7.0, 5.0, 3.0, 1.0_f64] {
+        sum = tangent.constant(odd.recip()) - square * sum;
+    }
+    if R::ARE_POSES {
+        return R::where_at_least(tangent.constant(SMALL_TANGENT), tangent, tangent * sum, tangent.constant(f64::NAN));
+    }
     tangent * sum
 }
 
@@ -120,25 +125,28 @@ impl<R: Real> Rays<R> {
         let [x0, x1] = [spot.x.low.position, spot.x.high.position];
         let [y0, y1] = [spot.y.low.position, spot.y.high.position];
         let squares = [x0 * x0 + y2, x1 * x1 + y2, y0 * y0 + x2, y1 * y1 + x2];
-        let squares = squares.map(|square| square + h2);
-        let inverses = squares.map(R::inverse_root);
-        Self { lengths: core::array::from_fn(|i| squares[i] * inverses[i]), inverses }
+        let squares: [R; 4] = array(h2, |i| squares[i] + h2);
+        let inverses = array(h2, |i| squares[i].inverse_root());
+        Self { lengths: array(h2, |i| squares[i] * inverses[i]), inverses }
     }
 
     /// The two half angles of the plate: along x and along y.
     #[inline(always)]
     fn plate(&self, spot: &Rectangle<R>) -> (HalfAngle<R>, HalfAngle<R>) {
         let h2 = spot.height * spot.height;
-        let of = |extent: &Extent<R>, across: R, i: usize| {
-            HalfAngle::new(
-                [extent.low.position, extent.high.position],
-                R::constant(2.0) * extent.half,
-                h2 + across * across,
-                [self.lengths[i], self.lengths[i + 1]],
-                [self.inverses[i], self.inverses[i + 1]],
-            )
-        };
-        (of(&spot.x, spot.y.middle, 0), of(&spot.y, spot.x.middle, 2))
+        (self.half_angle(&spot.x, h2, spot.y.middle, 0), self.half_angle(&spot.y, h2, spot.x.middle, 2))
+    }
+
+    /// Of the mid-line along `extent`, which ends with the rays `i` and i + 1.
+    #[inline(always)]
+    fn half_angle(&self, extent: &Extent<R>, h2: R, across: R, i: usize) -> HalfAngle<R> {
+        HalfAngle::new(
+            [extent.low.position, extent.high.position],
+            extent.half.constant(2.0) * extent.half,
+            h2 + across * across,
+            [self.lengths[i], self.lengths[i + 1]],
+            [self.inverses[i], self.inverses[i + 1]],
+        )
     }
 
     /// Sum of the unit vectors along the rays.
@@ -161,8 +169,8 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     axis: R::Vec3,
     emission: &E,
 ) -> RectangleLight<R> {
-    let (zero, one, half) = (R::constant(0.0), R::constant(1.0), R::constant(0.5));
-    let centroid = SideGradient { value: zero, by_side: [half, half, zero, zero], ..SideGradient::default() };
+    let [zero, half, one] = zero_half_one(spot.height);
+    let centroid = SideGradient { by_side: [half, half, zero, zero], ..SideGradient::of_value(zero) };
     let rays = Rays::of(spot);
     let sum = rays.sum(spot);
     let inverse = sum.dot(sum).inverse_root();
@@ -174,7 +182,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let (alpha, beta) = rays.plate(spot);
     let (omega, by_alpha, by_beta) = plate_solid_angle(alpha.tangent2, beta.tangent2);
     if !GRADIENT {
-        let power = SideGradient { value: in_front(omega * emission.relative(front)), ..SideGradient::default() };
+        let power = SideGradient::of_value(in_front(omega * emission.relative(front)));
         return RectangleLight { power, centroid };
     }
     let (relative, slope) = emission.with_slope(front);
@@ -188,11 +196,12 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let (xm, ym) = (spot.x.middle, spot.y.middle);
     let ends =
         [[spot.x.low.position, ym], [spot.x.high.position, ym], [xm, spot.y.low.position], [xm, spot.y.high.position]];
-    let v: [R::Vec3; 4] = core::array::from_fn(|i| {
+    let mut v = [w; 4];
+    for (i, across) in v.iter_mut().enumerate() {
         let inverse = rays.inverses[i];
         let unit = R::Vec3::new(ends[i][0] * inverse, ends[i][1] * inverse, z * inverse);
-        (w - unit * w.dot(unit)) * inverse
-    });
+        *across = (w - unit * w.dot(unit)) * inverse;
+    }
     let x_middle = half * (v[2].x() + v[3].x());
     let y_middle = half * (v[0].y() + v[1].y());
     let z_sum = v[0].z() + v[1].z() + v[2].z() + v[3].z();
@@ -207,7 +216,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
         ob * b_low + across_y + weight * (v[2].y() + y_middle),
         ob * b_high + across_y + weight * (v[3].y() + y_middle),
     ];
-    let two_h = R::constant(2.0) * spot.height;
+    let two_h = spot.height.constant(2.0) * spot.height;
     RectangleLight {
         power: SideGradient {
             value: omega * relative,

@@ -101,7 +101,7 @@ impl<S: Scalar> Line<S> {
 
 /// A quantity and its derivatives with respect to the emitter's position (at fixed detector
 /// coordinates) and axis, cell frame.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct EmitterGradient<R: Real> {
     pub(crate) value: R,
     pub(crate) by_position: R::Vec3,
@@ -109,8 +109,17 @@ pub(crate) struct EmitterGradient<R: Real> {
 }
 
 impl<R: Real> EmitterGradient<R> {
+    #[inline(always)]
     pub(crate) fn of_value(value: R) -> Self {
-        Self { value, ..Self::default() }
+        let zero = value.constant(0.0);
+        let none = R::Vec3::new(zero, zero, zero);
+        Self { value, by_position: none, by_axis: none }
+    }
+}
+
+impl<S: Scalar> Default for EmitterGradient<S> {
+    fn default() -> Self {
+        Self::of_value(S::zero())
     }
 }
 

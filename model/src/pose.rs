@@ -6,6 +6,7 @@
 
 use glam::{DQuat, DVec3};
 
+use crate::lanes::{array, zero_half_one};
 use crate::scalar::{Linear3, Real, Scalar, Vector3};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
@@ -137,6 +138,12 @@ pub(crate) struct Rigid<S: Scalar> {
 }
 
 impl<S: Scalar> Rigid<S> {
+    /// From a unit quaternion, x, y, z, w, and a translation.
+    #[cfg(feature = "batch")]
+    pub(crate) fn of_parts(rotation: [S; 4], translation: S::Vec3) -> Self {
+        Self { rotation, translation }
+    }
+
     pub(crate) fn home() -> Self {
         Self { rotation: [S::zero(), S::zero(), S::zero(), S::one()], translation: S::Vec3::default() }
     }
@@ -193,7 +200,25 @@ pub struct Transform<R: Real> {
     translation: R::Vec3,
 }
 
+/// [`Real::where_above`] of vectors.
+#[cfg(feature = "batch")]
+#[inline(always)]
+fn where_above3<R: Real>(a: R, b: R, yes: R::Vec3, no: R::Vec3) -> R::Vec3 {
+    R::Vec3::new(
+        R::where_above(a, b, yes.x(), no.x()),
+        R::where_above(a, b, yes.y(), no.y()),
+        R::where_above(a, b, yes.z(), no.z()),
+    )
+}
+
 impl<R: Real> Transform<R> {
+    /// The rotation as a unit quaternion, x, y, z, w.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn rotation(&self) -> [R; 4] {
+        self.rotation
+    }
+
     #[inline(always)]
     pub(crate) fn rotate(&self, v: R::Vec3) -> R::Vec3 {
         self.columns[0] * v.x() + self.columns[1] * v.y() + self.columns[2] * v.z()
@@ -204,12 +229,63 @@ impl<R: Real> Transform<R> {
         self.translation
     }
 
+    /// Lane by lane: `yes` where a > b, else `no`.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn where_above(a: R, b: R, yes: &Self, no: &Self) -> Self {
+        let mut chosen = *no;
+        chosen.translation = where_above3(a, b, yes.translation, no.translation);
+        for i in 0..3 {
+            chosen.columns[i] = where_above3(a, b, yes.columns[i], no.columns[i]);
+        }
+        for i in 0..4 {
+            chosen.rotation[i] = R::where_above(a, b, yes.rotation[i], no.rotation[i]);
+        }
+        chosen
+    }
+
+    /// From a quaternion of nearly unit length.
+    #[inline(always)]
+    pub(crate) fn of_parts(quaternion: [R; 4], translation: R::Vec3) -> Self {
+        let [x, y, z, w] = quaternion;
+        let inverse = Real::inverse_root(x * x + y * y + z * z + w * w);
+        let rotation @ [x, y, z, w] = array(inverse, |i| quaternion[i] * inverse);
+        let (one, two) = (w.constant(1.0), w.constant(2.0));
+        let (x2, y2, z2) = (two * x, two * y, two * z);
+        let (xx, yy, zz) = (x * x2, y * y2, z * z2);
+        let (xy, xz, yz) = (x * y2, x * z2, y * z2);
+        let (wx, wy, wz) = (w * x2, w * y2, w * z2);
+        Self {
+            columns: [
+                R::Vec3::new(one - (yy + zz), xy + wz, xz - wy),
+                R::Vec3::new(xy - wz, one - (xx + zz), yz + wx),
+                R::Vec3::new(xz + wy, yz - wx, one - (xx + yy)),
+            ],
+            rotation,
+            translation,
+        }
+    }
+
+    /// This transform after a small displacement in the base frame. The rotation is that of
+    /// [`Self::small_turn`]: the quaternion (a, 1), normalised.
+    #[inline(always)]
+    pub(crate) fn moved(&self, translation_m: R::Vec3, rotation_rad: R::Vec3) -> Self {
+        let a = rotation_rad * rotation_rad.x().constant(0.5);
+        let [x, y, z, w] = self.rotation;
+        let v = R::Vec3::new(x, y, z);
+        let imaginary = v + a * w + a.cross(v);
+        let real = w - a.dot(v);
+        Self::of_parts([imaginary.x(), imaginary.y(), imaginary.z(), real], self.translation + translation_m)
+    }
+
     /// The Cayley transform `R(a) = I + 2/(1+a²)·([a]ₓ + [a]ₓ²)` with a = δθ/2: orthogonal like the
     /// exponential, equal to it up to |δθ|³/12, without trigonometric functions.
     #[inline(always)]
     pub(crate) fn small_turn(rotation_rad: R::Vec3) -> impl Fn(R::Vec3) -> R::Vec3 {
-        let a = rotation_rad * R::constant(0.5);
-        let factor = R::constant(2.0) / (R::constant(1.0) + a.dot(a));
+        let [_, half, one] = zero_half_one(rotation_rad.x());
+        let two = half.constant(2.0);
+        let a = rotation_rad * half;
+        let factor = two / (one + a.dot(a));
         move |v| {
             let across = a.cross(v);
             v + (across + a.cross(across)) * factor
@@ -222,50 +298,14 @@ impl<S: Scalar> Transform<S> {
         Self::of_parts(pose.rotation.to_array().map(S::of), S::Vec3::of(pose.translation_m))
     }
 
-    /// From a quaternion of nearly unit length.
-    #[inline]
-    fn of_parts(quaternion: [S; 4], translation: S::Vec3) -> Self {
-        let [x, y, z, w] = quaternion;
-        let inverse = Real::inverse_root(x * x + y * y + z * z + w * w);
-        let rotation @ [x, y, z, w] = quaternion.map(|component| component * inverse);
-        let (one, two) = (S::one(), S::two());
-        let (x2, y2, z2) = (two * x, two * y, two * z);
-        let (xx, yy, zz) = (x * x2, y * y2, z * z2);
-        let (xy, xz, yz) = (x * y2, x * z2, y * z2);
-        let (wx, wy, wz) = (w * x2, w * y2, w * z2);
-        let vector = |a, b, c| <S::Vec3 as Linear3<S>>::new(a, b, c);
-        Self {
-            columns: [
-                vector(one - (yy + zz), xy + wz, xz - wy),
-                vector(xy - wz, one - (xx + zz), yz + wx),
-                vector(xz + wy, yz - wx, one - (xx + yy)),
-            ],
-            rotation,
-            translation,
-        }
-    }
-
-    /// This transform in each lane.
+    /// This transform in each lane of `like`.
     #[inline(always)]
-    pub(crate) fn in_all_lanes<R: Real<Element = S>>(&self) -> Transform<R> {
-        let all = |v: <S as Real>::Vec3| R::Vec3::new(R::all(v.x()), R::all(v.y()), R::all(v.z()));
+    pub(crate) fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Transform<R> {
         Transform {
-            columns: self.columns.map(all),
-            rotation: self.rotation.map(R::all),
-            translation: all(self.translation),
+            columns: self.columns.map(|column| like.all3(column)),
+            rotation: self.rotation.map(|component| like.all(component)),
+            translation: like.all3(self.translation),
         }
-    }
-
-    /// This transform after a small displacement in the base frame. The rotation is that of
-    /// [`Self::small_turn`]: the quaternion (a, 1), normalised.
-    #[inline]
-    pub(crate) fn moved(&self, translation_m: S::Vec3, rotation_rad: S::Vec3) -> Self {
-        let a = rotation_rad * S::half();
-        let [x, y, z, w] = self.rotation;
-        let v = <S::Vec3 as Linear3<S>>::new(x, y, z);
-        let imaginary = v + a * w + a.cross(v);
-        let real = w - a.dot(v);
-        Self::of_parts([imaginary.x(), imaginary.y(), imaginary.z(), real], self.translation + translation_m)
     }
 
     /// Whether every component is a finite number.

@@ -6,6 +6,8 @@
 
 use serde::{Deserialize, Serialize};
 
+#[cfg(feature = "batch")]
+use crate::lanes::{MAX_LANES, array};
 use crate::scalar::{Real, Scalar};
 
 /// Intervals of m.
@@ -110,12 +112,12 @@ pub(crate) struct PowerLanes<R: Real> {
 }
 
 impl<R: Real> PowerLanes<R> {
-    /// One table per lane.
-    pub(crate) fn of(table: impl Fn(usize) -> Power<R::Element>) -> Self {
+    /// One table per lane of `like`.
+    pub(crate) fn of(like: R, table: impl Fn(usize) -> Power<R::Element>) -> Self {
         let tables: heapless::Vec<_, 2> = (0..R::LANES).map(table).collect();
         Self {
-            binomials: core::array::from_fn(|k| R::of_lanes(|i| tables[i].binomials[k])),
-            exponent: R::of_lanes(|i| tables[i].exponent),
+            binomials: core::array::from_fn(|k| like.each(|i| tables[i].binomials[k])),
+            exponent: like.each(|i| tables[i].exponent),
             tables,
         }
     }
@@ -127,10 +129,41 @@ impl<R: Real> PowerLanes<R> {
         for (i, table) in self.tables.iter().enumerate() {
             match table.anchor(c.lane(i)) {
                 Some(anchor) => anchors[i] = anchor,
-                None => return R::of_lanes(|i| self.tables[i].of(c.lane(i))),
+                None => return c.each(|i| self.tables[i].of(c.lane(i))),
             }
         }
-        series(R::of_lanes(|i| anchors[i].delta), R::of_lanes(|i| anchors[i].factor), &self.binomials)
+        series(c.each(|i| anchors[i].delta), c.each(|i| anchors[i].factor), &self.binomials)
+    }
+}
+
+/// One power for all lanes, of numbers that do not depend on each other: NaN where the library's power serves.
+#[cfg(feature = "batch")]
+pub(crate) struct SharedPower<'a, R: Real> {
+    table: &'a Power<R::Element>,
+    binomials: [R; MAX_TERMS],
+    pub(crate) exponent: R,
+}
+
+#[cfg(feature = "batch")]
+impl<'a, R: Real> SharedPower<'a, R> {
+    #[inline(always)]
+    pub(crate) fn of(like: R, table: &'a Power<R::Element>) -> Self {
+        Self { table, binomials: array(like, |k| like.all(table.binomials[k])), exponent: like.all(table.exponent) }
+    }
+
+    /// cⁿ lane by lane, c > 0.
+    #[inline(always)]
+    pub(crate) fn of_lanes(&self, c: R) -> R {
+        let nan = R::Element::of(f64::NAN);
+        let mut factors = [nan; MAX_LANES];
+        let delta = c.each(|lane| match self.table.anchor(c.lane(lane)) {
+            Some(anchor) => {
+                factors[lane] = anchor.factor;
+                anchor.delta
+            }
+            None => nan,
+        });
+        series(delta, c.each(|lane| factors[lane]), &self.binomials)
     }
 }
 

@@ -1,8 +1,9 @@
 //! The rectangular spot of a slit parallel to its detector.
 
 use crate::aperture::{Face, Span};
+use crate::lanes::zero_half_one;
 use crate::response::Status;
-use crate::scalar::Real;
+use crate::scalar::{Linear3, Real};
 
 /// One side of the spot along one axis, with its motion.
 ///
@@ -46,45 +47,48 @@ pub(crate) const MOST_MAGNIFICATION: f64 = 10.0;
 /// Origin of a side that is an edge of the detector; else the index of its face.
 const DETECTOR: f64 = -1.0;
 
+#[inline(always)]
+fn magnitude<R: Real>(value: R) -> R {
+    R::where_at_least(value, -value, value, -value)
+}
+
 impl<R: Real> Extent<R> {
     /// Intersection of the beam through `spans` (with their magnifications) and the detector, empty if
     /// its half length is not positive; 1 if an end of the detector cuts the beam, else 0; distance of
     /// the nearest other edge from becoming a side of the spot.
     #[inline(always)]
     fn of_beam<const N: usize>(spans: [(Span<R>, [R; 2]); N], e: R, detector_half: R) -> (Self, R, R) {
-        let (one, half) = (R::constant(1.0), R::constant(0.5));
+        let [zero, half, one] = zero_half_one(e);
         // Relative to the detector's centre, q·k − e·m with m = q_z/(e_z − q_z) does not cancel.
         let mut low = Edge { position: -detector_half, magnification: one };
         let mut high = Edge { position: detector_half, magnification: one };
-        let (mut from_low, mut from_high) = (R::constant(DETECTOR), R::constant(DETECTOR));
-        let mut length = R::constant(0.0);
-        let mut slack = R::constant(f64::MAX);
+        let (mut from_low, mut from_high) = (e.constant(DETECTOR), e.constant(DETECTOR));
+        let mut length = zero;
+        let mut slack = e.constant(f64::MAX);
         for (index, (span, [k, m])) in spans.into_iter().enumerate() {
-            let index = R::constant(index as f64);
+            let index = e.constant(index as f64);
             let shift = e * m;
             let (a, b) = (span.low * k - shift, span.high * k - shift);
             for (apart, wall, from) in
                 [(a - low.position, span.low, from_low), (high.position - b, span.high, from_high)]
             {
-                let magnitude = |value: R| R::where_at_least(value, -value, value, -value);
                 let mut apart = magnitude(apart);
                 if N > 1 {
-                    let from_wall = R::constant(WALL_SLACK) * magnitude(e - wall);
-                    apart = R::where_at_least(from, R::constant(0.0), from_wall, apart);
+                    let from_wall = e.constant(WALL_SLACK) * magnitude(e - wall);
+                    apart = R::where_at_least(from, zero, from_wall, apart);
                 }
                 slack = R::where_at_least(slack, apart, apart, slack);
             }
-            let at_low = |yes, no| R::where_at_least(a, low.position, yes, no);
-            let raised = Edge { position: at_low(a, low.position), magnification: at_low(k, low.magnification) };
-            from_low = at_low(index, from_low);
-            length = at_low(span.length * k, length);
-            low = raised;
-            let at_high = |yes, no| R::where_at_least(high.position, b, yes, no);
-            let lowered = Edge { position: at_high(b, high.position), magnification: at_high(k, high.magnification) };
-            from_high = at_high(index, from_high);
-            high = lowered;
+            let from = low.position;
+            low.position = R::where_at_least(a, from, a, from);
+            low.magnification = R::where_at_least(a, from, k, low.magnification);
+            from_low = R::where_at_least(a, from, index, from_low);
+            length = R::where_at_least(a, from, span.length * k, length);
+            let to = high.position;
+            high.position = R::where_at_least(to, b, b, to);
+            high.magnification = R::where_at_least(to, b, k, high.magnification);
+            from_high = R::where_at_least(to, b, index, from_high);
         }
-        let zero = R::constant(0.0);
         let cut = R::where_at_least(from_low, zero, R::where_at_least(from_high, zero, zero, one), one);
         // If both sides are of one face, its magnified length replaces the difference, which may cancel.
         let difference = high.position - low.position;
@@ -92,8 +96,8 @@ impl<R: Real> Extent<R> {
         let extent = R::where_at_least(from_high, from_low, one_face, difference);
         let extent = R::where_at_least(zero, cut, extent, difference);
         let landing = half * (low.position + high.position);
-        let from_foot = |edge: Edge<R>| Edge { position: edge.position - e, ..edge };
-        let (low, high) = (from_foot(low), from_foot(high));
+        let low = Edge { position: low.position - e, ..low };
+        let high = Edge { position: high.position - e, ..high };
         (Self { low, high, middle: landing - e, landing, half: half * extent }, cut, slack)
     }
 }
@@ -108,14 +112,17 @@ impl<R: Real> Rectangle<R> {
         detector_half: [R; 2],
     ) -> (Self, Visibility<R>) {
         let [ex, ey, ez] = emitter;
-        let (zero, one) = (R::constant(0.0), R::constant(1.0));
-        let behind = faces.iter().fold(zero, |behind, face| R::where_at_least(face.z, ez, one, behind));
-        let magnified = faces.map(|face| {
+        let (zero, one) = (ez.constant(0.0), ez.constant(1.0));
+        let mut behind = zero;
+        let (mut along_x, mut along_y) = ([(faces[0].x, [one; 2]); N], [(faces[0].y, [one; 2]); N]);
+        for (i, face) in faces.into_iter().enumerate() {
+            behind = R::where_at_least(face.z, ez, one, behind);
             let inverse = (ez - face.z).inverse();
-            (face, [ez * inverse, face.z * inverse])
-        });
-        let (x, cut, slack_x) = Extent::of_beam(magnified.map(|(face, by)| (face.x, by)), ex, detector_half[0]);
-        let (y, _, slack_y) = Extent::of_beam(magnified.map(|(face, by)| (face.y, by)), ey, detector_half[1]);
+            let by = [ez * inverse, face.z * inverse];
+            (along_x[i], along_y[i]) = ((face.x, by), (face.y, by));
+        }
+        let (x, cut, slack_x) = Extent::of_beam(along_x, ex, detector_half[0]);
+        let (y, _, slack_y) = Extent::of_beam(along_y, ey, detector_half[1]);
         // With a pose that is NaN both half extents are NaN, and the spot is dark.
         let narrower = R::where_at_least(x.half, y.half, y.half, x.half);
         let slack = R::where_at_least(slack_x, slack_y, slack_y, slack_x);
@@ -125,7 +132,7 @@ impl<R: Real> Rectangle<R> {
     /// This spot with one side (x low, x high, y low, y high) moved outward or inward.
     pub(crate) fn with_side_moved(&self, side: usize, by: R) -> Self {
         let mut moved = *self;
-        let half = R::constant(0.5);
+        let half = by.constant(0.5);
         let extent = if side < 2 { &mut moved.x } else { &mut moved.y };
         let (edge, sign) = if side.is_multiple_of(2) { (&mut extent.low, -half) } else { (&mut extent.high, half) };
         edge.position += by;
@@ -163,6 +170,21 @@ impl<R: Real> Visibility<R> {
         self.slack.lane(lane)
     }
 
+    /// The same for each lane.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn slacks_m(&self) -> R {
+        self.slack
+    }
+
+    /// `yes` in lanes with a spot, else `no`.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn where_spot(&self, yes: R, no: R) -> R {
+        let zero = self.behind.constant(0.0);
+        R::where_above(self.behind, zero, no, R::where_above(self.narrower, zero, yes, no))
+    }
+
     #[inline(always)]
     pub(crate) fn status(&self, lane: usize) -> Status {
         let zero = R::Element::default();
@@ -186,12 +208,21 @@ pub(crate) struct RectangleLight<R: Real> {
 }
 
 /// A quantity and its derivatives with respect to sides, height and axis.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct SideGradient<R: Real> {
     pub(crate) value: R,
     pub(crate) by_side: [R; 4],
     pub(crate) by_height: R,
     pub(crate) by_axis: R::Vec3,
+}
+
+impl<R: Real> SideGradient<R> {
+    /// Without derivatives.
+    #[inline(always)]
+    pub(crate) fn of_value(value: R) -> Self {
+        let zero = value.constant(0.0);
+        Self { value, by_side: [zero; 4], by_height: zero, by_axis: R::Vec3::new(zero, zero, zero) }
+    }
 }
 
 #[cfg(test)]

@@ -16,8 +16,6 @@ use serde::de::DeserializeOwned;
 pub trait Real:
     Copy
     + Debug
-    + Default
-    + PartialEq
     + Send
     + Sync
     + 'static
@@ -34,9 +32,12 @@ pub trait Real:
     type Vec3: Linear3<Self>;
     /// Number of lanes.
     const LANES: usize;
+    /// Whether the lanes are those of several poses, each of which has the bits that it has alone: where one formula
+    /// does not serve all numbers, the others are NaN.
+    const ARE_POSES: bool = false;
 
-    /// From the number of each lane.
-    fn of_lanes(lane: impl FnMut(usize) -> Self::Element) -> Self;
+    /// From the number of each lane: as many as `self` has, whose own do not count.
+    fn each(self, lane: impl FnMut(usize) -> Self::Element) -> Self;
     /// The number in lane `i`.
     fn lane(self, i: usize) -> Self::Element;
     /// √, within two units in the last place; for SIMD lanes, correctly rounded.
@@ -46,31 +47,56 @@ pub trait Real:
     /// Lane by lane: `yes` where a ≥ b, else `no`.
     fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self;
 
+    /// Lane by lane: `yes` where a > b, else `no`.
+    #[inline(always)]
+    fn where_above(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        // Written so that NaN is not above.
+        Self::where_at_least(a, b, Self::where_at_least(b, a, no, yes), no)
+    }
+
+    /// The larger of two numbers, lane by lane; `self` where `other` is NaN.
+    #[inline(always)]
+    fn at_least(self, other: Self) -> Self {
+        Self::where_at_least(other, self, other, self)
+    }
+
+    /// The smaller of two numbers, lane by lane; `self` where `other` is NaN.
+    #[inline(always)]
+    fn at_most(self, other: Self) -> Self {
+        Self::where_at_least(self, other, other, self)
+    }
+
     /// The same number in all lanes.
     #[inline(always)]
-    fn all(value: Self::Element) -> Self {
-        Self::of_lanes(|_| value)
+    fn all(self, value: Self::Element) -> Self {
+        self.each(|_| value)
+    }
+
+    /// The same vector in all lanes.
+    #[inline(always)]
+    fn all3(self, vector: <Self::Element as Real>::Vec3) -> Self::Vec3 {
+        Self::Vec3::new(self.all(vector.x()), self.all(vector.y()), self.all(vector.z()))
     }
 
     /// The nearest number to a constant, in all lanes.
     #[inline(always)]
-    fn constant(value: f64) -> Self {
-        Self::all(Self::Element::of(value))
+    fn constant(self, value: f64) -> Self {
+        self.all(Self::Element::of(value))
     }
 
     /// The inverse.
     #[inline(always)]
     fn inverse(self) -> Self {
-        Self::constant(1.0) / self
+        self.constant(1.0) / self
     }
 }
 
 /// A real number the optics compute with, and the glam vector that goes with it.
 pub trait Scalar:
-    Real<Element = Self, Vec3: Vector3<Self>> + Float + FloatConst + NumAssignOps + Serialize + DeserializeOwned
+    Real<Element = Self, Vec3: Vector3<Self>> + Default + Float + FloatConst + NumAssignOps + Serialize + DeserializeOwned
 {
     /// The lanes that a processor evaluates at once: two for `f64`, one for `f32`.
-    type Lanes: Real<Element = Self>;
+    type Lanes: Real<Element = Self> + Default;
 
     /// Number of terms with which a binomial series in δ ≤ 1/64 reaches this type's precision, for
     /// exponents up to about 3.
@@ -126,8 +152,6 @@ pub trait Scalar:
 pub trait Linear3<S>:
     Copy
     + Debug
-    + Default
-    + PartialEq
     + Send
     + Sync
     + 'static
@@ -154,7 +178,7 @@ pub trait Linear3<S>:
 }
 
 /// A three-component vector of one scalar, implemented by glam's types.
-pub trait Vector3<S>: Linear3<S> + Serialize + DeserializeOwned {
+pub trait Vector3<S>: Linear3<S> + Default + PartialEq + Serialize + DeserializeOwned {
     /// From an `f64` vector, rounded.
     fn of(value: DVec3) -> Self;
     /// To an `f64` vector (exact).
@@ -233,7 +257,7 @@ macro_rules! implement_scalar {
             const LANES: usize = 1;
 
             #[inline(always)]
-            fn of_lanes(mut lane: impl FnMut(usize) -> Self) -> Self {
+            fn each(self, mut lane: impl FnMut(usize) -> Self) -> Self {
                 lane(0)
             }
             #[inline(always)]

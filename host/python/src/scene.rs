@@ -19,7 +19,7 @@ use crate::arrays::{Columns, SolutionColumns, put_matrix};
 use crate::calibration::Calibration;
 use crate::error::{raised, tier_options};
 use crate::rotations::poses;
-use crate::work::{beside, each_row};
+use crate::work::{beside, each_piece, each_row};
 
 /// The numbers of a cell's status.
 pub(crate) const CELL_STATUSES: [Status; 4] = [Status::Lit, Status::Clipped, Status::Dark, Status::Behind];
@@ -230,7 +230,7 @@ impl Scene {
         };
         let tier = tier_options(tier, tolerance)?.tier(STREAM_TOLERANCE);
         let head = beside(py, |_| self.solving_head())??;
-        let mut solver = beside(py, |_| RowSolver::new(head, tier, without_clipped))?.map_err(raised)?;
+        let solver = beside(py, |_| RowSolver::new(head, tier, without_clipped))?.map_err(raised)?;
         let mut distinct = frames.clone();
         distinct.sort_by(f64::total_cmp);
         distinct.dedup();
@@ -238,7 +238,13 @@ impl Scene {
         for of in distinct {
             let wanted: Vec<usize> = (0..rows).filter(|row| frames[*row].to_bits() == of.to_bits()).collect();
             let ready = solver.with_frames(of).map_err(raised)?;
-            let found = each_row(py, wanted.len(), |at| ready.solve((0..cells).map(|cell| pair(wanted[at], cell))))?;
+            let found = each_piece(py, wanted.len(), |piece| {
+                let readings: Vec<_> =
+                    piece.map(|at| ready.readings((0..cells).map(|cell| pair(wanted[at], cell)))).collect();
+                let mut found = Vec::with_capacity(readings.len());
+                ready.solve(&readings, |solution| found.push(solution));
+                found
+            })?;
             wanted.into_iter().zip(found).for_each(|(row, solution)| solutions[row] = Some(solution));
         }
         let mut found = SolutionColumns::default();

@@ -47,11 +47,20 @@ pub(crate) fn beside<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> 
 
 /// The results of `work` on each row of `rows`, in their order, on all cores.
 pub(crate) fn each_row<R: Send>(py: Python<'_>, rows: usize, work: impl Fn(usize) -> R + Sync) -> PyResult<Vec<R>> {
+    each_piece(py, rows, |piece| piece.map(&work).collect())
+}
+
+/// The results of `work` on pieces of `rows`, one for each row, in their order, on all cores.
+pub(crate) fn each_piece<R: Send>(
+    py: Python<'_>,
+    rows: usize,
+    work: impl Fn(Range<usize>) -> Vec<R> + Sync,
+) -> PyResult<Vec<R>> {
     beside(py, |stop| {
         let pieces: Vec<Range<usize>> = (0..rows).step_by(ROWS).map(|from| from..(from + ROWS).min(rows)).collect();
         let found = on_all_cores(&pieces, |piece| match stop.load(Ordering::Relaxed) {
             true => Vec::new(),
-            false => piece.clone().map(&work).collect(),
+            false => work(piece.clone()),
         });
         found.into_iter().flatten().collect()
     })

@@ -1,15 +1,17 @@
 //! `slitpose model`: poses in, spots and currents of every cell out.
 
 use std::path::PathBuf;
+use std::sync::Mutex;
 
-use slitpose_model::{Plan, Response, Tier};
+use slitpose_model::{Plan, Pose, Response, Tier};
 
-use super::options::{CalibrationOption, TierOptions};
+use super::options::{CalibrationOption, Jobs, TierOptions};
 use super::talk::talk;
 use super::{CommandError, Outcome, names};
 pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{Output, OutputError, PoseColumns, TableReader, TableWriter};
+use slitpose_head::table::{Output, OutputError, PoseColumns, TableReader, TableRows, TableWriter};
+use slitpose_head::threads::lock;
 
 /// Evaluates every cell of a scene at every pose of a table.
 ///
@@ -32,38 +34,32 @@ pub(super) struct Args {
     /// Write to this file instead of standard output
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let scene = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file.scene.clone();
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
     let plan = Plan::<f64>::compile(&scene, tier)?;
-    let (mut inexact_rows, mut worst) = (0, 0.0_f64);
     let mut poses = TableReader::open(&args.poses)?;
     let columns = PoseColumns::find(&poses)?;
     let names: Vec<String> = (0..plan.cell_count()).flat_map(column_names).collect();
     let header = std::iter::once("id").chain(names.iter().map(String::as_str));
-    let mut table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
-    while let Some(row) = poses.next_row()? {
-        let pose = columns.pose(&row)?;
-        table.text(columns.id(&row))?;
-        let mut reached = 0.0_f64;
-        for cell in 0..plan.cell_count() {
-            let response = plan.respond(cell, &pose);
-            write_response(&mut table, &response)?;
-            if let Some(integration) = response.integration {
-                reached = reached.max(integration.relative_error);
+    let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
+    let inexact = Mutex::new(Inexact { rows: 0, worst: 0.0 });
+    args.jobs.table(&mut poses, table, |rows, table| {
+        for row in rows.iter() {
+            let reached = evaluate(&plan, columns.id(&row), &columns.pose(&row)?, table)?;
+            if let Tier::Exact { tolerance } = tier
+                && reached > tolerance
+            {
+                lock(&inexact).add(reached);
             }
         }
-        table.end_row()?;
-        if let Tier::Exact { tolerance } = tier
-            && reached > tolerance
-        {
-            inexact_rows += 1;
-            worst = worst.max(reached);
-        }
-    }
-    table.finish()?;
+        Ok(())
+    })?;
+    let Inexact { rows: inexact_rows, worst } = *lock(&inexact);
     let most = Plan::<f64>::MAX_EVALUATIONS;
     if worst.is_infinite() {
         talk(format_args!(
@@ -80,6 +76,34 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
+/// Rows that are not good to the tolerance, and the largest relative error of one.
+struct Inexact {
+    rows: u64,
+    worst: f64,
+}
+
+impl Inexact {
+    fn add(&mut self, reached: f64) {
+        self.rows += 1;
+        self.worst = self.worst.max(reached);
+    }
+}
+
+/// Writes the row of a pose, and says how large the relative error of its integrals may be.
+fn evaluate(plan: &Plan<f64>, id: &str, pose: &Pose, table: &mut TableRows) -> Result<f64, OutputError> {
+    table.text(id)?;
+    let mut reached = 0.0_f64;
+    for cell in 0..plan.cell_count() {
+        let response = plan.respond(cell, pose);
+        write_response(table, &response)?;
+        if let Some(integration) = response.integration {
+            reached = reached.max(integration.relative_error);
+        }
+    }
+    table.end_row()?;
+    Ok(reached)
+}
+
 fn column_names(cell: usize) -> [String; 7] {
     [
         format!("status_{cell}"),
@@ -92,7 +116,7 @@ fn column_names(cell: usize) -> [String; 7] {
     ]
 }
 
-fn write_response(table: &mut TableWriter, response: &Response<f64>) -> Result<(), OutputError> {
+fn write_response(table: &mut TableRows, response: &Response<f64>) -> Result<(), OutputError> {
     table.text(response.status.as_str())?;
     table.text(&response.flags.to_string())?;
     table.optional(response.x_a_m.map(|x_a_m| x_a_m * 1e3))?;

@@ -1,11 +1,14 @@
 //! Options that several verbs share.
 
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use glam::DVec3;
 use slitpose_calibration::Head;
 use slitpose_head::scene_file::SceneFile;
+use slitpose_head::table::{Rows, TableReader, TableRows, TableWriter};
+use slitpose_head::threads::{cores, in_order};
 use slitpose_model::Pose;
 
 use super::CommandError;
@@ -14,6 +17,46 @@ pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptio
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
 const MOST: f64 = 1e9;
+
+/// Rows of a table that a core takes at a time.
+const ROWS: usize = 512;
+
+/// How much works at once.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct Jobs {
+    /// Work on so many cores; on all if not given
+    #[arg(long, value_name = "N")]
+    jobs: Option<NonZero<usize>>,
+}
+
+impl Jobs {
+    /// How many threads work.
+    pub(super) fn threads(self) -> NonZero<usize> {
+        self.jobs.unwrap_or_else(cores)
+    }
+
+    /// Finishes `table` with what `work` makes of the rows of `reader`, in their order.
+    pub(super) fn table(
+        self,
+        reader: &mut TableReader,
+        table: TableWriter,
+        work: impl Fn(&Rows, &mut TableRows) -> Result<(), CommandError> + Sync,
+    ) -> Result<(), CommandError> {
+        let mut table = table.into_chunks()?;
+        let start = table.starting();
+        let next = || Ok::<_, CommandError>(Some(reader.next_rows(ROWS)?).filter(|rows| !rows.is_empty()));
+        let work = |rows: Rows| {
+            let mut done = start();
+            let end = work(&rows, &mut done);
+            (done, end)
+        };
+        in_order(self.threads(), next, work, |(done, end)| {
+            table.append(done)?;
+            end
+        })?;
+        Ok(table.finish()?)
+    }
+}
 
 /// What the head is known by.
 #[derive(Args, Clone, Debug)]

@@ -2,12 +2,16 @@
 
 use std::path::PathBuf;
 
-use super::options::{CalibrationOption, TierOptions};
+use super::options::{CalibrationOption, Jobs, TierOptions};
 use super::{CommandError, Outcome, names};
 use crate::solving::RowSolver;
 pub(super) use crate::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{CurrentColumns, Output, SOLUTION_COLUMNS, SolutionRow, TableReader, TableWriter};
+use slitpose_head::table::{
+    Column, CurrentColumns, Output, OutputError, Row, Rows, SOLUTION_COLUMNS, SolutionRow, TableError, TableReader,
+    TableRows, TableWriter,
+};
+use slitpose_model::{Pair, Solution};
 
 /// Finds the pose behind each row of currents, each from a cold start.
 ///
@@ -39,42 +43,93 @@ pub(super) struct Args {
     /// Write to this file instead of standard output
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
-    let mut solver = RowSolver::new(head, args.tier.tier(DEFAULT_TOLERANCE), args.without_clipped)?;
-    let cells = solver.cells();
+    let solver = RowSolver::new(head, args.tier.tier(DEFAULT_TOLERANCE), args.without_clipped)?;
     let mut currents = TableReader::open(&args.currents)?;
-    let id = currents.column("id")?;
-    let columns = CurrentColumns::find(&currents, cells)?;
-    let frames_column = currents.optional_column("frames")?;
+    let columns = Columns {
+        id: currents.column("id")?,
+        currents: CurrentColumns::find(&currents, solver.cells())?,
+        frames: currents.optional_column("frames")?,
+    };
     let header = std::iter::once("id").chain(SOLUTION_COLUMNS);
-    let mut table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
-    while let Some(row) = currents.next_row()? {
-        let pairs = (0..cells).map(|cell| columns.pair(&row, cell)).collect::<Result<Vec<_>, _>>()?;
-        let frames = match frames_column {
+    let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
+    args.jobs.table(&mut currents, table, |rows, table| solve(&solver, &columns, rows, table))?;
+    Ok(Outcome::Done)
+}
+
+/// Where the table of currents keeps what is read of it.
+struct Columns {
+    id: Column,
+    currents: CurrentColumns,
+    frames: Option<Column>,
+}
+
+/// A row as it was read.
+struct Read<'a> {
+    id: &'a str,
+    currents: Vec<Pair<f64>>,
+    frames: f64,
+}
+
+impl Columns {
+    fn read<'a>(&self, row: &Row<'a>, cells: usize) -> Result<Read<'a>, TableError> {
+        let currents = (0..cells).map(|cell| self.currents.pair(row, cell)).collect::<Result<_, _>>()?;
+        let frames = match self.frames {
             Some(column) => match row.number(column)? {
                 frames if frames >= 1.0 => frames,
-                frames => return Err(row.out_of_range(column, frames, "a number of frames, 1 or more").into()),
+                frames => return Err(row.out_of_range(column, frames, "a number of frames, 1 or more")),
             },
             None => 1.0,
         };
-        let solution = solver.with_frames(frames)?.solve(pairs.into_iter().map(Some));
-        let solution = SolutionRow::of(&solution);
-        table.text(row.text(id))?;
-        table.text(solution.status)?;
-        for number in solution.numbers {
-            table.optional(number)?;
-        }
-        table.text(&solution.iterations.to_string())?;
-        table.text(&solution.cells_used.to_string())?;
-        table.text(&solution.free_directions)?;
-        table.text(&solution.excluded_cells)?;
-        table.text(solution.verified)?;
-        table.text(solution.reason)?;
-        table.end_row()?;
+        Ok(Read { id: row.text(self.id), currents, frames })
     }
-    table.finish()?;
-    Ok(Outcome::Done)
+}
+
+/// Solves `rows` into `table`, up to the first that cannot be read.
+fn solve(solver: &RowSolver, columns: &Columns, rows: &Rows, table: &mut TableRows) -> Result<(), CommandError> {
+    let mut read = Vec::with_capacity(rows.len());
+    let mut end = Ok(());
+    for row in rows.iter() {
+        match columns.read(&row, solver.cells()) {
+            Ok(row) => read.push(row),
+            Err(error) => {
+                end = Err(error.into());
+                break;
+            }
+        }
+    }
+    // Those that are means of as many frames are solved at once.
+    for run in read.chunk_by(|a, b| a.frames.to_bits() == b.frames.to_bits()) {
+        let ready = solver.with_frames(run[0].frames)?;
+        let readings: Vec<_> = run.iter().map(|row| ready.readings(row.currents.iter().copied().map(Some))).collect();
+        let (mut ids, mut written) = (run.iter().map(|row| row.id), Ok(()));
+        ready.solve(&readings, |solution| {
+            if let (Ok(()), Some(id)) = (&written, ids.next()) {
+                written = write(table, id, &solution);
+            }
+        });
+        written?;
+    }
+    end
+}
+
+fn write(table: &mut TableRows, id: &str, solution: &Solution) -> Result<(), OutputError> {
+    let solution = SolutionRow::of(solution);
+    table.text(id)?;
+    table.text(solution.status)?;
+    for number in solution.numbers {
+        table.optional(number)?;
+    }
+    table.text(&solution.iterations.to_string())?;
+    table.text(&solution.cells_used.to_string())?;
+    table.text(&solution.free_directions)?;
+    table.text(&solution.excluded_cells)?;
+    table.text(solution.verified)?;
+    table.text(solution.reason)?;
+    table.end_row()
 }

@@ -1,10 +1,14 @@
 //! Rows of currents, each solved from a cold start.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 
 use slitpose_calibration::Head;
 use slitpose_head::boxed::boxed_solver;
-use slitpose_model::{MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Start, Tier};
+use slitpose_head::threads::lock;
+use slitpose_model::{
+    Batch, MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Starts, Tier,
+};
 
 /// Most numbers of averaged frames whose solvers are kept.
 const MOST_SOLVERS: usize = 64;
@@ -15,7 +19,7 @@ pub struct RowSolver {
     tier: Tier,
     without_clipped: bool,
     /// By the frames that a reading is the mean of.
-    solvers: BTreeMap<u64, Box<Solver<f64>>>,
+    solvers: Mutex<BTreeMap<u64, Arc<Solver<f64>>>>,
 }
 
 impl RowSolver {
@@ -24,7 +28,7 @@ impl RowSolver {
     /// # Errors
     /// A scene that cannot be computed.
     pub fn new(head: Head, tier: Tier, without_clipped: bool) -> Result<Self, SceneError> {
-        let mut rows = Self { head, tier, without_clipped, solvers: BTreeMap::new() };
+        let rows = Self { head, tier, without_clipped, solvers: Mutex::default() };
         rows.with_frames(1.0)?;
         Ok(rows)
     }
@@ -38,35 +42,39 @@ impl RowSolver {
     ///
     /// # Errors
     /// A scene that cannot be computed.
-    pub fn with_frames(&mut self, frames: f64) -> Result<RowsOf<'_>, SceneError> {
-        let Self { head, tier, without_clipped, solvers } = self;
+    pub fn with_frames(&self, frames: f64) -> Result<RowsOf<'_>, SceneError> {
         let key = frames.to_bits();
-        if !solvers.contains_key(&key) {
-            if solvers.len() >= MOST_SOLVERS {
-                solvers.clear();
+        let known = lock(&self.solvers).get(&key).cloned();
+        let solver = match known {
+            Some(solver) => solver,
+            None => {
+                let scene = &self.head.file.scene;
+                let noise = scene.noise.map(|noise| noise.averaged(frames));
+                let mut solver = boxed_solver(&Scene { noise, ..scene.clone() }, self.tier)?;
+                if self.without_clipped {
+                    *solver = solver.without_clipped();
+                }
+                let mut solvers = lock(&self.solvers);
+                if solvers.len() >= MOST_SOLVERS {
+                    solvers.clear();
+                }
+                Arc::clone(solvers.entry(key).or_insert(Arc::from(solver)))
             }
-            let scene = &head.file.scene;
-            let noise = scene.noise.map(|noise| noise.averaged(frames));
-            let mut solver = boxed_solver(&Scene { noise, ..scene.clone() }, *tier)?;
-            if *without_clipped {
-                *solver = solver.without_clipped();
-            }
-            solvers.insert(key, solver);
-        }
-        Ok(RowsOf { head, solver: &solvers[&key] })
+        };
+        Ok(RowsOf { head: &self.head, solver })
     }
 }
 
 /// Solves readings that are means of as many frames.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct RowsOf<'a> {
     head: &'a Head,
-    solver: &'a Solver<f64>,
+    solver: Arc<Solver<f64>>,
 }
 
 impl RowsOf<'_> {
-    /// The pose behind one row: the currents of each cell, dark current included; `None`: not measured.
-    pub fn solve(&self, row: impl IntoIterator<Item = Option<Pair<f64>>>) -> Solution {
+    /// One row, from the currents of each cell, dark current included; `None`: not measured.
+    pub fn readings(&self, row: impl IntoIterator<Item = Option<Pair<f64>>>) -> Photocurrents {
         let reading = |(pair, cell): (Option<Pair<f64>>, &slitpose_model::Cell)| match pair {
             Some(Pair { i_x1_a, i_x2_a }) => {
                 let half_dark_a = 0.5 * cell.detector.dark_current_a;
@@ -74,9 +82,14 @@ impl RowsOf<'_> {
             }
             None => Reading::Missing,
         };
-        let cells = row.into_iter().zip(&self.head.file.scene.cells).map(reading).collect();
-        let mut solution = self.solver.solve(&Photocurrents { cells }, Start::Cold, &MotionPrior::AT_REST);
-        self.head.complete(&mut solution);
-        solution
+        Photocurrents { cells: row.into_iter().zip(&self.head.file.scene.cells).map(reading).collect() }
+    }
+
+    /// Passes the solution of each of `rows` to `take`, in their order: the pose behind it, found from a cold start.
+    pub fn solve(&self, rows: &[Photocurrents], mut take: impl FnMut(Solution)) {
+        Batch::new(&self.solver).solve(rows, Starts::Cold, &MotionPrior::AT_REST, |_, mut solution| {
+            self.head.complete(&mut solution);
+            take(solution);
+        });
     }
 }

@@ -189,7 +189,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     let ratio = g1 / g0;
     let centroid = hx * ratio;
     if !GRADIENT {
-        let plain = |value| SideGradient { value, ..SideGradient::default() };
+        let plain = SideGradient::of_value;
         return RectangleLight { power: plain(power), centroid: plain(centroid) };
     }
 

@@ -6,6 +6,8 @@ mod evaluate;
 mod imperfect;
 mod optics;
 mod pack;
+#[cfg(feature = "batch")]
+mod poses;
 
 use heapless::Vec;
 

@@ -3,9 +3,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::lanes::{array, zero_half_one};
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
-use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
+use crate::rectangle::{Edge, Rectangle, RectangleLight, SideGradient};
 use crate::scalar::{Linear3, Real, Scalar};
 
 /// The detector on the base, without its aperture.
@@ -134,7 +135,7 @@ impl<R: Real> Receiver<R> {
     /// De La Cruz et al. 2018. With `divides_dark`, I_D is divided by position, too, as printed there.
     #[inline(always)]
     pub(super) fn divide(&self, photocurrent: R, x_a: R, divides_dark: bool) -> [R; 2] {
-        let half = R::constant(0.5) * photocurrent;
+        let half = photocurrent.constant(0.5) * photocurrent;
         let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
         let imbalance = divided * (x_a * self.per_length);
         [half - imbalance, half + imbalance]
@@ -153,7 +154,7 @@ impl<R: Real> Receiver<R> {
         let photocurrent = gain * light.power.value;
         let divided = if divides_dark { photocurrent + self.dark } else { photocurrent };
         let share = light.x_a.value() * self.per_length;
-        let (half, imbalance) = (R::constant(0.5) * photocurrent, divided * share);
+        let (half, imbalance) = (photocurrent.constant(0.5) * photocurrent, divided * share);
 
         // I_X1 + I_X2 = I and I_X1 = I/2 − (I + I_D')·X_A/Lx, with I_D' = I_D or 0.
         let total = self.of_pose(&light.power, seen);
@@ -165,9 +166,9 @@ impl<R: Real> Receiver<R> {
                 [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
             }
         };
-        let (of_power, of_position) = (gain * (R::constant(0.5) - share), divided * self.per_length);
-        let first: [R; 6] = core::array::from_fn(|i| total[i] * of_power - position[i] * of_position);
-        let second = core::array::from_fn(|i| total[i] * gain - first[i]);
+        let (of_power, of_position) = (gain * (share.constant(0.5) - share), divided * self.per_length);
+        let first: [R; 6] = array(share, |i| total[i] * of_power - position[i] * of_position);
+        let second = array(share, |i| total[i] * gain - first[i]);
         ([half - imbalance, half + imbalance], [first, second])
     }
 
@@ -191,39 +192,39 @@ pub(super) fn of_sides<R: Real, const GRADIENT: bool>(
     spot: &Rectangle<R>,
     weighted: bool,
 ) -> Light<R> {
-    let one = R::constant(1.0);
+    let [zero, half, one] = zero_half_one(spot.height);
     let x_a = spot.x.landing + light.centroid.value;
     if !GRADIENT {
-        return Light {
-            power: EmitterGradient::of_value(light.power.value),
-            x_a: Place::Middle(x_a, [R::constant(0.0); 2]),
-        };
+        return Light { power: EmitterGradient::of_value(light.power.value), x_a: Place::Middle(x_a, [zero; 2]) };
     }
     let edges = [spot.x.low, spot.x.high, spot.y.low, spot.y.high];
     let per_height = spot.height.inverse();
-    let rises = edges.map(|edge| edge.position * (edge.magnification - one) * per_height);
-    let chain = |side: &SideGradient<R>| {
-        let along = |i: usize| -(side.by_side[i] * edges[i].magnification);
-        let rise = |i: usize| side.by_side[i] * rises[i];
-        let z = side.by_height - (rise(0) + rise(1) + rise(2) + rise(3));
-        R::Vec3::new(along(0) + along(1), along(2) + along(3), z)
-    };
+    let rises: [R; 4] = array(zero, |i| edges[i].position * (edges[i].magnification - one) * per_height);
     Light {
         power: EmitterGradient {
             value: light.power.value,
-            by_position: chain(&light.power),
+            by_position: chain(&light.power, &edges, &rises),
             by_axis: light.power.by_axis,
         },
         x_a: if weighted {
             Place::Weighted(EmitterGradient {
                 value: x_a,
-                by_position: chain(&light.centroid) + R::Vec3::new(one, R::constant(0.0), R::constant(0.0)),
+                by_position: chain(&light.centroid, &edges, &rises) + R::Vec3::new(one, zero, zero),
                 by_axis: light.centroid.by_axis,
             })
         } else {
-            let half = R::constant(0.5);
             let along = one - half * (edges[0].magnification + edges[1].magnification);
             Place::Middle(x_a, [along, -(half * (rises[0] + rises[1]))])
         },
     }
+}
+
+/// Derivatives with respect to the emitter's position from those with respect to the sides, which are `edges` and move by
+/// `rises` as the emitter rises.
+#[inline(always)]
+fn chain<R: Real>(side: &SideGradient<R>, edges: &[Edge<R>; 4], rises: &[R; 4]) -> R::Vec3 {
+    let along: [R; 4] = array(side.value, |i| -(side.by_side[i] * edges[i].magnification));
+    let rise: [R; 4] = array(side.value, |i| side.by_side[i] * rises[i]);
+    let z = side.by_height - (rise[0] + rise[1] + rise[2] + rise[3]);
+    R::Vec3::new(along[0] + along[1], along[2] + along[3], z)
 }

@@ -7,6 +7,7 @@ use crate::aperture::{Aperture, Face, Span};
 use crate::paper;
 use crate::pose::Transform;
 use crate::power::PowerLanes;
+use crate::profile::Falloff;
 use crate::rectangle::{Rectangle, Visibility};
 use crate::scalar::{Linear3, Real, Scalar};
 use crate::scene::MAX_CELLS;
@@ -16,25 +17,25 @@ use super::{CellTerms, CompiledCell};
 
 /// One cell per lane.
 #[derive(Clone, Debug)]
-pub(super) struct Pack<R: Real> {
-    receiver: Receiver<R>,
-    faces: Faces<R>,
-    source: Source<R>,
-    emission: PowerLanes<R>,
+pub(super) struct Pack<R: Real, E = PowerLanes<R>> {
+    pub(super) receiver: Receiver<R>,
+    pub(super) faces: Faces<R>,
+    pub(super) source: Source<R>,
+    pub(super) emission: E,
 }
 
 #[derive(Clone, Debug)]
-enum Faces<R> {
+pub(super) enum Faces<R> {
     Thin(Face<R>),
     Thick([Face<R>; 2]),
 }
 
 impl<R: Real> Span<R> {
-    fn of_lanes(span: impl Fn(usize) -> Span<R::Element>) -> Self {
+    fn of_lanes(like: R, span: impl Fn(usize) -> Span<R::Element>) -> Self {
         Self {
-            low: R::of_lanes(|i| span(i).low),
-            high: R::of_lanes(|i| span(i).high),
-            length: R::of_lanes(|i| span(i).length),
+            low: like.each(|i| span(i).low),
+            high: like.each(|i| span(i).high),
+            length: like.each(|i| span(i).length),
         }
     }
 }
@@ -43,7 +44,7 @@ impl<R: Real> Span<R> {
 #[inline(never)]
 pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
     for cells in cells.chunks(<S::Lanes as Real>::LANES) {
-        let Some(pack) = Pack::of(cells) else {
+        let Some(pack) = Pack::of(<S::Lanes as Default>::default(), cells) else {
             packs.clear();
             return;
         };
@@ -54,19 +55,19 @@ pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells:
 
 impl<R: Real> Pack<R> {
     /// From up to as many cells as there are lanes; the last cell fills the remaining lanes.
-    fn of(cells: &[CompiledCell<R::Element>]) -> Option<Self> {
+    fn of(like: R, cells: &[CompiledCell<R::Element>]) -> Option<Self> {
         let last = cells.len() - 1;
         let cell = |i: usize| &cells[i.min(last)];
-        let number = |of: &dyn Fn(&CompiledCell<R::Element>) -> R::Element| R::of_lanes(|i| of(cell(i)));
+        let number = |of: &dyn Fn(&CompiledCell<R::Element>) -> R::Element| like.each(|i| of(cell(i)));
         let vector = |of: &dyn Fn(&CompiledCell<_>) -> <R::Element as Real>::Vec3| {
             R::Vec3::new(number(&|c| of(c).x()), number(&|c| of(c).y()), number(&|c| of(c).z()))
         };
         let face = |of: &dyn Fn(&Aperture<_>) -> Option<Face<R::Element>>| {
             let faces: Vec<Face<_>, 2> = (0..R::LANES).map(|i| of(&cell(i).aperture)).collect::<Option<_>>()?;
             Some(Face {
-                z: R::of_lanes(|i| faces[i].z),
-                x: Span::of_lanes(|i| faces[i].x),
-                y: Span::of_lanes(|i| faces[i].y),
+                z: like.each(|i| faces[i].z),
+                x: Span::of_lanes(like, |i| faces[i].x),
+                y: Span::of_lanes(like, |i| faces[i].y),
             })
         };
         let thin = face(&|aperture| match aperture {
@@ -99,42 +100,45 @@ impl<R: Real> Pack<R> {
                 axis: vector(&|cell| cell.emitter.source.axis),
                 intensity: number(&|cell| cell.emitter.source.intensity),
             },
-            emission: PowerLanes::of(|i| powers[i].clone()),
+            emission: PowerLanes::of(like, |i| powers[i].clone()),
         })
     }
+}
 
+impl<R: Real, E: Falloff<R>> Pack<R, E> {
     #[inline(always)]
     fn see(&self, first: usize, instant: &Instant<'_, R::Element>, pose: &Transform<R>) -> Seen<R> {
         if instant.offsets_s.is_empty() {
             return self.receiver.see(&self.source, pose);
         }
         let last = instant.offsets_s.len() - 1;
-        let offset_s = R::of_lanes(|i| instant.offsets_s[(first + i).min(last)]);
-        let all = |v: <R::Element as Real>::Vec3| R::Vec3::new(R::all(v.x()), R::all(v.y()), R::all(v.z()));
-        self.receiver.see_moved(&self.source, pose, [all(instant.linear), all(instant.angular)], offset_s)
+        let like = self.receiver.dark;
+        let offset_s = like.each(|i| instant.offsets_s[(first + i).min(last)]);
+        let twist = [like.all3(instant.linear), like.all3(instant.angular)];
+        self.receiver.see_moved(&self.source, pose, twist, offset_s)
     }
 
     #[inline(always)]
-    fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Visibility<R>) {
+    pub(super) fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Visibility<R>) {
         let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
         let (spot, visibility) = match &self.faces {
             Faces::Thin(face) => Rectangle::of_beam([*face], emitter, self.receiver.half),
             Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
         };
-        let light = paper::rectangle_light::<R, _, GRADIENT>(&spot, seen.axis, &self.emission);
+        let light = paper::rectangle_light::<R, E, GRADIENT>(&spot, seen.axis, &self.emission);
         (of_sides::<R, GRADIENT>(&light, &spot, false), visibility)
     }
 }
 
 /// Passes the terms of all cells of `packs`, in order, to `sink`.
 #[inline(always)]
-pub(super) fn linearise<R: Real>(
+pub(super) fn linearise<R: Real + Default>(
     packs: &[Pack<R>],
     count: usize,
     instant: &Instant<'_, R::Element>,
     mut sink: impl FnMut(usize, &CellTerms<R::Element>),
 ) {
-    let pose = instant.pose.in_all_lanes();
+    let pose = instant.pose.in_all_lanes(R::default());
     for (index, pack) in packs.iter().enumerate() {
         let first = index * R::LANES;
         let seen = pack.see(first, instant, &pose);
@@ -159,13 +163,13 @@ pub(super) fn linearise<R: Real>(
 
 /// Passes the photocurrents of all cells of `packs`, in order, to `sink`.
 #[inline(always)]
-pub(super) fn currents<R: Real>(
+pub(super) fn currents<R: Real + Default>(
     packs: &[Pack<R>],
     count: usize,
     instant: &Instant<'_, R::Element>,
     mut sink: impl FnMut(usize, [R::Element; 2]),
 ) {
-    let pose = instant.pose.in_all_lanes();
+    let pose = instant.pose.in_all_lanes(R::default());
     for (index, pack) in packs.iter().enumerate() {
         let first = index * R::LANES;
         let seen = pack.see(first, instant, &pose);

@@ -1,5 +1,7 @@
 //! The profile cosⁿγ.
 
+#[cfg(feature = "batch")]
+use crate::power::SharedPower;
 use crate::power::{Power, PowerLanes};
 use crate::scalar::{Real, Scalar};
 
@@ -69,6 +71,20 @@ impl<S: Scalar> Falloff<S> for Cosine<S> {
 }
 
 impl<R: Real> Falloff<R> for PowerLanes<R> {
+    #[inline(always)]
+    fn relative(&self, c: R) -> R {
+        self.of_lanes(c)
+    }
+
+    #[inline(always)]
+    fn with_slope(&self, c: R) -> (R, R) {
+        let value = self.of_lanes(c);
+        (value, self.exponent * value / c)
+    }
+}
+
+#[cfg(feature = "batch")]
+impl<R: Real> Falloff<R> for SharedPower<'_, R> {
     #[inline(always)]
     fn relative(&self, c: R) -> R {
         self.of_lanes(c)

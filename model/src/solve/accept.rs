@@ -208,7 +208,7 @@ pub(super) fn is_elsewhere<S: Scalar, P: Optics<S>>(problem: &Problem<'_, S, P>,
 
 /// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:
 /// of an error of length e in σ of its cell, r·e² stays visible and (1 − r)·e² is in the pose.
-fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
+pub(super) fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
     // Of next to nothing, rounding is what is left.
     let negligible = S::of(1e-6).max(S::of(64.0) * S::epsilon());
     if redundancy == 0 || visible <= negligible {

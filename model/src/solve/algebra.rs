@@ -14,13 +14,17 @@ pub(crate) type Matrix6<S> = [[S; 6]; 6];
 
 /// Scalar product.
 #[inline(always)]
-pub(crate) fn dot<S: Scalar>(a: &Vector6<S>, b: &Vector6<S>) -> S {
-    a.iter().zip(b).fold(S::zero(), |sum, (&x, &y)| sum + x * y)
+pub(crate) fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
+    let mut sum = a[0].constant(0.0);
+    for (&x, &y) in a.iter().zip(b) {
+        sum += x * y;
+    }
+    sum
 }
 
 /// |v|².
 #[inline(always)]
-pub(crate) fn square<S: Scalar>(v: &Vector6<S>) -> S {
+pub(crate) fn square<R: Real>(v: &Vector6<R>) -> R {
     dot(v, v)
 }
 
@@ -32,97 +36,106 @@ pub(crate) struct Factor<S> {
     inverses: Vector6<S>,
 }
 
-impl<S: Scalar> Factor<S> {
-    /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
-    /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
-    /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
-    /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
-    #[inline]
-    pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
-        let mut factor = Self { lower: [[S::zero(); 6]; 6], inverses: [S::zero(); 6] };
-        let Self { lower, inverses } = &mut factor;
-        let least = if damping > S::zero() {
-            S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
-        } else {
-            S::zero()
-        };
-        for i in 0..6 {
-            for j in 0..i {
-                let mut sum = matrix[i][j];
-                for k in 0..j {
-                    sum -= lower[i][k] * lower[j][k];
-                }
-                lower[i][j] = sum * inverses[j];
+impl<R: Real> Factor<R> {
+    /// From L and 1/L_ii.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn of_parts(lower: Matrix6<R>, inverses: Vector6<R>) -> Self {
+        Self { lower, inverses }
+    }
+
+    /// L.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn lower(&self) -> &Matrix6<R> {
+        &self.lower
+    }
+
+    /// 1/L_ii.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn inverses(&self) -> Vector6<R> {
+        self.inverses
+    }
+
+    /// Row `i` of L left of its diagonal, the rows above being complete, and what is left of the `diagonal` element:
+    /// the pivot L_ii².
+    #[inline(always)]
+    pub(crate) fn pivot(&mut self, matrix: &Matrix6<R>, i: usize, diagonal: R) -> R {
+        let Self { lower, inverses } = self;
+        for j in 0..i {
+            let mut sum = matrix[i][j];
+            for k in 0..j {
+                sum = sum - lower[i][k] * lower[j][k];
             }
-            let diagonal = matrix[i][i] + damping * matrix[i][i].max(least);
-            let mut pivot = diagonal;
-            for k in 0..i {
-                pivot -= lower[i][k] * lower[i][k];
-            }
-            // Written so that NaN fails, too.
-            let safe = pivot > threshold * diagonal;
-            if !safe {
-                return None;
-            }
-            inverses[i] = pivot.inverse_root();
-            lower[i][i] = pivot * inverses[i];
+            lower[i][j] = sum * inverses[j];
         }
-        Some(factor)
+        let mut pivot = diagonal;
+        for k in 0..i {
+            pivot = pivot - lower[i][k] * lower[i][k];
+        }
+        pivot
+    }
+
+    /// Completes row `i`.
+    #[inline(always)]
+    pub(crate) fn set_pivot(&mut self, i: usize, pivot: R) {
+        self.inverses[i] = pivot.inverse_root();
+        self.lower[i][i] = pivot * self.inverses[i];
     }
 
     /// L⁻¹·v.
     #[inline(always)]
-    pub(crate) fn forward(&self, v: &Vector6<S>) -> Vector6<S> {
+    pub(crate) fn forward(&self, v: &Vector6<R>) -> Vector6<R> {
         let mut x = *v;
         for i in 0..6 {
             for k in 0..i {
-                let known = self.lower[i][k] * x[k];
-                x[i] -= known;
+                x[i] = x[i] - self.lower[i][k] * x[k];
             }
-            x[i] *= self.inverses[i];
+            x[i] = x[i] * self.inverses[i];
         }
         x
     }
 
     /// L⁻ᵀ·v.
     #[inline(always)]
-    pub(crate) fn backward(&self, v: &Vector6<S>) -> Vector6<S> {
+    pub(crate) fn backward(&self, v: &Vector6<R>) -> Vector6<R> {
         let mut x = *v;
         for i in (0..6).rev() {
             for k in i + 1..6 {
-                let known = self.lower[k][i] * x[k];
-                x[i] -= known;
+                x[i] = x[i] - self.lower[k][i] * x[k];
             }
-            x[i] *= self.inverses[i];
+            x[i] = x[i] * self.inverses[i];
         }
         x
     }
 
     /// (L·Lᵀ)⁻¹·v.
-    #[inline]
-    pub(crate) fn solve(&self, v: &Vector6<S>) -> Vector6<S> {
+    #[inline(always)]
+    pub(crate) fn solve(&self, v: &Vector6<R>) -> Vector6<R> {
         self.backward(&self.forward(v))
     }
 
     /// (L·Lᵀ)⁻¹ = L⁻ᵀ·L⁻¹.
-    #[inline]
-    pub(crate) fn inverse(&self) -> Matrix6<S> {
+    #[inline(always)]
+    pub(crate) fn inverse(&self) -> Matrix6<R> {
+        let zero = self.inverses[0].constant(0.0);
         // Columns of L⁻¹, each from its diagonal down.
-        let mut columns = [[S::zero(); 6]; 6];
+        let mut columns = [[zero; 6]; 6];
         for j in 0..6 {
             columns[j][j] = self.inverses[j];
             for i in j + 1..6 {
-                let mut sum = S::zero();
+                let mut sum = zero;
                 for k in j..i {
                     sum += self.lower[i][k] * columns[j][k];
                 }
                 columns[j][i] = -(sum * self.inverses[i]);
             }
         }
-        let mut inverse = [[S::zero(); 6]; 6];
+        let mut inverse = [[zero; 6]; 6];
         for i in 0..6 {
             for j in 0..=i {
-                let mut sum = S::zero();
+                let mut sum = zero;
                 for k in i..6 {
                     sum += columns[i][k] * columns[j][k];
                 }
@@ -131,6 +144,33 @@ impl<S: Scalar> Factor<S> {
             }
         }
         inverse
+    }
+}
+
+impl<S: Scalar> Factor<S> {
+    /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
+    /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
+    /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
+    /// singular one for its digits. The ratio does not depend on how unknowns are scaled.
+    #[inline]
+    pub(crate) fn of_matrix(matrix: &Matrix6<S>, damping: S, threshold: S) -> Option<Self> {
+        let least = if damping > S::zero() {
+            S::of(1e-6) * (0..6).fold(S::zero(), |largest, i| matrix[i][i].max(largest))
+        } else {
+            S::zero()
+        };
+        let mut factor = Self { lower: [[S::zero(); 6]; 6], inverses: [S::zero(); 6] };
+        for i in 0..6 {
+            let diagonal = matrix[i][i] + damping * matrix[i][i].max(least);
+            let pivot = factor.pivot(matrix, i, diagonal);
+            // Written so that NaN fails, too.
+            let safe = pivot > threshold * diagonal;
+            if !safe {
+                return None;
+            }
+            factor.set_pivot(i, pivot);
+        }
+        Some(factor)
     }
 
     /// The same in `f64`.
@@ -153,13 +193,33 @@ impl<S: Scalar> Factor<S> {
     /// Singular values of Lᵀ (ascending) with their right vectors, by one-sided Jacobi rotations
     /// (Hestenes 1958): slow, but small ones keep their digits.
     pub(crate) fn singular(&self) -> [(S, Vector6<S>); 6] {
-        /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
-        const SWEEPS: usize = 14;
-        // Columns of Lᵀ are rows of L; the rotations of columns are gathered in `vectors`.
-        let mut columns = self.lower;
         let mut vectors: Matrix6<S> =
             core::array::from_fn(|i| core::array::from_fn(|j| if i == j { S::one() } else { S::zero() }));
+        let columns = self.orthogonal_columns(|p, q, cosine, sine| rotate(&mut vectors, p, q, cosine, sine));
+        let mut pairs: [(S, Vector6<S>); 6] =
+            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).root(), vectors[i]));
+        pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
+        pairs
+    }
+
+    /// The least and the largest singular value.
+    pub(crate) fn extreme_singular_values(&self) -> [S; 2] {
+        let columns = self.orthogonal_columns(|_, _, _, _| ());
+        let mut values = columns.map(|column| dot(&column, &column).root());
+        values.sort_unstable_by(|x, y| x.partial_cmp(y).unwrap_or(core::cmp::Ordering::Equal));
+        [values[0], values[5]]
+    }
+
+    /// The columns of Lᵀ after rotations of each two that leave all at right angles; `rotated` is told columns, cosine
+    /// and sine of each.
+    #[inline(always)]
+    fn orthogonal_columns(&self, mut rotated: impl FnMut(usize, usize, S, S)) -> Matrix6<S> {
+        /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
+        const SWEEPS: usize = 14;
+        // Columns of Lᵀ are rows of L.
+        let mut columns = self.lower;
         for _ in 0..SWEEPS {
+            let mut is_done = true;
             for p in 0..5 {
                 for q in p + 1..6 {
                     let (a, b, c) =
@@ -167,24 +227,31 @@ impl<S: Scalar> Factor<S> {
                     if c == S::zero() || c.abs() <= S::of(0.25) * S::epsilon() * (a * b).root() {
                         continue;
                     }
+                    is_done = false;
                     let theta = (b - a) / (S::two() * c);
                     let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).root());
                     let cosine = (t * t + S::one()).root().recip();
                     let sine = t * cosine;
-                    for set in [&mut columns, &mut vectors] {
-                        for k in 0..6 {
-                            let (x, y) = (set[p][k], set[q][k]);
-                            set[p][k] = cosine * x - sine * y;
-                            set[q][k] = sine * x + cosine * y;
-                        }
-                    }
+                    rotate(&mut columns, p, q, cosine, sine);
+                    rotated(p, q, cosine, sine);
                 }
             }
+            // Another sweep would find the same.
+            if is_done {
+                break;
+            }
         }
-        let mut pairs: [(S, Vector6<S>); 6] =
-            core::array::from_fn(|i| (dot(&columns[i], &columns[i]).root(), vectors[i]));
-        pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
-        pairs
+        columns
+    }
+}
+
+/// Rotates the rows `p` and `q` of `rows` by an angle.
+#[inline(always)]
+fn rotate<S: Scalar>(rows: &mut Matrix6<S>, p: usize, q: usize, cosine: S, sine: S) {
+    for k in 0..6 {
+        let (x, y) = (rows[p][k], rows[q][k]);
+        rows[p][k] = cosine * x - sine * y;
+        rows[q][k] = sine * x + cosine * y;
     }
 }
 
@@ -234,20 +301,20 @@ impl<S: Scalar, const N: usize> Triangle<S, N> {
     }
 }
 
-/// Whether a processor does a whole square sooner than its lower half: with more than one lane.
-const fn adds_squares<S: Scalar>() -> bool {
-    <S::Lanes as Real>::LANES > 1
+/// Whether a processor does a whole square sooner than its lower half: with more lanes than the number type.
+const fn adds_squares<R: Real>() -> bool {
+    <<R::Element as Scalar>::Lanes as Real>::LANES > 1 && R::LANES == 1
 }
 
 /// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
 #[inline(always)]
-pub(super) fn add_outer<S: Scalar, const N: usize>(
-    matrix: &mut Matrix6<S>,
-    left: [&Vector6<S>; N],
-    right: [&Vector6<S>; N],
+pub(super) fn add_outer<R: Real, const N: usize>(
+    matrix: &mut Matrix6<R>,
+    left: [&Vector6<R>; N],
+    right: [&Vector6<R>; N],
 ) {
     for i in 0..6 {
-        let end = if adds_squares::<S>() { 6 } else { i + 1 };
+        let end = if adds_squares::<R>() { 6 } else { i + 1 };
         for j in 0..end {
             let mut sum = matrix[i][j];
             for k in 0..N {
@@ -358,7 +425,9 @@ mod tests {
         for spread in [1.0, 1e6, 1e11] {
             let rows = rows(spread);
             let (factor, _) = triangle(&rows, &[0.0; 6]).last_six();
-            for (value, vector) in factor.singular() {
+            let pairs = factor.singular();
+            assert_eq!(factor.extreme_singular_values(), [pairs[0].0, pairs[5].0], "{spread:e}");
+            for (value, vector) in pairs {
                 // |A·v| = σ, to the rounding of A's larger elements.
                 let length = rows
                     .iter()

@@ -34,7 +34,7 @@ const AGREEING: usize = 8;
 
 /// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
 /// one in 10⁴ honest scans of six cells has more.
-const DOUBTED: f64 = 0.5;
+pub(super) const DOUBTED: f64 = 0.5;
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.

@@ -23,16 +23,16 @@ const FIRST_DAMPING: f64 = 1e-4;
 const STUCK: f64 = 1e9;
 
 /// Steps after which the minimisation is taken to follow a valley.
-const PATIENCE: usize = 12;
+pub(super) const PATIENCE: usize = 12;
 
 /// Predicted reduction of χ² that is not worth a step along a valley: a hundredth of σ, squared.
 const NEGLIGIBLE_REDUCTION: f64 = 1e-4;
 
 /// Relative change of the Jacobian along a step up to which it is reused for the next.
-const REUSABLE_CHANGE: f64 = 0.02;
+pub(super) const REUSABLE_CHANGE: f64 = 0.02;
 
 /// Ratio of the second step to the first above which a reused Jacobian was too old.
-const MOST_SECOND_STEP: f64 = 0.2;
+pub(super) const MOST_SECOND_STEP: f64 = 0.2;
 
 /// Cost of a QR step beyond one by normal equations, in evaluations of all cells.
 const QR_WORK: usize = 3;

@@ -13,6 +13,7 @@
 //! | on a microcontroller | [`compact`] | one short rule for all spots |
 //! | nothing known | [`cold_start`], [`starts`] | all of the above, from many starts |
 //! | pose expected | [`warm_start`] | the same from one start |
+//! | many frames of one head at once | [`batch`] | the commonest course of a solve, a pose per SIMD lane |
 //! | frame after frame | [`tracker`], [`filter`] | prediction by a fading-memory polynomial |
 //!
 //! [`solver`] is the interface, [`compiled`] a scene made ready, [`outcome`] the answer, [`algebra`] the 6 × 6 linear
@@ -20,6 +21,8 @@
 
 mod accept;
 mod algebra;
+#[cfg(feature = "batch")]
+mod batch;
 mod chi2;
 mod cold_start;
 mod compact;
@@ -47,6 +50,8 @@ mod twist;
 mod warm_start;
 mod weights;
 
+#[cfg(feature = "batch")]
+pub use batch::{Batch, Starts};
 pub use compact::{BoardTracker, CompactError, CompactFrame, CompactPart};
 pub use compiled::MotionPrior;
 pub use filter::{Filtered, TwistEstimate};

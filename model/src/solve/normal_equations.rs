@@ -269,7 +269,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// χ² and gradients of the residuals in `workspace`.
     #[inline]
     fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
-        let mut sums = ResidualSums::zero();
+        let mut sums = ResidualSums::zero(S::zero());
         for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
             sums.add(rows, self.share(reading));
         }

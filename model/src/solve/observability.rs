@@ -12,10 +12,10 @@ const RANK_ROUNDINGS: f64 = 64.0;
 
 /// A direction is free, too, if its σ exceeds one radian (or its equivalent in translation): the
 /// linearisation it stems from holds much less far.
-const LARGEST_SIGMA: f64 = 1.0;
+pub(super) const LARGEST_SIGMA: f64 = 1.0;
 
 /// A factor whose diagonal spans less than this has full rank without further proof.
-const EVEN: f64 = 1e-3;
+pub(super) const EVEN: f64 = 1e-3;
 
 /// Covariance in metres and radians from the information in scaled coordinates; `None` if a
 /// direction is free.
@@ -29,8 +29,14 @@ pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, length_scale_m: S) -> Op
     if !is_bounded {
         return None;
     }
+    Some(unscaled(&inverse, length_scale_m))
+}
+
+/// A covariance of scaled coordinates in metres and radians.
+#[inline(always)]
+pub(super) fn unscaled<S: Scalar>(covariance: &Matrix6<S>, length_scale_m: S) -> Matrix6<S> {
     let scale = |axis: usize| if axis < 3 { length_scale_m } else { S::one() };
-    Some(core::array::from_fn(|i| core::array::from_fn(|j| inverse[i][j] * (scale(i) * scale(j)))))
+    core::array::from_fn(|i| core::array::from_fn(|j| covariance[i][j] * (scale(i) * scale(j))))
 }
 
 /// Whether there are free directions.

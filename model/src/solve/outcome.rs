@@ -324,8 +324,8 @@ impl<S: Scalar> Solution<S> {
     /// translations counted in units of the emitters' root-mean-square distance from the tool's
     /// origin, so that metres and radians compare. `None` without solution.
     pub fn condition(&self) -> Option<S> {
-        let pairs = self.factor.as_ref()?.singular();
-        Some(pairs[5].0 / pairs[0].0)
+        let [least, largest] = self.factor.as_ref()?.extreme_singular_values();
+        Some(largest / least)
     }
 }
 

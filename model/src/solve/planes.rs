@@ -12,24 +12,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::Opening;
 use crate::pose::Transform;
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Real, Scalar, Vector3};
 use crate::scene::Cell;
 
 use super::algebra::{Factor, Matrix6, Vector6};
 use super::readings::Usable;
 
 /// Four steps suffice throughout the reach of a head; more is for odd geometries.
-const MAX_STEPS: usize = 8;
+pub(super) const MAX_STEPS: usize = 8;
 
 /// Steps below a micrometre (or its equivalent in rotation) are left to the refinement.
-const STEP_M: f64 = 1e-6;
+pub(super) const STEP_M: f64 = 1e-6;
 
 /// Weight of a position so near the detector's end that the spot is probably clipped: its centre
 /// is then pulled inward, by up to 0.26 mm in the shipped scenes.
 const CLIPPED_WEIGHT: f64 = 0.01;
 
 /// Pull towards home of directions that the planes leave free, relative to the others.
-const PULL: f64 = 1e-6;
+pub(super) const PULL: f64 = 1e-6;
 
 /// What the planes need of a cell, base frame.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -109,17 +109,43 @@ impl<S: Scalar> PlaneCell<S> {
 
     /// The plane of a reading, and the weight of the distance from it.
     fn plane(&self, reading: &Usable<S>) -> (Plane<S>, S) {
-        let [first, second] = reading.pair;
-        let x_a = self.half_length * (second - first) / (first + second + self.dark);
-        let x_a = x_a.max(-self.half_length).min(self.half_length);
-        let landing = self.detector + self.x_axis * x_a;
-        let weight = if x_a.abs() > self.unclipped { S::of(CLIPPED_WEIGHT) } else { S::one() };
+        let (landing, weight) = self.landing(reading.pair);
         #[cfg(feature = "effects")]
         if self.rides {
             return (Plane::Landing(landing), weight);
         }
-        let normal = (self.slit - landing).cross(self.along);
-        (Plane::Emitter(normal * normal.length().recip()), weight)
+        (Plane::Emitter(self.normal::<S>(landing)), weight)
+    }
+
+    /// Where the light of a pair of currents lands, and the weight of the distance from its plane.
+    #[inline(always)]
+    pub(super) fn landing<R: Real<Element = S>>(&self, [first, second]: [R; 2]) -> (R::Vec3, R) {
+        let half = first.all(self.half_length);
+        let x_a = half * (second - first) / (first + second + first.all(self.dark));
+        let x_a = x_a.at_least(-half).at_most(half);
+        let distance = R::where_at_least(x_a, first.constant(0.0), x_a, -x_a);
+        let (clipped, whole) = (first.constant(CLIPPED_WEIGHT), first.constant(1.0));
+        let weight = R::where_above(distance, first.all(self.unclipped), clipped, whole);
+        (first.all3(self.detector) + first.all3(self.x_axis) * x_a, weight)
+    }
+
+    /// Unit normal of the plane through the slit and where the light lands.
+    #[inline(always)]
+    pub(super) fn normal<R: Real<Element = S>>(&self, landing: R::Vec3) -> R::Vec3 {
+        let like = landing.x();
+        let normal = (like.all3(self.slit) - landing).cross(like.all3(self.along));
+        normal * normal.length().inverse()
+    }
+
+    /// [`Self::row_from`] the slit.
+    #[inline(always)]
+    pub(super) fn row_from_slit<R: Real<Element = S>>(
+        &self,
+        normal: R::Vec3,
+        pose: &Transform<R>,
+        length_scale_m: S,
+    ) -> (Vector6<R>, R) {
+        self.row_from(normal.x().all3(self.slit), normal, pose, length_scale_m)
     }
 
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
@@ -130,7 +156,7 @@ impl<S: Scalar> PlaneCell<S> {
 
     fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         match plane {
-            Plane::Emitter(normal) => self.row_from(self.slit, normal, pose, length_scale_m),
+            Plane::Emitter(normal) => self.row_from_slit(normal, pose, length_scale_m),
             #[cfg(feature = "effects")]
             Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
         }
@@ -152,15 +178,16 @@ impl<S: Scalar> PlaneCell<S> {
     /// Distance of the emitter from `origin` along `normal` with the tool at `pose`, metres, and its
     /// derivatives by (δt, arm·δθ).
     #[inline(always)]
-    pub(super) fn row_from(
+    pub(super) fn row_from<R: Real<Element = S>>(
         &self,
-        origin: S::Vec3,
-        normal: S::Vec3,
-        pose: &Transform<S>,
+        origin: R::Vec3,
+        normal: R::Vec3,
+        pose: &Transform<R>,
         length_scale_m: S,
-    ) -> (Vector6<S>, S) {
-        let arm = pose.rotate(self.emitter_tool);
-        let turn = arm.cross(normal) * length_scale_m.recip();
+    ) -> (Vector6<R>, R) {
+        let like = normal.x();
+        let arm = pose.rotate(like.all3(self.emitter_tool));
+        let turn = arm.cross(normal) * like.all(length_scale_m.recip());
         let row = [normal.x(), normal.y(), normal.z(), turn.x(), turn.y(), turn.z()];
         (row, normal.dot(arm + pose.translation() - origin))
     }

@@ -1,6 +1,6 @@
 //! Whitened residuals with their derivatives, and their sums.
 
-use crate::scalar::Scalar;
+use crate::scalar::Real;
 
 use super::algebra::Vector6;
 
@@ -19,16 +19,17 @@ pub(super) struct ResidualSums<S> {
     pub(super) by_twist: Vector6<S>,
 }
 
-impl<S: Scalar> ResidualSums<S> {
+impl<R: Real> ResidualSums<R> {
     #[inline(always)]
-    pub(super) fn zero() -> Self {
-        Self { chi2: S::zero(), by_pose: [S::zero(); 6], by_twist: [S::zero(); 6] }
+    pub(super) fn zero(like: R) -> Self {
+        let zero = like.constant(0.0);
+        Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6] }
     }
 
     /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
     #[inline(always)]
-    pub(super) fn add(&mut self, rows: &[Row<S>], share: S) {
-        let mut own = [S::zero(); 6];
+    pub(super) fn add(&mut self, rows: &[Row<R>], share: R) {
+        let mut own = [share.constant(0.0); 6];
         for row in rows {
             self.chi2 += row.residual * row.residual;
             for i in 0..6 {

@@ -16,7 +16,7 @@ use super::twist::{Elimination, add_moments};
 
 /// Least ratio of a pivot to its diagonal element, in units of rounding, at which normal equations
 /// are trusted: they then keep more than half of the digits.
-const SAFE_ROUNDINGS: f64 = 1e4;
+pub(super) const SAFE_ROUNDINGS: f64 = 1e4;
 
 /// A Gauss–Newton step, damped or not.
 #[derive(Clone, Copy, Debug)]
@@ -129,7 +129,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let zero = [[S::zero(); 6]; 6];
         let (mut information, mut moments) = (zero, [zero; 2]);
-        let mut sums = ResidualSums::zero();
+        let mut sums = ResidualSums::zero(S::zero());
         let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
         for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {

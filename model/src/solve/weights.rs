@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::scalar::Scalar;
+use crate::lanes::{array, zero_half_one};
+use crate::scalar::{Real, Scalar};
 use crate::scene::{Scene, Uncertainty};
 
 /// Multiplies the residuals of a cell's two currents into uncorrelated ones of unit variance.
@@ -11,11 +12,13 @@ pub(crate) struct Whitener<S> {
     rows: [[S; 2]; 2],
 }
 
-impl<S: Scalar> Whitener<S> {
+impl<R: Real> Whitener<R> {
     /// For two uncorrelated variances, A².
-    fn of_variances(variances: [S; 2]) -> Self {
-        let [first, second] = variances.map(S::inverse_root);
-        Self { rows: [[first, S::zero()], [S::zero(), second]] }
+    #[inline(always)]
+    fn of_variances(variances: [R; 2]) -> Self {
+        let [first, second] = [variances[0].inverse_root(), variances[1].inverse_root()];
+        let zero = first.constant(0.0);
+        Self { rows: [[first, zero], [zero, second]] }
     }
 
     /// For a covariance larger by `variance`·p·pᵀ.
@@ -23,32 +26,54 @@ impl<S: Scalar> Whitener<S> {
     /// With v = W·p·σ the new whitener is (I + v·vᵀ)^(−½)·W, and
     /// (I + v·vᵀ)^(−½) = I − v·vᵀ/(s(1 + s)), s² = 1 + v². Nothing cancels however large σ is: a
     /// direction that is known to nothing loses its weight, the other keeps its digits.
-    fn loosened(&self, pair: [S; 2], variance: S) -> Self {
+    #[inline(always)]
+    fn loosened(&self, pair: [R; 2], variance: R) -> Self {
         let [a, b] = self.apply(pair);
-        let root = (S::one() + variance * (a * a + b * b)).root();
-        let factor = variance / (root * (S::one() + root));
+        let one = variance.constant(1.0);
+        let root = (one + variance * (a * a + b * b)).root();
+        let factor = variance / (root * (one + root));
         let [w0, w1] = self.rows;
-        let along = [0, 1].map(|k| factor * (a * w0[k] + b * w1[k]));
+        let along: [R; 2] = array(factor, |k| factor * (a * w0[k] + b * w1[k]));
         Self { rows: [[w0[0] - a * along[0], w0[1] - a * along[1]], [w1[0] - b * along[0], w1[1] - b * along[1]]] }
+    }
+
+    /// [`Self::loosened`] where `variance` is positive.
+    #[inline(always)]
+    fn loosened_if_positive(self, pair: [R; 2], variance: R) -> Self {
+        if !(0..R::LANES).any(|lane| variance.lane(lane) > R::Element::of(0.0)) {
+            return self;
+        }
+        let looser = self.loosened(pair, variance);
+        if R::LANES == 1 {
+            return looser;
+        }
+        let zero = variance.constant(0.0);
+        let mut rows = self.rows;
+        for (i, row) in rows.iter_mut().enumerate() {
+            *row = array(zero, |j| R::where_above(variance, zero, looser.rows[i][j], row[j]));
+        }
+        Self { rows }
     }
 
     /// For the pair of a cell whose parts may be displaced along each axis by a standard deviation of which
     /// `variance` is the square, m²: that does to the currents what moving the tool the other way does,
     /// by `jacobian`, of which the first three columns are the tool's translation.
     #[cold]
-    pub(crate) fn displaced(&self, jacobian: &[[S; 6]; 2], variance: S) -> Self {
+    pub(crate) fn displaced(&self, jacobian: &[[R; 6]; 2], variance: R) -> Self {
         (0..3).fold(*self, |whitener, axis| whitener.loosened(jacobian.map(|row| row[axis]), variance))
     }
 
     /// For derivatives that are to be counted in units of `unit`.
     #[inline(always)]
-    pub(crate) fn scaled(&self, unit: S) -> Self {
-        Self { rows: self.rows.map(|row| row.map(|value| value * unit)) }
+    pub(crate) fn scaled(&self, unit: R) -> Self {
+        let [first, second] = self.rows;
+        Self { rows: [[first[0] * unit, first[1] * unit], [second[0] * unit, second[1] * unit]] }
     }
 
     #[inline(always)]
-    pub(crate) fn apply(&self, pair: [S; 2]) -> [S; 2] {
-        self.rows.map(|row| row[0] * pair[0] + row[1] * pair[1])
+    pub(crate) fn apply(&self, pair: [R; 2]) -> [R; 2] {
+        let [first, second] = self.rows;
+        [first[0] * pair[0] + first[1] * pair[1], second[0] * pair[0] + second[1] * pair[1]]
     }
 }
 
@@ -122,25 +147,23 @@ impl<S: Scalar> CellNoise<S> {
     /// unknown gains are nuisance parameters marginalised here: each belongs to this cell alone, so its
     /// effect is a covariance of this pair. So is that of displaced parts, which depends on the pose:
     /// [`Whitener::displaced`]. An emitter gain known to nothing leaves the ratio of the currents.
-    #[inline]
-    pub(crate) fn whitener(&self, currents: [S; 2]) -> Whitener<S> {
-        let total = (currents[0] + currents[1]).abs();
+    #[inline(always)]
+    pub(crate) fn whitener<R: Real<Element = S>>(&self, currents: [R; 2]) -> Whitener<R> {
+        let like = currents[0];
+        let [zero, half, one] = zero_half_one(like);
+        let total = currents[0] + currents[1];
+        let total = R::where_at_least(total, zero, total, -total);
         let square = total * total;
-        let own = self.converter + self.arithmetic * square;
-        let gain = self.electrode_gain;
-        let mut whitener = Whitener::of_variances(currents.map(|current| own + gain * current * current));
-        let across = self.johnson + self.position * square;
-        if across > S::zero() {
-            whitener = whitener.loosened([-S::one(), S::one()], across);
-        }
+        let own = like.all(self.converter) + like.all(self.arithmetic) * square;
+        let gain = like.all(self.electrode_gain);
+        let mut whitener = Whitener::of_variances(array(own, |k| own + gain * currents[k] * currents[k]));
+        let across = like.all(self.johnson) + like.all(self.position) * square;
+        whitener = whitener.loosened_if_positive([-one, one], across);
         if self.dark > S::zero() {
-            whitener = whitener.loosened([S::half(), S::half()], self.dark);
+            whitener = whitener.loosened([half, half], like.all(self.dark));
         }
-        let along = self.shot * total / square + self.emitter_gain;
-        if along > S::zero() {
-            whitener = whitener.loosened(currents, along);
-        }
-        whitener
+        let along = like.all(self.shot) * total / square + like.all(self.emitter_gain);
+        whitener.loosened_if_positive(currents, along)
     }
 }
 
@@ -216,7 +239,7 @@ mod tests {
             temperature_k: 300.0,
             adc_a: 1e-15,
         });
-        let information = |scene: &Scene, gain: f64| {
+        let information = |scene: &Scene, gain: f64| -> f64 {
             let mut scene = scene.clone();
             scene.uncertainty.emitter_gain_relative = gain;
             let [a, b] = CellNoise::<f64>::compile(&scene, 0, 1e-15).whitener([2e-6, 4e-6]).apply([2e-6, 4e-6]);
@@ -225,7 +248,7 @@ mod tests {
         for gain in [0.0, 0.01] {
             let one = information(&scene, gain);
             scene.cells[0].effects.other_axis = Some(1);
-            let both = 2.0 * information(&scene, gain);
+            let both: f64 = 2.0 * information(&scene, gain);
             scene.cells[0].effects.other_axis = None;
             assert!((both / one - 1.0).abs() < 1e-6, "{gain}: {both} {one}");
         }

@@ -1,6 +1,8 @@
 //! The tests of the model, in one program: its generic code is compiled once.
 
 mod acceptance;
+#[cfg(feature = "batch")]
+mod batch;
 mod common;
 mod derivatives;
 mod effects;

@@ -1,9 +1,11 @@
 //! Who solves.
 
-use slitpose_model::{Pose, Scene, SceneError};
+use std::hint::black_box;
+
+use slitpose_model::{Photocurrents, Pose, Scene, SceneError};
 
 use crate::levenberg_marquardt;
-use crate::ours::{Ours, Planes};
+use crate::ours::{AtOnce, Ours, Planes};
 use crate::problems::{Kind, Problem};
 use crate::tiny_solver::{Build, TinySolver};
 
@@ -18,12 +20,36 @@ pub struct Answer {
     pub steps: usize,
 }
 
+/// Problems that one contender solves before it is the next one's turn.
+pub struct Stretch<'a> {
+    /// One by one.
+    pub problems: &'a [Problem],
+    /// Their currents alone.
+    pub readings: Vec<Photocurrents>,
+    /// Where each starts.
+    pub starts: Vec<Pose>,
+}
+
+impl<'a> Stretch<'a> {
+    /// Of `problems`.
+    pub fn of(problems: &'a [Problem]) -> Self {
+        let readings = problems.iter().map(|problem| problem.readings.clone()).collect();
+        Self { problems, readings, starts: problems.iter().map(|problem| problem.start).collect() }
+    }
+}
+
 /// A way to find a pose.
 pub trait Contender {
     /// What it is called in tables and on the command line.
     fn name(&self) -> &'static str;
     /// Solves one problem.
     fn solve(&self, problem: &Problem) -> Answer;
+    /// Solves all problems of a stretch.
+    fn solve_all(&self, stretch: &Stretch<'_>) {
+        for problem in stretch.problems {
+            black_box(self.solve(black_box(problem)));
+        }
+    }
 }
 
 /// All that take part in problems of `kind`; the first is the measure of the others.
@@ -31,8 +57,9 @@ pub trait Contender {
 /// # Errors
 /// Those of [`slitpose_model::Plan::compile`].
 pub fn all(scene: &Scene, kind: Kind) -> Result<Vec<Box<dyn Contender>>, SceneError> {
-    let mut contenders: Vec<Box<dyn Contender>> = vec![Box::new(Ours::new(scene, kind)?)];
-    if matches!(kind, Kind::Planes | Kind::ColdNoisy) {
+    let mut contenders: Vec<Box<dyn Contender>> =
+        vec![Box::new(Ours::new(scene, kind)?), Box::new(AtOnce::new(scene, kind)?)];
+    if kind.starts_on_planes() {
         contenders.push(Box::new(Planes::new(scene)?));
     }
     contenders.push(Box::new(TinySolver::new(scene, Build::Portable)));

@@ -17,6 +17,8 @@ use std::hint::black_box;
 use anyhow::{Context, Result};
 use clap::Parser;
 
+use contender::Stretch;
+use ours::AtOnce;
 use problems::{BOX_DEG, BOX_MM, Kind};
 
 /// Poses of each kind of problem.
@@ -37,7 +39,7 @@ struct Arguments {
     /// Only this contender, untimed: for instruction counters
     #[arg(long, requires = "problem")]
     only: Option<String>,
-    /// Solves of the only contender
+    /// Solves of the only contender, rounded up to hundreds
     #[arg(long, default_value_t = 1000, requires = "only")]
     count: usize,
 }
@@ -51,8 +53,10 @@ fn main() -> Result<()> {
             let names: Vec<_> = contenders.iter().map(|contender| contender.name()).collect();
             format!("no contender {name}: there are {}", names.join(", "))
         })?;
-        for problem in kind.problems(&scene, common::SEED, UNTIMED)?.iter().cycle().take(arguments.count) {
-            black_box(contender.solve(black_box(problem)));
+        let problems = kind.problems(&scene, common::SEED, UNTIMED)?;
+        let stretch = Stretch::of(&problems);
+        for _ in 0..arguments.count.div_ceil(UNTIMED) {
+            contender.solve_all(black_box(&stretch));
         }
         return Ok(());
     }
@@ -68,11 +72,11 @@ fn main() -> Result<()> {
     let kinds = arguments.problem.map_or(Kind::ALL.to_vec(), |kind| vec![kind]);
     for kind in kinds {
         println!("\n{}", kind.heading());
-        measure::compare(
-            &contender::all(&scene, kind)?,
-            &kind.problems(&scene, common::SEED, COUNT)?,
-            arguments.rounds,
-        );
+        let problems = kind.problems(&scene, common::SEED, COUNT)?;
+        measure::compare(&contender::all(&scene, kind)?, &problems, arguments.rounds);
+        let at_once = AtOnce::new(&scene, kind)?;
+        let [one, two] = [1, 2].map(|threads| at_once.time_us(&problems, threads, arguments.rounds));
+        println!("  slitpose-batch in two threads: {two:.3} us per solve, {:.2} times as many as in one", one / two);
     }
     Ok(())
 }

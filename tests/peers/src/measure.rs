@@ -6,14 +6,14 @@ use std::time::Instant;
 use slitpose_model::Pose;
 
 use crate::chart::ARM_M;
-use crate::contender::{Answer, Contender};
+use crate::contender::{Answer, Contender, Stretch};
 use crate::problems::Problem;
 
 /// A pose this near to the least χ² is found, millimetres: see [`distance_mm`].
 pub const FOUND_MM: f64 = 1e-4;
 
 /// Problems solved by one contender before it is the next one's turn.
-const STRETCH: usize = 50;
+const STRETCH: usize = 64;
 
 /// How far apart two poses are: translation, and rotation at the emitters' distance, millimetres.
 fn distance_mm(a: &Pose, b: &Pose) -> f64 {
@@ -47,16 +47,14 @@ struct Times {
 /// Times `contenders` taking turns, stretch by stretch: neighbours in time, they suffer alike from
 /// whatever else the machine does, and of each stretch some round is left in peace.
 fn times_us(contenders: &[Box<dyn Contender>], problems: &[Problem], rounds: usize) -> Vec<Times> {
-    let stretches = problems.len().div_ceil(STRETCH);
-    let mut times = vec![vec![Vec::with_capacity(rounds); stretches]; contenders.len()];
+    let stretches: Vec<Stretch<'_>> = problems.chunks(STRETCH).map(Stretch::of).collect();
+    let mut times = vec![vec![Vec::with_capacity(rounds); stretches.len()]; contenders.len()];
     for _ in 0..rounds {
-        for (stretch, problems) in problems.chunks(STRETCH).enumerate() {
+        for (number, stretch) in stretches.iter().enumerate() {
             for (contender, times) in contenders.iter().zip(&mut times) {
                 let since = Instant::now();
-                for problem in problems {
-                    black_box(contender.solve(black_box(problem)));
-                }
-                times[stretch].push(since.elapsed().as_secs_f64() * 1e6);
+                contender.solve_all(black_box(stretch));
+                times[number].push(since.elapsed().as_secs_f64() * 1e6);
             }
         }
     }

@@ -30,6 +30,8 @@ pub enum Kind {
     Planes,
     /// As planes, with the noise of the scene.
     ColdNoisy,
+    /// As cold, with the noise of the scene.
+    HomeNoisy,
     /// A pose nearby known, no noise.
     Warm,
     /// As warm, with the noise of the scene.
@@ -51,15 +53,21 @@ pub struct Problem {
 
 impl Kind {
     /// Every kind, in the order of the tables.
-    pub const ALL: [Self; 5] = [Self::Cold, Self::Planes, Self::ColdNoisy, Self::Warm, Self::WarmNoisy];
+    pub const ALL: [Self; 6] =
+        [Self::Cold, Self::Planes, Self::ColdNoisy, Self::HomeNoisy, Self::Warm, Self::WarmNoisy];
 
     /// Whether slitpose is told nothing of the pose.
     pub fn is_cold(self) -> bool {
-        matches!(self, Self::Cold | Self::Planes | Self::ColdNoisy)
+        matches!(self, Self::Cold | Self::Planes | Self::ColdNoisy | Self::HomeNoisy)
+    }
+
+    /// Whether peers are given the pose on the planes.
+    pub fn starts_on_planes(self) -> bool {
+        matches!(self, Self::Planes | Self::ColdNoisy)
     }
 
     fn is_noisy(self) -> bool {
-        matches!(self, Self::ColdNoisy | Self::WarmNoisy)
+        matches!(self, Self::ColdNoisy | Self::HomeNoisy | Self::WarmNoisy)
     }
 
     /// What stands above the table.
@@ -70,6 +78,7 @@ impl Kind {
             Self::Cold => "cold: nothing known, peers start at home; no noise".into(),
             Self::Planes => format!("{planes}; no noise"),
             Self::ColdNoisy => format!("{planes}; noise of the scene"),
+            Self::HomeNoisy => "cold: nothing known, peers start at home; noise of the scene".into(),
             Self::Warm => format!("{warm}; no noise"),
             Self::WarmNoisy => format!("{warm}; noise of the scene"),
         }
@@ -99,10 +108,11 @@ impl Kind {
             }
             let readings = Photocurrents::of_pairs(pairs);
             let start = match self {
-                Self::Cold => Pose::HOME,
-                Self::Planes | Self::ColdNoisy => {
-                    solver.solve(&readings, Start::PlanesOnly, &MotionPrior::AT_REST).estimate.map_or(Pose::HOME, |estimate| estimate.pose)
-                }
+                Self::Cold | Self::HomeNoisy => Pose::HOME,
+                Self::Planes | Self::ColdNoisy => solver
+                    .solve(&readings, Start::PlanesOnly, &MotionPrior::AT_REST)
+                    .estimate
+                    .map_or(Pose::HOME, |estimate| estimate.pose),
                 Self::Warm | Self::WarmNoisy => truth.perturbed(shift, turn),
             };
             Problem { pairs, readings, start, minimum }

@@ -26,6 +26,9 @@ impl<R: Read> Read for LineFeeds<R> {
             self.held = false;
             return Ok(filled);
         }
+        if !out[..filled].contains(&b'\r') {
+            return Ok(filled);
+        }
         self.held = out[filled - 1] == b'\r';
         let mut kept = 0;
         for at in 0..filled {

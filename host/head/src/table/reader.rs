@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Read};
+use std::sync::Arc;
 
 use csv::{StringRecord, Trim};
 use thiserror::Error;
@@ -128,15 +129,22 @@ pub enum TableError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Column(usize);
 
-/// A CSV file that is read row by row.
-pub struct TableReader {
+/// What a table is called, and its columns.
+struct Names {
     file: String,
     header: StringRecord,
+}
+
+/// A CSV file that is read row by row, or many rows at a time.
+pub struct TableReader {
+    names: Arc<Names>,
     reader: csv::Reader<Box<dyn Read>>,
     record: StringRecord,
     /// Whether `record` holds a row that [`TableReader::next_row`] has not given out yet.
     waiting: bool,
     rows: u64,
+    /// What [`TableReader::next_rows`] found after the rows that it gave out last.
+    postponed: Option<TableError>,
 }
 
 impl TableReader {
@@ -154,58 +162,116 @@ impl TableReader {
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
     pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
         let mut reader =
-            csv::ReaderBuilder::new().trim(Trim::All).from_reader(Box::new(LineFeeds::of(source)) as Box<dyn Read>);
+            csv::ReaderBuilder::new().trim(Trim::Headers).from_reader(Box::new(LineFeeds::of(source)) as Box<dyn Read>);
         let header = reader.headers().cloned().map_err(|error| damaged(file, 0, error))?;
         if header.is_empty() {
             return Err(TableError::Empty { file: file.to_owned() });
         }
-        let mut table =
-            Self { file: file.to_owned(), header, reader, record: StringRecord::new(), waiting: false, rows: 0 };
+        let names = Arc::new(Names { file: file.to_owned(), header });
+        let mut table = Self { names, reader, record: StringRecord::new(), waiting: false, rows: 0, postponed: None };
         table.waiting = table.advance()?;
-        if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: table.file }) }
+        if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: file.to_owned() }) }
     }
 
     /// Finds a column that must be there.
     pub fn column(&self, name: &str) -> Result<Column, TableError> {
         self.optional_column(name)?.ok_or_else(|| TableError::MissingColumn {
-            file: self.file.clone(),
+            file: self.names.file.clone(),
             column: name.to_owned(),
-            present: self.header.iter().collect::<Vec<_>>().join(", "),
+            present: self.names.header.iter().collect::<Vec<_>>().join(", "),
         })
     }
 
     /// Finds a column that may be there.
     pub fn optional_column(&self, name: &str) -> Result<Option<Column>, TableError> {
-        let mut found = (0..self.header.len()).filter(|index| self.header.get(*index) == Some(name));
+        let header = &self.names.header;
+        let mut found = (0..header.len()).filter(|index| header.get(*index) == Some(name));
         match (found.next(), found.next()) {
             (first, None) => Ok(first.map(Column)),
-            _ => Err(TableError::DuplicateColumn { file: self.file.clone(), column: name.to_owned() }),
+            _ => Err(TableError::DuplicateColumn { file: self.names.file.clone(), column: name.to_owned() }),
         }
     }
 
     /// The next row; `None` at the end.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, TableError> {
         let more = std::mem::take(&mut self.waiting) || self.advance()?;
-        Ok(more.then_some(Row { table: self }))
+        Ok(more.then_some(Row { names: &self.names, record: &self.record, number: self.rows }))
+    }
+
+    /// Up to `most` of the next rows; none at the end. An error belongs to the row after those of the last call and before
+    /// those of the next: rows that come before it are given out first.
+    pub fn next_rows(&mut self, most: usize) -> Result<Rows, TableError> {
+        let mut rows =
+            Rows { names: Arc::clone(&self.names), records: Vec::new(), first: self.rows + u64::from(!self.waiting) };
+        if let Some(error) = self.postponed.take() {
+            return Err(error);
+        }
+        while rows.records.len() < most {
+            let is_row = match std::mem::take(&mut self.waiting) {
+                true => true,
+                false => match self.advance() {
+                    Ok(more) => more,
+                    Err(error) if rows.records.is_empty() => return Err(error),
+                    Err(error) => {
+                        self.postponed = Some(error);
+                        false
+                    }
+                },
+            };
+            if !is_row {
+                break;
+            }
+            rows.records.push(std::mem::take(&mut self.record));
+        }
+        Ok(rows)
     }
 
     fn advance(&mut self) -> Result<bool, TableError> {
-        let more = self.reader.read_record(&mut self.record).map_err(|error| damaged(&self.file, self.rows, error))?;
+        let more =
+            self.reader.read_record(&mut self.record).map_err(|error| damaged(&self.names.file, self.rows, error))?;
         self.rows += u64::from(more);
         Ok(more)
+    }
+}
+
+/// Rows of data that are no part of the reader any more, for another thread.
+pub struct Rows {
+    names: Arc<Names>,
+    records: Vec<StringRecord>,
+    /// Number of the first.
+    first: u64,
+}
+
+impl Rows {
+    /// The rows in their order.
+    pub fn iter(&self) -> impl Iterator<Item = Row<'_>> {
+        self.records.iter().zip(self.first..).map(|(record, number)| Row { names: &self.names, record, number })
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.records.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.records.is_empty()
     }
 }
 
 /// One row of data.
 #[derive(Clone, Copy)]
 pub struct Row<'a> {
-    table: &'a TableReader,
+    names: &'a Names,
+    record: &'a StringRecord,
+    /// From 1.
+    number: u64,
 }
 
 impl<'a> Row<'a> {
     /// A field as it stands, without surrounding blanks.
     pub fn text(&self, column: Column) -> &'a str {
-        self.table.record.get(column.0).unwrap_or_default()
+        self.record.get(column.0).unwrap_or_default().trim()
     }
 
     /// A field as a finite number.
@@ -214,7 +280,7 @@ impl<'a> Row<'a> {
         match text.parse::<f64>() {
             Ok(value) if value.is_finite() => Ok(value),
             _ => Err(TableError::NotANumber {
-                file: self.table.file.clone(),
+                file: self.names.file.clone(),
                 row: self.number_of_row(),
                 line: self.line(),
                 column: self.name(column),
@@ -226,7 +292,7 @@ impl<'a> Row<'a> {
     /// The error of a number that the caller cannot use.
     pub fn out_of_range(&self, column: Column, value: f64, allowed: &'static str) -> TableError {
         TableError::OutOfRange {
-            file: self.table.file.clone(),
+            file: self.names.file.clone(),
             row: self.number_of_row(),
             line: self.line(),
             column: self.name(column),
@@ -237,15 +303,15 @@ impl<'a> Row<'a> {
 
     /// Number of this data row, from 1.
     pub(crate) fn number_of_row(&self) -> u64 {
-        self.table.rows
+        self.number
     }
 
     fn line(&self) -> u64 {
-        self.table.record.position().map_or(0, csv::Position::line)
+        self.record.position().map_or(0, csv::Position::line)
     }
 
     fn name(&self, column: Column) -> String {
-        self.table.header.get(column.0).unwrap_or_default().to_owned()
+        self.names.header.get(column.0).unwrap_or_default().to_owned()
     }
 }
 
@@ -291,6 +357,35 @@ mod tests {
         let row = table.next_row().unwrap().unwrap();
         assert_eq!((row.text(id), row.number(b).unwrap()), ("second", -1e-3));
         assert!(table.next_row().unwrap().is_none());
+    }
+
+    #[test]
+    fn many_rows_at_a_time_are_those_that_come_one_by_one_up_to_the_same_error() {
+        let text = "id, b\n1,2.5\n 2 ,\" -3 \"\n3,x\n4,5\n5\n6,7\n";
+        for most in 1..8 {
+            let mut table = table(text).unwrap();
+            let (id, b) = (table.column("id").unwrap(), table.column("b").unwrap());
+            let mut read = Vec::new();
+            let damage = loop {
+                match table.next_rows(most) {
+                    Ok(rows) => {
+                        assert!((1..=most).contains(&rows.len()) && !rows.is_empty(), "{most}");
+                        let line = |row: Row<'_>| {
+                            let number = row.number(b).map_err(|error| error.to_string());
+                            (row.text(id).to_owned(), row.number_of_row(), number)
+                        };
+                        read.extend(rows.iter().map(line));
+                    }
+                    Err(error) => break error.to_string(),
+                }
+            };
+            let (rows, numbers): (Vec<_>, Vec<_>) =
+                read.into_iter().map(|(id, row, number)| ((id, row), number)).unzip();
+            assert_eq!(rows, [("1", 1), ("2", 2), ("3", 3), ("4", 4)].map(|(id, row)| (id.to_owned(), row)), "{most}");
+            assert_eq!([&numbers[0], &numbers[1], &numbers[3]], [&Ok(2.5), &Ok(-3.0), &Ok(5.0)], "{most}");
+            assert!(numbers[2].as_ref().unwrap_err().contains("row 3 (line 4)"), "{most}: {:?}", numbers[2]);
+            assert!(damage.contains("row 5 (line 6)"), "{most}: {damage}");
+        }
     }
 
     #[test]

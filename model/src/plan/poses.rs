@@ -1,0 +1,120 @@
+//! One cell at several poses, a pose per lane: what [`pack`](super::pack) does for several cells at one pose, with the
+//! same bits.
+//!
+//! Where one formula does not serve all poses, currents of the others are NaN.
+
+use crate::aperture::{Aperture, Face, Span};
+use crate::pose::Transform;
+use crate::power::SharedPower;
+use crate::scalar::{Linear3, Real, Scalar};
+
+use super::optics::{Receiver, Source};
+use super::pack::{Faces, Pack};
+use super::{CompiledCell, Plan};
+
+/// A cell's currents at the pose of each lane.
+pub(crate) struct Currents<R> {
+    /// Photocurrents without dark current, amperes; zero without a spot.
+    pub(crate) pair: [R; 2],
+    /// One where there is a spot, else zero.
+    pub(crate) lit: R,
+}
+
+/// A cell's currents and derivatives at the pose of each lane.
+pub(crate) struct Terms<R> {
+    pub(crate) currents: Currents<R>,
+    pub(crate) jacobian: [[R; 6]; 2],
+    /// See [`CellTerms`](super::CellTerms).
+    pub(crate) slack_m: R,
+}
+
+impl Plan<f64> {
+    /// Whether its cells can be evaluated at several poses at once.
+    pub(crate) fn has_lanes(&self) -> bool {
+        !self.packs.is_empty()
+    }
+
+    /// Currents and derivatives of cell `cell`, which [has lanes](Self::has_lanes), at `pose`.
+    #[inline(always)]
+    pub(crate) fn linearise_lanes<R: Real<Element = f64>>(&self, cell: usize, pose: &Transform<R>) -> Option<Terms<R>> {
+        let pack = Pack::in_all_lanes(&self.cells[cell], pose.translation().x())?;
+        let seen = pack.receiver.see(&pack.source, pose);
+        let (light, visibility) = pack.light::<true>(&seen);
+        let (pair, jacobian) = pack.receiver.linearise(&pack.source, &light, &seen, true);
+        Some(Terms { currents: Currents::of(pair, &visibility), jacobian, slack_m: visibility.slacks_m() })
+    }
+
+    /// Currents of cell `cell`, which [has lanes](Self::has_lanes), at `pose`.
+    #[inline(always)]
+    pub(crate) fn currents_lanes<R: Real<Element = f64>>(
+        &self,
+        cell: usize,
+        pose: &Transform<R>,
+    ) -> Option<Currents<R>> {
+        let pack = Pack::in_all_lanes(&self.cells[cell], pose.translation().x())?;
+        let seen = pack.receiver.see(&pack.source, pose);
+        let (light, visibility) = pack.light::<false>(&seen);
+        let gain = pack.receiver.responsivity * pack.source.intensity;
+        let pair = pack.receiver.divide(gain * light.power.value, light.x_a.value(), true);
+        Some(Currents::of(pair, &visibility))
+    }
+
+    /// From the tool's origin to the emitter of cell `cell`, base frame, metres.
+    #[inline(always)]
+    pub(crate) fn arm_lanes<R: Real<Element = f64>>(&self, cell: usize, pose: &Transform<R>) -> R::Vec3 {
+        pose.rotate(pose.translation().x().all3(self.cells[cell].emitter.source.position))
+    }
+}
+
+impl<R: Real> Currents<R> {
+    #[inline(always)]
+    fn of(pair: [R; 2], visibility: &crate::rectangle::Visibility<R>) -> Self {
+        let (zero, one) = (pair[0].constant(0.0), pair[0].constant(1.0));
+        let [first, second] = pair;
+        let pair = [visibility.where_spot(first, zero), visibility.where_spot(second, zero)];
+        Self { pair, lit: visibility.where_spot(one, zero) }
+    }
+}
+
+impl<S: Scalar> Span<S> {
+    #[inline(always)]
+    fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Span<R> {
+        Span { low: like.all(self.low), high: like.all(self.high), length: like.all(self.length) }
+    }
+}
+
+impl<S: Scalar> Face<S> {
+    #[inline(always)]
+    fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Face<R> {
+        Face { z: like.all(self.z), x: self.x.in_all_lanes(like), y: self.y.in_all_lanes(like) }
+    }
+}
+
+impl<'a, R: Real> Pack<R, SharedPower<'a, R>> {
+    /// `cell` in all lanes of `like`; `None` if it is of another kind.
+    #[inline(always)]
+    fn in_all_lanes(cell: &'a CompiledCell<R::Element>, like: R) -> Option<Self> {
+        let (receiver, source) = (&cell.receiver, &cell.emitter.source);
+        Some(Self {
+            receiver: Receiver {
+                axes: [like.all3(receiver.axes[0]), like.all3(receiver.axes[1]), like.all3(receiver.axes[2])],
+                centre: like.all3(receiver.centre),
+                half: [like.all(receiver.half[0]), like.all(receiver.half[1])],
+                per_length: like.all(receiver.per_length),
+                responsivity: like.all(receiver.responsivity),
+                dark: like.all(receiver.dark),
+            },
+            faces: match &cell.aperture {
+                Aperture::Thin(thin) => Faces::Thin(thin.in_all_lanes(like)),
+                Aperture::Thick(lower, upper) => Faces::Thick([lower.in_all_lanes(like), upper.in_all_lanes(like)]),
+                Aperture::Turned(_) | Aperture::Imperfect(_) => return None,
+            },
+            source: Source {
+                position: like.all3(source.position),
+                axis: like.all3(source.axis),
+                intensity: like.all(source.intensity),
+            },
+            emission: SharedPower::of(like, cell.emitter.profile.as_power()?),
+        })
+    }
+}

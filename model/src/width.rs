@@ -1,0 +1,300 @@
+//! How many `f64` a processor computes with at once, and numbers of so many lanes.
+//!
+//! Lanes add, multiply, divide and take roots as IEEE 754 defines to the last bit, and nothing is fused: a lane has the
+//! bits that the same operations on single numbers give, whatever the width.
+
+use core::fmt::{self, Debug};
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+
+#[cfg(target_arch = "x86_64")]
+use pulp::{
+    Simd,
+    bytemuck::{cast_slice, cast_slice_mut},
+    x86::{V3, V4},
+};
+use wide::{CmpGe, CmpGt, f64x2};
+
+use crate::lanes::Lanes3;
+use crate::scalar::Real;
+
+/// A width that this processor has.
+#[derive(Clone, Copy)]
+pub struct Width(pub(crate) Kind);
+
+#[derive(Clone, Copy)]
+pub(crate) enum Kind {
+    /// SSE2 or NEON, or what stands for them: two.
+    Pair,
+    /// AVX2: four.
+    #[cfg(target_arch = "x86_64")]
+    Avx2(V3),
+    /// AVX-512: eight.
+    #[cfg(target_arch = "x86_64")]
+    Avx512(V4),
+}
+
+impl Width {
+    /// The widths that this processor has, narrowest first.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let wider: [Option<Kind>; 2];
+        #[cfg(target_arch = "x86_64")]
+        {
+            wider = [V3::try_new().map(Kind::Avx2), V4::try_new().map(Kind::Avx512)];
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            wider = [None; 2];
+        }
+        core::iter::once(Kind::Pair).chain(wider.into_iter().flatten()).map(Self)
+    }
+
+    /// The widest.
+    pub fn widest() -> Self {
+        Self::all().last().unwrap_or(Self(Kind::Pair))
+    }
+
+    /// Poses at once.
+    pub fn lanes(self) -> usize {
+        match self.0 {
+            Kind::Pair => 2,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2(_) => 4,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512(_) => 8,
+        }
+    }
+}
+
+impl Debug for Width {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} lanes", self.lanes())
+    }
+}
+
+/// Instructions for several `f64` at once, which the processor has: who holds one may use them.
+pub(crate) trait Instructions: Copy + Debug + Send + Sync + 'static {
+    type Vector: Copy + Debug + Send + Sync + 'static;
+    const LANES: usize;
+    fn all(self, value: f64) -> Self::Vector;
+    fn each(self, lane: impl FnMut(usize) -> f64) -> Self::Vector;
+    fn lane(vector: &Self::Vector, i: usize) -> f64;
+    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn neg(self, a: Self::Vector) -> Self::Vector;
+    fn sqrt(self, a: Self::Vector) -> Self::Vector;
+    fn where_at_least(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
+    fn where_above(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
+}
+
+/// Those that every processor of the target has.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Baseline;
+
+impl Instructions for Baseline {
+    type Vector = f64x2;
+    const LANES: usize = 2;
+
+    #[inline(always)]
+    fn all(self, value: f64) -> f64x2 {
+        f64x2::splat(value)
+    }
+    #[inline(always)]
+    fn each(self, mut lane: impl FnMut(usize) -> f64) -> f64x2 {
+        f64x2::new([lane(0), lane(1)])
+    }
+    #[inline(always)]
+    fn lane(vector: &f64x2, i: usize) -> f64 {
+        vector.as_array_ref()[i]
+    }
+    #[inline(always)]
+    fn add(self, a: f64x2, b: f64x2) -> f64x2 {
+        a + b
+    }
+    #[inline(always)]
+    fn sub(self, a: f64x2, b: f64x2) -> f64x2 {
+        a - b
+    }
+    #[inline(always)]
+    fn mul(self, a: f64x2, b: f64x2) -> f64x2 {
+        a * b
+    }
+    #[inline(always)]
+    fn div(self, a: f64x2, b: f64x2) -> f64x2 {
+        a / b
+    }
+    #[inline(always)]
+    fn neg(self, a: f64x2) -> f64x2 {
+        -a
+    }
+    #[inline(always)]
+    fn sqrt(self, a: f64x2) -> f64x2 {
+        a.sqrt()
+    }
+    #[inline(always)]
+    fn where_at_least(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
+        a.cmp_ge(b).blend(yes, no)
+    }
+    #[inline(always)]
+    fn where_above(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
+        a.cmp_gt(b).blend(yes, no)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+impl<S: Simd> Instructions for S {
+    type Vector = S::f64s;
+    const LANES: usize = S::F64_LANES;
+
+    #[inline(always)]
+    fn all(self, value: f64) -> S::f64s {
+        self.splat_f64s(value)
+    }
+    #[inline(always)]
+    fn each(self, mut lane: impl FnMut(usize) -> f64) -> S::f64s {
+        let mut vector = [self.splat_f64s(0.0)];
+        for (i, number) in cast_slice_mut::<S::f64s, f64>(&mut vector).iter_mut().enumerate() {
+            *number = lane(i);
+        }
+        vector[0]
+    }
+    #[inline(always)]
+    fn lane(vector: &S::f64s, i: usize) -> f64 {
+        cast_slice::<S::f64s, f64>(core::slice::from_ref(vector))[i]
+    }
+    #[inline(always)]
+    fn add(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.add_f64s(a, b)
+    }
+    #[inline(always)]
+    fn sub(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.sub_f64s(a, b)
+    }
+    #[inline(always)]
+    fn mul(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.mul_f64s(a, b)
+    }
+    #[inline(always)]
+    fn div(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.div_f64s(a, b)
+    }
+    #[inline(always)]
+    fn neg(self, a: S::f64s) -> S::f64s {
+        self.neg_f64s(a)
+    }
+    #[inline(always)]
+    fn sqrt(self, a: S::f64s) -> S::f64s {
+        self.sqrt_f64s(a)
+    }
+    #[inline(always)]
+    fn where_at_least(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
+        self.select_f64s(self.greater_than_or_equal_f64s(a, b), yes, no)
+    }
+    #[inline(always)]
+    fn where_above(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
+        self.select_f64s(self.greater_than_f64s(a, b), yes, no)
+    }
+}
+
+/// A number per lane. It carries the right to use the instructions, so that none must be asked for again.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lanes<I: Instructions> {
+    vector: I::Vector,
+    instructions: I,
+}
+
+impl<I: Instructions> Lanes<I> {
+    #[inline(always)]
+    pub(crate) fn zero(instructions: I) -> Self {
+        Self { vector: instructions.all(0.0), instructions }
+    }
+
+    #[inline(always)]
+    fn with(self, vector: I::Vector) -> Self {
+        Self { vector, ..self }
+    }
+}
+
+impl<I: Instructions> Real for Lanes<I> {
+    type Element = f64;
+    type Vec3 = Lanes3<Self>;
+    const LANES: usize = I::LANES;
+    const ARE_POSES: bool = true;
+
+    #[inline(always)]
+    fn each(self, lane: impl FnMut(usize) -> f64) -> Self {
+        self.with(self.instructions.each(lane))
+    }
+    #[inline(always)]
+    fn lane(self, i: usize) -> f64 {
+        I::lane(&self.vector, i)
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        self.with(self.instructions.sqrt(self.vector))
+    }
+    #[inline(always)]
+    fn inverse_root(self) -> Self {
+        self.constant(1.0) / self.root()
+    }
+    #[inline(always)]
+    fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        a.with(a.instructions.where_at_least(a.vector, b.vector, yes.vector, no.vector))
+    }
+    #[inline(always)]
+    fn where_above(a: Self, b: Self, yes: Self, no: Self) -> Self {
+        a.with(a.instructions.where_above(a.vector, b.vector, yes.vector, no.vector))
+    }
+    #[inline(always)]
+    fn all(self, value: f64) -> Self {
+        self.with(self.instructions.all(value))
+    }
+}
+
+impl<I: Instructions> Add for Lanes<I> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.with(self.instructions.add(self.vector, other.vector))
+    }
+}
+
+impl<I: Instructions> AddAssign for Lanes<I> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl<I: Instructions> Sub for Lanes<I> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.with(self.instructions.sub(self.vector, other.vector))
+    }
+}
+
+impl<I: Instructions> Mul for Lanes<I> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.with(self.instructions.mul(self.vector, other.vector))
+    }
+}
+
+impl<I: Instructions> Div for Lanes<I> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.with(self.instructions.div(self.vector, other.vector))
+    }
+}
+
+impl<I: Instructions> Neg for Lanes<I> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.with(self.instructions.neg(self.vector))
+    }
+}

@@ -1,0 +1,122 @@
+//! Many poses at once against the same one by one, bit for bit.
+
+use rand::RngExt;
+use slitpose_model::{
+    Batch, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
+};
+
+use crate::common::{SEED, generator, uniform, vector, wide};
+
+/// Poses of the smoke test, for each width and start.
+const FEW: usize = 3_000;
+
+/// A frame of `scene` with the noise of a front end; one in fifty has something else: a dark cell, an outlier, another
+/// light, a value that is no number.
+fn frame(solver: &Solver<f64>, rng: &mut rand_chacha::ChaCha8Rng, reach: f64) -> (Photocurrents, Pose) {
+    let pose = Pose::from_vectors(vector(rng, 4e-3 * reach), vector(rng, 0.26 * reach));
+    let cells = solver.plan().cell_count();
+    let mut readings = Photocurrents::of_pairs((0..cells).map(|k| solver.plan().photocurrents(k, &pose)));
+    for reading in &mut readings.cells {
+        if let Reading::Light(pair) = reading {
+            for current in [&mut pair.i_x1_a, &mut pair.i_x2_a] {
+                *current += uniform(rng, -1e-9, 1e-9);
+            }
+        }
+    }
+    let cell = rng.random_range(0..cells);
+    match rng.random_range(0..250) {
+        0 => readings.cells[cell] = Reading::Light(Pair::default()),
+        1 => readings.cells[cell] = Reading::Missing,
+        2 => readings.cells[cell] = Reading::Light(Pair { i_x1_a: f64::NAN, i_x2_a: 1e-6 }),
+        3 => readings.cells[cell] = Reading::Light(Pair { i_x1_a: 3e-6, i_x2_a: 1e-6 }),
+        4 => readings.cells[cell] = Reading::Light(Pair { i_x1_a: -1e-6, i_x2_a: 3e-6 }),
+        _ => {}
+    }
+    (readings, pose.perturbed(vector(rng, 3e-6), vector(rng, 3e-4)))
+}
+
+fn bits(solution: &Solution) -> Vec<u64> {
+    let mut bits = vec![
+        solution.chi2.to_bits(),
+        solution.unnoticed_sigmas.to_bits(),
+        solution.condition().map_or(0, f64::to_bits),
+        solution.iterations as u64,
+        solution.evaluations as u64,
+        solution.redundancy as u64,
+        u64::from(solution.cells_used.bits()),
+        u64::from(solution.excluded.bits()),
+    ];
+    if let Some(estimate) = &solution.estimate {
+        let Pose { rotation, translation_m } = estimate.pose;
+        let numbers = rotation.to_array().into_iter().chain(translation_m.to_array());
+        bits.extend(numbers.chain(estimate.covariance.into_iter().flatten()).map(f64::to_bits));
+    }
+    bits
+}
+
+/// Compares `count` frames of `scene` in every width that the processor has.
+fn compare(scene: &Scene, tier: Tier, count: usize, reach: f64) {
+    let solver = Solver::new(scene, tier).expect("a possible scene");
+    let mut rng = generator();
+    let mut done = 0;
+    while done < count {
+        let (frames, starts): (Vec<_>, Vec<_>) =
+            (0..(count - done).min(1_000)).map(|_| frame(&solver, &mut rng, reach)).unzip();
+        for warm in [false, true] {
+            let alone: Vec<Solution> = frames
+                .iter()
+                .zip(&starts)
+                .map(|(readings, pose)| {
+                    let start = if warm { Start::Near(pose) } else { Start::Cold };
+                    solver.solve(readings, start, &MotionPrior::AT_REST)
+                })
+                .collect();
+            for width in Width::all() {
+                let mut next = 0;
+                let starts = if warm { Starts::Near(&starts) } else { Starts::Cold };
+                Batch::with_width(&solver, width).solve(&frames, starts, &MotionPrior::AT_REST, |index, solution| {
+                    assert_eq!(index, next, "out of order");
+                    next += 1;
+                    let expected = &alone[index];
+                    assert!(
+                        solution.outcome == expected.outcome && bits(&solution) == bits(expected),
+                        "seed {SEED}, frame {}, {width:?}, warm {warm}:\n{solution:?}\n{expected:?}",
+                        done + index,
+                    );
+                });
+                assert_eq!(next, frames.len(), "{width:?}");
+            }
+        }
+        done += frames.len();
+    }
+}
+
+fn thick() -> Scene {
+    let mut scene = wide();
+    scene.cells.iter_mut().for_each(|cell| cell.slit.thickness_m = 0.15e-3);
+    scene
+}
+
+#[test]
+fn many_frames_at_once_have_the_bits_of_each_alone() {
+    compare(&wide(), Tier::Paper, FEW, 1.0);
+}
+
+#[test]
+fn frames_at_the_ends_of_detectors_have_the_bits_of_each_alone() {
+    compare(&wide(), Tier::Paper, FEW / 3, 1.6);
+    compare(&thick(), Tier::Paper, FEW / 3, 1.3);
+}
+
+#[test]
+fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
+    compare(&wide(), Tier::Exact { tolerance: 1e-6 }, 40, 1.0);
+}
+
+/// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`; without `--release` it
+/// takes ten minutes and more.
+#[test]
+#[ignore = "takes minutes"]
+fn a_million_frames_at_once_have_the_bits_of_each_alone() {
+    compare(&wide(), Tier::Paper, 1_000_000, 1.1);
+}
