@@ -8,7 +8,7 @@ use slitpose_firmware::pose::{HEAD_BYTES, PoseSolver};
 use slitpose_head::board_head;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
-use slitpose_model::{Plan, Pose, Solver, Tier, Tracker};
+use slitpose_model::{Outcome, Plan, Pose, Solver, Tier, Tracker};
 use slitpose_protocol::{Hashes, Level, PoseStatus, RawScan};
 
 /// Largest share by which a current in single precision may be off: the optics of a cell are some hundred operations of
@@ -82,10 +82,16 @@ pub(crate) fn board_and_host_agree(bytes: &[u8]) {
     let solver = solver.with_exposures(&stage.exposures_s());
     let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
     let host = Tracker::new(solver, period_s).track(scan.sequence, &stage.photocurrents(&scan)).solution;
-    let (PoseStatus::Converged, Some(estimate)) = (solved.record.status, host.estimate.as_ref()) else { return };
+    let are_sure = solved.record.status == PoseStatus::Converged && host.outcome == Outcome::Converged;
+    let Some(estimate) = host.estimate.as_ref().filter(|_| are_sure) else { return };
     let found = DVec3::from_array(solved.record.translation_m.map(f64::from));
     let off = (found - estimate.pose.translation_m).to_array();
     for (axis, (off, sigma)) in off.into_iter().zip(estimate.sigma()).enumerate() {
-        assert!(off.abs() <= SIGMAS * sigma + 1e-6, "axis {axis} at {pose:?}: off by {off} m, sigma {sigma} m");
+        assert!(
+            off.abs() <= SIGMAS * sigma + 1e-6,
+            "axis {axis} at {pose:?}: off by {off} m, sigma {sigma} m, {:?} {:?}",
+            solved.record,
+            host
+        );
     }
 }
