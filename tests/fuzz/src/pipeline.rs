@@ -22,8 +22,11 @@ pub(crate) fn hostile_board(bytes: &[u8]) {
     });
 }
 
-/// What came of it: sequence numbers and the bits of the poses.
-fn solve(pieces: &[&[u8]]) -> (Vec<(u64, Option<[u64; 3]>)>, bool) {
+/// The number of a scan, and the bits of its pose.
+type Solved = (u64, Option<[u64; 3]>);
+
+/// What came of the scans, and whether the board was refused.
+fn solve(pieces: &[&[u8]]) -> (Vec<Solved>, bool) {
     let head = WIDE.read().expect("shipped");
     let mut pipeline = Pipeline::new(head, Tier::Paper, SceneMatch::Waived).watched();
     let (mut solved, mut scans) = (Vec::new(), 0_usize);

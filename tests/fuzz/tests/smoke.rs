@@ -38,7 +38,7 @@ fn mutated(corpus: &[(PathBuf, Vec<u8>)], random: &mut impl Rng) -> Vec<u8> {
             0 if from < bytes.len() => bytes[from] ^= 1 << random.random_range(0..8),
             1 if from < bytes.len() => bytes[from] = random.random(),
             2 if from < bytes.len() => {
-                bytes[from] = [0, 1, 0x7f, 0x80, 0xff, b'-', b'.', b'9'][random.random_range(0..8)]
+                bytes[from] = [0, 1, 0x7f, 0x80, 0xff, b'-', b'.', b'9'][random.random_range(0..8)];
             }
             3 => drop(bytes.drain(from..to)),
             4 => {
