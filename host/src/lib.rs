@@ -11,6 +11,7 @@
 //! * [`playback`] takes captures through it again, [`solving`] has the choices in common;
 //! * [`measurements`] reads what calibrations rest on;
 //! * [`datagram`] sends the newest pose to control loops;
+//! * [`inputs`] reads what strangers can send, for fuzzing;
 //! * [`telemetry`] counts, and reports the state of daemon, boards and heads;
 //! * [`commands`] has one file for each verb of the `slitpose` command.
 //!
@@ -64,6 +65,7 @@ pub mod device;
 mod doctor;
 pub mod health;
 mod http;
+pub mod inputs;
 pub mod link;
 mod live;
 pub mod measurements;

@@ -97,6 +97,17 @@ impl Head {
         header[8..12].copy_from_slice(&sum.to_le_bytes());
         Ok(&bytes[..HEADER_BYTES + length])
     }
+
+    /// Reads the head at the start of `bytes`, for programs with room for a second solver. A board reads it by
+    /// [`PoseSolver::load`](super::PoseSolver::load), in place.
+    ///
+    /// # Errors
+    /// If there is none that this version reads.
+    pub fn decode(bytes: &[u8]) -> Result<Self, HeadError> {
+        let mut solver = HeadSolver::without_cells();
+        let readout = read(payload(bytes)?, &mut solver)?;
+        Ok(Self { readout, solver })
+    }
 }
 
 /// Reads the head of `payload` into `solver`.
@@ -273,12 +284,6 @@ pub(super) mod tests {
         scan
     }
 
-    fn decode(bytes: &[u8]) -> Result<Head, HeadError> {
-        let mut solver = HeadSolver::without_cells();
-        let readout = read(payload(bytes)?, &mut solver)?;
-        Ok(Head { readout, solver })
-    }
-
     fn bytes() -> std::vec::Vec<u8> {
         head().encode(&mut [0; HEAD_BYTES]).expect("room").to_vec()
     }
@@ -286,12 +291,12 @@ pub(super) mod tests {
     #[test]
     fn a_head_is_read_as_it_was_written() {
         let bytes = bytes();
-        let read = decode(&bytes).expect("whole");
+        let read = Head::decode(&bytes).expect("whole");
         assert_eq!(read.encode(&mut [0; HEAD_BYTES]).expect("room"), bytes);
         assert_eq!(read.readout.hashes, head().readout.hashes);
         // What follows in the memory is of no interest.
         let followed = [&bytes[..], &[0xff; 9]].concat();
-        assert!(decode(&followed).is_ok());
+        assert!(Head::decode(&followed).is_ok());
     }
 
     #[test]
@@ -300,8 +305,8 @@ pub(super) mod tests {
         for at in 0..whole.len() {
             let mut flipped = whole.clone();
             flipped[at] ^= 1 << (at % 8);
-            assert!(decode(&flipped).is_err(), "byte {at}");
-            assert_eq!(decode(&whole[..at]).err(), Some(HeadError::Damaged), "{at} bytes");
+            assert!(Head::decode(&flipped).is_err(), "byte {at}");
+            assert_eq!(Head::decode(&whole[..at]).err(), Some(HeadError::Damaged), "{at} bytes");
         }
     }
 
@@ -312,7 +317,7 @@ pub(super) mod tests {
         let (length, version) = (u16::from_le_bytes([other[6], other[7]]), VERSION + 1);
         let sum = checksum(&other[4..8], &other[HEADER_BYTES..HEADER_BYTES + usize::from(length)]);
         other[8..12].copy_from_slice(&sum.to_le_bytes());
-        assert_eq!(decode(&other).err(), Some(HeadError::Version { theirs: version }));
+        assert_eq!(Head::decode(&other).err(), Some(HeadError::Version { theirs: version }));
     }
 
     #[test]

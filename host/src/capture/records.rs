@@ -40,6 +40,8 @@ pub(super) struct Records<R> {
     /// Length of the record returned last.
     given: usize,
     whole_bytes: u64,
+    /// End of the bytes that were returned as damaged last.
+    damaged_to: u64,
     /// Whether bytes were skipped, so that the checksum over all records is meaningless.
     has_gap: bool,
     is_begun: bool,
@@ -59,7 +61,7 @@ pub(super) enum Next<'a> {
         /// Whether the index is damaged.
         index_damaged: bool,
     },
-    /// The file ends without its last record, this many bytes after the last whole one.
+    /// The file ends without its last record, this many bytes after the last whole one, or after what was damaged.
     Cut(u64),
 }
 
@@ -83,7 +85,7 @@ impl<R: Read> Records<R> {
     }
 
     fn within(window: Window<R>, is_begun: bool) -> Self {
-        Self { whole_bytes: window.offset(), window, given: 0, has_gap: false, is_begun }
+        Self { whole_bytes: window.offset(), damaged_to: 0, window, given: 0, has_gap: false, is_begun }
     }
 
     /// The next element.
@@ -135,6 +137,7 @@ impl<R: Read> Records<R> {
             return Ok(None);
         }
         self.has_gap = true;
+        self.damaged_to = self.window.offset();
         Ok(Some(Next::Damaged(length as u64)))
     }
 
@@ -151,11 +154,12 @@ impl<R: Read> Records<R> {
             if at >= bytes.len() {
                 let rest = self.window.bytes().len();
                 self.window.advance(rest);
-                return Ok(Next::Cut(self.window.offset() - self.whole_bytes));
+                return Ok(Next::Cut(self.window.offset() - self.whole_bytes.max(self.damaged_to)));
             }
             if may_begin(&bytes[at..]) && matches!(self.proven_at(at)?, Found::Record { .. }) {
                 self.window.advance(at);
                 self.has_gap = true;
+                self.damaged_to = self.window.offset();
                 return Ok(Next::Damaged(passed + at as u64));
             }
             at += 1;

@@ -147,6 +147,17 @@ fn default_paths() -> Vec<PathBuf> {
     user.into_iter().chain([PathBuf::from("/etc")]).map(|folder| folder.join(FILE)).collect()
 }
 
+/// The options that a file of this text sets.
+///
+/// # Errors
+/// The message to the user.
+pub(crate) fn configured_options(path: &Path, text: &str) -> Result<Vec<String>, String> {
+    let command = super::command();
+    let Some(verb) = command.find_subcommand(VERB) else { return Ok(Vec::new()) };
+    let values = read(path, text, verb).map_err(|error| error.to_string())?;
+    Ok(values.into_iter().map(|(key, _)| key).collect())
+}
+
 /// The values in a file by option of `verb`.
 fn read(path: &Path, text: &str, verb: &Command) -> Result<Vec<(String, Vec<OsString>)>, ConfigError> {
     let origin = path.display().to_string();

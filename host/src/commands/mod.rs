@@ -47,7 +47,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use slitpose_model::SceneError;
 use thiserror::Error;
 
-pub(crate) use config::ConfigError;
+pub(crate) use config::{ConfigError, configured_options};
 pub(crate) use identify::CellProfileError;
 pub(crate) use playback::SeveralBoards;
 

@@ -30,6 +30,7 @@ pub(crate) use access::{Access, AccessError, DEFAULT_LIVE_ADDRESS, LiveAddress};
 pub(crate) use control::{Control, Order, PlayerOrder, PlayerState, Refusal};
 pub(crate) use foxglove::{DEFAULT_FOXGLOVE_ADDRESS, FoxgloveAddress, FoxgloveError, FoxgloveServer};
 pub(crate) use hub::{LiveBoard, LiveInput};
+pub(crate) use request::is_request;
 pub(crate) use sampler::{Sample, Sampler, TakesSamples};
 pub(crate) use scene_view::SceneView;
 pub(crate) use server::{LiveError, LivePlan, LiveServer};

@@ -1,6 +1,7 @@
 //! What a page asks for.
 
 use serde::{Deserialize, Deserializer};
+use serde_json::{Map, Value};
 
 /// A request, as JSON.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -42,6 +43,22 @@ pub(super) enum Request {
     },
 }
 
+impl Request {
+    /// The request in `text`: an object. Of a list serde would take the first value for its kind.
+    ///
+    /// # Errors
+    /// If it is none.
+    pub(super) fn read(text: &str) -> serde_json::Result<Self> {
+        let object: Map<String, Value> = serde_json::from_str(text)?;
+        serde_json::from_value(Value::Object(object))
+    }
+}
+
+/// Whether `text` is a request.
+pub(crate) fn is_request(text: &str) -> bool {
+    Request::read(text).is_ok()
+}
+
 /// Tells a `null` from a key that is absent.
 fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
     Option::deserialize(deserializer).map(Some)
@@ -52,7 +69,7 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Option<Request> {
-        serde_json::from_str(text).ok()
+        Request::read(text).ok()
     }
 
     #[test]
@@ -66,6 +83,8 @@ mod tests {
         for text in [
             "",
             "7",
+            r#"["zero"]"#,
+            r#"["ack",7]"#,
             r#"{"kind":"erase"}"#,
             r#"{"kind":"ack"}"#,
             r#"{"kind":"ack","messages":-1}"#,

@@ -78,7 +78,7 @@ struct Gone;
 /// Serves a client until it goes. `leash` is released when it has shown that it may look.
 pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, leash: Leash) {
     let hello = match socket.recv().await {
-        Some(Ok(Message::Text(text))) => serde_json::from_str(&text).ok(),
+        Some(Ok(Message::Text(text))) => Request::read(&text).ok(),
         _ => None,
     };
     let Some(Request::Hello { token }) = hello else { return };
@@ -227,7 +227,7 @@ impl Session {
 
     /// Does what the client asks for.
     async fn accept(&mut self, text: &str) -> Result<(), Gone> {
-        let request = match serde_json::from_str(text) {
+        let request = match Request::read(text) {
             Ok(request) => request,
             Err(error) => return self.refuse(&Refusal::Unreadable { reason: error.to_string() }).await,
         };

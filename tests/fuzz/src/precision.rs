@@ -1,0 +1,97 @@
+//! Single against double precision, and the board's solver against the host's.
+
+use std::sync::LazyLock;
+
+use glam::DVec3;
+use slitpose_firmware::pcb::{default_configuration, default_scaling};
+use slitpose_firmware::pose::{HEAD_BYTES, PoseSolver};
+use slitpose_head::board_head;
+use slitpose_head::front_end::Stage;
+use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_model::{Outcome, Plan, Pose, Solver, Tier, Tracker};
+use slitpose_protocol::{Hashes, Level, PoseStatus, RawScan};
+
+/// Largest share by which a current in single precision may be off: the optics of a cell are some hundred operations of
+/// 6·10⁻⁸ each, part of which cancel.
+const SHARE: f64 = 1e-4;
+
+/// Currents below this, amperes, are dark: the noise of a cell is a hundred times as much.
+const DARK_A: f64 = 1e-11;
+
+/// Distance of the poses of board and host in standard deviations: both have the same words, so that only their arithmetic
+/// tells them apart.
+const SIGMAS: f64 = 1.0;
+
+static FILE: LazyLock<SceneFile> = LazyLock::new(|| WIDE.read().expect("shipped"));
+
+/// A pose within the workspace of `wide`, a 16-bit number each axis; `None` if there are too few bytes.
+fn pose(bytes: &[u8]) -> Option<Pose> {
+    let share = |axis: usize| {
+        let number = i16::from_le_bytes([*bytes.get(2 * axis)?, *bytes.get(2 * axis + 1)?]);
+        Some(f64::from(number) / 32_768.0)
+    };
+    let translation = DVec3::new(share(0)?, share(1)?, share(2)?);
+    let rotation = DVec3::new(share(3)?, share(4)?, share(5)?);
+    Some(Pose::from_vectors(translation * FILE.workspace.half_extent_m, rotation * FILE.workspace.half_extent_rad))
+}
+
+/// The currents of a pose agree in both precisions.
+pub(crate) fn single_and_double_agree(bytes: &[u8]) {
+    static DOUBLE: LazyLock<Plan<f64>> = LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Paper).expect("shipped"));
+    static SINGLE: LazyLock<Plan<f32>> = LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Paper).expect("shipped"));
+    let Some(pose) = pose(bytes) else { return };
+    for cell in 0..DOUBLE.cell_count() {
+        let (double, single) = (DOUBLE.photocurrents(cell, &pose), SINGLE.photocurrents(cell, &pose));
+        let whole = double.i_x1_a + double.i_x2_a;
+        for (double, single) in [(double.i_x1_a, single.i_x1_a), (double.i_x2_a, single.i_x2_a)] {
+            let off = (f64::from(single) - double).abs();
+            assert!(off <= SHARE * whole.abs() + DARK_A, "cell {cell} at {pose:?}: {single} for {double}");
+        }
+    }
+}
+
+/// Of the words of a pose, which the bytes after it disturb, the board's pose is the host's, where both are sure.
+pub(crate) fn board_and_host_agree(bytes: &[u8]) {
+    static LIGHT: LazyLock<Plan<f64>> =
+        LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped"));
+    let Some(pose) = pose(bytes) else { return };
+    let (schedule, scaling) = (default_configuration().schedule, default_scaling());
+    let stage = Stage::new(&FILE, &schedule, &scaling);
+    let mut scan = RawScan::new(schedule.cells.into(), schedule.dark_slot().is_some());
+    scan.levels_mut().fill(Level::NOMINAL);
+    // A little above the words of no light: ambient light.
+    let dark_word = (0.97 * scaling.zero_code * f64::from(schedule.oversampling)).trunc();
+    if let Some(dark) = scan.dark_mut() {
+        dark.fill([dark_word as u16; 2]);
+    }
+    let head = board_head::compile(&FILE, &schedule, &scaling, Hashes::default()).expect("slits and cosines");
+    let noise = |at: usize| bytes.get(12 + at).map_or(0.0, |&byte| f64::from(byte as i8) / 64.0);
+    for (cell, words) in scan.lit_mut().iter_mut().enumerate() {
+        let pair = LIGHT.photocurrents(cell, &pose);
+        let amperes_per_word = f64::from(head.readout.stages[cell].amperes_per_word);
+        let word = |current: f64, at: usize| (dark_word + current / amperes_per_word + noise(at)).round() as u16;
+        *words = [word(pair.i_x1_a, 2 * cell), word(pair.i_x2_a, 2 * cell + 1)];
+    }
+
+    let mut board = PoseSolver::default();
+    board.load(head.encode(&mut [0; HEAD_BYTES]).expect("room")).expect("whole");
+    board.begin(&schedule);
+    let solved = board.solve(&scan).expect("its schedule");
+    let scene = Stage::weighted_scene(&FILE, &schedule, &scaling);
+    let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped");
+    let solver = solver.with_exposures(&stage.exposures_s());
+    let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
+    let host = Tracker::new(solver, period_s).track(scan.sequence, &stage.photocurrents(&scan)).solution;
+    let are_sure = solved.record.status == PoseStatus::Converged && host.outcome == Outcome::Converged;
+    let Some(estimate) = host.estimate.as_ref().filter(|_| are_sure) else { return };
+    let found = DVec3::from_array(solved.record.translation_m.map(f64::from));
+    let off = (found - estimate.pose.translation_m).to_array();
+    for (axis, (off, sigma)) in off.into_iter().zip(estimate.sigma()).enumerate() {
+        assert!(
+            off.abs() <= SIGMAS * sigma + 1e-6,
+            "axis {axis} at {pose:?}: off by {off} m, sigma {sigma} m, {:?} {:?}",
+            solved.record,
+            host
+        );
+    }
+}
