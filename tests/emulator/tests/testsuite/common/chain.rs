@@ -6,7 +6,7 @@ use slitpose_emulator::image::Image;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::silicon::Silicon;
-use slitpose_emulator::world::NoiseSource;
+use slitpose_emulator::world::{Flaws, NoiseSource};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
 use slitpose_protocol::poses::TRIANGLE;
@@ -60,7 +60,19 @@ impl Chain {
         noise: NoiseSource,
         silicon: Silicon,
     ) -> Self {
-        let mut rig = Rig::boot(image, scene, trajectory, noise, silicon).expect("a head for the board");
+        Self::open_flawed(image, scene, trajectory, noise, silicon, Flaws::default())
+    }
+
+    /// The same with `flaws` of board and head.
+    pub fn open_flawed(
+        image: &Image,
+        scene: &SceneFile,
+        trajectory: Trajectory,
+        noise: NoiseSource,
+        silicon: Silicon,
+        flaws: Flaws,
+    ) -> Self {
+        let mut rig = Rig::boot_flawed(image, scene, trajectory, noise, silicon, flaws).expect("a head for the board");
         let origin = rig.machine().device_clock_origin().expect("the program starts its clock");
         rig.set_open(true);
         let mut chain = Self {
