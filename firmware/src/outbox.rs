@@ -22,6 +22,11 @@ const _: () = assert!(ANSWER_BYTES >= LARGEST_ENTRY);
 /// Tag of a packet of poses.
 const POSES: u32 = 0;
 
+/// Packets that wait while the board is late with its poses: solving leaves the link little time, some 1.5 ms pass for each,
+/// and newer poses are worth more.
+#[cfg(feature = "pose")]
+const LATE_PACKETS: u32 = 8;
+
 #[derive(Debug)]
 pub(crate) struct Outbox<M> {
     /// Tag: scans in the packet, or [`POSES`].
@@ -82,9 +87,13 @@ impl<M: AsRef<[u8]> + AsMut<[u8]>> Outbox<M> {
         self.push(&Message::Batch(batch), scans as u32);
     }
 
-    /// Queues poses, as batches are: they are as many.
+    /// Queues poses, as batches are: they are as many. If the board `is_late` with them, they have few others in front.
     #[cfg(feature = "pose")]
-    pub fn push_poses(&mut self, poses: slitpose_protocol::Poses<'_>) {
+    pub fn push_poses(&mut self, poses: slitpose_protocol::Poses<'_>, is_late: bool) {
+        let waiting = |this: &Self| this.arrived.wrapping_sub(this.left);
+        while is_late && waiting(self) >= LATE_PACKETS && self.batches.front().is_some_and(|front| front.tag == POSES) {
+            self.drop_batch();
+        }
         self.push(&Message::Poses(poses), POSES);
     }
 

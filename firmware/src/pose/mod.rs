@@ -240,7 +240,7 @@ impl Poser {
     pub fn flush<M: AsRef<[u8]> + AsMut<[u8]>>(&mut self, outbox: &mut Outbox<M>) {
         let head = self.solver.loaded.as_ref().map_or(0, |loaded| loaded.number);
         if let Some(poses) = self.batch.poses(self.configuration, self.missed, head) {
-            outbox.push_poses(poses);
+            outbox.push_poses(poses, self.waiting.len() > 1);
             self.batch.clear();
         }
     }
