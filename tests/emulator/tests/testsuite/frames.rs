@@ -200,8 +200,9 @@ fn frames_leave_whatever_the_host_asks_for() {
         chain.run_for(0.1);
         let (frames, others) = stop(&mut chain);
         assert_eq!(others, 0);
-        assert!(frames.len() >= 390, "{stream:?}: {}", frames.len());
-        // While the tool is looked for, scans are passed over.
+        // While the tool is looked for, scans are passed over, some two dozen at most.
+        let span = frames[frames.len() - 1].word(4) - frames[0].word(4);
+        assert!(span >= 385 && frames.len() >= 360, "{stream:?}: {} of {span}", frames.len());
         assert!(frames[40..].windows(2).all(|pair| pair[1].word(4) == pair[0].word(4) + 1), "{stream:?}");
         assert_eq!(chain.poses.len() > 30, stream.poses > 0);
         for (_, pose) in &chain.poses {
