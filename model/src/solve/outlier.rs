@@ -146,7 +146,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             }
         }
         let (cell, mut found) = search.best?;
-        if search.may_pause && workspace.work < LEAST_WORK {
+        if P::HAS_SMALL_FRAMES && search.may_pause && workspace.work < LEAST_WORK {
             search.pause(sorted.usable.len(), None);
             return None;
         }
