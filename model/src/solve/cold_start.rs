@@ -235,9 +235,9 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         let on_planes = self.on_planes(sorted);
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
-        // Of a small piece the half would not suffice to leave out the next cell.
-        let is_needed = P::HAS_SMALL_FRAMES && search.outlier.is_paused() && workspace.work / 2 < LEAST_WORK;
-        if !search.has_begun || !may_have_images && !is_needed {
+        // Half of a small piece does not suffice to leave out the next cell.
+        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused() && workspace.work / 2 < LEAST_WORK;
+        if !search.has_begun || !may_have_images && !is_all_for_outlier {
             // A start that fails on the currents of one frame may succeed on those of another.
             // It leaves half of a later piece to the starts that have not been tried yet.
             let held_back = if search.has_begun { workspace.work / 2 } else { 0 };

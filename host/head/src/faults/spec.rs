@@ -90,7 +90,7 @@ pub(super) enum Effect {
     Reset { boot_s: f64 },
     /// The board loses its supply.
     Restart,
-    /// The board collects its scans only every so often.
+    /// The board collects its scans less often.
     Slow { poll_s: f64 },
     /// The converters fail.
     Stop,
