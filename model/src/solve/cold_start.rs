@@ -3,12 +3,15 @@
 //! The first pose that fits the data is the answer, unless it may have mirror images ([`super::mirror_images`]):
 //! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
+use arrayvec::ArrayVec;
+
 use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
+use crate::scene::MAX_CELLS;
 
 use super::accept::{DISTINCT_SIGMAS, Fit, ROUGH_WORK, is_elsewhere};
-use super::algebra::square;
+use super::algebra::Vector6;
 use super::chi2::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
@@ -17,7 +20,7 @@ use super::mirror_images::{IMAGES, SOFT_STEPS, image};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
-use super::readings::Sorted;
+use super::readings::{Sorted, Usable};
 use super::{observability, starts};
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
@@ -25,16 +28,15 @@ use super::{observability, starts};
 /// search begins anew.
 pub(super) const COLD_WORK: usize = 600;
 
+/// The same of a head that has mirror images: all places for them are looked at, which takes 500 in the mean.
+pub(super) const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
+
 /// Evaluations after which a search in pieces ends, if there are no images to be found: of two cold solves, for each piece
 /// begins with the planes again.
 const LONGEST_WORK: usize = 2 * COLD_WORK;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
-
-/// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
-/// one in 10⁴ honest scans of six cells has more.
-pub(super) const DOUBTED: f64 = 0.5;
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
@@ -246,7 +248,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             workspace.work += held_back;
             let gate = self.gates[sorted.usable.len()];
             if minimum.converged && minimum.chi2 <= gate {
-                minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
+                minimum = problem.beyond_kink(minimum, &whiteners, workspace);
             }
             let fit = self.fit(sorted, problem, &minimum);
             if fit == Fit::Full && !may_have_images {
@@ -291,7 +293,13 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             });
             search.next += 1;
             let Some((start, is_rough, before)) = start else { continue };
-            let stopping = if is_rough { Stopping::rough() } else { Stopping::exact() };
+            let gate = self.gates[sorted.usable.len()];
+            let stopping = match next {
+                _ if is_rough && fit == Fit::None => Stopping::rough(),
+                _ if is_rough => Stopping::rough().if_below(gate),
+                Try::Soft(_) | Try::Image(_) => Stopping::image().if_below(gate),
+                _ => Stopping::exact(),
+            };
             let mut minimum = if is_rough {
                 problem.minimise(start, &problem.coarse_whiteners(), stopping, workspace)
             } else {
@@ -308,8 +316,10 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
                 if seen.has(&minimum, self.length_scale_m) {
                     continue;
                 }
-                // χ² by the true weights is no less: nothing fits here.
-                if minimum.converged && minimum.chi2 > self.gates[sorted.usable.len()] && next != Try::Home {
+                // χ² by the true weights is no less: nothing fits here. Where a pose is known, what is still far after
+                // so many steps is not followed any further: its image has other starts, too.
+                let is_hopeless = minimum.converged || fit != Fit::None;
+                if is_hopeless && minimum.chi2 > gate && next != Try::Home {
                     continue;
                 }
                 minimum = problem.minimise(minimum.pose, &whiteners, Stopping::exact(), workspace);
@@ -426,36 +436,53 @@ fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
 }
 
 impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
-    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side
-    /// of a kink χ² may have a minimum of its own. Looked for from both ends of all axes of the covariance; the
-    /// last linearisation is at `minimum`.
+    /// `minimum`, or what fits better beyond a kink beside it: on either side χ² may have a minimum of its own. Of each
+    /// cell whose kink is within reach the emitter is put across its plane, both ways, with the least χ² by the
+    /// covariance; the last linearisation is at `minimum`.
     #[cold]
     #[inline(never)]
     pub(super) fn beyond_kink(
         &self,
         minimum: Minimum<S>,
         whiteners: &Whiteners<S>,
-        doubted: S,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let Some(factor) = minimum.factor.filter(|_| minimum.chi2 > doubted) else { return minimum };
+        let Some(factor) = minimum.factor.filter(|factor| !observability::is_singular(factor)) else {
+            return minimum;
+        };
+        let across = |reading: &Usable<S>| {
+            let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
+            let step = factor.solve(&row);
+            let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
+            step.map(|element| element * length)
+        };
+        let ways: ArrayVec<Vector6<S>, MAX_CELLS> = self
+            .readings
+            .iter()
+            .enumerate()
+            // Of none is it known where kinks of an opening other than a slit lie.
+            .filter(|(index, _)| workspace.slacks_m[*index] > S::zero())
+            .map(|(index, reading)| (index, across(reading)))
+            .filter(|(index, step)| !self.is_smooth_in_cell(*index, step, &minimum.pose, workspace))
+            .map(|(_, step)| step)
+            .collect();
         let mut best = minimum;
         let mut iterations = minimum.iterations;
-        let axes = factor.singular();
-        for sigmas in [DISTINCT_SIGMAS, -DISTINCT_SIGMAS] {
-            for (value, direction) in axes {
-                let far = direction.map(|element| element * (S::of(sigmas) / value));
-                let may_cross = !observability::is_free(value) && !self.is_smooth(square(&far).root(), workspace);
-                if !may_cross || best.chi2 <= doubted || workspace.work == 0 {
-                    continue;
+        for way in &ways {
+            for step in [*way, way.map(|element| -element)] {
+                if workspace.work == 0 {
+                    break;
                 }
-                let other = self.minimise(self.moved(&minimum.pose, &far), whiteners, Stopping::exact(), workspace);
+                let start = self.moved(&minimum.pose, &step);
+                let other = self.minimise(start, whiteners, Stopping::exact(), workspace);
                 iterations += other.iterations;
                 if other.converged && other.chi2 < best.chi2 {
                     best = other;
                 }
-                self.linearise(&best.pose, whiteners, workspace);
             }
+        }
+        if !ways.is_empty() {
+            self.linearise(&best.pose, whiteners, workspace);
         }
         Minimum { iterations, ..best }
     }

@@ -31,6 +31,10 @@ const NEGLIGIBLE_REDUCTION: f64 = 1e-4;
 /// Relative change of the Jacobian along a step up to which it is reused for the next.
 pub(super) const REUSABLE_CHANGE: f64 = 0.02;
 
+/// Relative change of the Jacobian along a step up to which χ² at its end is as promised to a factor of two in its
+/// reduction.
+const PROMISING_CHANGE: f64 = 0.3;
+
 /// Ratio of the second step to the first above which a reused Jacobian was too old.
 pub(super) const MOST_SECOND_STEP: f64 = 0.2;
 
@@ -43,6 +47,8 @@ pub(super) struct Stopping<S> {
     pub(super) max_iterations: usize,
     /// Distance to the minimum that may remain, in σ of the pose.
     pub(super) tolerance_sigmas: S,
+    /// χ² of a minimum that is not worth being reached.
+    pub(super) most_chi2: S,
 }
 
 /// Steps of a minimisation before it is given up.
@@ -54,18 +60,28 @@ const ROUGH_ITERATIONS: usize = 20;
 impl<S: Scalar> Stopping<S> {
     /// Next to the minimum, so that noise-free data give the pose itself.
     pub(super) fn exact() -> Self {
-        Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(1e-7) }
+        Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(1e-7), most_chi2: S::infinity() }
     }
 
     /// As near as noise makes worth while: the bound on the distance is tens of times too cautious, so that a
     /// fiftieth of σ remains in the median.
     pub(super) fn near() -> Self {
-        Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(0.8) }
+        Self { tolerance_sigmas: S::of(0.8), ..Self::exact() }
+    }
+
+    /// Next to a mirror image, if there is one where it is looked for: most are reached in ten steps.
+    pub(super) fn image() -> Self {
+        Self { max_iterations: ROUGH_ITERATIONS, ..Self::exact() }
     }
 
     /// In the neighbourhood of a minimum, with coarse weights.
     pub(super) fn rough() -> Self {
-        Self { max_iterations: ROUGH_ITERATIONS, tolerance_sigmas: S::of(1e-2) }
+        Self { max_iterations: ROUGH_ITERATIONS, tolerance_sigmas: S::of(1e-2), ..Self::exact() }
+    }
+
+    /// Without minima of more χ².
+    pub(super) fn if_below(self, most_chi2: S) -> Self {
+        Self { most_chi2, ..self }
     }
 }
 
@@ -167,6 +183,11 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 workspace.work = workspace.work.saturating_sub(QR_WORK);
             }
             let reach = self.reach(step, (&pose, &at), iterations, stopping, workspace);
+            // Near the minimum even twice the reduction that the linearisation promises would not do.
+            let is_near = damping == S::zero() && reach.jacobian_change <= S::of(PROMISING_CHANGE);
+            if is_near && at.chi2 - S::two() * step.predicted_reduction > stopping.most_chi2 {
+                break;
+            }
             let trial = self.moved(&pose, &step.step);
             let is_hardly_damped = damping <= S::of(FIRST_DAMPING);
             if reach.is_last && is_hardly_damped {

@@ -6,7 +6,7 @@ use crate::scalar::Scalar;
 use crate::scene::{Scene, SceneError};
 
 use super::accept::Fit;
-use super::cold_start::{COLD_WORK, Search};
+use super::cold_start::{COLD_WORK, Search, WORK_FOR_IMAGES};
 use super::compiled::{Compiled, MotionPrior, Prior};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::Workspace;
@@ -163,7 +163,8 @@ impl<S: Scalar, P: Optics<S>> Solver<S, P> {
     /// The only source of misfits: what [`Self::near`] finds to be one is searched for here, too.
     #[inline(never)]
     fn cold(&self, sorted: &Sorted<S>, motion: &Prior<S>) -> Solution<S> {
-        let workspace = &mut Workspace::with_work(COLD_WORK);
+        let work = if self.compiled.has_images { WORK_FOR_IMAGES } else { COLD_WORK };
+        let workspace = &mut Workspace::with_work(work);
         let mut solution = self.compiled.search(sorted, motion, &mut Search::at_once(), workspace);
         solution.evaluations = workspace.evaluations;
         solution.own_up();

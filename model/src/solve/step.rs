@@ -98,16 +98,24 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         pose: &Transform<S>,
         workspace: &Workspace<S>,
     ) -> bool {
+        (0..workspace.slacks_m.len()).all(|index| self.is_smooth_in_cell(index, step, pose, workspace))
+    }
+
+    /// [`Self::is_smooth_in_each_cell`] of the cell of one reading.
+    pub(super) fn is_smooth_in_cell(
+        &self,
+        index: usize,
+        step: &Vector6<S>,
+        pose: &Transform<S>,
+        workspace: &Workspace<S>,
+    ) -> bool {
         let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
         let turn = S::Vec3::new(step[3], step[4], step[5]);
-        let scale2 = self.length_scale_m * self.length_scale_m;
-        self.readings.iter().zip(&workspace.slacks_m).all(|(reading, &slack_m)| {
-            let arm = self.plan.arm(reading.cell, pose);
-            let moved_m = (shift + turn.cross(arm)).length();
-            // The most that a step of that length moves this emitter, by its length.
-            let most = (S::one() + arm.dot(arm) / scale2).root();
-            slack_m * most > S::of(MOST_MAGNIFICATION) * moved_m
-        })
+        let arm = self.plan.arm(self.readings[index].cell, pose);
+        let moved_m = (shift + turn.cross(arm)).length();
+        // The most that a step of that length moves this emitter, by its length.
+        let most = (S::one() + arm.dot(arm) / (self.length_scale_m * self.length_scale_m)).root();
+        workspace.slacks_m[index] * most > S::of(MOST_MAGNIFICATION) * moved_m
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over all

@@ -271,7 +271,7 @@ fn three_cells_alone_have_no_pose_from_nothing() {
 fn an_outlier_does_not_make_an_image_a_pose() {
     const POSES: usize = 200;
     let mut rng = generator();
-    for (delta_rad, most_refused) in [(1e-3, POSES / 2), (3e-3, POSES / 10)] {
+    for (delta_rad, most_refused) in [(1e-3, POSES * 2 / 3), (3e-3, POSES / 10)] {
         let solver = Solver::<f64>::new(&rolled(0.0, delta_rad), TIERS[0]).expect("scene");
         assert!(solver.has_mirror_images());
         let (mut right, mut refused) = (0, 0);
@@ -293,7 +293,7 @@ fn an_outlier_does_not_make_an_image_a_pose() {
         }
         println!("rolls ± {delta_rad}: {right} right, {refused} ambiguous of {POSES}");
         // Both the outlier and the image have to be found out: images at 1e-3 differ by little more than noise.
-        assert!(right > POSES / 8 && refused < most_refused, "{right} right, {refused} ambiguous");
+        assert!(right > POSES / 4 && refused < most_refused, "{right} right, {refused} ambiguous");
     }
 }
 

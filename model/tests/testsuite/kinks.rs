@@ -1,10 +1,13 @@
 //! Poses at which a spot reaches its detector's end: there the derivatives of its current jump.
 
-use crate::common::{base, generator, pose_in_box, vector};
+use crate::common::{base, generator, pose_in_box, uniform, unit, vector};
+use glam::DVec3;
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use slitpose_model::{
-    MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Solution, Solver, Start, Status, Tier,
+    DegradedReason, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Scalar, Scene, Solution, Solver, Start,
+    Status, Tier,
 };
 
 /// Converter noise of a head at its full rate, amperes.
@@ -67,7 +70,8 @@ fn nees((pose, solution): &(Pose, Solution)) -> f64 {
     solution.estimate.and_then(|estimate| estimate.nees(pose)).expect("pose and covariance")
 }
 
-/// Both starts: all poses are found, in few evaluations, and few of them are off.
+/// Both starts: all poses are found, in few evaluations, and few of them are off. From nothing some five of those go into
+/// a look at the other side of the kink.
 fn assert_found<S: Scalar>(most_evaluations: [f64; 2]) {
     for (found, most) in solved::<S>(NOISE_A).into_iter().zip(most_evaluations) {
         for (pose, solution) in &found {
@@ -85,12 +89,12 @@ fn assert_found<S: Scalar>(most_evaluations: [f64; 2]) {
 
 #[test]
 fn a_minimum_on_a_kink_is_found_in_double_precision() {
-    assert_found::<f64>([8.0, 3.0]);
+    assert_found::<f64>([15.0, 3.0]);
 }
 
 #[test]
 fn a_minimum_on_a_kink_is_found_in_single_precision() {
-    assert_found::<f32>([8.0, 3.0]);
+    assert_found::<f32>([15.0, 3.0]);
 }
 
 #[test]
@@ -101,5 +105,77 @@ fn derivatives_are_not_kept_across_a_kink() {
         // own beyond the kink: 5 of 200 000.
         let off = found.iter().filter(|found| nees(found) > 30.0).count();
         assert!(off <= 1, "{off} of {POSES}");
+    }
+}
+
+/// A head of seven to ten cells on one side of the tool, whose detectors are so short that many spots reach
+/// an end.
+fn crowded(rng: &mut ChaCha8Rng) -> Scene {
+    let mut scene = base();
+    let like = scene.cells[0].clone();
+    scene.cells.clear();
+    let (length_m, width_m, slit_m) =
+        (uniform(rng, 5e-3, 8e-3), uniform(rng, 0.8e-3, 1.2e-3), uniform(rng, 0.3e-3, 0.6e-3));
+    for _ in 0..rng.random_range(7..=10) {
+        let mut cell = like.clone();
+        let outward = (DVec3::Z + vector(rng, 0.6)).normalize();
+        let emitter = vector(rng, 6e-3);
+        cell.emitter.position_tool_m = emitter;
+        cell.emitter.axis_tool = outward;
+        let detector = &mut cell.detector;
+        detector.centre_base_m = emitter + outward * uniform(rng, 26e-3, 32e-3);
+        detector.normal_base = -outward;
+        detector.x_axis_base = outward.cross(unit(rng)).normalize();
+        (detector.length_m, detector.width_m) = (length_m, width_m);
+        (cell.slit.distance_m, cell.slit.width_m) = (uniform(rng, 14e-3, 18e-3), slit_m);
+        scene.cells.push(cell).expect("ten of sixteen");
+    }
+    scene
+}
+
+/// Poses with two clipped spots and six lit cells or more, of 40 such heads that have mirror images and of those that have
+/// none. Beyond a kink lie minima that fit as well but for noise, and all places for images have to be looked at.
+#[test]
+fn poses_among_many_clipped_spots_are_found() {
+    let mut rng = generator();
+    for noise_a in [0.0, 0.6e-9] {
+        let (mut tried, mut none, mut off, mut with_images) = (0, 0, 0, 0);
+        for _ in 0..40 {
+            let scene = crowded(&mut rng);
+            let plan = Plan::<f64>::compile(&scene, tier()).expect("scene");
+            let solver = Solver::<f64>::new(&scene, tier()).expect("scene");
+            for _ in 0..200 {
+                let pose = pose_in_box(&mut rng, 3.0, 20.0);
+                let lit = (0..scene.cells.len()).map(|cell| plan.respond(cell, &pose)).filter(|seen| seen.i_o_a > 1e-7);
+                let (lit, clipped) = lit.fold((0, 0), |(lit, clipped), seen| {
+                    (lit + 1, clipped + usize::from(seen.status == Status::Clipped))
+                });
+                if lit < 6 || clipped < 2 {
+                    continue;
+                }
+                let mut noisy = |current: f64| {
+                    let normal: f64 = StandardNormal.sample(&mut rng);
+                    if current > 0.0 { current + noise_a * normal } else { 0.0 }
+                };
+                let readings = Photocurrents::of_pairs((0..scene.cells.len()).map(|cell| {
+                    let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, &pose);
+                    Pair { i_x1_a: noisy(i_x1_a), i_x2_a: noisy(i_x2_a) }
+                }));
+                let solution = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST);
+                tried += 1;
+                with_images += usize::from(solver.has_mirror_images());
+                match solution.estimate.filter(|_| solution.outcome != Outcome::Degraded(DegradedReason::Misfit)) {
+                    Some(estimate) => off += usize::from(estimate.nees(&pose).expect("covariance") > 54.0),
+                    None => none += 1,
+                }
+            }
+        }
+        println!(
+            "noise {noise_a} A: {off} off and {none} without a pose of {tried}, {with_images} of heads with images"
+        );
+        assert!(with_images > tried / 4 && with_images < tried * 3 / 4, "{with_images} of {tried}");
+        // Of 11 445 without noise none was off and 54 had no pose. A search that looked no further where χ² passes,
+        // and for images only as long as for a pose, left 10 and 5 257.
+        assert!(off <= tried / 1000 && none < tried / 50, "{off} and {none} of {tried}");
     }
 }

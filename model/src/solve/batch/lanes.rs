@@ -12,6 +12,7 @@ use crate::rectangle::MOST_MAGNIFICATION;
 use crate::scalar::{Linear3, Real};
 use crate::scene::MAX_CELLS;
 
+use super::super::accept::DISTINCT_SIGMAS;
 use super::super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, square};
 use super::super::compiled::Compiled;
 use super::super::levenberg_marquardt::{MOST_SECOND_STEP, PATIENCE, REUSABLE_CHANGE, Stopping};
@@ -25,6 +26,9 @@ use super::minimum::{Frames, Minima, set};
 /// Steps with derivatives that a frame of the common course takes at most: no more than six evaluations, to which the
 /// descent to an expected pose is limited, and no more than [`PATIENCE`].
 const MOST_ROUNDS: usize = 3;
+
+/// σ of the pose up to which a single solve looks for kinks, and a little for the rounding of how far that is.
+const REACH: f64 = 1.001 * DISTINCT_SIGMAS;
 
 const _: () = assert!(2 * MOST_ROUNDS <= PATIENCE, "two iterations a round");
 
@@ -175,7 +179,7 @@ pub(super) fn minimise<R: Real<Element = f64>>(
         active = both(active, not(is_end));
         if !any(active) || round >= MOST_ROUNDS {
             stays = both(stays, not(active));
-            conclude(course, &linearised, &factor, (&end, end_chi2), stays, minima);
+            conclude(head, course, &linearised, &factor, (&end, end_chi2), stays, minima);
             set(&mut minima.iterations, iterations);
             set(&mut minima.evaluations, evaluations);
             return;
@@ -354,6 +358,7 @@ fn smooth<R: Real<Element = f64>>(
 /// Stores the minima at `end` of lanes that stay, where nothing speaks against them.
 #[inline(always)]
 fn conclude<R: Real<Element = f64>>(
+    head: &Compiled<f64>,
     course: Course,
     linearised: &Linearised<R>,
     factor: &Factor<R>,
@@ -371,6 +376,15 @@ fn conclude<R: Real<Element = f64>>(
     let inverse = factor.inverse();
     for (i, row) in inverse.iter().enumerate() {
         stays = both(stays, at_most(row[i], chi2.constant(LARGEST_SIGMA * LARGEST_SIGMA)));
+    }
+    if course.is_cold {
+        // No step of so many σ is longer than the root of the covariance's trace allows: beyond no kink can there be
+        // another minimum.
+        let trace = inverse.iter().enumerate().fold(zero, |sum, (i, row)| sum + row[i]);
+        let most_moved = trace.root() * chi2.all(REACH * MOST_MAGNIFICATION * head.length_scale_m);
+        for &slack_m in &linearised.slacks_m {
+            stays = both(stays, above(slack_m, most_moved));
+        }
     }
     let mut size = zero;
     for component in end.rotation() {

@@ -14,7 +14,6 @@ use crate::scene::MAX_CELLS;
 use crate::width::{Baseline, Instructions, Kind, Lanes, Width};
 
 use super::chi2::redundancy;
-use super::cold_start::DOUBTED;
 use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::Stopping;
 use super::observability::unscaled;
@@ -131,7 +130,7 @@ impl<'a> Batch<'a> {
         let head = &self.solver.compiled;
         let gate = head.gates[head.plan.cell_count()];
         let course = match starts {
-            Starts::Cold => Course { is_cold: true, stopping: Stopping::exact(), most_chi2: DOUBTED * gate },
+            Starts::Cold => Course { is_cold: true, stopping: Stopping::exact(), most_chi2: gate },
             Starts::Near(_) => {
                 let near = <crate::plan::Plan<f64> as Optics<f64>>::NEAR_SIGMAS;
                 let stopping = Stopping { tolerance_sigmas: near, ..Stopping::near() };
