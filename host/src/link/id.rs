@@ -14,13 +14,24 @@ pub struct DeviceId(pub [u8; 12]);
 
 impl fmt::Display for DeviceId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        self.with_digits(|digits| f.write_str(digits))
+    }
+}
+
+impl DeviceId {
+    /// Passes the digits on. Every pose has them: byte by byte formatting would take a sixth of the time of its line.
+    fn with_digits<T>(self, with: impl FnOnce(&str) -> T) -> T {
+        let mut digits = [0; 24];
+        for (pair, byte) in digits.chunks_exact_mut(2).zip(self.0) {
+            pair.copy_from_slice(&[byte >> 4, byte & 15].map(|digit| b"0123456789abcdef"[usize::from(digit)]));
+        }
+        with(str::from_utf8(&digits).expect("ASCII"))
     }
 }
 
 impl Serialize for DeviceId {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
+        self.with_digits(|digits| serializer.serialize_str(digits))
     }
 }
 
