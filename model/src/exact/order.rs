@@ -18,6 +18,11 @@
 //! at the best ρ, 4N/λ or √(8N/κ), N nodes err by (eλ/4N)²ᴺ or (eκ/8N)ᴺ, together at most by
 //! ((λ² + 2Nκ/e)·(e/4N)²)ᴺ. Emitter and horizon must lie outside that ellipse.
 
+#[cfg(feature = "batch")]
+use arrayvec::ArrayVec;
+
+#[cfg(feature = "batch")]
+use crate::scalar::Real;
 use crate::scalar::Scalar;
 
 /// Most nodes of a rule; spots that need more are divided.
@@ -119,6 +124,27 @@ impl<S: Scalar> Orders<S> {
             }
         };
         (0..MAX_NODES).find(enough).map(|i| i + 1)
+    }
+
+    /// [`Self::nodes`] for the interval of each lane; zero where even the longest rule errs too much.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
+        let [zero, infinity] = [0.0, f64::INFINITY].map(|number| emitter.constant(number));
+        let far = emitter.constant(2.0) * emitter;
+        let reach = R::where_at_least(horizon, far, emitter, emitter.at_most(horizon));
+        let beyond = R::where_at_least(horizon, far, horizon, infinity);
+        let mut count = zero;
+        for i in 0..MAX_NODES {
+            let least = R::where_at_least(horizon, far, emitter.all(self.emitter[i]), emitter.all(self.both[i]));
+            let nodes = emitter.constant((i + 1) as f64);
+            let nodes = R::where_at_least(beyond, emitter.all(self.horizon[i]), nodes, zero);
+            count = R::where_above(count, zero, count, R::where_at_least(reach, least, nodes, zero));
+            if !R::any_above(emitter.constant(1.0), count) {
+                break;
+            }
+        }
+        count
     }
 
     /// cos γ at which a narrow lobe has faded whose brightest ray is at `cosine`.
@@ -223,6 +249,30 @@ impl<S: Scalar> Rules<S> {
         }
         let fall = (last / before).min(S::one());
         S::of(4.0) * last * fall * fall * fall * fall
+    }
+
+    /// Nodes and weights of as many rules as there are lanes, with `counts` nodes each, 1 to [`MAX_NODES`]: those that the
+    /// longest has more are at 0, with weight 0.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn in_lanes<R: Real<Element = S>>(&self, counts: R) -> ArrayVec<(R, R), MAX_NODES> {
+        let (mut least, mut most) = (MAX_NODES, 1);
+        for lane in 0..R::LANES {
+            let count = counts.lane(lane).to_usize().unwrap_or(1).clamp(1, MAX_NODES);
+            (least, most) = (least.min(count), most.max(count));
+        }
+        let mut rule = ArrayVec::new();
+        for i in 0..most {
+            let of = |count: usize| (counts.all(self.nodes[count - 1][i]), counts.all(self.weights[count - 1][i]));
+            let (mut node, mut weight) = of(least);
+            for count in least + 1..=most {
+                let (longer, limit) = (of(count), counts.constant(count as f64));
+                node = R::where_at_least(counts, limit, longer.0, node);
+                weight = R::where_at_least(counts, limit, longer.1, weight);
+            }
+            rule.push((node, weight));
+        }
+        rule
     }
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].

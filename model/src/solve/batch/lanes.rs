@@ -66,8 +66,8 @@ fn not<R: Real>(a: R) -> R {
 }
 
 #[inline(always)]
-fn any<R: Real<Element = f64>>(a: R) -> bool {
-    (0..R::LANES).any(|lane| a.lane(lane) > 0.0)
+fn any<R: Real>(a: R) -> bool {
+    R::any_above(a, a.constant(0.0))
 }
 
 /// `yes` where `choice` is one, `no` where it is zero.
@@ -93,9 +93,10 @@ fn above<R: Real>(a: R, b: R) -> R {
     R::where_above(a, b, a.constant(1.0), a.constant(0.0))
 }
 
-/// Follows `frames` along `course` in lanes like `like`, and stores what is found.
+/// Follows `frames` along `course` in lanes like `like`, and stores what is found. `EXACT`: the head's plan is of the exact
+/// tier.
 #[inline(always)]
-pub(super) fn minimise<R: Real<Element = f64>>(
+pub(super) fn minimise<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     frames: &Frames,
     course: Course,
@@ -120,7 +121,7 @@ pub(super) fn minimise<R: Real<Element = f64>>(
     let mut before = like.constant(f64::INFINITY);
     let (mut iterations, mut evaluations) = (zero, zero);
     let (mut end, mut end_chi2) = (pose, zero);
-    let mut linearised = linearise(head, &measured, &pose);
+    let mut linearised = linearise::<R, EXACT>(head, &measured, &pose);
     for round in 1.. {
         let Linearised { information, sums, lit, .. } = &linearised;
         evaluations += active;
@@ -156,7 +157,7 @@ pub(super) fn minimise<R: Real<Element = f64>>(
         if any(reusing) {
             iterations += reusing;
             evaluations += reusing;
-            let again = reevaluate(head, &measured, &linearised.rows, &trial);
+            let again = reevaluate::<R, EXACT>(head, &measured, &linearised.rows, &trial);
             let half_way = factor.forward(&again.by_pose);
             let (second, second_reduction) = (factor.backward(&half_way), square(&half_way));
             let ratio = (second_reduction / reduction).root();
@@ -181,7 +182,7 @@ pub(super) fn minimise<R: Real<Element = f64>>(
             return;
         }
         pose = choose_pose(active, &next, &pose);
-        linearised = linearise(head, &measured, &pose);
+        linearised = linearise::<R, EXACT>(head, &measured, &pose);
     }
 }
 
@@ -258,7 +259,7 @@ fn moved<R: Real>(pose: &Transform<R>, step: &Vector6<R>, scale: R) -> Transform
 
 /// Rows, χ² and normal equations at `pose`.
 #[inline(always)]
-fn linearise<R: Real<Element = f64>>(
+fn linearise<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     measured: &[Measured<R>],
     pose: &Transform<R>,
@@ -274,7 +275,7 @@ fn linearise<R: Real<Element = f64>>(
         lit: like.constant(1.0),
     };
     for (cell, Measured { pair, whitener }) in measured.iter().enumerate() {
-        let Some(terms) = head.plan.linearise_lanes(cell, pose) else {
+        let Some(terms) = head.plan.linearise_lanes::<R, EXACT>(cell, pose) else {
             linearised.lit = zero;
             return linearised;
         };
@@ -301,7 +302,7 @@ fn linearise<R: Real<Element = f64>>(
 
 /// χ² and gradient at `pose` with the Jacobian of `rows`.
 #[inline(always)]
-fn reevaluate<R: Real<Element = f64>>(
+fn reevaluate<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     measured: &[Measured<R>],
     rows: &[[Row<R>; 2]],
@@ -310,7 +311,7 @@ fn reevaluate<R: Real<Element = f64>>(
     let zero = pose.translation().x().constant(0.0);
     let mut sums = ResidualSums::zero(zero);
     for (cell, (Measured { pair, whitener }, rows)) in measured.iter().zip(rows).enumerate() {
-        let Some(currents) = head.plan.currents_lanes(cell, pose) else { break };
+        let Some(currents) = head.plan.currents_lanes::<R, EXACT>(cell, pose) else { break };
         let residual = whitener.apply([pair[0] - currents.pair[0], pair[1] - currents.pair[1]]);
         let [first, second] = rows;
         let rows = [Row { residual: residual[0], ..*first }, Row { residual: residual[1], ..*second }];

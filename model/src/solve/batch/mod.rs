@@ -188,7 +188,13 @@ struct Task<'a> {
 impl Task<'_> {
     #[inline(always)]
     fn run<I: Instructions>(self, instructions: I) {
-        lanes::minimise(self.head, self.frames, self.course, Lanes::zero(instructions), self.minima);
+        let Self { head, frames, course, minima } = self;
+        let like = Lanes::zero(instructions);
+        if head.plan.is_exact() {
+            lanes::minimise::<_, true>(head, frames, course, like, minima);
+        } else {
+            lanes::minimise::<_, false>(head, frames, course, like, minima);
+        }
     }
 }
 
