@@ -17,6 +17,8 @@ pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
 pub(crate) use panels::MAX_EVALUATIONS;
 pub(crate) use rectangle::narrow_light;
 
+#[cfg(feature = "batch")]
+use order::LaneRule;
 use order::MAX_NODES;
 
 #[cfg(feature = "batch")]
@@ -97,7 +99,9 @@ pub(crate) fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
     let zero = spot.height.constant(0.0);
     let count_x = orders.nodes_lanes(reaches.emitter[0], reaches.horizon[0]);
     let count_y = orders.nodes_lanes(reaches.emitter[1], reaches.horizon[1]);
-    let (along_x, along_y) = (rules.in_lanes(count_x), rules.in_lanes(count_y));
+    let (mut along_x, mut along_y) = (LaneRule::new(), LaneRule::new());
+    rules.in_lanes(count_x, &mut along_x);
+    rules.in_lanes(count_y, &mut along_y);
     let series = emission.near_lanes(reaches.cosine, reaches.spread);
     let nodes = (along_x.iter().copied(), along_y.iter().copied());
     let mut light = rectangle::light::<R, _, GRADIENT>(spot, axis, &series, &nodes.0, nodes.1);

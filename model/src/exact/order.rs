@@ -130,7 +130,7 @@ impl<S: Scalar> Orders<S> {
     #[cfg(feature = "batch")]
     #[inline(always)]
     pub(crate) fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
-        let [zero, infinity] = [0.0, f64::INFINITY].map(|number| emitter.constant(number));
+        let (zero, infinity) = (emitter.constant(0.0), emitter.constant(f64::INFINITY));
         let far = emitter.constant(2.0) * emitter;
         let reach = R::where_at_least(horizon, far, emitter, emitter.at_most(horizon));
         let beyond = R::where_at_least(horizon, far, horizon, infinity);
@@ -193,6 +193,10 @@ fn binomial(power: f64, k: usize) -> f64 {
 /// Number of nodes of the rule whose error is estimated from its values.
 pub(crate) const ESTIMATED: usize = 10;
 
+/// Nodes and weights of a rule per lane.
+#[cfg(feature = "batch")]
+pub(crate) type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
+
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules<S> {
@@ -251,28 +255,26 @@ impl<S: Scalar> Rules<S> {
         S::of(4.0) * last * fall * fall * fall * fall
     }
 
-    /// Nodes and weights of as many rules as there are lanes, with `counts` nodes each, 1 to [`MAX_NODES`]: those that the
-    /// longest has more are at 0, with weight 0.
+    /// Puts nodes and weights of as many rules as there are lanes, with `counts` nodes each, 1 to [`MAX_NODES`], into
+    /// `rule`: those that the longest has more are at 0, with weight 0.
     #[cfg(feature = "batch")]
     #[inline(always)]
-    pub(crate) fn in_lanes<R: Real<Element = S>>(&self, counts: R) -> ArrayVec<(R, R), MAX_NODES> {
+    pub(crate) fn in_lanes<R: Real<Element = S>>(&self, counts: R, rule: &mut LaneRule<R>) {
         let (mut least, mut most) = (MAX_NODES, 1);
         for lane in 0..R::LANES {
             let count = counts.lane(lane).to_usize().unwrap_or(1).clamp(1, MAX_NODES);
             (least, most) = (least.min(count), most.max(count));
         }
-        let mut rule = ArrayVec::new();
         for i in 0..most {
-            let of = |count: usize| (counts.all(self.nodes[count - 1][i]), counts.all(self.weights[count - 1][i]));
-            let (mut node, mut weight) = of(least);
+            let mut node = counts.all(self.nodes[least - 1][i]);
+            let mut weight = counts.all(self.weights[least - 1][i]);
             for count in least + 1..=most {
-                let (longer, limit) = (of(count), counts.constant(count as f64));
-                node = R::where_at_least(counts, limit, longer.0, node);
-                weight = R::where_at_least(counts, limit, longer.1, weight);
+                let limit = counts.constant(count as f64);
+                node = R::where_at_least(counts, limit, counts.all(self.nodes[count - 1][i]), node);
+                weight = R::where_at_least(counts, limit, counts.all(self.weights[count - 1][i]), weight);
             }
             rule.push((node, weight));
         }
-        rule
     }
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].

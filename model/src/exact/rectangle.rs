@@ -44,21 +44,12 @@ impl<R: Real> Reaches<R> {
     #[inline(always)]
     pub(super) fn of(spot: &Rectangle<R>, axis: R::Vec3) -> Self {
         let (x, y, h) = (&spot.x, &spot.y, spot.height);
-        let [zero, half, one] = zero_half_one(h);
+        let [_, half, one] = zero_half_one(h);
         // u·d is linear over the spot; its least value measures the distance to the horizon.
         let (slope_x, slope_y) = ((axis.x() * x.half).magnitude(), (axis.y() * y.half).magnitude());
         let middle = axis.x() * x.middle + axis.y() * y.middle - axis.z() * h;
         let least = middle - slope_x - slope_y;
-        let h2 = h * h;
-        let reach = |along: &Extent<R>, across: &Extent<R>| {
-            // The line across the spot nearest to the emitter's foot.
-            let nearest = across.low.position.at_least(across.high.position.at_most(zero));
-            let d2 = h2 + nearest * nearest;
-            let (low, high) = (along.low.position, along.high.position);
-            ((low * low + d2).root() + (high * high + d2).root()) / (h.constant(2.0) * along.half)
-        };
-        let (reach_x, reach_y) = (reach(x, y), reach(y, x));
-        let horizon = |slope: R| one + least / slope;
+        let (reach_x, reach_y) = (reach(x, y, h), reach(y, x, h));
         // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, with δ
         // half the angle that its diagonal subtends.
         let distance = R::Vec3::new(x.middle, y.middle, -h).length();
@@ -66,9 +57,20 @@ impl<R: Real> Reaches<R> {
         let angle2 = (reach_x * reach_x).inverse() + (reach_y * reach_y).inverse();
         let tangent2 = (one - cosine * cosine) / (cosine * cosine);
         let spread = (tangent2 * angle2).root() + half * angle2;
-        let (emitter, horizon) = ([reach_x, reach_y], [horizon(slope_x), horizon(slope_y)]);
+        let (emitter, horizon) = ([reach_x, reach_y], [one + least / slope_x, one + least / slope_y]);
         Self { middle, least, emitter, horizon, distance, cosine, tangent2, spread }
     }
+}
+
+/// The sum of the distances of the emitter, `height` above the spot, from the ends of the spot along one side, over its
+/// length.
+#[inline(always)]
+fn reach<R: Real>(along: &Extent<R>, across: &Extent<R>, height: R) -> R {
+    // The line across the spot nearest to the emitter's foot.
+    let nearest = across.low.position.at_least(across.high.position.at_most(height.constant(0.0)));
+    let d2 = height * height + nearest * nearest;
+    let (low, high) = (along.low.position, along.high.position);
+    ((low * low + d2).root() + (high * high + d2).root()) / (height.constant(2.0) * along.half)
 }
 
 /// Requirements of `spot`; `None` if it must be divided because it touches the horizon or is very wide.
@@ -237,8 +239,7 @@ pub(super) fn light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
     let axis1 = R::Vec3::new(xm * k1 + hx * k2, ym * k1 + hy * k11, -h * k1);
 
     let per_g0 = g0.inverse();
-    // Derivative of the ratio of moments: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
-    let of_ratio = |first: R, zeroth: R| (first - ratio * zeroth) * per_g0;
+    let by = [ratio, per_g0];
     RectangleLight {
         power: SideGradient {
             value: power,
@@ -254,13 +255,19 @@ pub(super) fn light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
         centroid: SideGradient {
             value: centroid,
             by_side: [
-                half * (one - ratio + hx * of_ratio(gx1 - gx2, gx0 - gx1)),
-                half * (one + ratio + hx * of_ratio(gx1 + gx2, gx0 + gx1)),
-                half * hx * of_ratio(gy10 - gy11, gy0 - gy1),
-                half * hx * of_ratio(gy10 + gy11, gy0 + gy1),
+                half * (one - ratio + hx * of_ratio(gx1 - gx2, gx0 - gx1, by)),
+                half * (one + ratio + hx * of_ratio(gx1 + gx2, gx0 + gx1, by)),
+                half * hx * of_ratio(gy10 - gy11, gy0 - gy1, by),
+                half * hx * of_ratio(gy10 + gy11, gy0 + gy1, by),
             ],
-            by_height: hx * of_ratio(gh1, gh0),
+            by_height: hx * of_ratio(gh1, gh0, by),
             by_axis: (axis1 - axis0 * ratio) * (hx * per_g0),
         },
     }
+}
+
+/// Derivative of the ratio of two moments, from theirs: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
+#[inline(always)]
+fn of_ratio<R: Real>(first: R, zeroth: R, [ratio, per_zeroth]: [R; 2]) -> R {
+    (first - ratio * zeroth) * per_zeroth
 }

@@ -1,11 +1,14 @@
 //! Many poses at once against the same one by one, bit for bit.
 
-use rand::RngExt;
+use std::num::NonZero;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rand::{RngExt, SeedableRng};
 use slitpose_model::{
     Batch, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
 };
 
-use crate::common::{SEED, generator, uniform, vector, wide};
+use crate::common::{SEED, uniform, vector, wide};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-6 };
 
@@ -56,40 +59,56 @@ fn bits(solution: &Solution) -> Vec<u64> {
     bits
 }
 
-/// Compares `count` frames of `scene` in every width that the processor has.
+/// Frames that are compared at a time.
+const CHUNK: usize = 1_000;
+
+/// Compares `count` frames of `scene` in every width that the processor has, on all cores.
 fn compare(scene: &Scene, tier: Tier, count: usize, reach: f64) {
-    let solver = Solver::new(scene, tier).expect("a possible scene");
-    let mut rng = generator();
-    let mut done = 0;
-    while done < count {
-        let (frames, starts): (Vec<_>, Vec<_>) =
-            (0..(count - done).min(1_000)).map(|_| frame(&solver, &mut rng, reach)).unzip();
-        for warm in [false, true] {
-            let alone: Vec<Solution> = frames
-                .iter()
-                .zip(&starts)
-                .map(|(readings, pose)| {
-                    let start = if warm { Start::Near(pose) } else { Start::Cold };
-                    solver.solve(readings, start, &MotionPrior::AT_REST)
-                })
-                .collect();
-            for width in Width::all() {
-                let mut next = 0;
-                let starts = if warm { Starts::Near(&starts) } else { Starts::Cold };
-                Batch::with_width(&solver, width).solve(&frames, starts, &MotionPrior::AT_REST, |index, solution| {
-                    assert_eq!(index, next, "out of order");
-                    next += 1;
-                    let expected = &alone[index];
-                    assert!(
-                        solution.outcome == expected.outcome && bits(&solution) == bits(expected),
-                        "seed {SEED}, frame {}, {width:?}, warm {warm}:\n{solution:?}\n{expected:?}",
-                        done + index,
-                    );
-                });
-                assert_eq!(next, frames.len(), "{width:?}");
-            }
+    let solver = &Solver::new(scene, tier).expect("a possible scene");
+    let next = &AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(1, NonZero::get) {
+            scope.spawn(move || {
+                loop {
+                    let first = next.fetch_add(CHUNK, Ordering::Relaxed);
+                    if first >= count {
+                        return;
+                    }
+                    compare_chunk(solver, first, CHUNK.min(count - first), reach);
+                }
+            });
         }
-        done += frames.len();
+    });
+}
+
+/// Compares `count` frames, of which the first is number `first`.
+fn compare_chunk(solver: &Solver<f64>, first: usize, count: usize, reach: f64) {
+    let seed = SEED + first as u64;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let (frames, starts): (Vec<_>, Vec<_>) = (0..count).map(|_| frame(solver, &mut rng, reach)).unzip();
+    for warm in [false, true] {
+        let alone: Vec<Solution> = frames
+            .iter()
+            .zip(&starts)
+            .map(|(readings, pose)| {
+                let start = if warm { Start::Near(pose) } else { Start::Cold };
+                solver.solve(readings, start, &MotionPrior::AT_REST)
+            })
+            .collect();
+        for width in Width::all() {
+            let mut next = 0;
+            let starts = if warm { Starts::Near(&starts) } else { Starts::Cold };
+            Batch::with_width(solver, width).solve(&frames, starts, &MotionPrior::AT_REST, |index, solution| {
+                assert_eq!(index, next, "out of order");
+                next += 1;
+                let expected = &alone[index];
+                assert!(
+                    solution.outcome == expected.outcome && bits(&solution) == bits(expected),
+                    "seed {seed}, frame {index}, {width:?}, warm {warm}:\n{solution:?}\n{expected:?}",
+                );
+            });
+            assert_eq!(next, frames.len(), "{width:?}");
+        }
     }
 }
 
@@ -125,10 +144,16 @@ fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
     compare(&turned, EXACT, 40, 1.0);
 }
 
-/// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`; without `--release` it
-/// takes ten minutes and more.
+/// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`, also without
+/// `--release`.
 #[test]
 #[ignore = "takes minutes"]
 fn a_million_frames_at_once_have_the_bits_of_each_alone() {
     compare(&wide(), Tier::Paper, 1_000_000, 1.1);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn a_million_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
+    compare(&wide(), EXACT, 1_000_000, 1.1);
 }

@@ -54,6 +54,14 @@ struct Linearised<R> {
     lit: R,
 }
 
+impl<R: Real> Linearised<R> {
+    #[inline(always)]
+    fn nowhere(zero: R) -> Self {
+        let (information, sums) = ([[zero; 6]; 6], ResidualSums::zero(zero));
+        Self { rows: ArrayVec::new(), slacks_m: ArrayVec::new(), information, sums, lit: zero }
+    }
+}
+
 /// Numbers that lanes are given and keep: one for yes, zero for no.
 #[inline(always)]
 fn both<R: Real>(a: R, b: R) -> R {
@@ -121,8 +129,9 @@ pub(super) fn minimise<R: Real<Element = f64>, const EXACT: bool>(
     let mut before = like.constant(f64::INFINITY);
     let (mut iterations, mut evaluations) = (zero, zero);
     let (mut end, mut end_chi2) = (pose, zero);
-    let mut linearised = linearise::<R, EXACT>(head, &measured, &pose);
+    let mut linearised = Linearised::nowhere(zero);
     for round in 1.. {
+        linearise::<R, EXACT>(head, &measured, &pose, &mut linearised);
         let Linearised { information, sums, lit, .. } = &linearised;
         evaluations += active;
         stays = both(stays, choose(active, both(*lit, above(before, sums.chi2)), one));
@@ -182,7 +191,6 @@ pub(super) fn minimise<R: Real<Element = f64>, const EXACT: bool>(
             return;
         }
         pose = choose_pose(active, &next, &pose);
-        linearised = linearise::<R, EXACT>(head, &measured, &pose);
     }
 }
 
@@ -263,21 +271,18 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     measured: &[Measured<R>],
     pose: &Transform<R>,
-) -> Linearised<R> {
+    linearised: &mut Linearised<R>,
+) {
     let like = pose.translation().x();
-    let zero = like.constant(0.0);
+    let [zero, _, one] = zero_half_one(like);
     let scale = like.all(head.length_scale_m);
-    let mut linearised = Linearised {
-        rows: ArrayVec::new(),
-        slacks_m: ArrayVec::new(),
-        information: [[zero; 6]; 6],
-        sums: ResidualSums::zero(zero),
-        lit: like.constant(1.0),
-    };
+    linearised.rows.clear();
+    linearised.slacks_m.clear();
+    (linearised.information, linearised.sums, linearised.lit) = ([[zero; 6]; 6], ResidualSums::zero(zero), one);
     for (cell, Measured { pair, whitener }) in measured.iter().enumerate() {
         let Some(terms) = head.plan.linearise_lanes::<R, EXACT>(cell, pose) else {
             linearised.lit = zero;
-            return linearised;
+            return;
         };
         let scaled_whitener = whitener.scaled(scale);
         let currents = terms.currents;
@@ -297,7 +302,6 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
         linearised.slacks_m.push(terms.slack_m);
         linearised.rows.push(rows);
     }
-    linearised
 }
 
 /// χ² and gradient at `pose` with the Jacobian of `rows`.
