@@ -65,6 +65,39 @@ impl Width {
     }
 }
 
+/// What is done in lanes, in one function with their instructions.
+pub(crate) trait Task {
+    /// Does it. `#[inline(always)]`, as all that it calls.
+    fn run<I: Instructions>(self, instructions: I);
+}
+
+impl Width {
+    /// Does `task` in lanes of this width.
+    #[inline(always)]
+    pub(crate) fn run(self, task: impl Task) {
+        match self.0 {
+            Kind::Pair => task.run(Baseline),
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2(instructions) => Simd::vectorize(instructions, Vectorised(task)),
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512(instructions) => Simd::vectorize(instructions, Vectorised(task)),
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+struct Vectorised<T>(T);
+
+#[cfg(target_arch = "x86_64")]
+impl<T: Task> pulp::WithSimd for Vectorised<T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, instructions: S) {
+        self.0.run(instructions);
+    }
+}
+
 impl Debug for Width {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} lanes", self.lanes())

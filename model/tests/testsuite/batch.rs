@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rand::{RngExt, SeedableRng};
 use slitpose_model::{
-    Batch, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
+    Batch, MotionPrior, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
 };
 
-use crate::common::{SEED, uniform, vector, wide};
+use crate::common::{SEED, generator, uniform, vector, wide};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-6 };
 
@@ -108,6 +108,14 @@ fn compare_chunk(solver: &Solver<f64>, first: usize, count: usize, reach: f64) {
                 );
             });
             assert_eq!(next, frames.len(), "{width:?}");
+            let mut next = 0;
+            Batch::with_width(solver, width).conditions(&alone, |index, condition| {
+                assert_eq!(index, next, "out of order");
+                next += 1;
+                let [at_once, alone] = [condition, alone[index].condition()].map(|one| one.map(f64::to_bits));
+                assert_eq!(at_once, alone, "seed {seed}, frame {index}, {width:?}");
+            });
+            assert_eq!(next, alone.len(), "{width:?}");
         }
     }
 }
@@ -142,6 +150,41 @@ fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
     let mut turned = wide();
     turned.cells[0].slit.tilt_rad.x = 0.01;
     compare(&turned, EXACT, 40, 1.0);
+}
+
+#[test]
+fn many_poses_at_once_have_the_light_and_derivatives_of_each_alone() {
+    let mut turned = wide();
+    turned.cells[3].slit.tilt_rad.x = 0.01;
+    let mut rng = generator();
+    for (scene, tier) in
+        [(wide(), Tier::Paper), (thick(), Tier::Paper), (wide(), EXACT), (thick(), EXACT), (turned, EXACT)]
+    {
+        let plan = Plan::<f64>::compile(&scene, tier).expect("a possible scene");
+        // From poses where all cells are lit to some where emitters are behind their slits.
+        let poses: Vec<Pose> = (0..500)
+            .map(|i| {
+                Pose::from_vectors(
+                    vector(&mut rng, 2e-3 + 4e-5 * f64::from(i)),
+                    vector(&mut rng, 0.2 + 4e-3 * f64::from(i)),
+                )
+            })
+            .collect();
+        for width in Width::all() {
+            let mut expected = (0..poses.len()).flat_map(|pose| (0..6).map(move |cell| (pose, cell)));
+            plan.linearise_many(&poses, width, |pose, cell, (status, pair, jacobian)| {
+                assert_eq!(expected.next(), Some((pose, cell)), "out of order");
+                let alone = plan.linearise(cell, &poses[pose]);
+                let bits = |pair: Pair<f64>, jacobian: [[f64; 6]; 2]| {
+                    let numbers = [pair.i_x1_a, pair.i_x2_a].into_iter().chain(jacobian.into_iter().flatten());
+                    numbers.map(f64::to_bits).collect::<Vec<_>>()
+                };
+                assert_eq!(status, alone.0, "pose {pose}, cell {cell}, {width:?}");
+                assert_eq!(bits(pair, jacobian), bits(alone.1, alone.2), "pose {pose}, cell {cell}, {width:?}");
+            });
+            assert_eq!(expected.next(), None);
+        }
+    }
 }
 
 /// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`, also without

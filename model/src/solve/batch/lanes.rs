@@ -6,7 +6,7 @@
 
 use arrayvec::ArrayVec;
 
-use crate::lanes::zero_half_one;
+use crate::lanes::{set, zero_half_one};
 use crate::pose::Transform;
 use crate::rectangle::MOST_MAGNIFICATION;
 use crate::scalar::{Linear3, Real};
@@ -20,7 +20,7 @@ use super::super::planes::{self, PULL, STEP_M};
 use super::super::residuals::{ResidualSums, Row};
 use super::super::step::SAFE_ROUNDINGS;
 use super::super::weights::Whitener;
-use super::minimum::{Frames, Minima, set};
+use super::minimum::{Frames, Minima};
 
 /// Steps with derivatives that a frame of the common course takes at most: no more than six evaluations, to which the
 /// descent to an expected pose is limited, and no more than [`PATIENCE`].
