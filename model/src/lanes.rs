@@ -14,6 +14,19 @@ use crate::scalar::{Linear3, Real};
 #[cfg(feature = "batch")]
 pub(crate) const MAX_LANES: usize = 8;
 
+/// A number of each lane.
+#[cfg(feature = "batch")]
+pub(crate) type PerLane = [f64; MAX_LANES];
+
+/// Stores the number of each lane.
+#[cfg(feature = "batch")]
+#[inline(always)]
+pub(crate) fn set<R: Real<Element = f64>>(numbers: &mut PerLane, of: R) {
+    for lane in 0..R::LANES {
+        numbers[lane] = of.lane(lane);
+    }
+}
+
 impl Real for f64x2 {
     type Element = f64;
     type Vec3 = Lanes3<Self>;

@@ -54,6 +54,20 @@ pub trait Real:
         Self::where_at_least(a, b, Self::where_at_least(b, a, no, yes), no)
     }
 
+    /// Whether a > b in any lane.
+    #[inline(always)]
+    fn any_above(a: Self, b: Self) -> bool {
+        (0..Self::LANES).any(|i| a.lane(i) > b.lane(i))
+    }
+
+    /// |x|, lane by lane.
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        let zero = self.constant(0.0);
+        // Of −0 as of 0.
+        Self::where_above(self, zero, self, zero - self)
+    }
+
     /// The larger of two numbers, lane by lane; `self` where `other` is NaN.
     #[inline(always)]
     fn at_least(self, other: Self) -> Self {
@@ -275,6 +289,10 @@ macro_rules! implement_scalar {
             #[inline(always)]
             fn where_at_least(a: Self, b: Self, yes: Self, no: Self) -> Self {
                 if a >= b { yes } else { no }
+            }
+            #[inline(always)]
+            fn magnitude(self) -> Self {
+                self.abs()
             }
         }
 

@@ -65,6 +65,39 @@ impl Width {
     }
 }
 
+/// What is done in lanes, in one function with their instructions.
+pub(crate) trait Task {
+    /// Does it. `#[inline(always)]`, as all that it calls.
+    fn run<I: Instructions>(self, instructions: I);
+}
+
+impl Width {
+    /// Does `task` in lanes of this width.
+    #[inline(always)]
+    pub(crate) fn run(self, task: impl Task) {
+        match self.0 {
+            Kind::Pair => task.run(Baseline),
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2(instructions) => Simd::vectorize(instructions, Vectorised(task)),
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512(instructions) => Simd::vectorize(instructions, Vectorised(task)),
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+struct Vectorised<T>(T);
+
+#[cfg(target_arch = "x86_64")]
+impl<T: Task> pulp::WithSimd for Vectorised<T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, instructions: S) {
+        self.0.run(instructions);
+    }
+}
+
 impl Debug for Width {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} lanes", self.lanes())
@@ -86,6 +119,7 @@ pub(crate) trait Instructions: Copy + Debug + Send + Sync + 'static {
     fn sqrt(self, a: Self::Vector) -> Self::Vector;
     fn where_at_least(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
     fn where_above(self, a: Self::Vector, b: Self::Vector, yes: Self::Vector, no: Self::Vector) -> Self::Vector;
+    fn any_above(self, a: Self::Vector, b: Self::Vector) -> bool;
 }
 
 /// Those that every processor of the target has.
@@ -139,6 +173,10 @@ impl Instructions for Baseline {
     #[inline(always)]
     fn where_above(self, a: f64x2, b: f64x2, yes: f64x2, no: f64x2) -> f64x2 {
         a.cmp_gt(b).blend(yes, no)
+    }
+    #[inline(always)]
+    fn any_above(self, a: f64x2, b: f64x2) -> bool {
+        a.cmp_gt(b).any()
     }
 }
 
@@ -195,6 +233,10 @@ impl<S: Simd> Instructions for S {
     fn where_above(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
         self.select_f64s(self.greater_than_f64s(a, b), yes, no)
     }
+    #[inline(always)]
+    fn any_above(self, a: S::f64s, b: S::f64s) -> bool {
+        self.first_true_m64s(self.greater_than_f64s(a, b)) < S::F64_LANES
+    }
 }
 
 /// A number per lane. It carries the right to use the instructions, so that none must be asked for again.
@@ -245,6 +287,10 @@ impl<I: Instructions> Real for Lanes<I> {
     #[inline(always)]
     fn where_above(a: Self, b: Self, yes: Self, no: Self) -> Self {
         a.with(a.instructions.where_above(a.vector, b.vector, yes.vector, no.vector))
+    }
+    #[inline(always)]
+    fn any_above(a: Self, b: Self) -> bool {
+        a.instructions.any_above(a.vector, b.vector)
     }
     #[inline(always)]
     fn all(self, value: f64) -> Self {

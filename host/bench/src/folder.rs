@@ -50,17 +50,17 @@ fn write_readings(table: &Table, cells: usize, output: Output) -> Result<(), Out
     let header = header.chain(currents.iter().map(String::as_str)).chain(["frames"]);
     let mut writer = TableWriter::new(output, header)?;
     for (id, row) in table.rows.iter().enumerate() {
-        writer.text(&id.to_string())?;
+        writer.text(&id.to_string());
         match row.says {
-            Says::Pose(pose) => write_pose(&mut writer, &pose)?,
-            Says::StepM(step_m) => writer.number(step_m * 1e3)?,
-            Says::TimeS(time_s) => writer.number(time_s)?,
+            Says::Pose(pose) => write_pose(&mut writer, &pose),
+            Says::StepM(step_m) => writer.number(step_m * 1e3),
+            Says::TimeS(time_s) => writer.number(time_s),
             Says::Nothing => {}
         }
         for current_a in row.currents.iter().flat_map(|pair| [pair.i_x1_a, pair.i_x2_a]) {
-            writer.number(current_a)?;
+            writer.number(current_a);
         }
-        writer.text(&row.frames.to_string())?;
+        writer.text(&row.frames.to_string());
         writer.end_row()?;
     }
     writer.finish()
@@ -69,8 +69,8 @@ fn write_readings(table: &Table, cells: usize, output: Output) -> Result<(), Out
 fn write_poses(table: &Table, output: Output) -> Result<(), OutputError> {
     let mut writer = TableWriter::new(output, ["id"].into_iter().chain(POSE_COLUMNS))?;
     for (id, Row { truth, .. }) in table.rows.iter().enumerate() {
-        writer.text(&id.to_string())?;
-        write_pose(&mut writer, truth)?;
+        writer.text(&id.to_string());
+        write_pose(&mut writer, truth);
         writer.end_row()?;
     }
     writer.finish()
@@ -80,14 +80,14 @@ fn write_poses(table: &Table, output: Output) -> Result<(), OutputError> {
 fn write_tracked(tracked: &[(f64, Pose)], output: Output) -> Result<(), OutputError> {
     let mut writer = TableWriter::new(output, ["time_s"].into_iter().chain(POSE_COLUMNS))?;
     for (time_s, pose) in tracked {
-        writer.number(*time_s)?;
-        write_pose(&mut writer, pose)?;
+        writer.number(*time_s);
+        write_pose(&mut writer, pose);
         writer.end_row()?;
     }
     writer.finish()
 }
 
-fn write_pose(writer: &mut TableWriter, pose: &Pose) -> Result<(), OutputError> {
+fn write_pose(writer: &mut TableWriter, pose: &Pose) {
     let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
-    [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().try_for_each(|number| writer.number(number))
+    [t.x, t.y, t.z, r.x, r.y, r.z].into_iter().for_each(|number| writer.number(number));
 }

@@ -44,9 +44,19 @@ pub fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync
     found.into_iter().map(|(_, result)| result).collect()
 }
 
+/// What [`limit`] was told; zero: nothing.
+static LIMIT: AtomicUsize = AtomicUsize::new(0);
+
+/// Limits the threads of this process that work at once to `jobs`. Results do not depend on it, and threads that wait for a
+/// board or a user do not count.
+pub fn limit(jobs: NonZero<usize>) {
+    LIMIT.store(jobs.get(), Ordering::Relaxed);
+}
+
 /// As many threads as this process may use at once.
 pub fn cores() -> NonZero<usize> {
-    thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN)
+    let limit = NonZero::new(LIMIT.load(Ordering::Relaxed));
+    limit.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN)
 }
 
 /// Passes the results of `work` on each of the items that `next` gives to `take`, in their order. `jobs` threads work;

@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering;
 use clap::ValueEnum;
 use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request, Validity, calibrate, validity};
 
-use super::options::parse_number;
+use super::options::{Jobs, parse_number};
 use super::{CommandError, Outcome, interrupt, names, talk};
 use crate::measurements::Measurements;
 use crate::terminal::{Amount, Progress};
@@ -76,6 +76,8 @@ pub(super) struct Args {
     /// Go on from an earlier result of the same scene
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -108,6 +110,7 @@ fn say(remark: &str) {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    args.jobs.apply();
     match (&args.check, &args.output) {
         (Some(check), _) => still_holds(check, Path::new(&args.scene)),
         (None, Some(output)) => adjust(args, output),

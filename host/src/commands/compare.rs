@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::options::Jobs;
 use super::publish::publish;
 use super::{CommandError, Outcome, names, talk};
 use crate::terminal::{Amount, Progress};
@@ -27,9 +28,12 @@ pub(super) struct Args {
     /// How many poses to spread over each workspace
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     samples: u32,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    args.jobs.apply();
     let mut files: Vec<SceneFile> = args.scenes.iter().map(|scene| SceneFile::open(scene)).collect::<Result<_, _>>()?;
     if files.iter().any(|file| file.front_end.is_none()) && files.iter().any(|file| file.front_end.is_some()) {
         talk(format_args!(

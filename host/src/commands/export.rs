@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::poses::PoseOptions;
 use super::{CommandError, Outcome, interrupt};
-use crate::sink::Format;
+use crate::sink::{Account, Format};
+use slitpose_head::faults::Fault;
 use slitpose_head::pace::Speed;
 use slitpose_head::special_file;
 use slitpose_head::table::{Output, OutputError, refuse_twice};
@@ -38,18 +39,30 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         None => format_of(&args.output)?,
     };
     refuse_twice(&args.output, args.files.iter().map(PathBuf::as_path).chain(args.play.sources()))?;
+    let output = Output::open(Some(&args.output))?;
+    Ok(write(output, format, &args.files, (&args.play, &args.poses), Vec::new(), None)?.0)
+}
+
+/// Writes the poses of captures to `output`; returns how they did, too. `name`: that of a capture of several.
+pub(super) fn write(
+    mut output: Output,
+    format: Format,
+    files: &[PathBuf],
+    (play, poses): (&PlayOptions, &PoseOptions),
+    faults: Vec<Fault>,
+    name: Option<&str>,
+) -> Result<(Outcome, Account), CommandError> {
     let stop = interrupt()?;
-    let mut output = Output::open(Some(&args.output))?;
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
-    let sink = args.poses.open_sink(format, &mut output, is_terminal)?;
-    let printing = Printing { sink, target: &target, format, is_terminal };
-    let outcome = Playback::new(&args.files, &args.play, &args.poses, Vec::new(), Speed::Max, printing)?.run()?;
+    let sink = poses.open_sink(format, &mut output, is_terminal)?;
+    let printing = Printing { sink, target: &target, format, is_terminal, name };
+    let done = Playback::new(files, play, poses, faults, Speed::Max, printing)?.play()?;
     if stop.load(Ordering::Relaxed) {
         return Err(OutputError::Interrupted { target }.into());
     }
     output.finish()?;
-    Ok(outcome)
+    Ok(done)
 }
 
 /// How poses are written to a file of this name.

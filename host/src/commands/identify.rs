@@ -80,12 +80,12 @@ fn write_points(found: &[Found], output: Output) -> Result<(), CommandError> {
     let header = ["id", "cell", "gamma_deg", "relative_intensity", "solid_angle_sr", "i_o_a"];
     let mut table = TableWriter::new(output, header)?;
     for Found { id, cell, i_o_a, point } in found {
-        table.text(id)?;
-        table.text(&cell.to_string())?;
-        table.number(point.gamma_rad.to_degrees())?;
-        table.number(point.relative_intensity)?;
-        table.number(point.solid_angle_sr)?;
-        table.number(*i_o_a)?;
+        table.text(id);
+        table.text(&cell.to_string());
+        table.number(point.gamma_rad.to_degrees());
+        table.number(point.relative_intensity);
+        table.number(point.solid_angle_sr);
+        table.number(*i_o_a);
         table.end_row()?;
     }
     Ok(table.finish()?)

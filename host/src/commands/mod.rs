@@ -31,6 +31,7 @@ mod replay;
 mod report;
 mod run;
 mod scene;
+mod side_by_side;
 mod simulate;
 mod solve;
 mod status;
@@ -250,6 +251,11 @@ pub(crate) enum CommandError {
         /// The file asked for.
         path: PathBuf,
     },
+    /// Poses of several captures, and no folder for them, or a folder and no poses.
+    #[error(
+        "with --jobs each capture has its own file of poses; give --output DIR with --format ndjson or csv, or neither"
+    )]
+    FormatOfEach,
     /// A format of another build.
     #[cfg(not(feature = "parquet"))]
     #[error(
@@ -339,6 +345,7 @@ impl CommandError {
             | Self::Config(_)
             | Self::Extension { .. }
             | Self::NoText
+            | Self::FormatOfEach
             | Self::Output(OutputError::Twice { .. })
             | Self::Playback(PlaybackError::Range { .. })
             | Self::Device(DeviceError::NotAPath { .. } | DeviceError::Pattern { .. }) => ExitCode::from(2),

@@ -10,7 +10,7 @@ use super::talk::talk;
 use super::{CommandError, Outcome, names};
 pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{Output, OutputError, PoseColumns, TableReader, TableRows, TableWriter};
+use slitpose_head::table::{Output, PoseColumns, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::lock;
 
 /// Evaluates every cell of a scene at every pose of a table.
@@ -50,7 +50,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let inexact = Mutex::new(Inexact { rows: 0, worst: 0.0 });
     args.jobs.table(&mut poses, table, |rows, table| {
         for row in rows.iter() {
-            let reached = evaluate(&plan, columns.id(&row), &columns.pose(&row)?, table)?;
+            let reached = evaluate(&plan, columns.id(&row), &columns.pose(&row)?, table);
             if let Tier::Exact { tolerance } = tier
                 && reached > tolerance
             {
@@ -90,18 +90,18 @@ impl Inexact {
 }
 
 /// Writes the row of a pose, and says how large the relative error of its integrals may be.
-fn evaluate(plan: &Plan<f64>, id: &str, pose: &Pose, table: &mut TableRows) -> Result<f64, OutputError> {
-    table.text(id)?;
+fn evaluate(plan: &Plan<f64>, id: &str, pose: &Pose, table: &mut TableRows) -> f64 {
+    table.text(id);
     let mut reached = 0.0_f64;
     for cell in 0..plan.cell_count() {
         let response = plan.respond(cell, pose);
-        write_response(table, &response)?;
+        write_response(table, &response);
         if let Some(integration) = response.integration {
             reached = reached.max(integration.relative_error);
         }
     }
-    table.end_row()?;
-    Ok(reached)
+    table.end_row();
+    reached
 }
 
 fn column_names(cell: usize) -> [String; 7] {
@@ -116,12 +116,12 @@ fn column_names(cell: usize) -> [String; 7] {
     ]
 }
 
-fn write_response(table: &mut TableRows, response: &Response<f64>) -> Result<(), OutputError> {
-    table.text(response.status.as_str())?;
-    table.text(&response.flags.to_string())?;
-    table.optional(response.x_a_m.map(|x_a_m| x_a_m * 1e3))?;
-    table.number(response.solid_angle_sr)?;
-    table.number(response.i_o_a)?;
-    table.number(response.currents.i_x1_a)?;
-    table.number(response.currents.i_x2_a)
+fn write_response(table: &mut TableRows, response: &Response<f64>) {
+    table.text(response.status.as_str());
+    table.text(&response.flags.to_string());
+    table.optional(response.x_a_m.map(|x_a_m| x_a_m * 1e3));
+    table.number(response.solid_angle_sr);
+    table.number(response.i_o_a);
+    table.number(response.currents.i_x1_a);
+    table.number(response.currents.i_x2_a);
 }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use slitpose_calibration::Head;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Rows, TableReader, TableRows, TableWriter};
-use slitpose_head::threads::{cores, in_order};
+use slitpose_head::threads::{cores, in_order, limit};
 use slitpose_model::Pose;
 
 use super::CommandError;
@@ -30,9 +30,10 @@ pub(super) struct Jobs {
 }
 
 impl Jobs {
-    /// How many threads work.
-    pub(super) fn threads(self) -> NonZero<usize> {
-        self.jobs.unwrap_or_else(cores)
+    /// Limits all that works at once in this process; returns how many threads work.
+    pub(super) fn apply(self) -> NonZero<usize> {
+        self.jobs.into_iter().for_each(limit);
+        cores()
     }
 
     /// Finishes `table` with what `work` makes of the rows of `reader`, in their order.
@@ -42,7 +43,7 @@ impl Jobs {
         table: TableWriter,
         work: impl Fn(&Rows, &mut TableRows) -> Result<(), CommandError> + Sync,
     ) -> Result<(), CommandError> {
-        let mut table = table.into_chunks()?;
+        let mut table = table.into_chunks();
         let start = table.starting();
         let next = || Ok::<_, CommandError>(Some(reader.next_rows(ROWS)?).filter(|rows| !rows.is_empty()));
         let work = |rows: Rows| {
@@ -50,8 +51,8 @@ impl Jobs {
             let end = work(&rows, &mut done);
             (done, end)
         };
-        in_order(self.threads(), next, work, |(done, end)| {
-            table.append(done)?;
+        in_order(self.apply(), next, work, |(done, end)| {
+            table.append(&done)?;
             end
         })?;
         Ok(table.finish()?)

@@ -88,18 +88,18 @@ fn write_point(
         Experiment::Translation => (point.amount, 0.0),
         Experiment::Rotation => (0.0, point.amount),
     };
-    table.text(&experiment.number().to_string())?;
-    table.number(position_mm)?;
-    table.number(angle_deg)?;
-    table.text(point.paper.status.as_str())?;
-    table.optional(point.paper.gamma_rad.map(f64::to_degrees))?;
-    table.optional(point.paper.x_a_m.map(|x_a_m| x_a_m * 1e3))?;
-    table.optional(point.exact.x_a_m.map(|x_a_m| x_a_m * 1e3))?;
-    table.number(point.paper.solid_angle_sr)?;
-    table.number(point.exact.solid_angle_sr)?;
-    table.number(point.paper.i_o_a)?;
-    table.number(point.exact.i_o_a)?;
-    table.optional(identified[0])?;
-    table.optional(identified[1])?;
+    table.text(&experiment.number().to_string());
+    table.number(position_mm);
+    table.number(angle_deg);
+    table.text(point.paper.status.as_str());
+    table.optional(point.paper.gamma_rad.map(f64::to_degrees));
+    table.optional(point.paper.x_a_m.map(|x_a_m| x_a_m * 1e3));
+    table.optional(point.exact.x_a_m.map(|x_a_m| x_a_m * 1e3));
+    table.number(point.paper.solid_angle_sr);
+    table.number(point.exact.solid_angle_sr);
+    table.number(point.paper.i_o_a);
+    table.number(point.exact.i_o_a);
+    table.optional(identified[0]);
+    table.optional(identified[1]);
     table.end_row()
 }

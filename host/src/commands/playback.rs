@@ -1,6 +1,7 @@
 //! Captures through the pipeline, for `replay` and `export`.
 
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,6 +72,8 @@ pub(super) struct Printing<'a> {
     pub(super) format: Format,
     /// Whether that is a terminal.
     pub(super) is_terminal: bool,
+    /// The capture, if others are replayed at the same time: messages name it, and there is no progress line.
+    pub(super) name: Option<&'a str>,
 }
 
 /// A capture that rests looks this often for orders.
@@ -100,6 +103,8 @@ struct Outputs<'a> {
     sink: Option<Box<dyn Sink + Send + 'a>>,
     /// Where that writes.
     target: &'a str,
+    /// What messages begin with.
+    name: Option<&'a str>,
     comparison: Option<Comparison>,
     /// Of each board.
     statistics: Vec<RefCell<BoardStatistics>>,
@@ -115,7 +120,7 @@ impl<'a> Playback<'a> {
         poses: &PoseOptions,
         faults: Vec<Fault>,
         speed: Speed,
-        Printing { sink, target, format, is_terminal }: Printing<'a>,
+        Printing { sink, target, format, is_terminal, name }: Printing<'a>,
     ) -> Result<Self, CommandError> {
         let choice = Choice {
             scene: play.scene.clone(),
@@ -133,11 +138,11 @@ impl<'a> Playback<'a> {
         let comparison = play.compare.as_deref().map(Comparison::open).transpose()?;
         let bytes = files.iter().filter_map(|file| fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
         // Poses that run over the screen show it themselves.
-        let is_drawn = !is_terminal || matches!(format, Format::Summary | Format::None);
+        let is_drawn = name.is_none() && (!is_terminal || matches!(format, Format::Summary | Format::None));
         let progress = is_drawn.then(|| Progress::new("progress", bytes, Amount::Bytes));
         let stop = interrupt()?;
         let (statistics, samplers, outcome) = (Vec::new(), Vec::new(), Outcome::Done);
-        let output = Outputs { sink, target, comparison, statistics, samplers, outcome };
+        let output = Outputs { sink, target, name, comparison, statistics, samplers, outcome };
         let (pace, paced_from_s, player, began) = (None, 0.0, None, HostInstant::now());
         Ok(Self { files, choice, captures, speed, pace, paced_from_s, stop, progress, output, player, began })
     }
@@ -151,7 +156,12 @@ impl<'a> Playback<'a> {
     }
 
     /// Solves all of them.
-    pub(super) fn run(mut self) -> Result<Outcome, CommandError> {
+    pub(super) fn run(self) -> Result<Outcome, CommandError> {
+        self.play().map(|(outcome, _)| outcome)
+    }
+
+    /// Solves all of them; returns how they did, too.
+    pub(super) fn play(mut self) -> Result<(Outcome, Account), CommandError> {
         loop {
             let next = !self.is_stopped() && {
                 let Self { captures, output, .. } = &mut self;
@@ -182,9 +192,9 @@ impl<'a> Playback<'a> {
             Err(CommandError::Playback(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. }))
                 if player.is_some() =>
             {
-                Ok(output.outcome)
+                Ok((output.outcome, account(&captures, &output.statistics)))
             }
-            ended => ended.map(|()| output.outcome),
+            ended => ended.map(|()| (output.outcome, account(&captures, &output.statistics))),
         }
     }
 
@@ -279,16 +289,23 @@ impl Outputs<'_> {
                 self.write(device, &item)
             }
             Event::Remark(remark) => {
-                talk(format_args!("{remark}"));
+                self.say(&remark);
                 Ok(())
             }
             Event::Loss(loss) => {
-                talk(format_args!("{loss}"));
+                self.say(&loss);
                 self.outcome = Outcome::DataLost;
                 Ok(())
             }
             // Not asked for.
             Event::Currents { .. } => Ok(()),
+        }
+    }
+
+    fn say(&self, message: &dyn Display) {
+        match self.name {
+            Some(name) => talk(format_args!("{name}: {message}")),
+            None => talk(format_args!("{message}")),
         }
     }
 
@@ -306,7 +323,7 @@ impl Outputs<'_> {
                 Note::Event { device, severity: *severity, device_time_s: *device_time_s, text: (*text).to_owned() }
             }
             Item::Oddity { device_time_s, oddity } => {
-                talk(format_args!("{oddity}"));
+                self.say(&oddity);
                 let (severity, text) = (slitpose_protocol::Severity::Warning, oddity.to_string());
                 Note::Event { device, severity, device_time_s: *device_time_s, text }
             }

@@ -8,6 +8,7 @@ use super::live::LiveOptions;
 use super::playback::{PlayOptions, Playback, Printing};
 use super::player::{Orders, Player};
 use super::poses::PoseOptions;
+use super::side_by_side::SideBySide;
 use super::{CommandError, Outcome};
 use crate::live::LivePlan;
 use crate::playback;
@@ -19,10 +20,15 @@ use slitpose_head::pace::Speed;
 /// recording unless given; files of a series are given together, in order. Files other than MCAP are
 /// taken for the bytes of a port. Ends with exit code 3 if a capture is damaged or incomplete. With --live the
 /// capture is played on a page, to pause, seek and go on, until the program is interrupted.
+///
+/// With --jobs each file is a capture of its own, and several are replayed at once: each has the poses of its own
+/// replay. They go to files in the folder of --output, and a table of how each capture did to standard output. A capture
+/// that cannot be replayed does not keep the others from it; the exit code is then 1.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose replay contact.mcap --format csv > poses.csv\n  \
                         slitpose replay contact.mcap --speed 0.1 --from 2s --to 3s\n  \
                         slitpose replay contact.mcap --live --open\n  \
+                        slitpose replay a.mcap b.mcap c.mcap --jobs 2 --output poses --format csv\n  \
                         slitpose replay night-0001.mcap night-0002.mcap --compare truth.csv --format none")]
 pub(super) struct Args {
     /// Captures
@@ -39,14 +45,19 @@ pub(super) struct Args {
     /// Seconds of the recording per second, or max
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     speed: Option<Speed>,
+    #[command(flatten)]
+    side_by_side: SideBySide,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    if let Some(jobs) = args.side_by_side.jobs {
+        return args.side_by_side.replay(jobs, &args.files, (&args.play, &args.poses), &args.faults);
+    }
     let is_terminal = io::stdout().is_terminal();
     let format = args.poses.format(is_terminal);
     let output = io::BufWriter::with_capacity(1 << 16, io::stdout());
     let sink = args.poses.open_sink(format, output, is_terminal)?;
-    let printing = Printing { sink, target: "standard output", format, is_terminal };
+    let printing = Printing { sink, target: "standard output", format, is_terminal, name: None };
     let access = args.live.access()?;
     let usual = if access.is_some() { Speed::Times(1.0) } else { Speed::Max };
     let (faults, speed) = (args.faults.fault.clone(), args.speed.unwrap_or(usual));

@@ -212,9 +212,9 @@ fn write_truth(
     for (sequence, time_s) in instants.enumerate() {
         let pose = trajectory.pose(time_s);
         let (t, r) = (pose.translation_m * 1e3, pose.rotation_rad());
-        table.text(&sequence.to_string())?;
+        table.text(&sequence.to_string());
         for number in [time_s, t.x, t.y, t.z, r.x, r.y, r.z] {
-            table.number(number)?;
+            table.number(number);
         }
         table.end_row()?;
         if stop.load(Ordering::Relaxed) {

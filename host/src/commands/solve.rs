@@ -8,10 +8,13 @@ use crate::solving::RowSolver;
 pub(super) use crate::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{
-    Column, CurrentColumns, Output, OutputError, Row, Rows, SOLUTION_COLUMNS, SolutionRow, TableError, TableReader,
-    TableRows, TableWriter,
+    Column, CurrentColumns, Output, Row, Rows, SOLUTION_COLUMNS, SolutionRow, TableError, TableReader, TableRows,
+    TableWriter,
 };
-use slitpose_model::{Pair, Solution};
+use slitpose_model::Pair;
+
+/// Solutions that are kept until their condition numbers are known.
+const AT_ONCE: usize = 64;
 
 /// Finds the pose behind each row of currents, each from a cold start.
 ///
@@ -107,29 +110,31 @@ fn solve(solver: &RowSolver, columns: &Columns, rows: &Rows, table: &mut TableRo
     for run in read.chunk_by(|a, b| a.frames.to_bits() == b.frames.to_bits()) {
         let ready = solver.with_frames(run[0].frames)?;
         let readings: Vec<_> = run.iter().map(|row| ready.readings(row.currents.iter().copied().map(Some))).collect();
-        let (mut ids, mut written) = (run.iter().map(|row| row.id), Ok(()));
-        ready.solve(&readings, |solution| {
-            if let (Ok(()), Some(id)) = (&written, ids.next()) {
-                written = write(table, id, &solution);
-            }
-        });
-        written?;
+        for (run, readings) in run.chunks(AT_ONCE).zip(readings.chunks(AT_ONCE)) {
+            let mut solutions = Vec::with_capacity(run.len());
+            ready.solve(readings, |solution| solutions.push(solution));
+            let mut rows = run.iter().zip(&solutions);
+            ready.conditions(&solutions, |condition| {
+                if let Some((row, solution)) = rows.next() {
+                    write(table, row.id, &SolutionRow::with_condition(solution, condition));
+                }
+            });
+        }
     }
     end
 }
 
-fn write(table: &mut TableRows, id: &str, solution: &Solution) -> Result<(), OutputError> {
-    let solution = SolutionRow::of(solution);
-    table.text(id)?;
-    table.text(solution.status)?;
+fn write(table: &mut TableRows, id: &str, solution: &SolutionRow) {
+    table.text(id);
+    table.text(solution.status);
     for number in solution.numbers {
-        table.optional(number)?;
+        table.optional(number);
     }
-    table.text(&solution.iterations.to_string())?;
-    table.text(&solution.cells_used.to_string())?;
-    table.text(&solution.free_directions)?;
-    table.text(&solution.excluded_cells)?;
-    table.text(solution.verified)?;
-    table.text(solution.reason)?;
-    table.end_row()
+    table.integer(solution.iterations);
+    table.integer(solution.cells_used);
+    table.text(&solution.free_directions);
+    table.text(&solution.excluded_cells);
+    table.text(solution.verified);
+    table.text(solution.reason);
+    table.end_row();
 }

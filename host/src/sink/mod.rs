@@ -35,6 +35,17 @@ pub(crate) enum Format {
 }
 
 impl Format {
+    /// How names of files in this format end; `None`: it is for no file.
+    pub(crate) fn ending(self) -> Option<&'static str> {
+        match self {
+            Self::Ndjson => Some(".ndjson"),
+            Self::Csv => Some(".csv"),
+            #[cfg(feature = "parquet")]
+            Self::Parquet => Some(".parquet"),
+            Self::Summary | Self::None => None,
+        }
+    }
+
     /// Whether people can read it.
     pub(crate) fn is_text(self) -> bool {
         #[cfg(feature = "parquet")]

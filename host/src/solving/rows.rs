@@ -92,4 +92,9 @@ impl RowsOf<'_> {
             take(solution);
         });
     }
+
+    /// Passes the condition number of each of `solutions` to `take`, in their order.
+    pub fn conditions(&self, solutions: &[Solution], mut take: impl FnMut(Option<f64>)) {
+        Batch::new(&self.solver).conditions(solutions, |_, condition| take(condition));
+    }
 }

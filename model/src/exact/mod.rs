@@ -17,11 +17,17 @@ pub(crate) use order::{Orders, Rules, SERIES_EXPONENT};
 pub(crate) use panels::MAX_EVALUATIONS;
 pub(crate) use rectangle::narrow_light;
 
+#[cfg(feature = "batch")]
+use order::LaneRule;
 use order::MAX_NODES;
 
+#[cfg(feature = "batch")]
+use crate::profile::Cosine;
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::response::Integration;
+#[cfg(feature = "batch")]
+use crate::scalar::Real;
 use crate::scalar::{Linear3, Scalar};
 
 /// u·d at the middle of the spot, and by how much it is more or less at a corner: it is linear over the spot.
@@ -68,9 +74,44 @@ pub(crate) fn rectangle_light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         None if E::NEEDS_SERIES => return None,
         None => rectangle::light::<S, _, GRADIENT>(spot, axis, emission, &rules.get(along_x), rules.get(along_y)),
     };
-    // Below this power, near the end of the number range, ratios lose all digits. NaN fails, too.
-    let least = S::min_positive_value() / (S::epsilon() * S::epsilon());
-    (light.power.value >= least).then_some((light, along_x * along_y))
+    // NaN fails, too.
+    (light.power.value >= least_power()).then_some((light, along_x * along_y))
+}
+
+/// Below this power, near the end of the number range, ratios lose all digits.
+#[inline(always)]
+fn least_power<S: Scalar>() -> S {
+    S::min_positive_value() / (S::epsilon() * S::epsilon())
+}
+
+/// [`rectangle_light`] of the spot of each lane, from an emitter whose lobe is not narrow; the power is NaN where the spot
+/// must be divided.
+#[cfg(feature = "batch")]
+#[inline(always)]
+pub(crate) fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
+    spot: &Rectangle<R>,
+    axis: R::Vec3,
+    emission: &Cosine<R::Element>,
+    orders: &Orders<R::Element>,
+    rules: &Rules<R::Element>,
+) -> RectangleLight<R> {
+    let reaches = rectangle::Reaches::of(spot, axis);
+    let zero = spot.height.constant(0.0);
+    let count_x = orders.nodes_lanes(reaches.emitter[0], reaches.horizon[0]);
+    let count_y = orders.nodes_lanes(reaches.emitter[1], reaches.horizon[1]);
+    let (mut along_x, mut along_y) = (LaneRule::new(), LaneRule::new());
+    rules.in_lanes(count_x, &mut along_x);
+    rules.in_lanes(count_y, &mut along_y);
+    let series = emission.near_lanes(reaches.cosine, reaches.spread);
+    let nodes = (along_x.iter().copied(), along_y.iter().copied());
+    let mut light = rectangle::light::<R, _, GRADIENT>(spot, axis, &series, &nodes.0, nodes.1);
+    let power = light.power.value;
+    let nan = zero.constant(f64::NAN);
+    for above in [reaches.least, count_x, count_y] {
+        light.power.value = R::where_above(above, zero, light.power.value, nan);
+    }
+    light.power.value = R::where_at_least(power, zero.all(least_power()), light.power.value, nan);
+    light
 }
 
 /// cos γ over a convex patch of the spot.

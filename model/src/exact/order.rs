@@ -18,6 +18,11 @@
 //! at the best ρ, 4N/λ or √(8N/κ), N nodes err by (eλ/4N)²ᴺ or (eκ/8N)ᴺ, together at most by
 //! ((λ² + 2Nκ/e)·(e/4N)²)ᴺ. Emitter and horizon must lie outside that ellipse.
 
+#[cfg(feature = "batch")]
+use arrayvec::ArrayVec;
+
+#[cfg(feature = "batch")]
+use crate::scalar::Real;
 use crate::scalar::Scalar;
 
 /// Most nodes of a rule; spots that need more are divided.
@@ -121,6 +126,27 @@ impl<S: Scalar> Orders<S> {
         (0..MAX_NODES).find(enough).map(|i| i + 1)
     }
 
+    /// [`Self::nodes`] for the interval of each lane; zero where even the longest rule errs too much.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn nodes_lanes<R: Real<Element = S>>(&self, emitter: R, horizon: R) -> R {
+        let (zero, infinity) = (emitter.constant(0.0), emitter.constant(f64::INFINITY));
+        let far = emitter.constant(2.0) * emitter;
+        let reach = R::where_at_least(horizon, far, emitter, emitter.at_most(horizon));
+        let beyond = R::where_at_least(horizon, far, horizon, infinity);
+        let mut count = zero;
+        for i in 0..MAX_NODES {
+            let least = R::where_at_least(horizon, far, emitter.all(self.emitter[i]), emitter.all(self.both[i]));
+            let nodes = emitter.constant((i + 1) as f64);
+            let nodes = R::where_at_least(beyond, emitter.all(self.horizon[i]), nodes, zero);
+            count = R::where_above(count, zero, count, R::where_at_least(reach, least, nodes, zero));
+            if !R::any_above(emitter.constant(1.0), count) {
+                break;
+            }
+        }
+        count
+    }
+
     /// cos γ at which a narrow lobe has faded whose brightest ray is at `cosine`.
     pub(crate) fn faded(&self, cosine: S) -> S {
         self.faded * cosine
@@ -166,6 +192,10 @@ fn binomial(power: f64, k: usize) -> f64 {
 
 /// Number of nodes of the rule whose error is estimated from its values.
 pub(crate) const ESTIMATED: usize = 10;
+
+/// Nodes and weights of a rule per lane.
+#[cfg(feature = "batch")]
+pub(crate) type LaneRule<R> = ArrayVec<(R, R), MAX_NODES>;
 
 /// Gauss–Legendre rules with 1 to [`MAX_NODES`] nodes on −1…1.
 #[derive(Clone, Debug)]
@@ -223,6 +253,28 @@ impl<S: Scalar> Rules<S> {
         }
         let fall = (last / before).min(S::one());
         S::of(4.0) * last * fall * fall * fall * fall
+    }
+
+    /// Puts nodes and weights of as many rules as there are lanes, with `counts` nodes each, 1 to [`MAX_NODES`], into
+    /// `rule`: those that the longest has more are at 0, with weight 0.
+    #[cfg(feature = "batch")]
+    #[inline(always)]
+    pub(crate) fn in_lanes<R: Real<Element = S>>(&self, counts: R, rule: &mut LaneRule<R>) {
+        let (mut least, mut most) = (MAX_NODES, 1);
+        for lane in 0..R::LANES {
+            let count = counts.lane(lane).to_usize().unwrap_or(1).clamp(1, MAX_NODES);
+            (least, most) = (least.min(count), most.max(count));
+        }
+        for i in 0..most {
+            let mut node = counts.all(self.nodes[least - 1][i]);
+            let mut weight = counts.all(self.weights[least - 1][i]);
+            for count in least + 1..=most {
+                let limit = counts.constant(count as f64);
+                node = R::where_at_least(counts, limit, counts.all(self.nodes[count - 1][i]), node);
+                weight = R::where_at_least(counts, limit, counts.all(self.weights[count - 1][i]), weight);
+            }
+            rule.push((node, weight));
+        }
     }
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].

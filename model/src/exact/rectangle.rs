@@ -6,9 +6,10 @@
 //! Writing ∇g = k₁·u − k₂·d with k₁ = h·r⁻⁴·I'(c) and k₂ = h·r⁻⁵·(c·I' + 3·I), all derivatives
 //! reduce to moments of g, k₁ and k₂ over the nodes.
 
+use crate::lanes::zero_half_one;
 use crate::profile::Falloff;
-use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Scalar};
+use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
+use crate::scalar::{Linear3, Real, Scalar};
 
 use super::order::Orders;
 
@@ -22,40 +23,69 @@ pub(super) struct Needs<S> {
     pub(super) spread: S,
 }
 
+/// How a spot lies to its emitter, and to the horizon of that.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reaches<R> {
+    /// u·d at the middle of the spot, and its least value.
+    middle: R,
+    pub(super) least: R,
+    /// To the emitter and to the horizon, along x and along y: see [`Orders::nodes`].
+    pub(super) emitter: [R; 2],
+    pub(super) horizon: [R; 2],
+    /// From the emitter to the middle of the spot.
+    distance: R,
+    /// cos γ of that ray, and the greatest relative change of cos γ over the spot.
+    pub(super) cosine: R,
+    tangent2: R,
+    pub(super) spread: R,
+}
+
+impl<R: Real> Reaches<R> {
+    #[inline(always)]
+    pub(super) fn of(spot: &Rectangle<R>, axis: R::Vec3) -> Self {
+        let (x, y, h) = (&spot.x, &spot.y, spot.height);
+        let [_, half, one] = zero_half_one(h);
+        // u·d is linear over the spot; its least value measures the distance to the horizon.
+        let (slope_x, slope_y) = ((axis.x() * x.half).magnitude(), (axis.y() * y.half).magnitude());
+        let middle = axis.x() * x.middle + axis.y() * y.middle - axis.z() * h;
+        let least = middle - slope_x - slope_y;
+        let (reach_x, reach_y) = (reach(x, y, h), reach(y, x, h));
+        // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, with δ
+        // half the angle that its diagonal subtends.
+        let distance = R::Vec3::new(x.middle, y.middle, -h).length();
+        let cosine = (middle / distance).at_most(one);
+        let angle2 = (reach_x * reach_x).inverse() + (reach_y * reach_y).inverse();
+        let tangent2 = (one - cosine * cosine) / (cosine * cosine);
+        let spread = (tangent2 * angle2).root() + half * angle2;
+        let (emitter, horizon) = ([reach_x, reach_y], [one + least / slope_x, one + least / slope_y]);
+        Self { middle, least, emitter, horizon, distance, cosine, tangent2, spread }
+    }
+}
+
+/// The sum of the distances of the emitter, `height` above the spot, from the ends of the spot along one side, over its
+/// length.
+#[inline(always)]
+fn reach<R: Real>(along: &Extent<R>, across: &Extent<R>, height: R) -> R {
+    // The line across the spot nearest to the emitter's foot.
+    let nearest = across.low.position.at_least(across.high.position.at_most(height.constant(0.0)));
+    let d2 = height * height + nearest * nearest;
+    let (low, high) = (along.low.position, along.high.position);
+    ((low * low + d2).root() + (high * high + d2).root()) / (height.constant(2.0) * along.half)
+}
+
 /// Requirements of `spot`; `None` if it must be divided because it touches the horizon or is very wide.
 #[inline(always)]
 pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
-    let (x, y, h) = (&spot.x, &spot.y, spot.height);
-    // u·d is linear over the spot; its least value measures the distance to the horizon.
-    let (slope_x, slope_y) = ((axis.x() * x.half).abs(), (axis.y() * y.half).abs());
-    let middle = axis.x() * x.middle + axis.y() * y.middle - axis.z() * h;
-    let least = middle - slope_x - slope_y;
+    let Reaches { middle, least, emitter, horizon, distance, cosine, tangent2, spread } = Reaches::of(spot, axis);
     if least <= S::zero() {
         return None;
     }
-    let h2 = h * h;
-    let reach = |along: &crate::rectangle::Extent<S>, across: &crate::rectangle::Extent<S>| {
-        // The line across the spot nearest to the emitter's foot.
-        let nearest = across.low.position.max(across.high.position.min(S::zero()));
-        let d2 = h2 + nearest * nearest;
-        let (low, high) = (along.low.position, along.high.position);
-        ((low * low + d2).root() + (high * high + d2).root()) / (S::two() * along.half)
-    };
-    let (reach_x, reach_y) = (reach(x, y), reach(y, x));
-    let horizon = |slope: S| S::one() + least / slope;
-    let nodes = (orders.nodes(reach_x, horizon(slope_x))?, orders.nodes(reach_y, horizon(slope_y))?);
-    // On the beam's middle ray c = middle/r; over the spot c changes by tan γ·δ + δ²/2 at most, with δ
-    // half the angle that its diagonal subtends.
-    let distance = S::Vec3::new(x.middle, y.middle, -h).length();
-    let cosine = (middle / distance).min(S::one());
-    let angle2 = (reach_x * reach_x).recip() + (reach_y * reach_y).recip();
-    let tangent2 = (S::one() - cosine * cosine) / (cosine * cosine);
-    let spread = (tangent2 * angle2).root() + S::half() * angle2;
+    let nodes = (orders.nodes(emitter[0], horizon[0])?, orders.nodes(emitter[1], horizon[1])?);
     // ∂ln c = u/(u·d) − d/r², along either side, per angle.
     let slope = |along: S, at: S| along * distance / middle - at / distance;
     let lobe = |slope: S, reach: S| orders.lobe_nodes(tangent2, slope, reach);
-    let along_x = lobe(slope(axis.x(), x.middle), reach_x)?;
-    let along_y = lobe(slope(axis.y(), y.middle), reach_y)?;
+    let along_x = lobe(slope(axis.x(), spot.x.middle), emitter[0])?;
+    let along_y = lobe(slope(axis.y(), spot.y.middle), emitter[1])?;
     let nodes = (nodes.0.max(along_x), nodes.1.max(along_y));
     Some(Needs { nodes, cosine, spread })
 }
@@ -112,14 +142,15 @@ pub(crate) fn narrow_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
 
 /// Power and centroid (relative to the emitter's foot) with nodes and weights `along_x` and `along_y`, on −1…1.
 #[inline(always)]
-pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
-    spot: &Rectangle<S>,
-    axis: S::Vec3,
+pub(super) fn light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
+    spot: &Rectangle<R>,
+    axis: R::Vec3,
     emission: &E,
-    along_x: &(impl Iterator<Item = (S, S)> + Clone),
-    along_y: impl Iterator<Item = (S, S)>,
-) -> RectangleLight<S> {
-    let (zero, one, half) = (S::zero(), S::one(), S::half());
+    along_x: &(impl Iterator<Item = (R, R)> + Clone),
+    along_y: impl Iterator<Item = (R, R)>,
+) -> RectangleLight<R> {
+    let [zero, half, one] = zero_half_one(spot.height);
+    let three = zero.constant(3.0);
     let (xm, hx, ym, hy, h) = (spot.x.middle, spot.x.half, spot.y.middle, spot.y.half, spot.height);
     let (ux, uy, uz) = (axis.x(), axis.y(), axis.z());
 
@@ -137,7 +168,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
         let (mut rl0, mut rl1, mut rl2, mut rl3) = (zero, zero, zero, zero);
         for (xi, weight_x) in along_x.clone() {
             let x = xm + hx * xi;
-            let inverse = (x * x + across2).root().recip();
+            let inverse = (x * x + across2).root().inverse();
             let inverse2 = inverse * inverse;
             let c = (ux * x + across_u) * inverse;
             let density = weight_x * h * inverse2 * inverse;
@@ -146,7 +177,7 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
                 let g = density * relative;
                 let turn = density * slope;
                 let kappa = turn * inverse;
-                let lambda = (turn * c + S::of(3.0) * g) * inverse2;
+                let lambda = (turn * c + three * g) * inverse2;
                 let (kappa_xi, lambda_xi) = (kappa * xi, lambda * xi);
                 let lambda_xi2 = lambda_xi * xi;
                 rg0 += g;
@@ -204,12 +235,11 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
     let gh0 = g0 / h - uz * k0 - h * l0;
     let gh1 = g1 / h - uz * k1 - h * l1;
     // ∂g/∂u = k₁·d.
-    let axis0 = S::Vec3::new(xm * k0 + hx * k1, ym * k0 + hy * k01, -h * k0);
-    let axis1 = S::Vec3::new(xm * k1 + hx * k2, ym * k1 + hy * k11, -h * k1);
+    let axis0 = R::Vec3::new(xm * k0 + hx * k1, ym * k0 + hy * k01, -h * k0);
+    let axis1 = R::Vec3::new(xm * k1 + hx * k2, ym * k1 + hy * k11, -h * k1);
 
-    let per_g0 = g0.recip();
-    // Derivative of the ratio of moments: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
-    let of_ratio = |first: S, zeroth: S| (first - ratio * zeroth) * per_g0;
+    let per_g0 = g0.inverse();
+    let by = [ratio, per_g0];
     RectangleLight {
         power: SideGradient {
             value: power,
@@ -225,13 +255,19 @@ pub(super) fn light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
         centroid: SideGradient {
             value: centroid,
             by_side: [
-                half * (one - ratio + hx * of_ratio(gx1 - gx2, gx0 - gx1)),
-                half * (one + ratio + hx * of_ratio(gx1 + gx2, gx0 + gx1)),
-                half * hx * of_ratio(gy10 - gy11, gy0 - gy1),
-                half * hx * of_ratio(gy10 + gy11, gy0 + gy1),
+                half * (one - ratio + hx * of_ratio(gx1 - gx2, gx0 - gx1, by)),
+                half * (one + ratio + hx * of_ratio(gx1 + gx2, gx0 + gx1, by)),
+                half * hx * of_ratio(gy10 - gy11, gy0 - gy1, by),
+                half * hx * of_ratio(gy10 + gy11, gy0 + gy1, by),
             ],
-            by_height: hx * of_ratio(gh1, gh0),
+            by_height: hx * of_ratio(gh1, gh0, by),
             by_axis: (axis1 - axis0 * ratio) * (hx * per_g0),
         },
     }
+}
+
+/// Derivative of the ratio of two moments, from theirs: ∂(g1/g0) = (∂g1 − ratio·∂g0)/g0.
+#[inline(always)]
+fn of_ratio<R: Real>(first: R, zeroth: R, [ratio, per_zeroth]: [R; 2]) -> R {
+    (first - ratio * zeroth) * per_zeroth
 }

@@ -119,14 +119,21 @@ impl<R: Real, E: Falloff<R>> Pack<R, E> {
     }
 
     #[inline(always)]
-    pub(super) fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Visibility<R>) {
-        let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
-        let (spot, visibility) = match &self.faces {
-            Faces::Thin(face) => Rectangle::of_beam([*face], emitter, self.receiver.half),
-            Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
-        };
+    fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Visibility<R>) {
+        let (spot, visibility) = self.spot(seen);
         let light = paper::rectangle_light::<R, E, GRADIENT>(&spot, seen.axis, &self.emission);
         (of_sides::<R, GRADIENT>(&light, &spot, false), visibility)
+    }
+}
+
+impl<R: Real, E> Pack<R, E> {
+    #[inline(always)]
+    pub(super) fn spot(&self, seen: &Seen<R>) -> (Rectangle<R>, Visibility<R>) {
+        let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
+        match &self.faces {
+            Faces::Thin(face) => Rectangle::of_beam([*face], emitter, self.receiver.half),
+            Faces::Thick(faces) => Rectangle::of_beam(*faces, emitter, self.receiver.half),
+        }
     }
 }
 

@@ -45,6 +45,30 @@ impl<S: Scalar> Cosine<S> {
     }
 }
 
+#[cfg(feature = "batch")]
+impl<S: Scalar> Cosine<S> {
+    /// [`Emission::near`] for the spot of each lane; NaN where there is no series.
+    #[inline(always)]
+    pub(crate) fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
+        let (zero, one) = (centre.constant(0.0), centre.constant(1.0));
+        let value = SharedPower::of(centre, &self.power).of_lanes(centre);
+        let mut series =
+            Series { inverse: centre.inverse(), coefficients: [zero; MAX_TERMS + 1], terms: 0, nodes: 1, more: 0 };
+        // One where the series goes on.
+        let mut goes_on = one;
+        for (k, (&binomial, &most)) in self.binomials.iter().zip(&self.spreads).enumerate() {
+            series.coefficients[k] = R::where_above(goes_on, zero, value * centre.all(binomial), zero);
+            series.terms = k;
+            goes_on = R::where_at_least(centre.all(most), spread, zero, goes_on);
+            if !R::any_above(goes_on, zero) {
+                return series;
+            }
+        }
+        series.inverse = R::where_above(goes_on, zero, centre.constant(f64::NAN), series.inverse);
+        series
+    }
+}
+
 impl<S: Scalar> Falloff<S> for Power<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {

@@ -11,7 +11,7 @@ mod window;
 use crate::effects::RADIAL_TERMS;
 use crate::exact::SERIES_EXPONENT;
 use crate::power::Power;
-use crate::scalar::Scalar;
+use crate::scalar::{Real, Scalar};
 use crate::scene::Profile;
 
 pub(crate) use cosine::Cosine;
@@ -73,17 +73,21 @@ impl<S> Series<S> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Series<S> {
+impl<R: Real> Falloff<R> for Series<R> {
     #[inline(always)]
-    fn relative(&self, c: S) -> S {
-        let delta = c * self.inverse - S::one();
-        self.coefficients[..=self.terms].iter().rev().fold(S::zero(), |sum, &coefficient| sum * delta + coefficient)
+    fn relative(&self, c: R) -> R {
+        let delta = c * self.inverse - c.constant(1.0);
+        let mut value = c.constant(0.0);
+        for &coefficient in self.coefficients[..=self.terms].iter().rev() {
+            value = value * delta + coefficient;
+        }
+        value
     }
 
     #[inline(always)]
-    fn with_slope(&self, c: S) -> (S, S) {
-        let delta = c * self.inverse - S::one();
-        let (mut value, mut slope) = (S::zero(), S::zero());
+    fn with_slope(&self, c: R) -> (R, R) {
+        let delta = c * self.inverse - c.constant(1.0);
+        let [mut value, mut slope] = [c.constant(0.0); 2];
         for &coefficient in self.coefficients[..=self.terms].iter().rev() {
             slope = slope * delta + value;
             value = value * delta + coefficient;
@@ -135,8 +139,13 @@ impl<S: Scalar> CompiledProfile<S> {
 
     /// The power, if the profile is a cosine power.
     pub(crate) fn as_power(&self) -> Option<&Power<S>> {
+        self.as_cosine().map(Cosine::power)
+    }
+
+    /// The profile, if it is a cosine power.
+    pub(crate) fn as_cosine(&self) -> Option<&Cosine<S>> {
         match self {
-            Self::Cosine(cosine) => Some(cosine.power()),
+            Self::Cosine(cosine) => Some(cosine),
             Self::Table(_) | Self::ShapedCosine(_) | Self::ShapedTable(_) => None,
         }
     }

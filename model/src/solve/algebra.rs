@@ -4,6 +4,9 @@
 //! root of rounding; a triangle made of the rows themselves ([`Triangle`]) is good up to the inverse
 //! of rounding.
 
+use num_traits::Float;
+
+use crate::lanes::zero_half_one;
 use crate::scalar::{Real, Scalar};
 
 /// A vector of the six pose coordinates (translation, rotation).
@@ -201,37 +204,48 @@ impl<S: Scalar> Factor<S> {
         pairs.sort_unstable_by(|x, y| x.0.partial_cmp(&y.0).unwrap_or(core::cmp::Ordering::Equal));
         pairs
     }
+}
 
+impl<R: Real> Factor<R> {
     /// The least and the largest singular value.
-    pub(crate) fn extreme_singular_values(&self) -> [S; 2] {
+    #[inline(always)]
+    pub(crate) fn extreme_singular_values(&self) -> [R; 2] {
         let columns = self.orthogonal_columns(|_, _, _, _| ());
-        let mut values = columns.map(|column| dot(&column, &column).root());
-        values.sort_unstable_by(|x, y| x.partial_cmp(y).unwrap_or(core::cmp::Ordering::Equal));
-        [values[0], values[5]]
+        let mut values = [square(&columns[0]).root(); 2];
+        for column in &columns[1..] {
+            let value = square(column).root();
+            values = [values[0].at_most(value), values[1].at_least(value)];
+        }
+        values
     }
 
     /// The columns of Lᵀ after rotations of each two that leave all at right angles; `rotated` is told columns, cosine
     /// and sine of each.
     #[inline(always)]
-    fn orthogonal_columns(&self, mut rotated: impl FnMut(usize, usize, S, S)) -> Matrix6<S> {
+    fn orthogonal_columns(&self, mut rotated: impl FnMut(usize, usize, R, R)) -> Matrix6<R> {
         /// Cyclic sweeps: convergence is quadratic, six unknowns need about six.
         const SWEEPS: usize = 14;
         // Columns of Lᵀ are rows of L.
         let mut columns = self.lower;
+        let [zero, _, one] = zero_half_one(columns[0][0]);
+        let quarter = zero.all(R::Element::of(0.25) * R::Element::epsilon());
         for _ in 0..SWEEPS {
             let mut is_done = true;
             for p in 0..5 {
                 for q in p + 1..6 {
-                    let (a, b, c) =
-                        (dot(&columns[p], &columns[p]), dot(&columns[q], &columns[q]), dot(&columns[p], &columns[q]));
-                    if c == S::zero() || c.abs() <= S::of(0.25) * S::epsilon() * (a * b).root() {
+                    let (a, b, c) = (square(&columns[p]), square(&columns[q]), dot(&columns[p], &columns[q]));
+                    // Written so that NaN is not.
+                    let is_right = R::where_at_least(quarter * (a * b).root(), c.magnitude(), one, zero);
+                    if !R::any_above(one, is_right) {
                         continue;
                     }
                     is_done = false;
-                    let theta = (b - a) / (S::two() * c);
-                    let t = theta.signum() / (theta.abs() + (theta * theta + S::one()).root());
-                    let cosine = (t * t + S::one()).root().recip();
-                    let sine = t * cosine;
+                    let theta = (b - a) / (zero.constant(2.0) * c);
+                    let size = theta.magnitude() + (theta * theta + one).root();
+                    let t = R::where_at_least(theta, zero, one, -one) / size;
+                    let cosine = (t * t + one).root().inverse();
+                    let sine = R::where_above(is_right, zero, zero, t * cosine);
+                    let cosine = R::where_above(is_right, zero, one, cosine);
                     rotate(&mut columns, p, q, cosine, sine);
                     rotated(p, q, cosine, sine);
                 }
@@ -247,7 +261,7 @@ impl<S: Scalar> Factor<S> {
 
 /// Rotates the rows `p` and `q` of `rows` by an angle.
 #[inline(always)]
-fn rotate<S: Scalar>(rows: &mut Matrix6<S>, p: usize, q: usize, cosine: S, sine: S) {
+fn rotate<R: Real>(rows: &mut Matrix6<R>, p: usize, q: usize, cosine: R, sine: R) {
     for k in 0..6 {
         let (x, y) = (rows[p][k], rows[q][k]);
         rows[p][k] = cosine * x - sine * y;

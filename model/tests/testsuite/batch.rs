@@ -1,11 +1,16 @@
 //! Many poses at once against the same one by one, bit for bit.
 
-use rand::RngExt;
+use std::num::NonZero;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rand::{RngExt, SeedableRng};
 use slitpose_model::{
-    Batch, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
+    Batch, MotionPrior, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
 };
 
 use crate::common::{SEED, generator, uniform, vector, wide};
+
+const EXACT: Tier = Tier::Exact { tolerance: 1e-6 };
 
 /// Poses of the smoke test, for each width and start.
 const FEW: usize = 3_000;
@@ -54,40 +59,64 @@ fn bits(solution: &Solution) -> Vec<u64> {
     bits
 }
 
-/// Compares `count` frames of `scene` in every width that the processor has.
+/// Frames that are compared at a time.
+const CHUNK: usize = 1_000;
+
+/// Compares `count` frames of `scene` in every width that the processor has, on all cores.
 fn compare(scene: &Scene, tier: Tier, count: usize, reach: f64) {
-    let solver = Solver::new(scene, tier).expect("a possible scene");
-    let mut rng = generator();
-    let mut done = 0;
-    while done < count {
-        let (frames, starts): (Vec<_>, Vec<_>) =
-            (0..(count - done).min(1_000)).map(|_| frame(&solver, &mut rng, reach)).unzip();
-        for warm in [false, true] {
-            let alone: Vec<Solution> = frames
-                .iter()
-                .zip(&starts)
-                .map(|(readings, pose)| {
-                    let start = if warm { Start::Near(pose) } else { Start::Cold };
-                    solver.solve(readings, start, &MotionPrior::AT_REST)
-                })
-                .collect();
-            for width in Width::all() {
-                let mut next = 0;
-                let starts = if warm { Starts::Near(&starts) } else { Starts::Cold };
-                Batch::with_width(&solver, width).solve(&frames, starts, &MotionPrior::AT_REST, |index, solution| {
-                    assert_eq!(index, next, "out of order");
-                    next += 1;
-                    let expected = &alone[index];
-                    assert!(
-                        solution.outcome == expected.outcome && bits(&solution) == bits(expected),
-                        "seed {SEED}, frame {}, {width:?}, warm {warm}:\n{solution:?}\n{expected:?}",
-                        done + index,
-                    );
-                });
-                assert_eq!(next, frames.len(), "{width:?}");
-            }
+    let solver = &Solver::new(scene, tier).expect("a possible scene");
+    let next = &AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(1, NonZero::get) {
+            scope.spawn(move || {
+                loop {
+                    let first = next.fetch_add(CHUNK, Ordering::Relaxed);
+                    if first >= count {
+                        return;
+                    }
+                    compare_chunk(solver, first, CHUNK.min(count - first), reach);
+                }
+            });
         }
-        done += frames.len();
+    });
+}
+
+/// Compares `count` frames, of which the first is number `first`.
+fn compare_chunk(solver: &Solver<f64>, first: usize, count: usize, reach: f64) {
+    let seed = SEED + first as u64;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let (frames, starts): (Vec<_>, Vec<_>) = (0..count).map(|_| frame(solver, &mut rng, reach)).unzip();
+    for warm in [false, true] {
+        let alone: Vec<Solution> = frames
+            .iter()
+            .zip(&starts)
+            .map(|(readings, pose)| {
+                let start = if warm { Start::Near(pose) } else { Start::Cold };
+                solver.solve(readings, start, &MotionPrior::AT_REST)
+            })
+            .collect();
+        for width in Width::all() {
+            let mut next = 0;
+            let starts = if warm { Starts::Near(&starts) } else { Starts::Cold };
+            Batch::with_width(solver, width).solve(&frames, starts, &MotionPrior::AT_REST, |index, solution| {
+                assert_eq!(index, next, "out of order");
+                next += 1;
+                let expected = &alone[index];
+                assert!(
+                    solution.outcome == expected.outcome && bits(&solution) == bits(expected),
+                    "seed {seed}, frame {index}, {width:?}, warm {warm}:\n{solution:?}\n{expected:?}",
+                );
+            });
+            assert_eq!(next, frames.len(), "{width:?}");
+            let mut next = 0;
+            Batch::with_width(solver, width).conditions(&alone, |index, condition| {
+                assert_eq!(index, next, "out of order");
+                next += 1;
+                let [at_once, alone] = [condition, alone[index].condition()].map(|one| one.map(f64::to_bits));
+                assert_eq!(at_once, alone, "seed {seed}, frame {index}, {width:?}");
+            });
+            assert_eq!(next, alone.len(), "{width:?}");
+        }
     }
 }
 
@@ -109,14 +138,65 @@ fn frames_at_the_ends_of_detectors_have_the_bits_of_each_alone() {
 }
 
 #[test]
-fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
-    compare(&wide(), Tier::Exact { tolerance: 1e-6 }, 40, 1.0);
+fn many_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
+    compare(&wide(), EXACT, FEW, 1.0);
+    compare(&wide(), EXACT, FEW / 3, 1.6);
+    compare(&thick(), EXACT, FEW / 3, 1.3);
+    compare(&wide(), Tier::Exact { tolerance: 1e-11 }, FEW / 3, 1.0);
 }
 
-/// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`; without `--release` it
-/// takes ten minutes and more.
+#[test]
+fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
+    let mut turned = wide();
+    turned.cells[0].slit.tilt_rad.x = 0.01;
+    compare(&turned, EXACT, 40, 1.0);
+}
+
+#[test]
+fn many_poses_at_once_have_the_light_and_derivatives_of_each_alone() {
+    let mut turned = wide();
+    turned.cells[3].slit.tilt_rad.x = 0.01;
+    let mut rng = generator();
+    for (scene, tier) in
+        [(wide(), Tier::Paper), (thick(), Tier::Paper), (wide(), EXACT), (thick(), EXACT), (turned, EXACT)]
+    {
+        let plan = Plan::<f64>::compile(&scene, tier).expect("a possible scene");
+        // From poses where all cells are lit to some where emitters are behind their slits.
+        let poses: Vec<Pose> = (0..500)
+            .map(|i| {
+                Pose::from_vectors(
+                    vector(&mut rng, 2e-3 + 4e-5 * f64::from(i)),
+                    vector(&mut rng, 0.2 + 4e-3 * f64::from(i)),
+                )
+            })
+            .collect();
+        for width in Width::all() {
+            let mut expected = (0..poses.len()).flat_map(|pose| (0..6).map(move |cell| (pose, cell)));
+            plan.linearise_many(&poses, width, |pose, cell, (status, pair, jacobian)| {
+                assert_eq!(expected.next(), Some((pose, cell)), "out of order");
+                let alone = plan.linearise(cell, &poses[pose]);
+                let bits = |pair: Pair<f64>, jacobian: [[f64; 6]; 2]| {
+                    let numbers = [pair.i_x1_a, pair.i_x2_a].into_iter().chain(jacobian.into_iter().flatten());
+                    numbers.map(f64::to_bits).collect::<Vec<_>>()
+                };
+                assert_eq!(status, alone.0, "pose {pose}, cell {cell}, {width:?}");
+                assert_eq!(bits(pair, jacobian), bits(alone.1, alone.2), "pose {pose}, cell {cell}, {width:?}");
+            });
+            assert_eq!(expected.next(), None);
+        }
+    }
+}
+
+/// `cargo test --release -p slitpose-model --features batch --test testsuite a_million -- --ignored`, also without
+/// `--release`.
 #[test]
 #[ignore = "takes minutes"]
 fn a_million_frames_at_once_have_the_bits_of_each_alone() {
     compare(&wide(), Tier::Paper, 1_000_000, 1.1);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn a_million_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
+    compare(&wide(), EXACT, 1_000_000, 1.1);
 }

@@ -38,6 +38,7 @@ mod report;
 mod run_emulated;
 mod run_serial;
 mod run_simulated;
+mod side_by_side;
 mod soak;
 mod solve_process;
 mod status;

@@ -57,10 +57,10 @@ fn write_table(table: &Table, output: Output) -> Result<(), OutputError> {
     for row in &table.rows {
         for value in row {
             match value {
-                Value::Text(text) | Value::Alert(text) => writer.text(text)?,
-                Value::Number(number) => writer.number(*number)?,
-                Value::Count(count) => writer.text(&count.to_string())?,
-                Value::Missing => writer.optional(None)?,
+                Value::Text(text) | Value::Alert(text) => writer.text(text),
+                Value::Number(number) => writer.number(*number),
+                Value::Count(count) => writer.text(&count.to_string()),
+                Value::Missing => writer.optional(None),
             }
         }
         writer.end_row()?;

@@ -1,10 +1,10 @@
 //! CSV in.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::sync::Arc;
 
-use csv::{StringRecord, Trim};
+use csv_core::ReadRecordResult;
 use thiserror::Error;
 
 use super::line_ends::LineFeeds;
@@ -125,6 +125,9 @@ pub enum TableError {
     },
 }
 
+/// Bytes that are read at a time.
+const READ_BYTES: usize = 1 << 16;
+
 /// A column of the table at hand, found by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Column(usize);
@@ -132,19 +135,70 @@ pub struct Column(usize);
 /// What a table is called, and its columns.
 struct Names {
     file: String,
-    header: StringRecord,
+    header: Vec<String>,
 }
 
 /// A CSV file that is read row by row, or many rows at a time.
 pub struct TableReader {
     names: Arc<Names>,
-    reader: csv::Reader<Box<dyn Read>>,
-    record: StringRecord,
-    /// Whether `record` holds a row that [`TableReader::next_row`] has not given out yet.
+    records: Records,
+    /// The row that was read last.
+    row: Rows,
+    /// Whether [`TableReader::next_row`] has not given it out yet.
     waiting: bool,
     rows: u64,
     /// What [`TableReader::next_rows`] found after the rows that it gave out last.
     postponed: Option<TableError>,
+}
+
+/// CSV, record by record.
+struct Records {
+    source: BufReader<Box<dyn Read>>,
+    parser: Box<csv_core::Reader>,
+    /// The fields of the record at hand one after another, with room behind them.
+    text: Vec<u8>,
+    /// Where each of them ends, with room behind.
+    ends: Vec<usize>,
+}
+
+/// A record: its fields one after another, the end of each, and the line where it begins.
+struct Record<'a> {
+    text: &'a [u8],
+    ends: &'a [usize],
+    line: u64,
+}
+
+impl Records {
+    fn of(source: impl Read + 'static) -> Self {
+        Self {
+            source: BufReader::with_capacity(READ_BYTES, Box::new(LineFeeds::of(source))),
+            parser: Box::new(csv_core::Reader::new()),
+            text: vec![0; 1024],
+            ends: vec![0; 64],
+        }
+    }
+
+    /// The next one; `None` at the end.
+    fn next(&mut self) -> io::Result<Option<Record<'_>>> {
+        let line = self.parser.line();
+        let (mut length, mut fields) = (0, 0);
+        loop {
+            let input = self.source.fill_buf()?;
+            let (result, read, written, ended) =
+                self.parser.read_record(input, &mut self.text[length..], &mut self.ends[fields..]);
+            self.source.consume(read);
+            (length, fields) = (length + written, fields + ended);
+            match result {
+                ReadRecordResult::InputEmpty => {}
+                ReadRecordResult::OutputFull => self.text.resize(2 * self.text.len(), 0),
+                ReadRecordResult::OutputEndsFull => self.ends.resize(2 * self.ends.len(), 0),
+                ReadRecordResult::Record => {
+                    return Ok(Some(Record { text: &self.text[..length], ends: &self.ends[..fields], line }));
+                }
+                ReadRecordResult::End => return Ok(None),
+            }
+        }
+    }
 }
 
 impl TableReader {
@@ -161,14 +215,17 @@ impl TableReader {
 
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
     pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
-        let mut reader =
-            csv::ReaderBuilder::new().trim(Trim::Headers).from_reader(Box::new(LineFeeds::of(source)) as Box<dyn Read>);
-        let header = reader.headers().cloned().map_err(|error| damaged(file, 0, error))?;
-        if header.is_empty() {
+        let mut records = Records::of(source);
+        let header = records.next().map_err(|source| TableError::Read { file: file.to_owned(), row: 0, source })?;
+        let Some(Record { text, ends, line }) = header else {
             return Err(TableError::Empty { file: file.to_owned() });
-        }
+        };
+        let text =
+            std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file.to_owned(), row: 0, line })?;
+        let header = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
         let names = Arc::new(Names { file: file.to_owned(), header });
-        let mut table = Self { names, reader, record: StringRecord::new(), waiting: false, rows: 0, postponed: None };
+        let row = Rows::none(&names, 1);
+        let mut table = Self { names, records, row, waiting: false, rows: 0, postponed: None };
         table.waiting = table.advance()?;
         if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: file.to_owned() }) }
     }
@@ -178,14 +235,14 @@ impl TableReader {
         self.optional_column(name)?.ok_or_else(|| TableError::MissingColumn {
             file: self.names.file.clone(),
             column: name.to_owned(),
-            present: self.names.header.iter().collect::<Vec<_>>().join(", "),
+            present: self.names.header.join(", "),
         })
     }
 
     /// Finds a column that may be there.
     pub fn optional_column(&self, name: &str) -> Result<Option<Column>, TableError> {
         let header = &self.names.header;
-        let mut found = (0..header.len()).filter(|index| header.get(*index) == Some(name));
+        let mut found = (0..header.len()).filter(|index| header[*index] == name);
         match (found.next(), found.next()) {
             (first, None) => Ok(first.map(Column)),
             _ => Err(TableError::DuplicateColumn { file: self.names.file.clone(), column: name.to_owned() }),
@@ -195,67 +252,115 @@ impl TableReader {
     /// The next row; `None` at the end.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, TableError> {
         let more = std::mem::take(&mut self.waiting) || self.advance()?;
-        Ok(more.then_some(Row { names: &self.names, record: &self.record, number: self.rows }))
+        Ok(if more { self.row.iter().next() } else { None })
     }
 
     /// Up to `most` of the next rows; none at the end. An error belongs to the row after those of the last call and before
     /// those of the next: rows that come before it are given out first.
     pub fn next_rows(&mut self, most: usize) -> Result<Rows, TableError> {
-        let mut rows =
-            Rows { names: Arc::clone(&self.names), records: Vec::new(), first: self.rows + u64::from(!self.waiting) };
         if let Some(error) = self.postponed.take() {
             return Err(error);
         }
-        while rows.records.len() < most {
-            let is_row = match std::mem::take(&mut self.waiting) {
-                true => true,
-                false => match self.advance() {
-                    Ok(more) => more,
-                    Err(error) if rows.records.is_empty() => return Err(error),
-                    Err(error) => {
-                        self.postponed = Some(error);
-                        false
-                    }
-                },
-            };
-            if !is_row {
-                break;
+        let none = Rows::none(&self.names, self.rows + 1);
+        let mut rows = if std::mem::take(&mut self.waiting) { std::mem::replace(&mut self.row, none) } else { none };
+        while rows.len() < most {
+            match self.read_into(&mut rows) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) if rows.is_empty() => return Err(error),
+                Err(error) => {
+                    self.postponed = Some(error);
+                    break;
+                }
             }
-            rows.records.push(std::mem::take(&mut self.record));
         }
         Ok(rows)
     }
 
     fn advance(&mut self) -> Result<bool, TableError> {
-        let more =
-            self.reader.read_record(&mut self.record).map_err(|error| damaged(&self.names.file, self.rows, error))?;
-        self.rows += u64::from(more);
-        Ok(more)
+        let mut row = std::mem::replace(&mut self.row, Rows::none(&self.names, 0));
+        row.clear(self.rows + 1);
+        let more = self.read_into(&mut row);
+        self.row = row;
+        more
     }
+
+    /// Adds the next row to `rows`; `false` at the end.
+    fn read_into(&mut self, rows: &mut Rows) -> Result<bool, TableError> {
+        let file = || self.names.file.clone();
+        let next = self.records.next().map_err(|source| TableError::Read { file: file(), row: self.rows, source })?;
+        let Some(Record { text, ends, line }) = next else { return Ok(false) };
+        let row = self.rows + 1;
+        let text = std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file(), row, line })?;
+        if ends.len() != self.names.header.len() {
+            let [found, expected] = [ends.len(), self.names.header.len()].map(|fields| fields as u64);
+            return Err(TableError::UnequalRow { file: file(), row, line, found, expected });
+        }
+        rows.begins.push(rows.text.len());
+        rows.lines.push(line);
+        rows.text.push_str(text);
+        rows.ends.extend_from_slice(ends);
+        self.rows = row;
+        Ok(true)
+    }
+}
+
+/// Field number `index` of a record.
+fn field<'a>(text: &'a str, ends: &[usize], index: usize) -> &'a str {
+    let begin = index.checked_sub(1).map_or(0, |before| ends[before]);
+    // Between the ends of two fields there is no part of a character, unless the parser lied.
+    text.get(begin..ends[index]).unwrap_or_default()
 }
 
 /// Rows of data that are no part of the reader any more, for another thread.
 pub struct Rows {
     names: Arc<Names>,
-    records: Vec<StringRecord>,
+    /// The fields of all rows, one after another, and where each row begins.
+    text: String,
+    begins: Vec<usize>,
+    /// Where each field ends, in its row.
+    ends: Vec<usize>,
+    /// The line where each row begins.
+    lines: Vec<u64>,
     /// Number of the first.
     first: u64,
 }
 
 impl Rows {
+    /// No row, of which the first is to be number `first`.
+    fn none(names: &Arc<Names>, first: u64) -> Self {
+        let names = Arc::clone(names);
+        Self { names, text: String::new(), begins: Vec::new(), ends: Vec::new(), lines: Vec::new(), first }
+    }
+
+    fn clear(&mut self, first: u64) {
+        self.text.clear();
+        self.begins.clear();
+        self.ends.clear();
+        self.lines.clear();
+        self.first = first;
+    }
+
     /// The rows in their order.
     pub fn iter(&self) -> impl Iterator<Item = Row<'_>> {
-        self.records.iter().zip(self.first..).map(|(record, number)| Row { names: &self.names, record, number })
+        let places = self.begins.iter().zip(&self.lines).zip(self.ends.chunks_exact(self.names.header.len()));
+        places.zip(self.first..).map(|(((&begin, &line), ends), number)| Row {
+            names: &self.names,
+            text: &self.text[begin..],
+            ends,
+            line,
+            number,
+        })
     }
 
     /// How many there are.
     pub fn len(&self) -> usize {
-        self.records.len()
+        self.begins.len()
     }
 
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
-        self.records.is_empty()
+        self.begins.is_empty()
     }
 }
 
@@ -263,7 +368,10 @@ impl Rows {
 #[derive(Clone, Copy)]
 pub struct Row<'a> {
     names: &'a Names,
-    record: &'a StringRecord,
+    /// Its fields one after another, and more behind them.
+    text: &'a str,
+    ends: &'a [usize],
+    line: u64,
     /// From 1.
     number: u64,
 }
@@ -271,7 +379,7 @@ pub struct Row<'a> {
 impl<'a> Row<'a> {
     /// A field as it stands, without surrounding blanks.
     pub fn text(&self, column: Column) -> &'a str {
-        self.record.get(column.0).unwrap_or_default().trim()
+        field(self.text, self.ends, column.0).trim()
     }
 
     /// A field as a finite number.
@@ -282,7 +390,7 @@ impl<'a> Row<'a> {
             _ => Err(TableError::NotANumber {
                 file: self.names.file.clone(),
                 row: self.number_of_row(),
-                line: self.line(),
+                line: self.line,
                 column: self.name(column),
                 text: text.to_owned(),
             }),
@@ -294,7 +402,7 @@ impl<'a> Row<'a> {
         TableError::OutOfRange {
             file: self.names.file.clone(),
             row: self.number_of_row(),
-            line: self.line(),
+            line: self.line,
             column: self.name(column),
             value,
             allowed,
@@ -306,25 +414,8 @@ impl<'a> Row<'a> {
         self.number
     }
 
-    fn line(&self) -> u64 {
-        self.record.position().map_or(0, csv::Position::line)
-    }
-
     fn name(&self, column: Column) -> String {
-        self.names.header.get(column.0).unwrap_or_default().to_owned()
-    }
-}
-
-fn damaged(file: &str, rows: u64, error: csv::Error) -> TableError {
-    let file = file.to_owned();
-    let line = error.position().map_or(rows + 2, csv::Position::line);
-    match error.into_kind() {
-        csv::ErrorKind::Io(source) => TableError::Read { file, row: rows, source },
-        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            TableError::UnequalRow { file, row: rows + 1, line, found: len, expected: expected_len }
-        }
-        // The reader gives no other kind: seeking and (de)serialising are not used.
-        _ => TableError::NotText { file, row: rows + 1, line },
+        self.names.header[column.0].clone()
     }
 }
 

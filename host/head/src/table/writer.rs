@@ -1,13 +1,15 @@
 //! CSV out.
 
-use std::io::{self, Write};
+use std::borrow::Cow;
+use std::io::Write;
 
 use super::output::{Output, OutputError};
 use crate::foreign::printable_lines;
 
-/// A CSV table that is written field by field.
+/// A CSV table that is written row by row.
 pub struct TableWriter {
-    fields: Fields<Output>,
+    output: Output,
+    row: TableRows,
 }
 
 /// A CSV table of which many rows come at a time.
@@ -18,113 +20,104 @@ pub struct ChunkedTable {
 
 /// Rows of a table, written by any thread into memory for [`ChunkedTable::append`].
 pub struct TableRows {
-    fields: Fields<Vec<u8>>,
-}
-
-/// CSV into anything.
-struct Fields<W: Write> {
-    writer: csv::Writer<W>,
-    number: String,
+    text: Vec<u8>,
+    /// Where the row at hand begins.
+    begin: usize,
     is_terminal: bool,
 }
 
-impl<W: Write> Fields<W> {
-    fn of(sink: W, is_terminal: bool) -> Self {
-        // An output buffers; a second large buffer would only delay broken pipes.
-        Self { writer: csv::WriterBuilder::new().from_writer(sink), number: String::new(), is_terminal }
+impl TableRows {
+    fn of(output: &Output) -> Self {
+        Self::starting(output.is_terminal())
     }
 
-    fn text(&mut self, text: &str) -> csv::Result<()> {
-        let text = if self.is_terminal { printable_lines(text) } else { text.into() };
-        self.writer.write_field(&*text)
+    fn starting(is_terminal: bool) -> Self {
+        Self { text: Vec::new(), begin: 0, is_terminal }
     }
 
-    fn number(&mut self, value: f64) -> csv::Result<()> {
-        use std::fmt::Write;
-        self.number.clear();
-        // Writing to a String cannot fail.
-        let _ = write!(self.number, "{value:?}");
-        self.writer.write_field(&self.number)
+    /// Adds a text field; on a terminal control characters are escaped.
+    pub fn text(&mut self, text: &str) {
+        let text = if self.is_terminal { printable_lines(text) } else { Cow::Borrowed(text) };
+        if text.bytes().any(|byte| matches!(byte, b',' | b'"' | b'\n' | b'\r')) {
+            self.text.push(b'"');
+            self.text.extend_from_slice(text.replace('"', "\"\"").as_bytes());
+            self.text.push(b'"');
+        } else {
+            self.text.extend_from_slice(text.as_bytes());
+        }
+        self.text.push(b',');
     }
 
-    fn end_row(&mut self) -> csv::Result<()> {
-        self.writer.write_record(None::<&[u8]>)
+    /// Adds a number: the shortest text that reads back to the same bits.
+    pub fn number(&mut self, value: f64) {
+        self.text.extend_from_slice(zmij::Buffer::new().format(value).as_bytes());
+        self.text.push(b',');
+    }
+
+    /// Adds a whole number.
+    pub fn integer(&mut self, value: usize) {
+        // Writing to memory cannot fail.
+        let _ = write!(self.text, "{value},");
+    }
+
+    /// Adds a number, or an empty field.
+    pub fn optional(&mut self, value: Option<f64>) {
+        match value {
+            Some(value) => self.number(value),
+            None => self.text.push(b','),
+        }
+    }
+
+    /// Ends the row.
+    pub fn end_row(&mut self) {
+        // Nothing but an empty field would be no row.
+        if self.text[self.begin..] == *b"," {
+            self.text.splice(self.begin.., *b"\"\",");
+        }
+        if let Some(last) = self.text[self.begin..].last_mut() {
+            *last = b'\n';
+        }
+        self.begin = self.text.len();
     }
 }
 
 impl TableWriter {
     /// Starts a table with its header row.
     pub fn new<'a>(output: Output, header: impl IntoIterator<Item = &'a str>) -> Result<Self, OutputError> {
-        let is_terminal = output.is_terminal();
-        let mut table = Self { fields: Fields::of(output, is_terminal) };
-        for name in header {
-            table.text(name)?;
-        }
+        let row = TableRows::of(&output);
+        let mut table = Self { output, row };
+        header.into_iter().for_each(|name| table.text(name));
         table.end_row()?;
         Ok(table)
     }
 
-    /// Adds a text field; on a terminal control characters are escaped.
-    pub fn text(&mut self, text: &str) -> Result<(), OutputError> {
-        let written = self.fields.text(text);
-        written.map_err(|error| self.error(error))
+    /// As [`TableRows::text`].
+    pub fn text(&mut self, text: &str) {
+        self.row.text(text);
     }
 
-    /// Adds a number: the shortest text that reads back to the same bits.
-    pub fn number(&mut self, value: f64) -> Result<(), OutputError> {
-        let written = self.fields.number(value);
-        written.map_err(|error| self.error(error))
+    /// As [`TableRows::number`].
+    pub fn number(&mut self, value: f64) {
+        self.row.number(value);
     }
 
-    /// Adds a number, or an empty field.
-    pub fn optional(&mut self, value: Option<f64>) -> Result<(), OutputError> {
-        match value {
-            Some(value) => self.number(value),
-            None => self.text(""),
-        }
+    /// As [`TableRows::optional`].
+    pub fn optional(&mut self, value: Option<f64>) {
+        self.row.optional(value);
     }
 
-    /// Ends the row.
+    /// Ends the row, and writes it.
     pub fn end_row(&mut self) -> Result<(), OutputError> {
-        let written = self.fields.end_row();
-        written.map_err(|error| self.error(error))
+        self.row.end_row();
+        self.output.write_all(&self.row.text).map_err(|source| self.output.error(source))?;
+        self.row.text.clear();
+        self.row.begin = 0;
+        Ok(())
     }
 
     /// The same table, of which only whole rows are to follow.
-    pub fn into_chunks(self) -> Result<ChunkedTable, OutputError> {
-        let is_terminal = self.fields.is_terminal;
-        let target = self.fields.writer.get_ref().target().to_owned();
-        match self.fields.writer.into_inner() {
-            Ok(output) => Ok(ChunkedTable { output, is_terminal }),
-            Err(error) => Err(OutputError::Write { target, source: error.into_error() }),
-        }
-    }
-
-    /// Ends the table; a file appears under its name now.
-    pub fn finish(self) -> Result<(), OutputError> {
-        let target = self.fields.writer.get_ref().target().to_owned();
-        match self.fields.writer.into_inner() {
-            Ok(output) => output.finish(),
-            Err(error) => Err(OutputError::Write { target, source: error.into_error() }),
-        }
-    }
-
-    fn error(&self, error: csv::Error) -> OutputError {
-        self.fields.writer.get_ref().error(cause(error))
-    }
-}
-
-impl ChunkedTable {
-    /// What begins rows for [`Self::append`].
-    pub fn starting(&self) -> impl Fn() -> TableRows + Sync + use<> {
-        let is_terminal = self.is_terminal;
-        move || TableRows { fields: Fields::of(Vec::new(), is_terminal) }
-    }
-
-    /// Adds whole rows.
-    pub fn append(&mut self, rows: TableRows) -> Result<(), OutputError> {
-        let text = rows.fields.writer.into_inner().map_err(|error| in_memory(error.into_error().into()))?;
-        self.output.write_all(&text).map_err(|source| self.output.error(source))
+    pub fn into_chunks(self) -> ChunkedTable {
+        ChunkedTable { output: self.output, is_terminal: self.row.is_terminal }
     }
 
     /// Ends the table; a file appears under its name now.
@@ -133,41 +126,22 @@ impl ChunkedTable {
     }
 }
 
-impl TableRows {
-    /// As [`TableWriter::text`].
-    pub fn text(&mut self, text: &str) -> Result<(), OutputError> {
-        self.fields.text(text).map_err(in_memory)
+impl ChunkedTable {
+    /// What begins rows for [`Self::append`].
+    pub fn starting(&self) -> impl Fn() -> TableRows + Sync + use<> {
+        let is_terminal = self.is_terminal;
+        move || TableRows::starting(is_terminal)
     }
 
-    /// As [`TableWriter::number`].
-    pub fn number(&mut self, value: f64) -> Result<(), OutputError> {
-        self.fields.number(value).map_err(in_memory)
+    /// Adds whole rows.
+    pub fn append(&mut self, rows: &TableRows) -> Result<(), OutputError> {
+        self.output.write_all(&rows.text).map_err(|source| self.output.error(source))
     }
 
-    /// As [`TableWriter::optional`].
-    pub fn optional(&mut self, value: Option<f64>) -> Result<(), OutputError> {
-        match value {
-            Some(value) => self.number(value),
-            None => self.text(""),
-        }
+    /// Ends the table; a file appears under its name now.
+    pub fn finish(self) -> Result<(), OutputError> {
+        self.output.finish()
     }
-
-    /// As [`TableWriter::end_row`].
-    pub fn end_row(&mut self) -> Result<(), OutputError> {
-        self.fields.end_row().map_err(in_memory)
-    }
-}
-
-fn cause(error: csv::Error) -> io::Error {
-    match error.into_kind() {
-        csv::ErrorKind::Io(source) => source,
-        // Rows of unequal length, which only a mistake in a command can write.
-        other => io::Error::other(format!("{other:?}")),
-    }
-}
-
-fn in_memory(error: csv::Error) -> OutputError {
-    OutputError::Write { target: "memory".to_owned(), source: cause(error) }
 }
 
 #[cfg(test)]

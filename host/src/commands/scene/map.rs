@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::commands::options::{CalibrationOption, parse_number};
+use crate::commands::options::{CalibrationOption, Jobs, parse_number};
 use crate::commands::publish::publish;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
@@ -46,9 +46,12 @@ pub(super) struct Args {
     /// Seed of the draws
     #[arg(long, value_name = "S", default_value_t = 1, requires = "tolerance_study")]
     seed: u64,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    args.jobs.apply();
     let head = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?;
     let folder = args.output.as_deref().map(Folder::create).transpose()?;
     let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?;

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::parse_number;
+use crate::commands::options::{Jobs, parse_number};
 use crate::commands::publish::store;
 use crate::commands::{interrupt, names, talk};
 use crate::terminal::{Amount, Progress};
@@ -67,6 +67,8 @@ pub(super) struct Args {
     /// Write the scene to this file instead of standard output
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -107,6 +109,7 @@ fn several(search: &Search, path: &Path, radii_mm: &[f64], stop: &AtomicBool) ->
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
+    args.jobs.apply();
     // An impossible place is refused before the search.
     let output = match &args.pareto {
         Some(_) => None,

@@ -6,7 +6,7 @@
 
 use arrayvec::ArrayVec;
 
-use crate::lanes::zero_half_one;
+use crate::lanes::{set, zero_half_one};
 use crate::pose::Transform;
 use crate::rectangle::MOST_MAGNIFICATION;
 use crate::scalar::{Linear3, Real};
@@ -21,7 +21,7 @@ use super::super::planes::{self, PULL, STEP_M};
 use super::super::residuals::{ResidualSums, Row};
 use super::super::step::SAFE_ROUNDINGS;
 use super::super::weights::Whitener;
-use super::minimum::{Frames, Minima, set};
+use super::minimum::{Frames, Minima};
 
 /// Steps with derivatives that a frame of the common course takes at most: no more than six evaluations, to which the
 /// descent to an expected pose is limited, and no more than [`PATIENCE`].
@@ -58,6 +58,14 @@ struct Linearised<R> {
     lit: R,
 }
 
+impl<R: Real> Linearised<R> {
+    #[inline(always)]
+    fn nowhere(zero: R) -> Self {
+        let (information, sums) = ([[zero; 6]; 6], ResidualSums::zero(zero));
+        Self { rows: ArrayVec::new(), slacks_m: ArrayVec::new(), information, sums, lit: zero }
+    }
+}
+
 /// Numbers that lanes are given and keep: one for yes, zero for no.
 #[inline(always)]
 fn both<R: Real>(a: R, b: R) -> R {
@@ -70,8 +78,8 @@ fn not<R: Real>(a: R) -> R {
 }
 
 #[inline(always)]
-fn any<R: Real<Element = f64>>(a: R) -> bool {
-    (0..R::LANES).any(|lane| a.lane(lane) > 0.0)
+fn any<R: Real>(a: R) -> bool {
+    R::any_above(a, a.constant(0.0))
 }
 
 /// `yes` where `choice` is one, `no` where it is zero.
@@ -97,9 +105,10 @@ fn above<R: Real>(a: R, b: R) -> R {
     R::where_above(a, b, a.constant(1.0), a.constant(0.0))
 }
 
-/// Follows `frames` along `course` in lanes like `like`, and stores what is found.
+/// Follows `frames` along `course` in lanes like `like`, and stores what is found. `EXACT`: the head's plan is of the exact
+/// tier.
 #[inline(always)]
-pub(super) fn minimise<R: Real<Element = f64>>(
+pub(super) fn minimise<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     frames: &Frames,
     course: Course,
@@ -124,8 +133,9 @@ pub(super) fn minimise<R: Real<Element = f64>>(
     let mut before = like.constant(f64::INFINITY);
     let (mut iterations, mut evaluations) = (zero, zero);
     let (mut end, mut end_chi2) = (pose, zero);
-    let mut linearised = linearise(head, &measured, &pose);
+    let mut linearised = Linearised::nowhere(zero);
     for round in 1.. {
+        linearise::<R, EXACT>(head, &measured, &pose, &mut linearised);
         let Linearised { information, sums, lit, .. } = &linearised;
         evaluations += active;
         stays = both(stays, choose(active, both(*lit, above(before, sums.chi2)), one));
@@ -160,7 +170,7 @@ pub(super) fn minimise<R: Real<Element = f64>>(
         if any(reusing) {
             iterations += reusing;
             evaluations += reusing;
-            let again = reevaluate(head, &measured, &linearised.rows, &trial);
+            let again = reevaluate::<R, EXACT>(head, &measured, &linearised.rows, &trial);
             let half_way = factor.forward(&again.by_pose);
             let (second, second_reduction) = (factor.backward(&half_way), square(&half_way));
             let ratio = (second_reduction / reduction).root();
@@ -185,7 +195,6 @@ pub(super) fn minimise<R: Real<Element = f64>>(
             return;
         }
         pose = choose_pose(active, &next, &pose);
-        linearised = linearise(head, &measured, &pose);
     }
 }
 
@@ -262,25 +271,22 @@ fn moved<R: Real>(pose: &Transform<R>, step: &Vector6<R>, scale: R) -> Transform
 
 /// Rows, χ² and normal equations at `pose`.
 #[inline(always)]
-fn linearise<R: Real<Element = f64>>(
+fn linearise<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     measured: &[Measured<R>],
     pose: &Transform<R>,
-) -> Linearised<R> {
+    linearised: &mut Linearised<R>,
+) {
     let like = pose.translation().x();
-    let zero = like.constant(0.0);
+    let [zero, _, one] = zero_half_one(like);
     let scale = like.all(head.length_scale_m);
-    let mut linearised = Linearised {
-        rows: ArrayVec::new(),
-        slacks_m: ArrayVec::new(),
-        information: [[zero; 6]; 6],
-        sums: ResidualSums::zero(zero),
-        lit: like.constant(1.0),
-    };
+    linearised.rows.clear();
+    linearised.slacks_m.clear();
+    (linearised.information, linearised.sums, linearised.lit) = ([[zero; 6]; 6], ResidualSums::zero(zero), one);
     for (cell, Measured { pair, whitener }) in measured.iter().enumerate() {
-        let Some(terms) = head.plan.linearise_lanes(cell, pose) else {
+        let Some(terms) = head.plan.linearise_lanes::<R, EXACT>(cell, pose) else {
             linearised.lit = zero;
-            return linearised;
+            return;
         };
         let scaled_whitener = whitener.scaled(scale);
         let currents = terms.currents;
@@ -300,12 +306,11 @@ fn linearise<R: Real<Element = f64>>(
         linearised.slacks_m.push(terms.slack_m);
         linearised.rows.push(rows);
     }
-    linearised
 }
 
 /// χ² and gradient at `pose` with the Jacobian of `rows`.
 #[inline(always)]
-fn reevaluate<R: Real<Element = f64>>(
+fn reevaluate<R: Real<Element = f64>, const EXACT: bool>(
     head: &Compiled<f64>,
     measured: &[Measured<R>],
     rows: &[[Row<R>; 2]],
@@ -314,7 +319,7 @@ fn reevaluate<R: Real<Element = f64>>(
     let zero = pose.translation().x().constant(0.0);
     let mut sums = ResidualSums::zero(zero);
     for (cell, (Measured { pair, whitener }, rows)) in measured.iter().zip(rows).enumerate() {
-        let Some(currents) = head.plan.currents_lanes(cell, pose) else { break };
+        let Some(currents) = head.plan.currents_lanes::<R, EXACT>(cell, pose) else { break };
         let residual = whitener.apply([pair[0] - currents.pair[0], pair[1] - currents.pair[1]]);
         let [first, second] = rows;
         let rows = [Row { residual: residual[0], ..*first }, Row { residual: residual[1], ..*second }];

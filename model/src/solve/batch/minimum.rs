@@ -1,15 +1,12 @@
 //! What goes into the lanes and what comes out of them, a number per lane.
 
-use crate::lanes::{MAX_LANES, array};
+use crate::lanes::{MAX_LANES, PerLane, array, set};
 use crate::pose::{Pose, Rigid, Transform};
 use crate::scalar::{Linear3, Real};
 use crate::scene::MAX_CELLS;
 
 use super::super::algebra::{Factor, Matrix6};
 use super::super::readings::Sorted;
-
-/// A number of each lane.
-pub(super) type PerLane = [f64; MAX_LANES];
 
 /// The frames to be solved at once.
 #[derive(Clone, Debug)]
@@ -148,14 +145,6 @@ impl Minima {
     /// Inverse of the information, in scaled coordinates.
     pub(super) fn inverse(&self, lane: usize) -> Matrix6<f64> {
         core::array::from_fn(|i| core::array::from_fn(|j| self.inverse[place(i.max(j), i.min(j))][lane]))
-    }
-}
-
-/// Stores the number of each lane.
-#[inline(always)]
-pub(super) fn set<R: Real<Element = f64>>(numbers: &mut PerLane, of: R) {
-    for lane in 0..R::LANES {
-        numbers[lane] = of.lane(lane);
     }
 }
 

@@ -5,13 +5,14 @@
 //! so each frame has the bits that it has alone, on any machine. A frame that needs anything else — damping, a
 //! search, the far side of a kink, another factorisation — leaves the lanes and is solved alone, from the start.
 
+mod condition;
 mod lanes;
 mod minimum;
 
 use crate::plan::Optics;
 use crate::pose::Pose;
 use crate::scene::MAX_CELLS;
-use crate::width::{Baseline, Instructions, Kind, Lanes, Width};
+use crate::width::{Instructions, Lanes, Task, Width};
 
 use super::chi2::redundancy;
 use super::compiled::{Compiled, MotionPrior};
@@ -109,6 +110,12 @@ impl<'a> Batch<'a> {
         }
     }
 
+    /// Passes the number and the condition number of each of `solutions`, see [`Solution::condition`], to `sink`, in
+    /// order.
+    pub fn conditions(&self, solutions: &[Solution], sink: impl FnMut(usize, Option<f64>)) {
+        condition::conditions(self.width, solutions, sink);
+    }
+
     /// Puts `frames`, of which the first is number `first`, into lanes, if all their cells count.
     fn gather(&self, frames: &[Photocurrents], first: usize, starts: Starts<'_>, gathered: &mut Frames) {
         let head = &self.solver.compiled;
@@ -137,14 +144,7 @@ impl<'a> Batch<'a> {
                 Course { is_cold: false, stopping, most_chi2: gate }
             }
         };
-        let task = Task { head, frames, course, minima };
-        match self.width.0 {
-            Kind::Pair => task.run(Baseline),
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2(instructions) => pulp::Simd::vectorize(instructions, task),
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx512(instructions) => pulp::Simd::vectorize(instructions, task),
-        }
+        self.width.run(Minimise { head, frames, course, minima });
     }
 
     /// What [`super::accept`] concludes from the minimum in `lane`.
@@ -176,27 +176,23 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// What is done in lanes, in one function with their instructions.
-struct Task<'a> {
+/// The common course of some frames.
+struct Minimise<'a> {
     head: &'a Compiled<f64>,
     frames: &'a Frames,
     course: Course,
     minima: &'a mut Minima,
 }
 
-impl Task<'_> {
+impl Task for Minimise<'_> {
     #[inline(always)]
     fn run<I: Instructions>(self, instructions: I) {
-        lanes::minimise(self.head, self.frames, self.course, Lanes::zero(instructions), self.minima);
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-impl pulp::WithSimd for Task<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, instructions: S) {
-        self.run(instructions);
+        let Self { head, frames, course, minima } = self;
+        let like = Lanes::zero(instructions);
+        if head.plan.is_exact() {
+            lanes::minimise::<_, true>(head, frames, course, like, minima);
+        } else {
+            lanes::minimise::<_, false>(head, frames, course, like, minima);
+        }
     }
 }

@@ -1,0 +1,44 @@
+//! Condition numbers of many solutions, a solution per SIMD lane.
+
+use crate::lanes::{PerLane, array, set};
+use crate::scalar::Real;
+use crate::width::{Instructions, Lanes, Task, Width};
+
+use super::super::algebra::Factor;
+use super::super::outcome::Solution;
+
+/// Passes the number and the condition number of each of `solutions` to `sink`, in order.
+pub(super) fn conditions(width: Width, solutions: &[Solution], mut sink: impl FnMut(usize, Option<f64>)) {
+    let identity = Factor::of_parts(core::array::from_fn(|i| core::array::from_fn(|j| f64::from(i == j))), [1.0; 6]);
+    let lanes = width.lanes();
+    for (group, solutions) in solutions.chunks(lanes).enumerate() {
+        let factor =
+            |lane: usize| solutions.get(lane).and_then(|solution| solution.factor.as_ref()).unwrap_or(&identity);
+        let mut conditions = PerLane::default();
+        width.run(Condition { factor, conditions: &mut conditions });
+        for (lane, (solution, condition)) in solutions.iter().zip(conditions).enumerate() {
+            sink(group * lanes + lane, solution.factor.as_ref().map(|_| condition));
+        }
+    }
+}
+
+/// The condition number of the factor of each lane.
+struct Condition<'a, F> {
+    factor: F,
+    conditions: &'a mut PerLane,
+}
+
+impl<'f, F: Fn(usize) -> &'f Factor<f64>> Task for Condition<'_, F> {
+    #[inline(always)]
+    fn run<I: Instructions>(self, instructions: I) {
+        let zero = Lanes::zero(instructions);
+        let mut lower = [[zero; 6]; 6];
+        for (i, row) in lower.iter_mut().enumerate() {
+            for (j, element) in row.iter_mut().enumerate() {
+                *element = zero.each(|lane| (self.factor)(lane).lower()[i][j]);
+            }
+        }
+        let [least, largest] = Factor::of_parts(lower, array(zero, |_| zero)).extreme_singular_values();
+        set(self.conditions, largest / least);
+    }
+}
