@@ -1,8 +1,8 @@
 //! A head as a microcontroller holds it: cells of one kind, and one rule for the light of every spot.
 //!
-//! The rule is that of the exact tier, power and power-weighted centroid by Gauss–Legendre nodes on the spot, but two by
-//! two of them everywhere: of spots as narrow as those of the shipped scenes it errs by some 10⁻⁵. What other cells have
-//! (thick masks, slits turned against their detector, tabulated profiles, effects) has no place in it, and no code.
+//! The rule is that of the exact tier, power and power-weighted centroid, by an expansion about the middle of the spot
+//! ([`exact::narrow_light`]): of spots as narrow as those of the shipped scenes it errs by some 10⁻⁵. What other cells
+//! have (thick masks, slits turned against their detector, tabulated profiles, effects) has no place in it, and no code.
 //! Derivatives are those of the middle of the spot, right to some 10⁻³: of a step of a σ that is nothing, and longer
 //! ones are followed by another.
 
@@ -97,7 +97,7 @@ impl<S: Scalar> CompactCell<S> {
         if !visibility.status(0).has_spot() || !exact::is_wholly_in_front(&spot, seen.axis) {
             return (None, visibility);
         }
-        let (light, drift) = exact::narrow_light::<S, _, GRADIENT>(&spot, seen.axis, &self.profile);
+        let (light, drift) = exact::narrow_light::<S, GRADIENT>(&spot, seen.axis, |c| self.profile.bends(c));
         let mut light = of_sides::<S, GRADIENT>(&light, &spot, false);
         if let Place::Middle(_, [by_x, by_z]) = &mut light.x_a {
             // The middle moves by so much on the detector, and by one less under the emitter.
