@@ -108,24 +108,6 @@ impl Default for Effects {
 }
 
 impl Effects {
-    /// The first effect that acts, in words; `None` if only what stands in [`crate::Cell`] does.
-    pub(crate) fn first(&self) -> Option<&'static str> {
-        let ideal = Self::default();
-        let all = [
-            (self.opening != ideal.opening, "another opening than a slit"),
-            (self.other_axis.is_some(), "a detector of two axes"),
-            (self.source_diameter_m != 0.0, "an emitter that is no point"),
-            (self.profile != ideal.profile, "an emitter whose profile is no power of the cosine"),
-            (self.window.is_some(), "a cover on its detector"),
-            (!self.nonlinearity_m.is_empty(), "a detector that is not linear"),
-            (self.stray.is_some(), "stray light"),
-            (self.lit_together != 0, "emitters that are lit together"),
-            (self.electrode_gain != ideal.electrode_gain, "electrodes of different gains"),
-            (self.converters.is_some(), "converters that are not linear"),
-        ];
-        all.into_iter().find_map(|(acts, name)| acts.then_some(name))
-    }
-
     /// Whether they change what a cell sees.
     fn act(&self) -> bool {
         let ideal = Self { model_error: self.model_error, ..Self::default() };

@@ -70,6 +70,14 @@ impl<S: Scalar> Power<S> {
         }
     }
 
+    /// cⁿ, c > 0, and its first two derivatives relative to it.
+    #[inline(always)]
+    pub(crate) fn bends(&self, c: S) -> [S; 3] {
+        let inverse = c.recip();
+        let slope = self.exponent * inverse;
+        [self.of(c), slope, slope * (self.exponent - S::one()) * inverse]
+    }
+
     #[inline(always)]
     fn anchor(&self, c: S) -> Option<Anchor<S>> {
         let (significand, exponent) = c.split();

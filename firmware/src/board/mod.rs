@@ -20,6 +20,8 @@ use crate::collector::Collector;
 use crate::exposure::AutomaticExposure;
 use crate::hardware::{Hardware, Health, Indicator};
 use crate::outbox::Outbox;
+#[cfg(feature = "pose")]
+use crate::pose::HeadError;
 use crate::pose::Poser;
 use crate::validate::check;
 
@@ -116,8 +118,8 @@ pub struct Board<H, M> {
     exposure: AutomaticExposure,
     storing: Option<Storing>,
     reboot: Option<Reboot>,
-    /// The head that the board has kept cannot be read.
-    has_lost_head: bool,
+    /// Why the head that the board has kept is not in force, and what to do.
+    lost_head: Option<&'static str>,
 }
 
 /// A Store or Forget that has not been answered yet.
@@ -182,14 +184,19 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             exposure: AutomaticExposure::new(identity.scaling),
             storing: None,
             reboot: None,
-            has_lost_head: false,
+            lost_head: None,
         })
     }
 
     /// Puts the head in `bytes`, which the board has kept, in force.
     #[cfg(feature = "pose")]
     pub fn restore_head(&mut self, bytes: &[u8]) {
-        self.has_lost_head = !self.poser.restore(bytes, &self.configuration.schedule);
+        self.lost_head = self.poser.restore(bytes, &self.configuration.schedule).err().map(|error| match error {
+            HeadError::Version { .. } => "no poses: the head that was stored is of another version; store it anew",
+            HeadError::Damaged | HeadError::TooLong => {
+                "no poses: the head that was stored cannot be read; store it anew"
+            }
+        });
     }
 
     /// Scans until there is something to do: until a batch is full, or, on a board that solves poses, one; none if
@@ -318,10 +325,10 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
 
     /// Queues a warning if the head on the board is for another schedule, or was lost.
     fn warn_of_head(&mut self) {
-        let text = match (self.poser.is_unfit(), self.has_lost_head && !self.poser.is_at_work()) {
-            (true, _) => "no poses: the head was compiled for another schedule; send it anew",
-            (false, true) => "no poses: the head that was stored cannot be read; store it anew",
-            (false, false) => return,
+        let text = match self.lost_head.filter(|_| !self.poser.is_at_work()) {
+            _ if self.poser.is_unfit() => "no poses: the head was compiled for another schedule; send it anew",
+            Some(text) => text,
+            None => return,
         };
         let now = self.hardware.now_ticks();
         self.tell(now, Severity::Warning, format_args!("{text}"));

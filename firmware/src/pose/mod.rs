@@ -145,12 +145,17 @@ impl Poser {
         Ok(true)
     }
 
-    /// Puts a whole head in force; `false` if it is none that this firmware reads.
-    pub fn restore(&mut self, bytes: &[u8], schedule: &Schedule) -> bool {
+    /// Puts a whole head in force.
+    ///
+    /// # Errors
+    /// If it is none that this firmware reads.
+    pub fn restore(&mut self, bytes: &[u8], schedule: &Schedule) -> Result<(), HeadError> {
         self.receiving.clear();
-        self.is_whole = self.receiving.extend_from_slice(bytes).is_ok() && self.solver.load(bytes).is_ok();
+        let taken = self.receiving.extend_from_slice(bytes).map_err(|_| HeadError::TooLong);
+        let restored = taken.and_then(|()| self.solver.load(bytes));
+        self.is_whole = restored.is_ok();
         self.begin(schedule);
-        self.is_whole
+        restored
     }
 
     /// The head in force as it was sent; empty without one.

@@ -1,8 +1,9 @@
-//! A head as a microcontroller holds it: cells of one kind, and one rule for the light of every spot.
+//! A head as a microcontroller holds it: cells of two kinds, and one rule for the light of every spot.
 //!
-//! The rule is that of the exact tier, power and power-weighted centroid by Gauss–Legendre nodes on the spot, but two by
-//! two of them everywhere: of spots as narrow as those of the shipped scenes it errs by some 10⁻⁵. What other cells have
-//! (thick masks, slits turned against their detector, tabulated profiles, effects) has no place in it, and no code.
+//! The rule is that of the exact tier, power and power-weighted centroid, by an expansion about the middle of the spot
+//! ([`exact::narrow_light`]): of spots as narrow as those of the shipped scenes it errs by some 10⁻⁵. An ideal cell is a
+//! thin mask parallel to its detector before an emitter of the profile cosⁿγ. Whatever else a calibration finds is that of
+//! [`CompactImperfect`]; what has no place in that (round openings, extended sources, emitters lit together) has no code.
 //! Derivatives are those of the middle of the spot, right to some 10⁻³: of a step of a σ that is nothing, and longer
 //! ones are followed by another.
 
@@ -13,9 +14,12 @@ use crate::aperture::{Aperture, Face};
 use crate::exact;
 use crate::pose::{Pose, Transform};
 use crate::power::Power;
+use crate::profile::CompiledProfile;
 use crate::rectangle::{Rectangle, Visibility};
 use crate::scalar::{Linear3, Scalar};
+use crate::scene::{Cell, Scene};
 
+use super::imperfect::CompactImperfect;
 use super::optics::{Instant, Light, Place, Receiver, Seen, Source, of_sides};
 use super::{CellTerms, CompiledCell, Optics, Plan};
 
@@ -32,18 +36,36 @@ pub struct CompactPlan<S: Scalar> {
 #[serde(bound = "")]
 pub(crate) struct CompactCell<S: Scalar> {
     receiver: Receiver<S>,
-    face: Face<S>,
     source: Source<S>,
+    kind: Kind<S>,
+}
+
+/// What is between the emitter and the detector, and behind that.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
+#[allow(clippy::large_enum_variant, reason = "no heap on the board; both are nearly alike")]
+enum Kind<S: Scalar> {
+    Ideal(Ideal<S>),
+    Imperfect(CompactImperfect<S>),
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
+struct Ideal<S: Scalar> {
+    face: Face<S>,
     profile: Power<S>,
 }
 
 impl<S: Scalar> CompactPlan<S> {
-    /// The cells of `plan`, [`BOARD_CELLS`] at most.
+    /// The cells of `plan`, [`BOARD_CELLS`] at most, which is that of `scene`, as is `exact`.
     ///
     /// # Errors
     /// The first cell that has no place in a compact plan, and what it has.
-    pub(crate) fn of(plan: &Plan<S>) -> Result<Self, (usize, &'static str)> {
-        let cell = |(index, cell)| CompactCell::of(cell).map_err(|what| (index, what));
+    pub(crate) fn of(scene: &Scene, plan: &Plan<S>, exact: &Plan<f64>) -> Result<Self, (usize, &'static str)> {
+        let cell = |(index, cell): (usize, _)| {
+            let of_scene = &scene.cells[index];
+            CompactCell::of(cell, of_scene, &exact.cells[index].emitter.profile).map_err(|what| (index, what))
+        };
         Ok(Self { cells: plan.cells.iter().enumerate().map(cell).collect::<Result<_, _>>()? })
     }
 
@@ -65,17 +87,13 @@ impl<S: Scalar> CompactPlan<S> {
 }
 
 impl<S: Scalar> CompactCell<S> {
-    /// The same cell, or what it has that has no place here.
-    fn of(cell: &CompiledCell<S>) -> Result<Self, &'static str> {
-        let face = match &cell.aperture {
-            Aperture::Thin(face) => *face,
-            Aperture::Thick(..) => return Err("a thick mask"),
-            Aperture::Turned(_) => return Err("a slit that is turned against its detector"),
-            Aperture::Imperfect(_) => return Err("effects"),
+    /// The same cell, which is that `of_scene` and has the profile `exact`; or what it has that has no place here.
+    fn of(cell: &CompiledCell<S>, of_scene: &Cell, exact: &CompiledProfile<f64>) -> Result<Self, &'static str> {
+        let kind = match (&cell.aperture, cell.emitter.profile.as_power()) {
+            (Aperture::Thin(face), Some(profile)) => Kind::Ideal(Ideal { face: *face, profile: profile.clone() }),
+            _ => Kind::Imperfect(CompactImperfect::of(of_scene, exact)?),
         };
-        let profile = cell.emitter.profile.as_power().ok_or("an emitter whose profile is no power of the cosine")?;
-        let (receiver, source) = (cell.receiver.clone(), cell.emitter.source.clone());
-        Ok(Self { receiver, face, source, profile: profile.clone() })
+        Ok(Self { receiver: cell.receiver.clone(), source: cell.emitter.source.clone(), kind })
     }
 
     /// The emitter at the exposure of cell number `index`.
@@ -88,16 +106,18 @@ impl<S: Scalar> CompactCell<S> {
             }
         }
     }
+}
 
+impl<S: Scalar> Ideal<S> {
     /// The light of the cell's emitter; `None` without a spot, or if part of it is beyond the emitter's horizon.
     #[inline(always)]
-    fn light<const GRADIENT: bool>(&self, seen: &Seen<S>) -> (Option<Light<S>>, Visibility<S>) {
+    fn light<const GRADIENT: bool>(&self, receiver: &Receiver<S>, seen: &Seen<S>) -> (Option<Light<S>>, Visibility<S>) {
         let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];
-        let (spot, visibility) = Rectangle::of_beam([self.face], emitter, self.receiver.half);
+        let (spot, visibility) = Rectangle::of_beam([self.face], emitter, receiver.half);
         if !visibility.status(0).has_spot() || !exact::is_wholly_in_front(&spot, seen.axis) {
             return (None, visibility);
         }
-        let (light, drift) = exact::narrow_light::<S, _, GRADIENT>(&spot, seen.axis, &self.profile);
+        let (light, drift) = exact::narrow_light::<S, GRADIENT>(&spot, seen.axis, |c| self.profile.bends(c));
         let mut light = of_sides::<S, GRADIENT>(&light, &spot, false);
         if let Place::Middle(_, [by_x, by_z]) = &mut light.x_a {
             // The middle moves by so much on the detector, and by one less under the emitter.
@@ -119,6 +139,8 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     const HAS_SMALL_FRAMES: bool = true;
     // A blow changes the motion of each tool, and there are evaluations for one of both.
     const DOUBTS_MOTION_FIRST: bool = true;
+    // Emitters are near one in each eighth frame.
+    const CROSSES_WALLS: bool = true;
 
     fn cell_count(&self) -> usize {
         self.cells.len()
@@ -137,12 +159,19 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     ) {
         for (index, cell) in self.cells.iter().enumerate().filter(|&(index, _)| wanted(index)) {
             let seen = cell.see(index, instant);
-            let (light, visibility) = cell.light::<true>(&seen);
-            let status = visibility.status(0);
-            let terms = light.map_or(CellTerms::dark(status), |light| {
-                let (pair, jacobian) = cell.receiver.linearise(&cell.source, &light, &seen, false);
-                CellTerms { status, pair, jacobian, slack_m: visibility.slack_m(0) }
-            });
+            let CompactCell { receiver, source, kind } = cell;
+            let terms = match kind {
+                Kind::Ideal(ideal) => {
+                    let (light, visibility) = ideal.light::<true>(receiver, &seen);
+                    let status = visibility.status(0);
+                    light.map_or(CellTerms::dark(status), |light| {
+                        let (pair, jacobian) = receiver.linearise(source, &light, &seen, false);
+                        let slack_m = visibility.slack_m(0);
+                        CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() }
+                    })
+                }
+                Kind::Imperfect(imperfect) => imperfect.linearise(receiver, source, &seen, instant, index),
+            };
             sink(index, &terms);
         }
     }
@@ -156,10 +185,15 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     ) {
         for (index, cell) in self.cells.iter().enumerate().filter(|&(index, _)| wanted(index)) {
             let seen = cell.see(index, instant);
-            let currents = cell.light::<false>(&seen).0.map_or([S::zero(); 2], |light| {
-                let photocurrent = cell.receiver.responsivity * cell.source.intensity * light.power.value;
-                cell.receiver.divide(photocurrent, light.x_a.value(), false)
-            });
+            let CompactCell { receiver, source, kind } = cell;
+            let currents = match kind {
+                Kind::Ideal(ideal) => ideal.light::<false>(receiver, &seen).0.map_or([S::zero(); 2], |light| {
+                    let photocurrent = receiver.responsivity * source.intensity * light.power.value;
+                    receiver.divide(photocurrent, light.x_a.value(), false)
+                }),
+                // With derivatives: this is rare, and fast code has little room.
+                Kind::Imperfect(imperfect) => imperfect.linearise(receiver, source, &seen, instant, index).pair,
+            };
             sink(index, currents);
         }
     }

@@ -189,7 +189,7 @@ pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
         return CellTerms::dark(status);
     };
     let (pair, jacobian) = cell.receiver.linearise(&cell.emitter.source, &light, &seen, plan.is_paper);
-    CellTerms { status, pair, jacobian, slack_m }
+    CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() }
 }
 
 pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {

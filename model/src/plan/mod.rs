@@ -86,11 +86,15 @@ pub struct CellTerms<S> {
     /// How far the spot may change, metres on the detector, before the derivatives jump; zero if
     /// unknown.
     pub(crate) slack_m: S,
+    /// How far the emitter may move, metres, before derivatives change by a hundredth at a wall of a thick mask; infinite
+    /// if there is none, or if it counts in `slack_m`.
+    pub(crate) wall_m: S,
 }
 
 impl<S: Scalar> CellTerms<S> {
     fn dark(status: Status) -> Self {
-        Self { status, pair: [S::zero(); 2], jacobian: [[S::zero(); 6]; 2], slack_m: S::zero() }
+        let nothing = S::zero();
+        Self { status, pair: [nothing; 2], jacobian: [[nothing; 6]; 2], slack_m: nothing, wall_m: S::infinity() }
     }
 }
 
@@ -112,6 +116,8 @@ pub trait Optics<S: Scalar> {
     /// Whether a frame that contradicts the expected motion is first taken for another motion, and only then for a cell
     /// that lies, which costs more to find.
     const DOUBTS_MOTION_FIRST: bool;
+    /// Whether steps cross the walls of thick masks: see [`CellTerms`].
+    const CROSSES_WALLS: bool;
 
     /// Number of cells.
     fn cell_count(&self) -> usize;
@@ -268,6 +274,7 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     const NEAR_WORK: usize = 6;
     const HAS_SMALL_FRAMES: bool = false;
     const DOUBTS_MOTION_FIRST: bool = false;
+    const CROSSES_WALLS: bool = false;
 
     fn cell_count(&self) -> usize {
         self.cells.len()

@@ -60,6 +60,13 @@ pub struct Instant<'a, S: Scalar> {
 }
 
 impl<S: Scalar> Instant<'_, S> {
+    /// Where the tool's origin is at the exposure of one cell.
+    #[inline(always)]
+    pub(super) fn translation_of(&self, cell: usize) -> S::Vec3 {
+        let offset_s = self.offsets_s.get(cell).copied().unwrap_or_default();
+        self.pose.translation() + self.linear * offset_s
+    }
+
     /// The pose at the exposure of one cell.
     pub(super) fn pose_of(&self, cell: usize) -> Transform<S> {
         match self.offsets_s.get(cell) {
@@ -170,6 +177,14 @@ impl<R: Real> Receiver<R> {
         let first: [R; 6] = array(share, |i| total[i] * of_power - position[i] * of_position);
         let second = array(share, |i| total[i] * gain - first[i]);
         ([half - imbalance, half + imbalance], [first, second])
+    }
+
+    /// Converts derivatives with respect to the emitter's position to those with respect to the pose.
+    #[inline(always)]
+    pub(super) fn of_position(&self, by_position: R::Vec3, seen: &Seen<R>) -> [R; 6] {
+        let by_position = self.to_base(by_position);
+        let turn = seen.arm.cross(by_position);
+        [by_position.x(), by_position.y(), by_position.z(), turn.x(), turn.y(), turn.z()]
     }
 
     /// Converts derivatives with respect to the emitter to those with respect to the pose: a rotation δθ

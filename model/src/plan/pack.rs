@@ -159,6 +159,7 @@ pub(super) fn linearise<R: Real + Default>(
                     pair: pair.map(|value| value.lane(lane)),
                     jacobian: jacobian.map(|row| row.map(|value| value.lane(lane))),
                     slack_m: visibility.slack_m(lane),
+                    ..CellTerms::dark(status)
                 }
             } else {
                 CellTerms::dark(status)

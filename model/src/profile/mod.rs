@@ -3,6 +3,7 @@
 //! Defined for c > 0 only: an emitter emits nothing at γ ≥ 90°.
 
 mod cosine;
+mod curve;
 mod fit;
 mod shaped;
 mod table;
@@ -15,6 +16,7 @@ use crate::scalar::{Real, Scalar};
 use crate::scene::Profile;
 
 pub(crate) use cosine::Cosine;
+pub(crate) use curve::Curve;
 use fit::Smooth;
 use shaped::Shape;
 pub(crate) use shaped::Shaped;

@@ -13,7 +13,7 @@ use super::{Falloff, MAX_TERMS, Series};
 const WINDOWS: usize = 20;
 
 /// Degree of the polynomials: for a table in steps of 5° they are right to 1e-6 over 8° to 16°.
-const DEGREE: usize = MAX_TERMS;
+pub(super) const DEGREE: usize = MAX_TERMS;
 
 /// Half widths to try, degrees of γ: few spots are wider than the first, few smaller than the last.
 const HALF_WIDTHS_DEG: [f64; 10] = [12.0, 10.0, 8.0, 6.8, 5.8, 5.0, 4.2, 3.4, 2.6, 1.8];
@@ -144,6 +144,32 @@ pub(super) fn rule_nodes<S: Scalar, const N: usize>(sizes: &[S; N], allowed: S) 
     (1..REMAINDERS.len()).find(|&nodes| is_enough(nodes)).unwrap_or(REMAINDERS.len())
 }
 
+/// Coefficients of the powers of c − `centre` of the polynomial of degree [`DEGREE`] through `of` at the Chebyshev nodes of
+/// middle ± half.
+pub(super) fn interpolate(centre: f64, (middle, half): (f64, f64), of: impl Fn(f64) -> f64) -> [f64; DEGREE + 1] {
+    let count = (DEGREE + 1) as f64;
+    // Newton's divided differences.
+    let nodes: [f64; DEGREE + 1] =
+        core::array::from_fn(|i| middle + half * libm::cos(core::f64::consts::PI * (i as f64 + 0.5) / count));
+    let mut newton = nodes.map(of);
+    for k in 1..=DEGREE {
+        for i in (k..=DEGREE).rev() {
+            newton[i] = (newton[i] - newton[i - 1]) / (nodes[i] - nodes[i - k]);
+        }
+    }
+    // Expanded in powers of c − centre, from the innermost factor outward.
+    let mut powers = [0.0; DEGREE + 1];
+    powers[0] = newton[DEGREE];
+    for k in (0..DEGREE).rev() {
+        let shift = centre - nodes[k];
+        for j in (1..=DEGREE).rev() {
+            powers[j] = powers[j] * shift + powers[j - 1];
+        }
+        powers[0] = powers[0] * shift + newton[k];
+    }
+    powers
+}
+
 /// A polynomial of degree [`DEGREE`] fitted to the table around one cosine.
 struct Fit {
     reach: f64,
@@ -163,26 +189,7 @@ impl Fit {
         let (low, high) = ((centre - reach).max(0.0), (centre + reach).min(1.0));
         let (middle, half) = (0.5 * (low + high), 0.5 * (high - low));
         let count = (DEGREE + 1) as f64;
-
-        // Newton's divided differences at the Chebyshev nodes.
-        let nodes: [f64; DEGREE + 1] =
-            core::array::from_fn(|i| middle + half * libm::cos(core::f64::consts::PI * (i as f64 + 0.5) / count));
-        let mut newton = nodes.map(|c| table.relative(c));
-        for k in 1..=DEGREE {
-            for i in (k..=DEGREE).rev() {
-                newton[i] = (newton[i] - newton[i - 1]) / (nodes[i] - nodes[i - k]);
-            }
-        }
-        // Expanded in powers of c − centre, from the innermost factor outward.
-        let mut powers = [0.0; DEGREE + 1];
-        powers[0] = newton[DEGREE];
-        for k in (0..DEGREE).rev() {
-            let shift = centre - nodes[k];
-            for j in (1..=DEGREE).rev() {
-                powers[j] = powers[j] * shift + powers[j - 1];
-            }
-            powers[0] = powers[0] * shift + newton[k];
-        }
+        let powers = interpolate(centre, (middle, half), |c| table.relative(c));
         // Compared where a smooth remainder is greatest, and at the points, where the table is least smooth.
         let extremes =
             (0..=2 * (DEGREE + 1)).map(|i| middle + half * libm::cos(core::f64::consts::PI * i as f64 / (2.0 * count)));

@@ -1,15 +1,21 @@
-//! Where derivatives jump: a spot reaches the end of its detector.
+//! Where derivatives jump: a spot reaches the end of its detector, or an emitter the wall of a thick mask.
 //!
 //! Either side of such a kink has its own linearisation, and a step by the one may lead into the other.
 //! Where both say that χ² falls towards the other side its minimum lies on the kink; where both say that it
 //! falls away from there each side has a minimum of its own.
 
+use arrayvec::ArrayVec;
+
 use crate::plan::Optics;
 use crate::pose::Transform;
+use crate::rectangle::{MOST_MAGNIFICATION, WALL_SLACK};
 use crate::scalar::Scalar;
+use crate::scene::MAX_CELLS;
 
-use super::algebra::{Factor, Matrix6, Vector6};
+use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror, square};
+use super::levenberg_marquardt::Minimum;
 use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
+use super::step::Step;
 
 /// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
 pub(super) const NEAR: f64 = 400.0;
@@ -86,5 +92,63 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         let nearer = self.moved(pose, &between);
         let there = self.linearise(&nearer, whiteners, workspace);
         if there.chi2 < at.chi2 { Astride::Lower(nearer, there) } else { Astride::Nothing }
+    }
+
+    /// Whether a step from the last linearisation may take an emitter to a wall.
+    #[inline(always)]
+    pub(super) fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
+        let most_moved_m = S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.length_scale_m;
+        workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
+    }
+
+    /// The minimum near that to which the `step` from `start` leads, where it takes emitters to walls of their masks: those
+    /// cells are linearised anew at its end.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn behind_walls(
+        &self,
+        step: &Step<S>,
+        (start, minimum): (&Transform<S>, Minimum<S>),
+        whiteners: &Whiteners<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
+        let crosses = |index: usize| {
+            let wall_m = workspace.walls_m.get(index).copied().unwrap_or(S::infinity());
+            wall_m <= self.emitter_moves_m(&step.step, start, &self.readings[index])
+        };
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(|&index| crosses(index)).collect();
+        // What is not known of the motion, or of cells without light, is more than walls add to a residual.
+        if crossing.is_empty() || workspace.elimination.is_some() || !workspace.plane_rows.is_empty() {
+            return minimum;
+        }
+        for row in workspace.rows.iter_mut().flatten() {
+            row.residual -= dot(&row.by_pose, &step.step);
+        }
+        let crossing_cell = |cell: usize| crossing.iter().copied().find(|&index| self.readings[index].cell == cell);
+        let Workspace { rows, displaced, .. } = &mut *workspace;
+        self.plan.linearise_all(
+            &self.instant(&minimum.pose),
+            |cell| crossing_cell(cell).is_some(),
+            |cell, terms| {
+                if let Some(index) = crossing_cell(cell) {
+                    let whitener = displaced.get(index).unwrap_or(&whiteners[index]);
+                    rows[index] = self.rows(&self.readings[index], terms, whitener);
+                }
+            },
+        );
+        let mut information = [[S::zero(); 6]; 6];
+        for [first, second] in &*rows {
+            let own = [&first.by_pose, &second.by_pose];
+            add_outer(&mut information, own, own);
+        }
+        mirror(&mut information);
+        let sums = self.residual_sums(workspace);
+        let at = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
+        match self.step(&at, S::zero(), workspace) {
+            Some(next) if !next.is_by_qr && next.is_finite() => {
+                self.end_of(&next, self.moved(&minimum.pose, &next.step), &at, minimum.iterations + 1)
+            }
+            _ => minimum,
+        }
     }
 }

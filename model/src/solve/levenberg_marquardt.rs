@@ -144,14 +144,24 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         if let Some(step) = first.as_ref().filter(|step| !step.is_by_qr && step.is_finite())
             && self.reach(step, (&start, &at), 1, stopping, workspace).is_last
         {
-            return self.end_of(step, self.moved(&start, &step.step), &at, 1);
+            let end = self.end_of(step, self.moved(&start, &step.step), &at, 1);
+            if P::CROSSES_WALLS && self.may_cross_wall(step, workspace) {
+                return self.behind_walls(step, (&start, end), whiteners, workspace);
+            }
+            return end;
         }
         self.descend(start, at, first, whiteners, stopping, workspace)
     }
 
     /// The minimum at `end`, where the undamped `step` from where the normal equations are `at` has led.
     #[inline(always)]
-    fn end_of(&self, step: &Step<S>, end: Transform<S>, at: &NormalEquations<S>, iterations: usize) -> Minimum<S> {
+    pub(super) fn end_of(
+        &self,
+        step: &Step<S>,
+        end: Transform<S>,
+        at: &NormalEquations<S>,
+        iterations: usize,
+    ) -> Minimum<S> {
         let chi2 = (at.chi2 - step.predicted_reduction).max(S::zero());
         Minimum { pose: end, chi2, factor: Some(step.factor), iterations, converged: true }
     }
@@ -333,7 +343,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
 }
 
 impl<S: Scalar> Step<S> {
-    fn is_finite(&self) -> bool {
+    pub(super) fn is_finite(&self) -> bool {
         self.step.iter().all(|value| value.is_finite())
     }
 

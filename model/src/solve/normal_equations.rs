@@ -11,7 +11,7 @@
 // heapless clears the memory of a new vector; here that would take as long as the algebra.
 use arrayvec::ArrayVec;
 
-use crate::plan::{Instant, Optics};
+use crate::plan::{CellTerms, Instant, Optics};
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
@@ -55,12 +55,14 @@ pub(super) struct Workspace<S: Scalar> {
     /// Index of a reading whose cell has no spot at the pose, and the row of its plane.
     pub(super) plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
     /// Weights at the last linearisation of cells whose parts may be displaced.
-    displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
+    pub(super) displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
     /// The readings' slacks: see [`crate::plan::CellTerms`].
     pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
+    /// The readings' distances from walls, if steps cross them.
+    pub(super) walls_m: ArrayVec<S, MAX_CELLS>,
     /// M₁ and M₂ of [`super::twist`], if the twist is not known.
     twist_moments: [Matrix6<S>; 2],
-    elimination: Option<Elimination<S>>,
+    pub(super) elimination: Option<Elimination<S>>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
     pub(super) work: usize,
     /// Evaluations made.
@@ -86,6 +88,7 @@ impl<S: Scalar> Workspace<S> {
             plane_rows: ArrayVec::new(),
             displaced: ArrayVec::new(),
             slacks_m: ArrayVec::new(),
+            walls_m: ArrayVec::new(),
             twist_moments: [[[S::zero(); 6]; 6]; 2],
             elimination: None,
         }
@@ -132,7 +135,7 @@ impl<S: Scalar> NormalEquations<S> {
 }
 
 impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
-    fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
+    pub(super) fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
         Instant { pose, linear: self.motion.linear, angular: self.motion.angular, offsets_s: self.offsets_s }
     }
 
@@ -185,8 +188,9 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         workspace: &mut Workspace<S>,
     ) -> NormalEquations<S> {
         workspace.count();
-        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, twist_moments, .. } = workspace;
+        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, twist_moments, .. } = workspace;
         slacks_m.clear();
+        walls_m.clear();
         displaced.clear();
         all_rows.clear();
         plane_rows.clear();
@@ -205,6 +209,9 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                     return;
                 };
                 slacks_m.push(terms.slack_m);
+                if P::CROSSES_WALLS {
+                    walls_m.push(terms.wall_m);
+                }
                 let variance = self.noise[cell].displacement;
                 let looser;
                 let whitener = if variance > S::zero() {
@@ -214,24 +221,14 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 } else {
                     &whiteners[index]
                 };
-                // Translations are counted in units of the length scale.
-                let scaled_whitener = whitener.scaled(self.length_scale_m);
-                let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
-                let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
-                for axis in 0..6 {
-                    let whitener = if axis < 3 { &scaled_whitener } else { whitener };
-                    let column = whitener.apply(terms.jacobian.map(|row| row[axis]));
-                    rows[0].by_pose[axis] = column[0];
-                    rows[1].by_pose[axis] = column[1];
-                }
+                let rows = self.rows(reading, terms, whitener);
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
                 if !is_twist_known {
                     add_moments(twist_moments, self.share(reading), &rows);
                 }
                 if !terms.status.has_spot() {
-                    let guide = self.guide(reading, pose);
-                    add_outer(&mut information, [&guide.by_pose], [&guide.by_pose]);
+                    let guide = self.guide_into(&mut information, reading, pose);
                     if !is_twist_known {
                         add_moments(twist_moments, self.share(reading), &[guide]);
                     }
@@ -255,6 +252,31 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         normal
     }
 
+    /// The rows of a reading whose cell has these `terms`.
+    #[inline(always)]
+    pub(super) fn rows(&self, reading: &Usable<S>, terms: &CellTerms<S>, whitener: &Whitener<S>) -> [Row<S>; 2] {
+        // Translations are counted in units of the length scale.
+        let scaled_whitener = whitener.scaled(self.length_scale_m);
+        let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
+        let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
+        for axis in 0..6 {
+            let whitener = if axis < 3 { &scaled_whitener } else { whitener };
+            let column = whitener.apply(terms.jacobian.map(|row| row[axis]));
+            rows[0].by_pose[axis] = column[0];
+            rows[1].by_pose[axis] = column[1];
+        }
+        rows
+    }
+
+    /// Adds a [`Self::guide`] to the information.
+    #[cold]
+    #[inline(never)]
+    fn guide_into(&self, information: &mut Matrix6<S>, reading: &Usable<S>, pose: &Transform<S>) -> Row<S> {
+        let guide = self.guide(reading, pose);
+        add_outer(information, [&guide.by_pose], [&guide.by_pose]);
+        guide
+    }
+
     /// The row of a cell that saw light and should see none at `pose`: its currents have no derivatives
     /// there, but its plane leads back.
     #[inline(never)]
@@ -268,15 +290,24 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
 
     /// χ² and gradients of the residuals in `workspace`.
     #[inline]
-    fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
+    pub(super) fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
         let mut sums = ResidualSums::zero(S::zero());
         for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
             sums.add(rows, self.share(reading));
         }
+        if !workspace.plane_rows.is_empty() {
+            self.add_planes(&mut sums, workspace);
+        }
+        sums
+    }
+
+    /// Adds the rows of planes.
+    #[cold]
+    #[inline(never)]
+    fn add_planes(&self, sums: &mut ResidualSums<S>, workspace: &Workspace<S>) {
         for (index, row) in &workspace.plane_rows {
             sums.add(core::slice::from_ref(row), self.share(&self.readings[*index]));
         }
-        sums
     }
 
     /// The whitened residuals at `pose`, in the order of the readings.

@@ -11,6 +11,7 @@ use crate::scalar::{Linear3, Scalar};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
+use super::readings::Usable;
 use super::residuals::{ResidualSums, Row};
 use super::twist::{Elimination, add_moments};
 
@@ -109,13 +110,18 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         pose: &Transform<S>,
         workspace: &Workspace<S>,
     ) -> bool {
-        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
-        let turn = S::Vec3::new(step[3], step[4], step[5]);
-        let arm = self.plan.arm(self.readings[index].cell, pose);
-        let moved_m = (shift + turn.cross(arm)).length();
+        let reading = &self.readings[index];
+        let arm = self.plan.arm(reading.cell, pose);
         // The most that a step of that length moves this emitter, by its length.
         let most = (S::one() + arm.dot(arm) / (self.length_scale_m * self.length_scale_m)).root();
-        workspace.slacks_m[index] * most > S::of(MOST_MAGNIFICATION) * moved_m
+        workspace.slacks_m[index] * most > S::of(MOST_MAGNIFICATION) * self.emitter_moves_m(step, pose, reading)
+    }
+
+    /// How far a `step` from `pose` moves the emitter of a reading, metres.
+    pub(super) fn emitter_moves_m(&self, step: &Vector6<S>, pose: &Transform<S>, reading: &Usable<S>) -> S {
+        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
+        let turn = S::Vec3::new(step[3], step[4], step[5]);
+        (shift + turn.cross(self.plan.arm(reading.cell, pose))).length()
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over all

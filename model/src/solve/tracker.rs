@@ -252,6 +252,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         solution
     }
 
+    #[cold]
+    #[inline(never)]
     fn forget(&mut self) {
         self.motion.forget();
         if let Some(filter) = &mut self.filter {
@@ -260,6 +262,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.coasted = 0;
     }
 
+    #[cold]
+    #[inline(never)]
     fn coast(&mut self) {
         self.coasted += 1;
         if self.coasted > MAX_COAST {

@@ -11,10 +11,11 @@
 //! ([`Raise::bend`]).
 
 use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
 
 use crate::effects::Window;
 use crate::pose::rotation_exp;
-use crate::rectangle::{Edge, Extent, Rectangle, RectangleLight, SideGradient, WALL_SLACK};
+use crate::rectangle::{Edge, Extent, Rectangle, RectangleLight, SideGradient};
 use crate::response::Status;
 use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::Slit;
@@ -26,17 +27,25 @@ use crate::polygon::EmitterGradient;
 const MOST_TURN: f64 = 0.18;
 
 /// A slit and a window, compiled.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
 pub(super) struct Beam<S: Scalar> {
     faces: [Face<S>; 2],
     face_count: usize,
+    /// Normal of the mask, away from the detector.
+    normal: S::Vec3,
+    parts: Parts<S>,
+}
+
+/// What a beam is made of.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
+struct Parts<S: Scalar> {
     /// Directions along the width and the length of the slit, and half of both.
     across: S::Vec3,
     along: S::Vec3,
     half_sizes: [S; 2],
     centre: S::Vec3,
-    /// Normal of the mask, away from the detector, and half its thickness.
-    normal: S::Vec3,
     half_thickness: S,
     window: Option<Glass<S>>,
 }
@@ -49,7 +58,7 @@ struct Face<S: Scalar> {
 }
 
 /// A window: t, n², n² − 1.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Glass<S> {
     thickness: S,
     index2: S,
@@ -65,6 +74,31 @@ impl<S: Scalar> Glass<S> {
         let first = S::half() * self.thickness * ratio * root;
         let second = -S::of(1.5) * first * ratio;
         (self.thickness * (S::one() - root), [first, second, -S::of(2.5) * second * ratio])
+    }
+}
+
+impl<S: Scalar> From<Parts<S>> for Beam<S> {
+    fn from(parts: Parts<S>) -> Self {
+        let Parts { across, along, half_sizes: [half_width, half_length], centre, half_thickness, .. } = parts;
+        let normal = across.cross(along);
+        let face = |offset: S| {
+            let middle = centre + normal * offset;
+            let moment = |half: S| (middle + across * half).cross(along);
+            let end = |half: S| middle + along * half;
+            Face { moments: [-half_width, half_width].map(moment), ends: [-half_length, half_length].map(end) }
+        };
+        Self {
+            faces: [-half_thickness, half_thickness].map(face),
+            face_count: if half_thickness > S::zero() { 2 } else { 1 },
+            normal,
+            parts,
+        }
+    }
+}
+
+impl<S: Scalar> From<Beam<S>> for Parts<S> {
+    fn from(beam: Beam<S>) -> Self {
+        beam.parts
     }
 }
 
@@ -128,7 +162,10 @@ pub(super) struct Spot<S: Scalar> {
     pub(super) rectangle: Rectangle<S>,
     sides: [S::Vec3; 4],
     raise: Raise<S>,
+    /// How far the spot may change before an edge of the detector bounds it, or bounds it no more.
     pub(super) slack_m: S,
+    /// How far the emitter may move before the other face of a thick mask bounds the spot.
+    pub(super) wall_m: S,
 }
 
 /// A long edge, projected: the side X = m·e/(m_x − e_y·a_z + e_z·a_y) of the spot, m about the middle of the raised
@@ -154,39 +191,28 @@ impl<S: Scalar> Beam<S> {
         if axes.y_axis.y < libm::sqrt(1.0 - MOST_TURN * MOST_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
             return None;
         }
-        let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
-        let half_thickness = 0.5 * slit.thickness_m;
-        let (along, normal) = (axes.y_axis, axes.z_axis);
-        let face = |offset: f64| {
-            let middle = centre + normal * offset;
-            let moment = |side: f64| S::Vec3::of((middle + axes.x_axis * (side * 0.5 * slit.width_m)).cross(along));
-            let end = |side: f64| S::Vec3::of(middle + along * (side * 0.5 * slit.length_m));
-            Face { moments: [-1.0, 1.0].map(moment), ends: [-1.0, 1.0].map(end) }
-        };
-        let face_count = if half_thickness > 0.0 { 2 } else { 1 };
-        Some(Self {
-            faces: [face(-half_thickness), face(half_thickness)],
-            face_count,
+        let parts = Parts {
             across: S::Vec3::of(axes.x_axis),
-            along: S::Vec3::of(along),
+            along: S::Vec3::of(axes.y_axis),
             half_sizes: [S::of(0.5 * slit.width_m), S::of(0.5 * slit.length_m)],
-            centre: S::Vec3::of(centre),
-            normal: S::Vec3::of(normal),
-            half_thickness: S::of(half_thickness),
+            centre: S::Vec3::of(DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m)),
+            half_thickness: S::of(0.5 * slit.thickness_m),
             window: window.filter(|window| window.thickness_m > 0.0).map(|window| {
                 let index2 = window.refractive_index * window.refractive_index;
                 Glass { thickness: S::of(window.thickness_m), index2: S::of(index2), excess: S::of(index2 - 1.0) }
             }),
-        })
+        };
+        Some(parts.into())
     }
 
     /// δ for an emitter at `e`.
     fn raise(&self, e: S::Vec3) -> Raise<S> {
-        let Some(glass) = &self.window else {
+        let Some(glass) = &self.parts.window else {
             return Raise::none();
         };
-        let per_height = (e.z() - self.centre.z()).recip();
-        let along = (e.x() - self.centre.x()) * per_height;
+        let centre = self.parts.centre;
+        let per_height = (e.z() - centre.z()).recip();
+        let along = (e.x() - centre.x()) * per_height;
         let per_distance = e.z().recip();
         let across = e.y() * per_distance;
         let zero = S::zero();
@@ -205,7 +231,7 @@ impl<S: Scalar> Beam<S> {
     /// The side that the detector's edge at y = `edge` cuts off, and its derivatives by the emitter's position. Light
     /// lands there at an angle of its own, where the detector appears raised by another height.
     fn detector_side<const GRADIENT: bool>(&self, edge: S, e: S::Vec3, raise: &Raise<S>) -> (S, S::Vec3) {
-        let Some(glass) = &self.window else {
+        let Some(glass) = &self.parts.window else {
             return (edge, S::Vec3::default());
         };
         let height = e.z() - raise.height;
@@ -232,7 +258,7 @@ impl<S: Scalar> Beam<S> {
     /// The side of the spot that the long edge with this moment bounds, for the `raised` detector's emitter.
     #[inline(always)]
     fn projected(&self, moment: S::Vec3, raised: S::Vec3, delta: S) -> Projected<S> {
-        let a = self.along;
+        let a = self.parts.along;
         let moment = S::Vec3::new(moment.x() + delta * a.y(), moment.y() - delta * a.x(), moment.z());
         let per = (moment.x() - raised.y() * a.z() + raised.z() * a.y()).recip();
         Projected { at: moment.dot(raised) * per, moment, per }
@@ -241,7 +267,7 @@ impl<S: Scalar> Beam<S> {
     /// How that side moves with the emitter at `e`.
     #[inline(always)]
     fn edge_slope(&self, Projected { at, moment: m, per }: Projected<S>, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
-        let a = self.along;
+        let a = self.parts.along;
         let by_raise = (a.y() * e.x() - a.x() * e.y() - m.z()) * per;
         S::Vec3::new(m.x(), m.y() + at * a.z(), m.z() - at * a.y()) * per + raise.by_position * by_raise
     }
@@ -254,23 +280,29 @@ impl<S: Scalar> Beam<S> {
             - raise.by_position * (to_emitter * per)
     }
 
-    /// The spot of an emitter at `e`, on a detector of half extents `half`.
-    pub(super) fn spot<const GRADIENT: bool>(&self, e: S::Vec3, half: [S; 2]) -> Result<(Spot<S>, Status), Status> {
-        let from_centre = e - self.centre;
-        if from_centre.dot(self.normal) <= self.half_thickness {
+    /// The spot of an emitter at `e`, on a detector of half extents `half`. `CUTS`: with how a window moves the sides that
+    /// the detector's edges cut off, 10⁻³ of the emitter's way.
+    pub(super) fn spot<const GRADIENT: bool, const CUTS: bool>(
+        &self,
+        e: S::Vec3,
+        half: [S; 2],
+    ) -> Result<(Spot<S>, Status), Status> {
+        let Parts { across, along, half_sizes, centre, half_thickness, .. } = self.parts;
+        let from_centre = e - centre;
+        if from_centre.dot(self.normal) <= half_thickness {
             return Err(Status::Behind);
         }
         let raise = self.raise(e);
         let delta = raise.height;
         let raised = S::Vec3::new(e.x(), e.y(), e.z() - delta);
-        let cut = [-half[1], half[1]].map(|edge| self.detector_side::<GRADIENT>(edge, e, &raise));
+        let cut = [-half[1], half[1]].map(|edge| self.detector_side::<CUTS>(edge, e, &raise));
         let detector = |at: S| Side { at, face: None };
         let [mut x_low, mut x_high] = [-half[0], half[0]].map(detector);
         let [mut y_low, mut y_high] = cut.map(|(at, _)| detector(at));
-        let mut slack = S::infinity();
-        let walls = [(self.across, self.half_sizes[0]), (self.along, self.half_sizes[1])].map(|(direction, half)| {
+        let (mut slack_m, mut wall_m) = (S::infinity(), S::infinity());
+        let walls = [(across, half_sizes[0]), (along, half_sizes[1])].map(|(direction, half)| {
             let place = from_centre.dot(direction);
-            [place + half, half - place].map(|distance| S::of(WALL_SLACK) * distance.abs())
+            [place + half, half - place].map(|distance| distance.abs())
         });
         let nowhere = Projected { at: S::zero(), moment: raised, per: S::zero() };
         let mut edges = [[nowhere; 2]; 2];
@@ -280,10 +312,13 @@ impl<S: Scalar> Beam<S> {
             let ends = face.ends.map(|q| q.y() + (q.y() - e.y()) * (q.z() - delta) * (e.z() - q.z()).recip());
             let axes = [(&mut x_low, &mut x_high, sides, walls[0]), (&mut y_low, &mut y_high, ends, walls[1])];
             for (low, high, [first, second], walls) in axes {
-                let apart = |side: &Side<S>, other: S, wall: S| {
-                    if side.face.is_none() { (side.at - other).abs() } else { wall }
-                };
-                slack = slack.min(apart(low, first, walls[0])).min(apart(high, second, walls[1]));
+                for (side, other, wall) in [(&*low, first, walls[0]), (&*high, second, walls[1])] {
+                    if side.face.is_none() {
+                        slack_m = slack_m.min((side.at - other).abs());
+                    } else {
+                        wall_m = wall_m.min(wall);
+                    }
+                }
                 if first > low.at {
                     *low = Side { at: first, face: Some(number) };
                 }
@@ -324,7 +359,7 @@ impl<S: Scalar> Beam<S> {
                 };
             }
         }
-        Ok((Spot { rectangle, sides, raise, slack_m: slack }, status))
+        Ok((Spot { rectangle, sides, raise, slack_m, wall_m }, status))
     }
 }
 
@@ -339,29 +374,44 @@ impl<S: Scalar> Spot<S> {
                 x_a: Place::Weighted(EmitterGradient::of_value(x_a)),
             };
         }
-        let (zero, one) = (S::zero(), S::one());
-        let (along, across) = (S::Vec3::new(one, zero, zero), S::Vec3::new(zero, one, zero));
-        let height = S::Vec3::new(zero, zero, one) - self.raise.by_position;
-        let chain = |quantity: &SideGradient<S>| {
-            let by = quantity.by_side;
-            (self.sides[0] - along) * by[0]
-                + (self.sides[1] - along) * by[1]
-                + (self.sides[2] - across) * by[2]
-                + (self.sides[3] - across) * by[3]
-                + height * quantity.by_height
-        };
+        let along = S::Vec3::new(S::one(), S::zero(), S::zero());
         Light {
-            power: EmitterGradient {
-                value: light.power.value,
-                by_position: chain(&light.power),
-                by_axis: light.power.by_axis,
-            },
+            power: self.of_emitter(&light.power),
             x_a: Place::Weighted(EmitterGradient {
                 value: x_a,
-                by_position: chain(&light.centroid) + along + bend_by,
+                by_position: self.of_emitter(&light.centroid).by_position + along + bend_by,
                 by_axis: light.centroid.by_axis,
             }),
         }
+    }
+
+    /// A quantity in terms of the emitter, from that in terms of the sides.
+    #[inline(always)]
+    fn of_emitter(&self, quantity: &SideGradient<S>) -> EmitterGradient<S> {
+        let (zero, one) = (S::zero(), S::one());
+        let (along, across) = (S::Vec3::new(one, zero, zero), S::Vec3::new(zero, one, zero));
+        let height = S::Vec3::new(zero, zero, one) - self.raise.by_position;
+        let by = quantity.by_side;
+        let by_position = (self.sides[0] - along) * by[0]
+            + (self.sides[1] - along) * by[1]
+            + (self.sides[2] - across) * by[2]
+            + (self.sides[3] - across) * by[3]
+            + height * quantity.by_height;
+        EmitterGradient { value: quantity.value, by_position, by_axis: quantity.by_axis }
+    }
+
+    /// Power, and place with its derivatives by the emitter's position, of the light of a narrow spot: see
+    /// [`crate::exact::narrow_light`], of which `drift` is what comes second. What bends the light in a window counts, and
+    /// how that changes, by 10⁻⁴ of the emitter's way, does not.
+    #[inline(always)]
+    pub(super) fn of_narrow(&self, light: &RectangleLight<S>, drift: S) -> (EmitterGradient<S>, S, S::Vec3) {
+        let mut x_a = self.rectangle.x.landing + light.centroid.value;
+        if self.raise.height > S::zero() {
+            x_a += self.raise.bend(&self.rectangle, &self.sides).0;
+        }
+        let middle = (self.sides[0] + self.sides[1]) * S::half();
+        let from_emitter = middle - S::Vec3::new(S::one(), S::zero(), S::zero());
+        (self.of_emitter(&light.power), x_a, middle + from_emitter * drift)
     }
 
     /// The raised plane's height above the detector, and its derivatives by the emitter's position.

@@ -1,17 +1,19 @@
 //! From light on the detector to the currents that are read.
 
 use heapless::Vec;
+use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effects, MAX_CONVERTER, MAX_NONLINEARITY, Stray};
-use crate::pose::Transform;
 use crate::scalar::{Linear3, Scalar};
 
-use super::super::{CompiledCell, CurrentsJacobian, Plan};
+use super::super::CurrentsJacobian;
+use super::super::optics::Receiver;
 use super::Sums;
 
 /// The electrical effects of one cell, compiled.
-#[derive(Clone, Debug)]
-pub(super) struct Electrical<S> {
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
+pub(super) struct Electrical<S: Scalar> {
     per_half_length: S,
     nonlinearity: Option<[S; MAX_NONLINEARITY]>,
     stray: Option<CompiledStray<S>>,
@@ -19,14 +21,14 @@ pub(super) struct Electrical<S> {
     converters: Option<CompiledConverters<S>>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct CompiledStray<S> {
     constant: [S; 2],
     linear: [[S; 3]; 2],
     quadratic: [[S; 6]; 2],
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct CompiledConverters<S> {
     per_half_scale: S,
     curves: [[S; MAX_CONVERTER]; 2],
@@ -81,23 +83,22 @@ impl<S: Scalar> Electrical<S> {
         (x_a + shift, S::one() + slope * self.per_half_length)
     }
 
-    /// The currents above dark with the cell's own emitter at `own_level`, relative to nominal, and their derivatives by
-    /// the pose.
+    /// The currents above dark with the cell's own emitter at `own_level`, relative to nominal, and the tool's origin at
+    /// `translation`, and their derivatives by the pose. In the paper tier I_D is divided, too: `divides_dark`.
     #[inline(always)]
     pub(super) fn currents<const GRADIENT: bool>(
         &self,
-        plan: &Plan<S>,
-        cell: &CompiledCell<S>,
+        receiver: &Receiver<S>,
+        divides_dark: bool,
         sums: &Sums<S>,
         own_level: S,
-        pose: &Transform<S>,
+        translation: S::Vec3,
     ) -> ([S; 2], CurrentsJacobian<S>) {
-        let receiver = &cell.receiver;
         let (half, per_length) = (S::half(), receiver.per_length);
         let mut imbalance = sums.moment * per_length;
         let mut jacobian = [[S::zero(); 6]; 2];
-        // In the paper tier I_D is divided like the light: I_D·X̄, X̄ = moment/total.
-        let divides_dark = plan.is_paper && receiver.dark > S::zero() && sums.total > S::zero();
+        // Divided like the light: I_D·X̄, X̄ = moment/total.
+        let divides_dark = divides_dark && receiver.dark > S::zero() && sums.total > S::zero();
         let dark_share = if divides_dark { receiver.dark / sums.total } else { S::zero() };
         if GRADIENT {
             let centroid = if divides_dark { sums.moment / sums.total } else { S::zero() };
@@ -110,8 +111,7 @@ impl<S: Scalar> Electrical<S> {
         imbalance += imbalance * dark_share;
         let mut pair = [half * sums.total - imbalance, half * sums.total + imbalance];
         if let Some(stray) = &self.stray {
-            let t = pose.translation();
-            let t = [t.x(), t.y(), t.z()];
+            let t = [translation.x(), translation.y(), translation.z()];
             for k in 0..2 {
                 let (linear, [xx, yy, zz, xy, yz, zx]) = (stray.linear[k], stray.quadratic[k]);
                 // The quadratic form's gradient without the factor two, whose product with t is its value.

@@ -4,6 +4,7 @@
 //! times position, so that stray light, other emitters and the points of an extended source need no case of their own.
 
 mod beam;
+mod compact;
 mod electrical;
 mod opening;
 mod passage;
@@ -18,6 +19,8 @@ use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Scalar, Vector3};
 use crate::scene::Cell;
+
+pub(super) use self::compact::CompactImperfect;
 
 use self::beam::Beam;
 use self::electrical::Electrical;
@@ -102,27 +105,25 @@ impl<S: Scalar> ExtendedSource<S> {
             radius: S::of(0.5 * RING_RADIUS * effects.source_diameter_m),
         }
     }
+}
 
-    /// The factor 1 + Σ azimuthal of the ray along the unit vector `ray` (base frame), and its derivatives by the
-    /// components of the ray along v, w and u, as one vector of the base frame.
-    fn factor(
-        &self,
-        coefficients: &[S; AZIMUTHAL_TERMS],
-        pose: &Transform<S>,
-        axis: S::Vec3,
-        ray: S::Vec3,
-    ) -> (S, S::Vec3) {
-        let [v_axis, w_axis] = self.across.map(|direction| pose.rotate(direction));
-        let (v, w) = (v_axis.dot(ray), w_axis.dot(ray));
-        let z = S::one() - axis.dot(ray);
-        let [squares, product, along_v, along_w] = *coefficients;
-        let two = S::two();
-        let value = S::one() + squares * (v * v - w * w) + product * two * v * w + z * (along_v * v + along_w * w);
-        let by_v = two * (squares * v + product * w) + z * along_v;
-        let by_w = two * (product * v - squares * w) + z * along_w;
-        let by_u = -(along_v * v + along_w * w);
-        (value, v_axis * by_v + w_axis * by_w + axis * by_u)
-    }
+/// The factor 1 + Σ azimuthal of the ray along the unit vector `ray`, with the axes v, w and u of the emitter, and its
+/// derivatives by the components of the ray along them, as one vector.
+#[inline(always)]
+fn azimuthal_factor<S: Scalar>(
+    coefficients: &[S; AZIMUTHAL_TERMS],
+    [v_axis, w_axis, axis]: [S::Vec3; 3],
+    ray: S::Vec3,
+) -> (S, S::Vec3) {
+    let (v, w) = (v_axis.dot(ray), w_axis.dot(ray));
+    let z = S::one() - axis.dot(ray);
+    let [squares, product, along_v, along_w] = *coefficients;
+    let two = S::two();
+    let value = S::one() + squares * (v * v - w * w) + product * two * v * w + z * (along_v * v + along_w * w);
+    let by_v = two * (squares * v + product * w) + z * along_v;
+    let by_w = two * (product * v - squares * w) + z * along_w;
+    let by_u = -(along_v * v + along_w * w);
+    (value, v_axis * by_v + w_axis * by_w + axis * by_u)
 }
 
 /// Light on a detector: power and moment in amperes and ampere metres, with derivatives by the pose.
@@ -193,7 +194,8 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
         let to_spot = to_hole.unwrap_or_else(|| S::Vec3::new(x_a - e.x(), -e.y(), raise.0 - e.z()));
         let per_distance = to_spot.length().recip();
         let ray = receiver.to_base(to_spot) * per_distance;
-        let (factor, by_ray) = extended.factor(coefficients, pose, seen.axis_base, ray);
+        let [v_axis, w_axis] = extended.across.map(|direction| pose.rotate(direction));
+        let (factor, by_ray) = azimuthal_factor::<S>(coefficients, [v_axis, w_axis, seen.axis_base], ray);
         if GRADIENT {
             // The ray turns as its ends move, and the tool turns under it.
             let by_end = receiver.to_cell(by_ray - ray * ray.dot(by_ray)) * per_distance;
@@ -292,7 +294,8 @@ pub(super) fn photocurrents<S: Scalar>(
     pose: &Transform<S>,
 ) -> Pair<S> {
     let (sums, _) = gather::<S, false>(plan, cell, imperfect, pose);
-    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(plan, cell, &sums, S::one(), pose);
+    let ([i_x1_a, i_x2_a], _) =
+        imperfect.electrical.currents::<false>(&cell.receiver, plan.is_paper, &sums, S::one(), pose.translation());
     Pair { i_x1_a, i_x2_a }
 }
 
@@ -305,9 +308,10 @@ pub(super) fn linearise<S: Scalar>(
     pose: &Transform<S>,
 ) -> CellTerms<S> {
     let (sums, own) = gather::<S, true>(plan, cell, imperfect, pose);
-    let (pair, jacobian) = imperfect.electrical.currents::<true>(plan, cell, &sums, S::one(), pose);
+    let (pair, jacobian) =
+        imperfect.electrical.currents::<true>(&cell.receiver, plan.is_paper, &sums, S::one(), pose.translation());
     match own {
-        Ok(Own { status, slack_m, .. }) => CellTerms { status, pair, jacobian, slack_m },
+        Ok(Own { status, slack_m, .. }) => CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() },
         // Without direct light, what is left says next to nothing of the pose.
         Err(status) => CellTerms { pair, ..CellTerms::dark(status) },
     }
@@ -323,7 +327,8 @@ pub(super) fn respond<S: Scalar>(
 ) -> Response<S> {
     let receiver = &cell.receiver;
     let (sums, own) = gather::<S, false>(plan, cell, imperfect, pose);
-    let (pair, _) = imperfect.electrical.currents::<false>(plan, cell, &sums, S::one(), pose);
+    let (pair, _) =
+        imperfect.electrical.currents::<false>(&cell.receiver, plan.is_paper, &sums, S::one(), pose.translation());
     let half_dark = S::half() * receiver.dark;
     let currents = Pair { i_x1_a: pair[0] + half_dark, i_x2_a: pair[1] + half_dark };
     let i_o_a = currents.total_a();
@@ -366,7 +371,7 @@ impl<S: Scalar> Imperfect<S> {
     ) -> Result<paper::Beam<S>, Status> {
         match &self.passage {
             Passage::Beam(beam) => {
-                let (spot, _) = beam.spot::<false>(seen.position, cell.receiver.half)?;
+                let (spot, _) = beam.spot::<false, false>(seen.position, cell.receiver.half)?;
                 let beam = paper::rectangle_beam(&spot.rectangle, seen.axis);
                 if is_paper {
                     return Ok(beam);
@@ -396,7 +401,7 @@ pub(super) fn outline<S: Scalar>(
             return spot.map_or_else(|_| Vec::new(), |spot| spot.outline(&seen));
         }
     };
-    match beam.spot::<false>(seen.position, cell.receiver.half) {
+    match beam.spot::<false, false>(seen.position, cell.receiver.half) {
         Ok((spot, _)) => {
             let corners = spot.rectangle.corners().into_iter();
             corners.map(|[x, y]| [x + seen.position.x(), y + seen.position.y()]).collect()
@@ -424,6 +429,7 @@ pub(super) fn photocurrents_of_emitters<'a, S: Scalar>(
             own_level = level;
         }
     }
-    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(plan, cell, &sums, own_level, pose);
+    let ([i_x1_a, i_x2_a], _) =
+        imperfect.electrical.currents::<false>(&cell.receiver, plan.is_paper, &sums, own_level, pose.translation());
     Pair { i_x1_a, i_x2_a }
 }

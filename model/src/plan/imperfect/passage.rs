@@ -6,7 +6,7 @@ use crate::paper;
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::pose::Transform;
 use crate::profile::Emission;
-use crate::rectangle::{Rectangle, RectangleLight, SideGradient};
+use crate::rectangle::{Rectangle, RectangleLight, SideGradient, WALL_SLACK};
 use crate::response::{Integration, Status};
 use crate::scalar::{Linear3, Scalar};
 
@@ -54,14 +54,14 @@ pub(super) fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 ) -> Result<Passed<S>, Status> {
     match passage {
         Passage::Beam(beam) => {
-            let (spot, status) = beam.spot::<GRADIENT>(seen.position, cell.receiver.half)?;
+            let (spot, status) = beam.spot::<GRADIENT, GRADIENT>(seen.position, cell.receiver.half)?;
             let (light, integration) = light::<S, E, GRADIENT>(plan, emitter, emission, seen, &spot);
             Ok(Passed {
                 light,
                 turn: None,
                 integration,
                 status,
-                slack_m: spot.slack_m,
+                slack_m: spot.slack_m.min(S::of(WALL_SLACK) * spot.wall_m),
                 raise: spot.raise(),
                 to_hole: None,
             })

@@ -24,6 +24,12 @@ pub fn scene() -> SceneFile {
     WIDE.read().expect("shipped")
 }
 
+/// The head `wide` with all that a calibration has found of its parts: tests/data/heads.
+pub fn calibrated() -> SceneFile {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../data/heads/calibrated_1.toml");
+    SceneFile::open(path).expect("a scene")
+}
+
 /// The head of `scene` for the schedule that the board starts with.
 pub fn head_of(chain: &Chain, scene: &SceneFile) -> Head {
     let (schedule, scaling) = (chain.schedule.as_ref().expect("a hello"), chain.scaling.expect("a hello"));
