@@ -134,7 +134,6 @@ impl Plan<f64> {
 }
 
 /// What is found of one cell at the pose of each lane.
-#[derive(Clone)]
 struct PerPose {
     statuses: [Status; MAX_LANES],
     /// NaN where it must be evaluated alone.

@@ -508,6 +508,18 @@ mod tests {
     }
 
     #[test]
+    fn rows_may_be_long_and_have_many_fields() {
+        let names: Vec<String> = (0..200).map(|index| format!("column_{index}")).collect();
+        let long = "x".repeat(5_000);
+        let row = |value: &str| vec![value; names.len()].join(",");
+        let mut table = table(&format!("{}\n{}\n{}", names.join(","), row("2.5"), row(&long))).unwrap();
+        let last = table.column("column_199").unwrap();
+        let rows = table.next_rows(5).unwrap();
+        let found: Vec<&str> = rows.iter().map(|row| row.text(last)).collect();
+        assert!(found == ["2.5", &long]);
+    }
+
+    #[test]
     fn bytes_that_are_no_text_are_an_error_with_their_row() {
         let mut table = TableReader::new("poses.csv", io::Cursor::new(b"id,b\n1,2\n\xff,3\n")).unwrap();
         table.next_row().unwrap();

@@ -27,10 +27,6 @@ pub struct TableRows {
 }
 
 impl TableRows {
-    fn of(output: &Output) -> Self {
-        Self::starting(output.is_terminal())
-    }
-
     fn starting(is_terminal: bool) -> Self {
         Self { text: Vec::new(), begin: 0, is_terminal }
     }
@@ -84,7 +80,7 @@ impl TableRows {
 impl TableWriter {
     /// Starts a table with its header row.
     pub fn new<'a>(output: Output, header: impl IntoIterator<Item = &'a str>) -> Result<Self, OutputError> {
-        let row = TableRows::of(&output);
+        let row = TableRows::starting(output.is_terminal());
         let mut table = Self { output, row };
         header.into_iter().for_each(|name| table.text(name));
         table.end_row()?;
@@ -156,8 +152,8 @@ mod tests {
         let numbers = [0.1, -0.0, 1e-300, 1.0 / 3.0, f64::MAX, f64::MIN_POSITIVE, 5e-324, 1e21];
         let mut table = TableWriter::new(Output::file(&path).unwrap(), ["number", "none"]).unwrap();
         for number in numbers {
-            table.number(number).unwrap();
-            table.optional(None).unwrap();
+            table.number(number);
+            table.optional(None);
             table.end_row().unwrap();
         }
         table.finish().unwrap();
@@ -177,21 +173,21 @@ mod tests {
         let start = |path| TableWriter::new(Output::file(path).unwrap(), ["id", "number"]).unwrap();
         let mut rows = start(&paths[0]);
         for number in numbers {
-            rows.text("a, b").unwrap();
-            rows.optional(number).unwrap();
+            rows.text("a, b");
+            rows.optional(number);
             rows.end_row().unwrap();
         }
         rows.finish().unwrap();
-        let mut chunks = start(&paths[1]).into_chunks().unwrap();
+        let mut chunks = start(&paths[1]).into_chunks();
         let starting = chunks.starting();
         for numbers in numbers.chunks(3) {
             let mut rows = starting();
             for number in numbers {
-                rows.text("a, b").unwrap();
-                rows.optional(*number).unwrap();
-                rows.end_row().unwrap();
+                rows.text("a, b");
+                rows.optional(*number);
+                rows.end_row();
             }
-            chunks.append(rows).unwrap();
+            chunks.append(&rows).unwrap();
         }
         chunks.finish().unwrap();
         let [rows, chunks] = paths.map(|path| std::fs::read_to_string(path).unwrap());
@@ -199,15 +195,31 @@ mod tests {
     }
 
     #[test]
-    fn text_with_commas_and_quotes_is_kept() {
+    fn text_of_any_kind_is_kept_also_where_it_is_all_of_a_row() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("text.csv");
+        let texts = ["a, \"b\"", "", "\"", "two\nlines", "plain"];
         let mut table = TableWriter::new(Output::file(&path).unwrap(), ["id"]).unwrap();
-        table.text("a, \"b\"").unwrap();
-        table.end_row().unwrap();
+        for text in texts {
+            table.text(text);
+            table.end_row().unwrap();
+        }
         table.finish().unwrap();
         let mut table = TableReader::open(path.to_str().unwrap()).unwrap();
         let column = table.column("id").unwrap();
-        assert_eq!(table.next_row().unwrap().unwrap().text(column), "a, \"b\"");
+        for text in texts {
+            assert_eq!(table.next_row().unwrap().unwrap().text(column), text);
+        }
+        assert!(table.next_row().unwrap().is_none());
+    }
+
+    #[test]
+    fn whole_numbers_have_no_point() {
+        let mut rows = TableRows::starting(false);
+        rows.integer(0);
+        rows.integer(12_345);
+        rows.number(12_345.0);
+        rows.end_row();
+        assert_eq!(rows.text, b"0,12345,12345.0\n");
     }
 }

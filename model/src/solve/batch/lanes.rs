@@ -254,13 +254,27 @@ fn on_planes<R: Real<Element = f64>>(
 #[inline(always)]
 fn factor_of<R: Real<Element = f64>>(matrix: &Matrix6<R>, threshold: R, is_safe: &mut R) -> Factor<R> {
     let mut factor = Factor::of_parts(*matrix, matrix[0]);
-    for i in 0..6 {
-        let diagonal = matrix[i][i];
-        let pivot = factor.pivot(matrix, i, diagonal);
-        *is_safe = both(*is_safe, above(pivot, threshold * diagonal));
-        factor.set_pivot(i, pivot);
-    }
+    add_row::<R, 0>(&mut factor, matrix, threshold, is_safe);
+    add_row::<R, 1>(&mut factor, matrix, threshold, is_safe);
+    add_row::<R, 2>(&mut factor, matrix, threshold, is_safe);
+    add_row::<R, 3>(&mut factor, matrix, threshold, is_safe);
+    add_row::<R, 4>(&mut factor, matrix, threshold, is_safe);
+    add_row::<R, 5>(&mut factor, matrix, threshold, is_safe);
     factor
+}
+
+/// Row `I` of the factor: a constant, so that the compiler unrolls its loops.
+#[inline(always)]
+fn add_row<R: Real<Element = f64>, const I: usize>(
+    factor: &mut Factor<R>,
+    matrix: &Matrix6<R>,
+    threshold: R,
+    is_safe: &mut R,
+) {
+    let diagonal = matrix[I][I];
+    let pivot = factor.pivot(matrix, I, diagonal);
+    *is_safe = both(*is_safe, above(pivot, threshold * diagonal));
+    factor.set_pivot(I, pivot);
 }
 
 /// `pose` after a scaled step.

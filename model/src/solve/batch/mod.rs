@@ -47,7 +47,7 @@ impl<'a> Starts<'a> {
 ///
 /// Solutions are those of [`Solver::solve`], bit for bit. How many times as fast they come depends on the processor's
 /// lanes and on the head: cells of all kinds are solved, those of thin or thick masks parallel to their detectors with
-/// powers of the cosine in the paper tier at once, others one by one.
+/// powers of the cosine at once, others, and in the exact tier those with powers above the fourth, one by one.
 #[derive(Clone, Copy, Debug)]
 pub struct Batch<'a> {
     solver: &'a Solver<f64>,
