@@ -160,7 +160,8 @@ impl Instructions for Baseline {
     }
     #[inline(always)]
     fn neg(self, a: f64x2) -> f64x2 {
-        -a
+        // The crate's own subtracts from zero, which makes 0 of 0.
+        a ^ f64x2::splat(-0.0)
     }
     #[inline(always)]
     fn sqrt(self, a: f64x2) -> f64x2 {

@@ -39,13 +39,12 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         None => format_of(&args.output)?,
     };
     refuse_twice(&args.output, args.files.iter().map(PathBuf::as_path).chain(args.play.sources()))?;
-    let output = Output::open(Some(&args.output))?;
-    Ok(write(output, format, &args.files, (&args.play, &args.poses), Vec::new(), None)?.0)
+    Ok(write(&args.output, format, &args.files, (&args.play, &args.poses), Vec::new(), None)?.0)
 }
 
 /// Writes the poses of captures to `output`; returns how they did, too. `name`: that of a capture of several.
 pub(super) fn write(
-    mut output: Output,
+    output: &Path,
     format: Format,
     files: &[PathBuf],
     (play, poses): (&PlayOptions, &PoseOptions),
@@ -53,6 +52,7 @@ pub(super) fn write(
     name: Option<&str>,
 ) -> Result<(Outcome, Account), CommandError> {
     let stop = interrupt()?;
+    let mut output = Output::open(Some(output))?;
     let target = output.target().to_owned();
     let is_terminal = output.is_terminal();
     let sink = poses.open_sink(format, &mut output, is_terminal)?;

@@ -125,7 +125,7 @@ impl Job<'_> {
         let files = std::slice::from_ref(self.capture);
         let name = self.capture.display().to_string();
         if let Some(poses) = &self.poses {
-            return export::write(Output::file(poses)?, format, files, options, faults, Some(&name));
+            return export::write(poses, format, files, options, faults, Some(&name));
         }
         let (play, poses) = options;
         let printing = Printing { sink: None, target: "", format, is_terminal: false, name: Some(&name) };

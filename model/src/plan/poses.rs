@@ -54,19 +54,25 @@ impl Plan<f64> {
         width: Width,
         mut sink: impl FnMut(usize, usize, (Status, Pair<f64>, CurrentsJacobian<f64>)),
     ) {
+        let has_lanes = self.has_lanes();
         let mut found = [const { PerPose::DARK }; MAX_CELLS];
         for (group, poses) in poses.chunks(width.lanes()).enumerate() {
-            if self.has_lanes() {
-                width.run(Linearise { plan: self, poses, found: &mut found });
+            if has_lanes {
+                self.linearise_group(poses, width, &mut found);
             }
             for (lane, pose) in poses.iter().enumerate() {
                 for cell in 0..self.cell_count() {
-                    let at_once = found[cell].terms(lane).filter(|_| self.has_lanes());
+                    let at_once = if has_lanes { found[cell].terms(lane) } else { None };
                     let terms = at_once.unwrap_or_else(|| self.linearise(cell, pose));
                     sink(group * width.lanes() + lane, cell, terms);
                 }
             }
         }
+    }
+
+    /// All cells at no more `poses` than `width` has lanes.
+    fn linearise_group(&self, poses: &[Pose], width: Width, found: &mut [PerPose; MAX_CELLS]) {
+        width.run(Linearise { plan: self, poses, found });
     }
 
     /// Whether it is of the exact tier.

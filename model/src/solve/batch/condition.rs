@@ -7,19 +7,13 @@ use crate::width::{Instructions, Lanes, Task, Width};
 use super::super::algebra::Factor;
 use super::super::outcome::Solution;
 
-/// Passes the number and the condition number of each of `solutions` to `sink`, in order.
-pub(super) fn conditions(width: Width, solutions: &[Solution], mut sink: impl FnMut(usize, Option<f64>)) {
+/// The condition numbers of no more `solutions` than `width` has lanes; one of those that have no factor.
+pub(super) fn of_group(width: Width, solutions: &[Solution]) -> PerLane {
     let identity = Factor::of_parts(core::array::from_fn(|i| core::array::from_fn(|j| f64::from(i == j))), [1.0; 6]);
-    let lanes = width.lanes();
-    for (group, solutions) in solutions.chunks(lanes).enumerate() {
-        let factor =
-            |lane: usize| solutions.get(lane).and_then(|solution| solution.factor.as_ref()).unwrap_or(&identity);
-        let mut conditions = PerLane::default();
-        width.run(Condition { factor, conditions: &mut conditions });
-        for (lane, (solution, condition)) in solutions.iter().zip(conditions).enumerate() {
-            sink(group * lanes + lane, solution.factor.as_ref().map(|_| condition));
-        }
-    }
+    let factor = |lane: usize| solutions.get(lane).and_then(|solution| solution.factor.as_ref()).unwrap_or(&identity);
+    let mut conditions = PerLane::default();
+    width.run(Condition { factor, conditions: &mut conditions });
+    conditions
 }
 
 /// The condition number of the factor of each lane.

@@ -112,8 +112,13 @@ impl<'a> Batch<'a> {
 
     /// Passes the number and the condition number of each of `solutions`, see [`Solution::condition`], to `sink`, in
     /// order.
-    pub fn conditions(&self, solutions: &[Solution], sink: impl FnMut(usize, Option<f64>)) {
-        condition::conditions(self.width, solutions, sink);
+    pub fn conditions(&self, solutions: &[Solution], mut sink: impl FnMut(usize, Option<f64>)) {
+        for (group, solutions) in solutions.chunks(self.width.lanes()).enumerate() {
+            let conditions = condition::of_group(self.width, solutions);
+            for (lane, (solution, condition)) in solutions.iter().zip(conditions).enumerate() {
+                sink(group * self.width.lanes() + lane, solution.factor.as_ref().map(|_| condition));
+            }
+        }
     }
 
     /// Puts `frames`, of which the first is number `first`, into lanes, if all their cells count.
