@@ -17,6 +17,7 @@ const REASONS: [DegradedReason; 5] = [
     DegradedReason::Misfit,
     DegradedReason::Unfinished,
     DegradedReason::Uncalibrated,
+    DegradedReason::Doubted,
 ];
 
 /// The words for them; nothing for zero.

@@ -41,5 +41,6 @@ mod run_simulated;
 mod soak;
 mod solve_process;
 mod status;
+mod storm;
 mod terminal_view;
 mod unusable_boards;
