@@ -79,6 +79,7 @@ fn main() -> ExitCode {
     let conditions = Conditions {
         boards: options.boards,
         duration: options.duration,
+        least_blows: 0,
         seed: options.seed,
         pause_s: 8.0..25.0,
         live: Some(page().to_string()),

@@ -267,7 +267,7 @@ mod tests {
                 let losses = since_run.iter().filter(|step| !matches!(step, Step::Connecting)).count();
                 let report = link.report();
                 prop_assert_eq!(report.reconnects, runs.saturating_sub(1) as u64);
-                prop_assert_eq!(u64::from(report.attempts), losses as u64);
+                prop_assert_eq!(report.attempts, losses as u64);
                 prop_assert_eq!(report.reason.is_some(), losses > 0, "a loss has its reason until the board runs");
                 let state = match step {
                     Step::Connecting => LinkState::Connecting,

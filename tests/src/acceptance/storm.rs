@@ -65,8 +65,10 @@ pub enum Blow {
 pub struct Conditions {
     /// Boards, simulated, at 4 kHz each.
     pub boards: usize,
-    /// For so long.
+    /// For so long …
     pub duration: Duration,
+    /// … and so many blows, however slow the machine is.
+    pub least_blows: usize,
     /// Of the blows and the faults.
     pub seed: u64,
     /// Time between two blows, seconds.
@@ -152,7 +154,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
     blows.extend(conditions.disk.is_some().then_some(Blow::DiskStandsStill));
     let pause = |rng: &mut ChaCha8Rng| Duration::from_secs_f64(rng.random_range(conditions.pause_s.clone()));
     let mut next = pause(&mut rng);
-    while begun.elapsed() < conditions.duration {
+    while begun.elapsed() < conditions.duration || report.struck.len() < conditions.least_blows {
         report.sample(&daemon, begun, life);
         if begun.elapsed() >= next {
             let blow = blows[rng.random_range(0..blows.len())];

@@ -11,7 +11,8 @@ use slitpose_tests::verdicts::Verdicts;
 fn faulty_boards_and_a_daemon_that_is_struck_lose_nothing_silently() {
     let conditions = Conditions {
         boards: 2,
-        duration: Duration::from_secs(8),
+        duration: Duration::from_secs(4),
+        least_blows: 3,
         seed: 3,
         pause_s: 0.5..1.5,
         live: None,
@@ -23,5 +24,4 @@ fn faulty_boards_and_a_daemon_that_is_struck_lose_nothing_silently() {
     let mut verdicts = Verdicts::default();
     report.check(&mut verdicts);
     verdicts.assert_kept();
-    assert!(report.struck.len() > 2, "{:?}", report.struck);
 }
