@@ -262,7 +262,9 @@ fn record(solution: &Solution<f32>) -> PoseRecord {
         Outcome::Converged => PoseStatus::Converged,
         Outcome::Degraded(DegradedReason::CellExcluded) => PoseStatus::CellExcluded,
         Outcome::Degraded(DegradedReason::Misfit | DegradedReason::Unfinished) => PoseStatus::Misfit,
-        Outcome::Degraded(DegradedReason::FewerCells | DegradedReason::Uncalibrated) => PoseStatus::FewerCells,
+        Outcome::Degraded(DegradedReason::FewerCells | DegradedReason::Uncalibrated | DegradedReason::Doubted) => {
+            PoseStatus::FewerCells
+        }
         Outcome::Ambiguous => PoseStatus::Ambiguous,
         Outcome::Unobservable(_) => PoseStatus::Unobservable,
         Outcome::TooDark => PoseStatus::TooDark,

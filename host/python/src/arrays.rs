@@ -11,12 +11,13 @@ use slitpose_model::{AXES, DegradedReason, Outcome, Pose, Solution, TwistEstimat
 pub(crate) const VERIFIED: [Verified; 3] = [Verified::Not, Verified::Weakly, Verified::Well];
 
 /// Why a pose is degraded, in the order of the numbers, from 1.
-const REASONS: [DegradedReason; 5] = [
+const REASONS: [DegradedReason; 6] = [
     DegradedReason::FewerCells,
     DegradedReason::CellExcluded,
     DegradedReason::Misfit,
     DegradedReason::Unfinished,
     DegradedReason::Uncalibrated,
+    DegradedReason::Doubted,
 ];
 
 /// The words for them; nothing for zero.

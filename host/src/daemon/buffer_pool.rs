@@ -4,12 +4,12 @@
 //! The consumer sleeps until it is woken. A channel's blocking receive would spin for some microseconds and yield the
 //! processor four times before it sleeps: at a thousand buffers per second that costs more than the work on them.
 
-use std::sync::atomic::{AtomicBool, Ordering, fence};
-use std::sync::{Arc, OnceLock};
-use std::thread::{self, Thread};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError, TrySendError, bounded};
+
+use super::sleeper::Sleeper;
 
 /// A pool of `count` buffers, each made by `make`. They are used in turn, so that all of them soon reach their
 /// final capacity.
@@ -23,46 +23,6 @@ pub(super) fn buffer_pool<T>(count: usize, make: impl Fn() -> T) -> (Producer<T>
     let sleeper = Arc::<Sleeper>::default();
     let alarm = Alarm(Arc::clone(&sleeper));
     (Producer { full: full_out, empty: empty_in, alarm }, Consumer { full: full_in, empty: empty_out, sleeper })
-}
-
-/// The consumer's thread, and whether it sleeps.
-#[derive(Debug, Default)]
-struct Sleeper {
-    thread: OnceLock<Thread>,
-    is_asleep: AtomicBool,
-    /// Set to wake the consumer although no buffer was handed over.
-    is_called: AtomicBool,
-}
-
-impl Sleeper {
-    /// Wakes the consumer, after a buffer was handed over.
-    fn wake(&self) {
-        // With the fence in `sleep`: either the consumer sees the buffer, or this thread sees that it sleeps.
-        fence(Ordering::SeqCst);
-        if self.is_asleep.load(Ordering::Relaxed)
-            && let Some(thread) = self.thread.get()
-        {
-            thread.unpark();
-        }
-    }
-
-    /// Wakes the consumer, or prevents its next sleep.
-    fn call(&self) {
-        self.is_called.store(true, Ordering::Relaxed);
-        self.wake();
-    }
-
-    /// Sleeps until woken or until `timeout` has passed, possibly shorter; not at all if `has_come`. To be called on
-    /// one thread only.
-    fn sleep(&self, timeout: Duration, has_come: impl FnOnce() -> bool) {
-        self.thread.get_or_init(thread::current);
-        self.is_asleep.store(true, Ordering::Relaxed);
-        fence(Ordering::SeqCst);
-        if !has_come() {
-            thread::park_timeout(timeout);
-        }
-        self.is_asleep.store(false, Ordering::Relaxed);
-    }
 }
 
 /// Wakes the consumer when the producer is dropped.
@@ -160,8 +120,7 @@ impl<T> Consumer<T> {
     /// Waits until there is a full buffer, a producer calls or the last one is dropped, or `timeout` has passed; may
     /// wake spuriously.
     pub(super) fn wait(&self, timeout: Duration) {
-        let is_called = || self.sleeper.is_called.swap(false, Ordering::Relaxed);
-        self.sleeper.sleep(timeout, || is_called() || !self.full.is_empty());
+        self.sleeper.sleep(timeout, || !self.full.is_empty());
     }
 
     /// The next full buffer, if there is one now.
@@ -186,6 +145,8 @@ impl<T> Consumer<T> {
 
 #[cfg(test)]
 mod tests {
+    use std::thread;
+
     use super::*;
 
     const AT_ONCE: Duration = Duration::ZERO;

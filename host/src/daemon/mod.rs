@@ -31,6 +31,7 @@ mod reader;
 mod real_time;
 mod recorder;
 mod scan_watch;
+mod sleeper;
 mod slot;
 mod solver;
 mod stream_event;
@@ -38,9 +39,9 @@ mod streamer;
 mod tap;
 
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{self, AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::thread::{self, JoinHandle};
 
 pub(crate) use board::BoardPlan;
 pub(crate) use error::BoardError;
@@ -266,5 +267,5 @@ fn spawn<T: Send + 'static>(
     name: String,
     run: impl FnOnce() -> T + Send + 'static,
 ) -> Result<JoinHandle<T>, BoardError> {
-    std::thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(run).map_err(BoardError::Thread)
+    thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(run).map_err(BoardError::Thread)
 }

@@ -79,7 +79,7 @@ pub(super) struct Tap {
     /// The same when the segment in hand began.
     is_on: bool,
     overflow: Overflow,
-    next_pose_s: f64,
+    due: Due,
     under_way: Option<TapChunk>,
     /// The current chunk is long enough; poses of its last scans may still come.
     is_full: bool,
@@ -101,7 +101,7 @@ impl Tap {
             ends,
             is_on: true,
             overflow,
-            next_pose_s: f64::NEG_INFINITY,
+            due: Due(f64::NEG_INFINITY),
             under_way: None,
             is_full: false,
             begun: Instant::now(),
@@ -173,13 +173,9 @@ impl Tap {
         let time_s = record.device_time_s;
         // Saturates.
         self.device_ns = (time_s * 1e9) as u64;
-        // Device time may restart.
-        let is_due = time_s >= self.next_pose_s || time_s < self.next_pose_s - 2.0 * self.ends.pose_every_s;
-        if let (true, Some(chunk)) = (is_due, &mut self.under_way) {
-            // One period after the last one was due, so that the rate does not drift.
-            let next_s = self.next_pose_s + self.ends.pose_every_s;
-            self.next_pose_s =
-                if next_s > time_s && next_s.is_finite() { next_s } else { time_s + self.ends.pose_every_s };
+        if let Some(chunk) = &mut self.under_way
+            && self.due.is_due(time_s, self.ends.pose_every_s)
+        {
             chunk.poses.push(*record);
         }
     }
@@ -215,8 +211,41 @@ impl Tap {
     }
 }
 
+/// The device time from which on the next pose is kept, seconds.
+#[derive(Clone, Copy, Debug)]
+struct Due(f64);
+
+impl Due {
+    /// Whether a pose of `time_s` is kept, of those that are `every_s` apart.
+    fn is_due(&mut self, time_s: f64, every_s: f64) -> bool {
+        // Device time may restart.
+        let is_due = time_s >= self.0 || time_s < self.0 - 2.0 * every_s;
+        if is_due {
+            // One period after the last one was due, so that the rate does not drift; unless that is not the next period.
+            let next_s = self.0 + every_s;
+            self.0 = if next_s > time_s && next_s <= time_s + every_s { next_s } else { time_s + every_s };
+        }
+        is_due
+    }
+}
+
 impl Drop for Tap {
     fn drop(&mut self) {
         self.hand_over();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_are_kept_at_their_rate_also_when_device_time_restarts() {
+        let mut due = Due(f64::NEG_INFINITY);
+        // 4 kHz for 10 s, a reset, 4 kHz for 5 s, and a jump ahead by a minute.
+        let times = (0..40_000).chain(0..20_000).chain(260_000..264_000).map(|scan| f64::from(scan) / 4000.0);
+        let kept: Vec<f64> = times.filter(|&time_s| due.is_due(time_s, 0.04)).collect();
+        // 25 a second, and one for each new beginning at most.
+        assert!((400..=402).contains(&kept.len()), "{}", kept.len());
     }
 }

@@ -1,8 +1,8 @@
 //! The newest datagram of a board.
 
-use std::sync::atomic::{AtomicU64, Ordering, fence};
-
-use super::PoseDatagram;
+// Of the parent, so that `tests/tests/lock_free.rs` can try all orders of these.
+use super::atomic::{AtomicU64, Ordering, fence};
+use super::{ATTEMPTS, PoseDatagram};
 
 const WORDS: usize = PoseDatagram::BYTES / size_of::<u64>();
 
@@ -21,7 +21,7 @@ pub(super) struct Slot {
 
 impl Slot {
     pub(super) fn new() -> Self {
-        Self { version: AtomicU64::new(0), words: [const { AtomicU64::new(0) }; WORDS] }
+        Self { version: AtomicU64::new(0), words: std::array::from_fn(|_| AtomicU64::new(0)) }
     }
 
     /// Stores a datagram. To be called from one thread only: two would mix their words.
@@ -40,8 +40,6 @@ impl Slot {
 
     /// The last datagram stored; `None` before the first, or if the writer disturbed all attempts.
     pub(super) fn load(&self) -> Option<PoseDatagram> {
-        // A copy takes a ten-thousandth of the time between two scans.
-        const ATTEMPTS: usize = 100;
         (0..ATTEMPTS).find_map(|_| {
             let before = self.version.load(Ordering::Acquire);
             let mut bytes = [0; PoseDatagram::BYTES];
@@ -54,40 +52,5 @@ impl Slot {
             let is_whole = before == after && before.is_multiple_of(2) && before > 0;
             is_whole.then(|| PoseDatagram::from_bytes(bytes))
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn readers_see_whole_datagrams_and_the_last_one() {
-        let slot = Slot::new();
-        assert_eq!(slot.load(), None);
-        const STORED: u32 = 200_000;
-        std::thread::scope(|scope| {
-            let reader = scope.spawn(|| {
-                let (mut last, mut copies) = (0, 0);
-                while last < STORED {
-                    let Some(datagram) = slot.load() else {
-                        continue;
-                    };
-                    let numbers =
-                        datagram.as_bytes().chunks_exact(4).map(|b| u32::from_le_bytes(b.try_into().unwrap()));
-                    let first = u32::from_le_bytes(datagram.as_bytes()[..4].try_into().unwrap());
-                    assert!(numbers.into_iter().all(|number| number == first) && first >= last, "{last}, {first}");
-                    last = first;
-                    copies += 1;
-                }
-                copies
-            });
-            for number in 1..=STORED {
-                let mut bytes = [0; PoseDatagram::BYTES];
-                bytes.chunks_exact_mut(4).for_each(|chunk| chunk.copy_from_slice(&number.to_le_bytes()));
-                slot.store(&PoseDatagram::from_bytes(bytes));
-            }
-            assert!(reader.join().unwrap() > 0);
-        });
     }
 }

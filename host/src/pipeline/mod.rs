@@ -9,6 +9,7 @@
 mod board_clock;
 mod board_poses;
 mod counts;
+mod doubt;
 mod error;
 mod oddity;
 mod outcomes;
@@ -303,12 +304,12 @@ impl Pipeline {
     }
 
     /// Digest of the state that later poses depend on besides later bytes and what scans say of themselves: that of the
-    /// tracker. Of two pipelines that have decoded the same bytes and have the same digest, all later poses are the same,
+    /// tracker, and recent contradictions. Of two pipelines that have decoded the same bytes and have the same digest, all later poses are the same,
     /// bit for bit, whichever scans each has solved before (but for a chance of 2⁻⁶⁴). `None` before the first hello.
     pub fn state(&self) -> Option<u64> {
         let session = self.flow.session.as_ref()?;
         // The text of a float says all its bits, and a field that is added to the tracker is in it.
-        Some(fnv1a_64(format!("{} {:?}", session.number(), session.tracker()).as_bytes()))
+        Some(fnv1a_64(format!("{} {:?}", session.number(), session.state()).as_bytes()))
     }
 
     /// Drops the `count` oldest waiting scans unsolved, and counts them.
@@ -610,7 +611,7 @@ impl Flow {
         }
         // A newer scan has already been counted for the health of the head.
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
-        let tracked = session.solve(&scan.content, !is_passed);
+        let tracked = session.solve(&scan, !is_passed);
         self.counts.outcomes.count(&tracked.solution.outcome);
         Some(record(session, &scan, tracked))
     }
@@ -619,7 +620,7 @@ impl Flow {
         let is_first = self.waiting.queue().passed == 0;
         let scan = self.waiting.pass()?;
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
-        let tracked = session.solve_ahead(&scan.content, is_first);
+        let tracked = session.solve_ahead(&scan, is_first);
         Some(record(session, &scan, tracked))
     }
 }

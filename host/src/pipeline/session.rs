@@ -6,7 +6,8 @@ use slitpose_protocol::poses::{Poses, TRIANGLE};
 use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
 
 use super::board_poses::{Agreement, BoardPose, Comparison};
-use super::waiting::Content;
+use super::doubt::Doubt;
+use super::waiting::{Content, Scan};
 use super::{Following, PipelineError, SceneMatch};
 use crate::health::{HeadHealth, Health};
 use crate::link::{DeviceId, Versions};
@@ -33,6 +34,7 @@ pub(super) struct Session {
     /// Tracks the newest scans while older ones wait.
     ahead: Option<Box<Tracker<f64>>>,
     health: Option<Health>,
+    doubt: Doubt,
     /// Number of the head that the board's poses must be of.
     head_number: u32,
     /// Poses of the board and of this program, once the board has sent any.
@@ -139,6 +141,7 @@ impl Session {
             tracker,
             ahead: None,
             health,
+            doubt: Doubt::new(hello.schedule.frame_rate_hz().recip()),
             head_number,
             comparison: None,
             covariance: None,
@@ -207,15 +210,21 @@ impl Session {
     }
 
     /// Solves the next scan in turn; `watched`: it counts for the health of the head.
-    pub(super) fn solve(&mut self, content: &Content, watched: bool) -> Tracked {
-        match content {
-            Content::Words(scan) => self.solve_words(scan, watched),
-            Content::Pose(pose) => {
-                let mut tracked = Tracked { solution: pose.solution(), twist: None, filtered: None };
-                self.head.complete_tracked(&mut tracked);
-                tracked
-            }
-        }
+    pub(super) fn solve(&mut self, scan: &Scan, watched: bool) -> Tracked {
+        let mut tracked = match &scan.content {
+            Content::Words(words) => self.solve_words(words, watched),
+            Content::Pose(pose) => self.completed(pose),
+        };
+        self.doubt.count(scan.sequence(), &tracked.solution.outcome);
+        self.doubt.apply(scan.sequence(), &mut tracked.solution.outcome);
+        tracked
+    }
+
+    /// A pose that the board has found.
+    fn completed(&self, pose: &BoardPose) -> Tracked {
+        let mut tracked = Tracked { solution: pose.solution(), twist: None, filtered: None };
+        self.head.complete_tracked(&mut tracked);
+        tracked
     }
 
     /// Takes the board's poses as known: those of each scan behind the first covariance. `None` if they are of another
@@ -272,15 +281,21 @@ impl Session {
     }
 
     /// All that the next pose depends on, besides its scan.
-    pub(super) fn tracker(&self) -> &Tracker<f64> {
-        &self.tracker
+    pub(super) fn state(&self) -> (&Tracker<f64>, &Doubt) {
+        (&self.tracker, &self.doubt)
     }
 
     /// Solves a scan ahead of the waiting ones; `first`: none of these has been solved ahead.
-    pub(super) fn solve_ahead(&mut self, content: &Content, first: bool) -> Tracked {
-        let Content::Words(scan) = content else {
-            return self.solve(content, false);
+    pub(super) fn solve_ahead(&mut self, scan: &Scan, first: bool) -> Tracked {
+        let mut tracked = match &scan.content {
+            Content::Words(words) => self.solve_words_ahead(words, first),
+            Content::Pose(pose) => self.completed(pose),
         };
+        self.doubt.apply(scan.sequence(), &mut tracked.solution.outcome);
+        tracked
+    }
+
+    fn solve_words_ahead(&mut self, scan: &RawScan, first: bool) -> Tracked {
         self.photocurrents = self.stage.photocurrents(scan);
         let ahead = match &mut self.ahead {
             // Starts from the latest pose.

@@ -216,6 +216,12 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     });
     boards.each("slitpose_scans_total", counter, "Scans that arrived.", |board| Some(board.scans as f64));
     boards.each(
+        "slitpose_scans_repeated_total",
+        counter,
+        "Scans that came again, or behind later ones, and were not solved.",
+        |board| Some(board.losses.link.scans_repeated as f64),
+    );
+    boards.each(
         "slitpose_scan_rate_hertz",
         gauge,
         "Scans a second by the host's clock, of the last second.",

@@ -194,6 +194,8 @@ pub(crate) struct LinkLosses {
     /// Scans missing in the numbering that the board does not report as lost. Updated with each status of
     /// the board.
     pub scans: u64,
+    /// Scans that came again, or behind later ones, and were not solved.
+    pub scans_repeated: u64,
     /// Packets with a wrong checksum.
     pub bad_checksum: u64,
     /// Packets with broken framing.
@@ -227,6 +229,7 @@ impl LinkLosses {
     pub(crate) fn since(&self, before: &Self) -> Self {
         Self {
             scans: self.scans.saturating_sub(before.scans),
+            scans_repeated: self.scans_repeated.saturating_sub(before.scans_repeated),
             bad_checksum: self.bad_checksum.saturating_sub(before.bad_checksum),
             misframed: self.misframed.saturating_sub(before.misframed),
             overlong: self.overlong.saturating_sub(before.overlong),

@@ -103,6 +103,7 @@ fn board(name: &str, head: Option<HeadHealth>) -> BoardReport {
     statistics.set_clock(Some(-12.0), true);
     let mut counts = Counts::default();
     counts.scans = 4000;
+    counts.scans_repeated = 2;
     counts.outcomes = Outcomes { converged: 3999, degraded: 1, ..Outcomes::default() };
     let link = LinkReport { state: LinkState::Running, ..LinkReport::default() };
     BoardReport { link, ..statistics.report(&counts, head, now) }
@@ -197,6 +198,7 @@ fn metrics_are_what_prometheus_reads() {
         found.unwrap_or_else(|| panic!("{name} has no {labels}: {:?}", families[name])).1
     };
     assert_eq!(value("slitpose_scans_total", &format!(";device={AWKWARD};")), 4000.0);
+    assert_eq!(value("slitpose_scans_repeated_total", &format!(";device={id};")), 2.0);
     assert_eq!(value("slitpose_solutions_total", &format!(";device={id};outcome=degraded;")), 1.0);
     assert_eq!(value("slitpose_latency_seconds", &format!("_count;device={id};stage=host;")), 4000.0);
     let half = value("slitpose_latency_seconds", &format!(";device={id};stage=link;quantile=0.5;"));

@@ -41,6 +41,8 @@ pub enum DegradedReason {
     Unfinished,
     /// The head is known by the tolerances of its parts alone.
     Uncalibrated,
+    /// Scans shortly before contradicted the scene: see the health of the head.
+    Doubted,
 }
 
 impl DegradedReason {
@@ -52,6 +54,7 @@ impl DegradedReason {
             Self::Misfit => "misfit",
             Self::Unfinished => "unfinished",
             Self::Uncalibrated => "uncalibrated",
+            Self::Doubted => "doubted",
         }
     }
 }

@@ -28,6 +28,7 @@ pub mod image;
 pub mod machine;
 pub mod memory;
 pub mod named;
+pub mod panics;
 pub mod peripherals;
 pub mod profile;
 pub mod rig;

@@ -77,6 +77,19 @@ pub fn open_pose_image() -> Result<Image, OpenError> {
     open_built(&pose_image_path(), "firmware/build")
 }
 
+/// The ELF files of both images as `firmware/build` made them last: the default one, and the one that solves poses.
+///
+/// # Errors
+/// If one is missing, or older than its sources.
+pub fn built_files() -> Result<[Vec<u8>; 2], OpenError> {
+    let read = |path: PathBuf| {
+        let file = std::fs::read(&path).map_err(|source| OpenError::Read { path: path.clone(), source })?;
+        built::check(&path, "firmware/build")?;
+        Ok::<_, OpenError>(file)
+    };
+    Ok([read(default_image_path())?, read(pose_image_path())?])
+}
+
 /// Where `firmware/build` puts the image that solves poses.
 fn pose_image_path() -> PathBuf {
     built::image_path("slitpose-board-pose")

@@ -75,6 +75,11 @@ impl Daemon {
         self.child.stdout.take().expect("piped")
     }
 
+    /// Number of its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// What it takes now; `None` if it has ended.
     pub fn usage(&self) -> Option<Usage> {
         Usage::of(self.child.id())

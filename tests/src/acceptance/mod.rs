@@ -2,6 +2,7 @@
 //! measured, and says which bounds were kept.
 //!
 //! * [`soak`]: several boards for a long time, and nothing lost or growing;
+//! * [`storm`]: the same in bad weather, and nothing lost silently;
 //! * [`replug`]: a board that goes in all manners and comes back;
 //! * [`kill`]: what a capture holds of a daemon that was killed;
 //! * [`hour`]: how fast long captures are solved, and in how much memory;
@@ -9,9 +10,10 @@
 //!
 //! Each is an example of this package, in full size, and a test, in small. [`daemon`] is the process under
 //! test, [`usage`] what it takes, which only Linux tells; [`metered`] and [`unplugging`] are its boards,
-//! [`scan_table`] counts what a capture holds.
+//! [`scan_table`] counts what a capture holds, [`curves`] draws.
 
 pub mod builds;
+pub mod curves;
 pub mod daemon;
 pub mod hour;
 pub mod kill;
@@ -19,5 +21,6 @@ pub mod metered;
 pub mod replug;
 pub mod scan_table;
 pub mod soak;
+pub mod storm;
 pub mod unplugging;
 pub mod usage;

@@ -17,6 +17,8 @@ pub struct Scans {
     pub poses: u64,
     /// How many do not follow the one before.
     pub jumps: u64,
+    /// Numbers that are missing between others.
+    pub missing: u64,
     next: Option<u64>,
 }
 
@@ -58,6 +60,7 @@ fn read(stdout: ChildStdout) -> BTreeMap<String, Scans> {
         let scans = boards.get_mut(board).expect("inserted");
         scans.count += 1;
         scans.poses += u64::from(!field(x).is_empty());
+        scans.missing += scans.next.map_or(0, |next| number.saturating_sub(next));
         scans.jumps += u64::from(scans.next.is_some_and(|next| next != number));
         scans.next = Some(number + 1);
     }

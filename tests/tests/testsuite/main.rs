@@ -42,5 +42,6 @@ mod side_by_side;
 mod soak;
 mod solve_process;
 mod status;
+mod storm;
 mod terminal_view;
 mod unusable_boards;

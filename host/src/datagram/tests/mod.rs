@@ -3,6 +3,7 @@
 mod c;
 mod installed;
 mod server;
+mod slot;
 mod wall;
 mod wall_loop;
 

@@ -27,7 +27,7 @@ export class Daemon {
       "Rate": `${rates.device_hz == null ? "–" : fixed(rates.device_hz, 1)} Hz by the board, ${fixed(rates.host_hz, 1)} Hz by the host`,
       "Scans": count(state.scans),
       "Lost on the board": `${count(onBoard.scans_dropped)} dropped, ${count(onBoard.scans_lost)} in acquisition, ${count(onBoard.adc_overruns)} overruns`,
-      "Lost on the link": `${count(onLink.scans)} scans, ${count(damaged)} packets damaged, ${count(onLink.unreadable)} unreadable`,
+      "Lost on the link": `${count(onLink.scans)} scans, ${count(damaged)} packets damaged, ${count(onLink.unreadable)} unreadable, ${count(onLink.scans_repeated)} scans repeated`,
       "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${bytes(onHost.bytes_unpublished)} unpublished, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
       "Latency": quantiles(state.latencies.total),
       "of it link, host": `${quantiles(state.latencies.link)}; ${quantiles(state.latencies.host)}`,

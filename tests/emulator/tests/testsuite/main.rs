@@ -10,6 +10,7 @@ mod facts_page;
 mod frames;
 mod light;
 mod links;
+mod panics;
 mod poses;
 mod readme;
 mod schedules;
