@@ -50,7 +50,9 @@ pub enum CompactError {
         what: &'static str,
     },
     /// The light on a spot is too uneven for the rule.
-    #[error("the spots are too wide or too near, or slits turned too far, for the board: its sums would err by {error:.1e} of the light")]
+    #[error(
+        "the spots are too wide or too near, or slits turned too far, for the board: its sums would err by {error:.1e} of the light"
+    )]
     Spots {
         /// Relative error of a current.
         error: f64,
