@@ -117,14 +117,30 @@ mod tests {
         }
     }
 
+    /// Heads as calibrations find them: what is sent has room in the board's memory.
+    #[test]
+    fn calibrated_heads_fit_a_board() {
+        let configuration = slitpose_firmware::pcb::default_configuration();
+        for number in [1, 4] {
+            let path = format!("{}/../../tests/data/heads/calibrated_{number}.toml", env!("CARGO_MANIFEST_DIR"));
+            let file = SceneFile::open(path).expect("a scene");
+            let scaling = slitpose_firmware::pcb::default_scaling();
+            let bytes = super::encode(&file, &configuration.schedule, &scaling, Hashes::default()).expect("computed");
+            println!("calibrated_{number}: {} bytes", bytes.len());
+            assert!((3_000..HEAD_BYTES).contains(&bytes.len()));
+            let head = Head::decode(&bytes).expect("whole");
+            assert_eq!(head.encode(&mut [0; HEAD_BYTES]).expect("room"), bytes);
+        }
+    }
+
     #[test]
     fn what_the_board_does_not_compute_is_named() {
         let mut file = WIDE.read().expect("shipped");
         let configuration = slitpose_firmware::pcb::default_configuration();
-        file.scene.cells[3].slit.thickness_m = 0.1e-3;
+        file.scene.cells[3].effects.source_diameter_m = 0.3e-3;
         let refused =
             compile(&file, &configuration.schedule, &slitpose_firmware::pcb::default_scaling(), Hashes::default());
-        let text = refused.expect_err("a thick mask").to_string();
-        assert!(text.contains("cell 3") && text.contains("thick mask"), "{text}");
+        let text = refused.expect_err("an extended source").to_string();
+        assert!(text.contains("cell 3") && text.contains("an emitter that is no point"), "{text}");
     }
 }
