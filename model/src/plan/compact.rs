@@ -139,6 +139,8 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     const HAS_SMALL_FRAMES: bool = true;
     // A blow changes the motion of each tool, and there are evaluations for one of both.
     const DOUBTS_MOTION_FIRST: bool = true;
+    // A look takes a third of a frame's work.
+    const LOOKS_AGAIN_AFTER: u64 = 16;
     // Emitters are near one in each eighth frame.
     const CROSSES_WALLS: bool = true;
 

@@ -116,6 +116,8 @@ pub trait Optics<S: Scalar> {
     /// Whether a frame that contradicts the expected motion is first taken for another motion, and only then for a cell
     /// that lies, which costs more to find.
     const DOUBTS_MOTION_FIRST: bool;
+    /// Frames from one look at a cell that is left out to the next.
+    const LOOKS_AGAIN_AFTER: u64;
     /// Whether steps cross the walls of thick masks: see [`CellTerms`].
     const CROSSES_WALLS: bool;
 
@@ -274,6 +276,7 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     const NEAR_WORK: usize = 6;
     const HAS_SMALL_FRAMES: bool = false;
     const DOUBTS_MOTION_FIRST: bool = false;
+    const LOOKS_AGAIN_AFTER: u64 = 1;
     const CROSSES_WALLS: bool = false;
 
     fn cell_count(&self) -> usize {

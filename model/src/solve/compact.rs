@@ -300,8 +300,11 @@ mod tests {
         assert_eq!(solved[0], solved[1]);
     }
 
-    /// What calibration finds, in one cell after the other.
-    fn changes() -> [(&'static str, fn(&mut Cell)); 9] {
+    /// A name, and what it does to a cell.
+    type Change = (&'static str, fn(&mut Cell));
+
+    /// What calibration finds.
+    fn changes() -> [Change; 9] {
         [
             ("a thick mask", |cell| cell.slit.thickness_m = 0.15e-3),
             // With an effect: of such cells alone a host computes a turned slit as a board does.
@@ -341,7 +344,7 @@ mod tests {
         let one = changes().into_iter().map(|(name, change)| (name, Box::new(change) as Box<dyn Fn(&mut Cell)>));
         for (name, change) in one.chain([("all of it", Box::new(all) as Box<dyn Fn(&mut Cell)>)]) {
             let mut scene = head();
-            scene.cells.iter_mut().for_each(|cell| change(cell));
+            scene.cells.iter_mut().for_each(change);
             let plan = plan_of(&scene);
             let compact = CompactPlan::of(&scene, &plan, &plan).expect(name);
             let error = worst_error(&compact, &plan);
@@ -366,21 +369,18 @@ mod tests {
         };
         let seven = compact(&|scene| scene.cells.push(scene.cells[0].clone()).expect("seven of sixteen"));
         assert_eq!(seven, CompactError::Cells { cells: 7, most: 6 });
-        let kinds: [(&dyn Fn(&mut Cell), &str); 6] = [
-            (&|cell| cell.slit.tilt_rad = DVec3::Z * 0.2, "a slit that is turned far against its detector"),
-            (&|cell| cell.effects.opening = Opening::Pinhole, "another opening than a slit"),
-            (&|cell| cell.effects.source_diameter_m = 3e-4, "an emitter that is no point"),
-            (&|cell| cell.effects.lit_together = 1, "emitters that are lit together"),
-            (&|cell| cell.effects.other_axis = Some(3), "a detector of two axes"),
-            (
-                &|cell| {
-                    cell.emitter.profile = Profile::Cosine { exponent: 300.0 };
-                    cell.slit.thickness_m = 1e-4;
-                },
-                "an emitter whose profile is no smooth curve",
-            ),
+        let kinds: [Change; 6] = [
+            ("a slit that is turned far against its detector", |cell| cell.slit.tilt_rad = DVec3::Z * 0.2),
+            ("another opening than a slit", |cell| cell.effects.opening = Opening::Pinhole),
+            ("an emitter that is no point", |cell| cell.effects.source_diameter_m = 3e-4),
+            ("emitters that are lit together", |cell| cell.effects.lit_together = 1),
+            ("a detector of two axes", |cell| cell.effects.other_axis = Some(3)),
+            ("an emitter whose profile is no smooth curve", |cell| {
+                cell.emitter.profile = Profile::Cosine { exponent: 300.0 };
+                cell.slit.thickness_m = 1e-4;
+            }),
         ];
-        for (number, (change, what)) in kinds.into_iter().enumerate() {
+        for (number, (what, change)) in kinds.into_iter().enumerate() {
             let refused = compact(&|scene| change(&mut scene.cells[number]));
             assert_eq!(refused, CompactError::Kind { cell: number, what });
         }

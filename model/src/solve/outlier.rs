@@ -29,6 +29,14 @@ const PROMISED_GATES: f64 = 4.0;
 /// Evaluations that must be left for one more cell to be tried.
 pub(super) const LEAST_WORK: usize = 8;
 
+/// The cell that was left out of the last pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LeftOut {
+    pub(super) cell: usize,
+    /// Whether to look if it agrees with the others again.
+    pub(super) looks_again: bool,
+}
+
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OutlierSearch<S: Scalar> {
@@ -208,15 +216,15 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         self.unless_alone(sorted, motion, index, &found, runner_up, workspace)
     }
 
-    /// The pose near `start` without `cell`, which was left out in the frame before; with it, if it
-    /// agrees with the others again.
+    /// The pose near `start` without the cell that was left out in the frame before; with it, if it agrees with the others
+    /// again.
     #[cold]
     #[inline(never)]
     pub(super) fn still_without(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
-        cell: usize,
+        LeftOut { cell, looks_again }: LeftOut,
         start: Transform<S>,
         workspace: &mut Workspace<S>,
     ) -> Option<Solution<S>> {
@@ -233,6 +241,10 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             return None;
         }
         let mut solution = self.conclude_near(&others, &problem, &whiteners, &minimum, workspace, fit);
+        if !looks_again {
+            exclude(&mut solution, cell);
+            return Some(solution);
+        }
         let all = self.problem(sorted, motion);
         let whiteners = all.whiteners();
         if self.may_agree(sorted, &all, &whiteners, minimum.pose, workspace) {

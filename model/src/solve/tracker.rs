@@ -22,6 +22,7 @@ use super::compiled::Prior;
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
 use super::outcome::{DegradedReason, Estimate, Outcome, Solution};
+use super::outlier::LeftOut;
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
 
@@ -112,6 +113,8 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     coasted: u32,
     /// The cell that was left out of the last pose.
     left_out: Option<usize>,
+    /// The frame from which on it is looked at again.
+    next_look: u64,
     /// Whether the last pose was a misfit.
     is_misfit: bool,
     lost: Lost<S>,
@@ -156,6 +159,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             sigmas: [S::zero(); 2],
             coasted: 0,
             left_out: None,
+            next_look: 0,
             is_misfit: false,
             lost: Lost::new(Budget::HOST.first),
         }
@@ -177,6 +181,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.sigmas = [S::zero(); 2];
         self.coasted = 0;
         self.left_out = None;
+        self.next_look = 0;
         self.is_misfit = false;
         self.lost = Lost::new(self.budget.first);
     }
@@ -292,18 +297,31 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         solution
     }
 
+    /// The cell that was left out of the last pose, and whether it is time to look at it again.
+    fn left_out(&mut self) -> Option<LeftOut> {
+        let cell = self.left_out?;
+        // Frames may be numbered anew.
+        let wait = self.next_look.saturating_sub(self.next_frame);
+        let looks_again = wait == 0 || wait > P::LOOKS_AGAIN_AFTER;
+        if looks_again {
+            self.next_look = self.next_frame.saturating_add(P::LOOKS_AGAIN_AFTER);
+        }
+        Some(LeftOut { cell, looks_again })
+    }
+
     /// The pose near the expected one; else wherever it is.
     fn follow(&mut self, sorted: &Sorted<S>, expected: &Prediction<S>, workspace: &mut Workspace<S>) -> Solution<S> {
         let start = expected.pose.to_transform();
         let motion = self.motion_prior(expected);
+        let left_out = self.left_out();
         let compiled = &self.solver.compiled;
         let mut solution = if P::DOUBTS_MOTION_FIRST && !self.is_misfit && expected.frames >= BEND_FROM {
-            compiled.follow_agreeing(sorted, &motion, start, self.left_out, workspace, |minimum, _| Solution {
+            compiled.follow_agreeing(sorted, &motion, start, left_out, workspace, |minimum, _| Solution {
                 iterations: minimum.iterations,
                 ..Solution::without_pose(Outcome::Diverged, sorted.used)
             })
         } else {
-            compiled.follow(sorted, &motion, start, self.left_out, workspace)
+            compiled.follow(sorted, &motion, start, left_out, workspace)
         };
         // While the motion is not known yet, any is as expected.
         let is_expected = solution.estimate.is_some()
@@ -338,7 +356,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             self.forget();
             self.last_twist = expected.twist;
             let before = solution.iterations;
-            solution = self.solver.compiled.follow(sorted, &unknown, start, self.left_out, workspace);
+            let left_out = self.left_out();
+            solution = self.solver.compiled.follow(sorted, &unknown, start, left_out, workspace);
             solution.iterations += before;
             let is_within_reach = |pose: &Pose| {
                 let [shift, turn] = Rigid::of(pose).displacement_from(&expected.pose);

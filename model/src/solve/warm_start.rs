@@ -10,6 +10,7 @@ use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
 use super::outcome::{Outcome, Solution};
+use super::outlier::LeftOut;
 use super::readings::Sorted;
 
 /// Evaluations that are left to [`Compiled::taken_roughly`], which takes some five near an expected pose.
@@ -23,7 +24,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         sorted: &Sorted<S>,
         motion: &Prior<S>,
         start: Transform<S>,
-        left_out: Option<usize>,
+        left_out: Option<LeftOut>,
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         self.follow_agreeing(sorted, motion, start, left_out, workspace, |minimum, workspace| {
@@ -39,7 +40,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         sorted: &Sorted<S>,
         motion: &Prior<S>,
         start: Transform<S>,
-        left_out: Option<usize>,
+        left_out: Option<LeftOut>,
         workspace: &mut Workspace<S>,
         otherwise: impl FnOnce(&Minimum<S>, &mut Workspace<S>) -> Solution<S>,
     ) -> Solution<S> {

@@ -16,7 +16,7 @@ use slitpose_protocol::poses::{PoseRecord, PoseStatus, READY_TICKS};
 use slitpose_protocol::{Command, Configuration, HeadPart, Level, RawScan, Schedule, Stream};
 
 /// Frames a second that a board follows a calibrated head with.
-const CALIBRATED_HZ: u64 = 3_600;
+const CALIBRATED_HZ: u64 = 3_300;
 
 /// Mean of χ² of six degrees of freedom, and half its variance.
 const DEGREES: f64 = 6.0;
@@ -47,19 +47,20 @@ fn pose(record: &PoseRecord) -> Pose {
 /// a part of σ of those that the host finds in `f64` and the exact tier.
 #[test]
 fn poses_are_those_of_a_host_bit_for_bit() {
-    agree(&scene(), 0.1);
+    agree(&scene(), 2_500, 0.1);
 }
 
 /// The same of a head whose parts are as calibration finds them.
 #[test]
 fn poses_of_a_calibrated_head_are_those_of_a_host_bit_for_bit() {
-    agree(&calibrated(), 0.1);
+    // At 2.5 kHz USB does not carry both beside so much work.
+    agree(&calibrated(), 2_000, 1.5);
 }
 
-fn agree(file: &SceneFile, most_sigmas: f64) {
+fn agree(file: &SceneFile, frame_rate_hz: u32, most_sigmas: f64) {
     let mut chain = chain(file, NoiseSource::Seeded(SEED));
     let mut configuration = default_configuration();
-    configuration.schedule.frame_ticks = TICKS_PER_SECOND as u32 / 2_500;
+    configuration.schedule.frame_ticks = TICKS_PER_SECOND as u32 / frame_rate_hz;
     chain.rig.send(Command::Configure(configuration));
     chain.rig.send(Command::Stream(Stream::BOTH));
     chain.run_for(2e-3);
@@ -70,7 +71,7 @@ fn agree(file: &SceneFile, most_sigmas: f64) {
     let schedule = chain.schedule.clone().expect("a hello");
     let head = head_of(&chain, file);
     let count = chain.poses.len().min(chain.scans.len());
-    assert!(count > 2_900, "{count}");
+    assert!(count as u32 > frame_rate_hz * 29 / 25, "{count}");
     let scans: Vec<RawScan> = chain.scans[..count].iter().map(|(_, scan)| *scan).collect();
     let on_host = replayed(&head, &schedule, scans.iter());
     for ((_, (sequence, tick, record)), (scan, on_host)) in chain.poses.iter().zip(scans.iter().zip(&on_host)) {
@@ -97,6 +98,7 @@ fn agree(file: &SceneFile, most_sigmas: f64) {
     }
     println!("from f64: {worst:.4} σ at worst, {:.4} rms, {count} poses", (squares / count as f64).sqrt());
     assert!(worst < most_sigmas, "{worst}");
+    assert!((squares / count as f64).sqrt() < 0.06);
 }
 
 /// Ten seconds at 4 kHz, a moving tool, poses alone on the link: none is missed; load; from the last conversion of a frame
@@ -125,7 +127,7 @@ fn every_frame_of_ten_seconds_is_solved_in_time() {
     assert!(chain.poses.len() >= 4_000 * seconds - 12, "{}", chain.poses.len());
     assert!(chain.poses.windows(2).all(|pair| pair[1].1.0 == pair[0].1.0 + 1), "every frame, in order");
     assert!(chain.poses.iter().all(|(_, (.., record))| record.status == PoseStatus::Converged));
-    assert!(load <= 900, "{load}");
+    assert!(load <= 850, "{load}");
 
     let schedule = chain.schedule.clone().expect("a hello");
     let last = schedule.last_sample_ticks();
@@ -139,7 +141,7 @@ fn every_frame_of_ten_seconds_is_solved_in_time() {
         "last conversion to pose: median {median:.1} µs, at most {most:.1} µs; first: {}",
         us(ready(&chain.poses[0].1.2))
     );
-    assert!(median <= 250.0 && most <= 600.0, "{median} {most}");
+    assert!(median <= 200.0 && most <= 400.0, "{median} {most}");
 
     let trajectory = smooth();
     let mut nees = 0.0;
@@ -212,13 +214,13 @@ fn a_calibrated_head_takes_over_while_the_board_runs_and_outlives_the_supply() {
         off
     };
     let before = off_m(&chain);
-    println!("as designed: {} poses, off by {:.0} um in the median", before.len(), before[before.len() / 2] * 1e6);
-    assert!(before[before.len() / 2] > 100e-6);
+    println!("as designed: {} poses, off by {:.0?} um at least", before.len(), before.first().map(|off| off * 1e6));
+    assert!(before.iter().all(|&off| off > 50e-6));
 
     let head = head_of(&chain, &file);
     chain.rig.send_head(&head);
     // While the tool is looked for.
-    chain.run_for(0.03);
+    chain.run_for(0.15);
     chain.poses.clear();
     chain.missed = 0;
     let seconds = 3;
@@ -251,7 +253,8 @@ fn a_calibrated_head_takes_over_while_the_board_runs_and_outlives_the_supply() {
     );
     assert!(chain.poses.iter().all(|(_, (.., record))| record.status == PoseStatus::Converged));
     assert!(chain.poses.windows(2).all(|pair| pair[1].1.0 == pair[0].1.0 + 1), "every frame, in order");
-    assert!(after.len() as u64 + 40 > u64::from(seconds as u32) * CALIBRATED_HZ, "{}", after.len());
+    // It may be looked for a little longer.
+    assert!(after.len() as u64 + CALIBRATED_HZ / 10 > u64::from(seconds as u32) * CALIBRATED_HZ, "{}", after.len());
     // σ of a frame is 2 µm an axis, up to twice that where the workspace ends.
     assert!(after[after.len() / 2] < 6e-6 && after[after.len() - 1] < 30e-6);
 
