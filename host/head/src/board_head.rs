@@ -123,7 +123,7 @@ mod tests {
         let configuration = slitpose_firmware::pcb::default_configuration();
         for number in [1, 4] {
             let path = format!("{}/../../tests/data/heads/calibrated_{number}.toml", env!("CARGO_MANIFEST_DIR"));
-            let file = SceneFile::open(path).expect("a scene");
+            let file = SceneFile::open(&path).expect("a scene");
             let scaling = slitpose_firmware::pcb::default_scaling();
             let bytes = super::encode(&file, &configuration.schedule, &scaling, Hashes::default()).expect("computed");
             println!("calibrated_{number}: {} bytes", bytes.len());
