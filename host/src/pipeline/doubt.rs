@@ -13,6 +13,9 @@ const CONTRADICTIONS: usize = 3;
 /// Within this time: a hand moves the tool by centimetres meanwhile, and the error to where it shows.
 const WITHIN_S: f64 = 0.25;
 
+/// From so many cells on their light has one pose, or contradicts the scene.
+const CELLS: usize = 6;
+
 /// Least number of scans that this time stands for.
 const LEAST_SCANS: u64 = 8;
 
@@ -31,13 +34,13 @@ impl Doubt {
         Self { within: ((WITHIN_S / frame_s) as u64).max(LEAST_SCANS), latest: [None; CONTRADICTIONS] }
     }
 
-    /// Counts the scan `sequence`, which came to `outcome`.
-    pub(super) fn count(&mut self, sequence: u64, outcome: &Outcome) {
+    /// Counts the scan `sequence`, which came to `outcome` by so many `cells`.
+    pub(super) fn count(&mut self, sequence: u64, outcome: &Outcome, cells: usize) {
         // What counts no more leaves no trace: the state is that of a session which has not seen it.
         for latest in &mut self.latest {
             *latest = latest.filter(|latest| sequence.abs_diff(*latest) <= self.within);
         }
-        if contradicts(outcome) {
+        if contradicts(outcome, cells) {
             self.latest.rotate_left(1);
             self.latest[CONTRADICTIONS - 1] = Some(sequence);
         }
@@ -52,9 +55,13 @@ impl Doubt {
     }
 }
 
-/// Whether the scene does not explain a scan: it has outliers, identified or not.
-fn contradicts(outcome: &Outcome) -> bool {
-    matches!(outcome, Outcome::Diverged | Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded))
+/// Whether the scene does not explain a scan: it has outliers, identified or not. Of few cells none is found because they
+/// leave too much open.
+fn contradicts(outcome: &Outcome, cells: usize) -> bool {
+    match outcome {
+        Outcome::Diverged => cells >= CELLS,
+        outcome => matches!(outcome, Outcome::Degraded(DegradedReason::Misfit | DegradedReason::CellExcluded)),
+    }
 }
 
 #[cfg(test)]
@@ -67,7 +74,7 @@ mod tests {
         let is_doubted = |&sequence: &u64| {
             let contradicts = contradictions.contains(&sequence);
             let mut outcome = if contradicts { Outcome::Degraded(DegradedReason::Misfit) } else { Outcome::Converged };
-            doubt.count(sequence, &outcome);
+            doubt.count(sequence, &outcome, CELLS);
             doubt.apply(sequence, &mut outcome);
             outcome == Outcome::Degraded(DegradedReason::Doubted)
         };
@@ -86,7 +93,11 @@ mod tests {
     #[test]
     fn only_poses_that_seem_sound_are_put_in_doubt() {
         let mut doubt = Doubt::new(1.0);
-        (0..3).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged));
+        (0..3).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged, CELLS - 1));
+        let mut outcome = Outcome::Converged;
+        doubt.apply(3, &mut outcome);
+        assert_eq!(outcome, Outcome::Converged, "five cells leave a pose open");
+        (3..6).for_each(|sequence| doubt.count(sequence, &Outcome::Diverged, CELLS));
         for kept in [Outcome::Ambiguous, Outcome::TooDark, Outcome::Degraded(DegradedReason::FewerCells)] {
             let mut outcome = kept;
             doubt.apply(8, &mut outcome);

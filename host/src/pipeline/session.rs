@@ -215,7 +215,7 @@ impl Session {
             Content::Words(words) => self.solve_words(words, watched),
             Content::Pose(pose) => self.completed(pose),
         };
-        self.doubt.count(scan.sequence(), &tracked.solution.outcome);
+        self.doubt.count(scan.sequence(), &tracked.solution.outcome, tracked.solution.cells_used.count());
         self.doubt.apply(scan.sequence(), &mut tracked.solution.outcome);
         tracked
     }

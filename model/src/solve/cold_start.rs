@@ -11,7 +11,7 @@ use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
 use super::accept::{DISTINCT_SIGMAS, Fit, ROUGH_WORK, is_elsewhere};
-use super::algebra::Vector6;
+use super::algebra::Factor;
 use super::chi2::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
@@ -37,6 +37,10 @@ const LONGEST_WORK: usize = 2 * COLD_WORK;
 
 /// Starts that must all have led to one place for a misfit there to be the answer.
 const AGREEING: usize = 8;
+
+/// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
+/// one in 30 honest scans of six cells has more.
+pub(super) const DOUBTED: f64 = 0.25;
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
@@ -248,7 +252,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             workspace.work += held_back;
             let gate = self.gates[sorted.usable.len()];
             if minimum.converged && minimum.chi2 <= gate {
-                minimum = problem.beyond_kink(minimum, &whiteners, workspace);
+                minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
             }
             let fit = self.fit(sorted, problem, &minimum);
             if fit == Fit::Full && !may_have_images {
@@ -436,40 +440,37 @@ fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
 }
 
 impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
-    /// `minimum`, or what fits better beyond a kink beside it: on either side χ² may have a minimum of its own. Of each
-    /// cell whose kink is within reach the emitter is put across its plane, both ways, with the least χ² by the
-    /// covariance; the last linearisation is at `minimum`.
+    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side χ² may
+    /// have a minimum of its own. Of each cell whose kink is within reach the emitter is put across its plane, both
+    /// ways, with the least χ² by the covariance; the last linearisation is at `minimum`.
     #[cold]
     #[inline(never)]
     pub(super) fn beyond_kink(
         &self,
         minimum: Minimum<S>,
         whiteners: &Whiteners<S>,
+        doubted: S,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let Some(factor) = minimum.factor.filter(|factor| !observability::is_singular(factor)) else {
-            return minimum;
-        };
+        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !observability::is_singular(factor);
+        let Some(factor) = minimum.factor.filter(may_tell) else { return minimum };
         let across = |reading: &Usable<S>| {
             let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
             let step = factor.solve(&row);
             let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
             step.map(|element| element * length)
         };
-        let ways: ArrayVec<Vector6<S>, MAX_CELLS> = self
-            .readings
-            .iter()
-            .enumerate()
-            // Of none is it known where kinks of an opening other than a slit lie.
-            .filter(|(index, _)| workspace.slacks_m[*index] > S::zero())
-            .map(|(index, reading)| (index, across(reading)))
-            .filter(|(index, step)| !self.is_smooth_in_cell(*index, step, &minimum.pose, workspace))
-            .map(|(_, step)| step)
-            .collect();
+        // It is not known where the kinks of an opening other than a slit lie.
+        let may_cross = |&index: &usize| {
+            let step = across(&self.readings[index]);
+            workspace.slacks_m[index] > S::zero() && !self.is_smooth_in_cell(index, &step, &minimum.pose, workspace)
+        };
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(may_cross).collect();
         let mut best = minimum;
         let mut iterations = minimum.iterations;
-        for way in &ways {
-            for step in [*way, way.map(|element| -element)] {
+        for &index in &crossing {
+            let way = across(&self.readings[index]);
+            for step in [way, way.map(|element| -element)] {
                 if workspace.work == 0 {
                     break;
                 }
@@ -481,7 +482,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 }
             }
         }
-        if !ways.is_empty() {
+        if !crossing.is_empty() {
             self.linearise(&best.pose, whiteners, workspace);
         }
         Minimum { iterations, ..best }

@@ -113,8 +113,8 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     coasted: u32,
     /// The cell that was left out of the last pose.
     left_out: Option<usize>,
-    /// The frame from which on it is looked at again.
-    next_look: u64,
+    /// The frame in which it was looked at again.
+    last_look: u64,
     /// Whether the last pose was a misfit.
     is_misfit: bool,
     lost: Lost<S>,
@@ -159,7 +159,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             sigmas: [S::zero(); 2],
             coasted: 0,
             left_out: None,
-            next_look: 0,
+            last_look: 0,
             is_misfit: false,
             lost: Lost::new(Budget::HOST.first),
         }
@@ -181,7 +181,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.sigmas = [S::zero(); 2];
         self.coasted = 0;
         self.left_out = None;
-        self.next_look = 0;
+        self.last_look = 0;
         self.is_misfit = false;
         self.lost = Lost::new(self.budget.first);
     }
@@ -300,11 +300,11 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     /// The cell that was left out of the last pose, and whether it is time to look at it again.
     fn left_out(&mut self) -> Option<LeftOut> {
         let cell = self.left_out?;
-        // Frames may be numbered anew.
-        let wait = self.next_look.saturating_sub(self.next_frame);
-        let looks_again = wait == 0 || wait > P::LOOKS_AGAIN_AFTER;
+        // A frame that is followed twice looks twice. Frames may be numbered anew.
+        let since = self.next_frame.checked_sub(self.last_look);
+        let looks_again = since.is_none_or(|since| since == 0 || since >= P::LOOKS_AGAIN_AFTER);
         if looks_again {
-            self.next_look = self.next_frame.saturating_add(P::LOOKS_AGAIN_AFTER);
+            self.last_look = self.next_frame;
         }
         Some(LeftOut { cell, looks_again })
     }

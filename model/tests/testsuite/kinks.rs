@@ -70,8 +70,7 @@ fn nees((pose, solution): &(Pose, Solution)) -> f64 {
     solution.estimate.and_then(|estimate| estimate.nees(pose)).expect("pose and covariance")
 }
 
-/// Both starts: all poses are found, in few evaluations, and few of them are off. From nothing some five of those go into
-/// a look at the other side of the kink.
+/// Both starts: all poses are found, in few evaluations, and few of them are off.
 fn assert_found<S: Scalar>(most_evaluations: [f64; 2]) {
     for (found, most) in solved::<S>(NOISE_A).into_iter().zip(most_evaluations) {
         for (pose, solution) in &found {
@@ -89,12 +88,12 @@ fn assert_found<S: Scalar>(most_evaluations: [f64; 2]) {
 
 #[test]
 fn a_minimum_on_a_kink_is_found_in_double_precision() {
-    assert_found::<f64>([15.0, 3.0]);
+    assert_found::<f64>([8.0, 3.0]);
 }
 
 #[test]
 fn a_minimum_on_a_kink_is_found_in_single_precision() {
-    assert_found::<f32>([15.0, 3.0]);
+    assert_found::<f32>([8.0, 3.0]);
 }
 
 #[test]
@@ -174,8 +173,8 @@ fn poses_among_many_clipped_spots_are_found() {
             "noise {noise_a} A: {off} off and {none} without a pose of {tried}, {with_images} of heads with images"
         );
         assert!(with_images > tried / 4 && with_images < tried * 3 / 4, "{with_images} of {tried}");
-        // Of 11 445 without noise none was off and 54 had no pose. A search that looked no further where χ² passes,
-        // and for images only as long as for a pose, left 10 and 5 257.
+        // Of 11 445 without noise 54 had no pose. A search that looked for images only as long as for a pose left
+        // 5 257 without, and 10 off, in a minimum of their own whose χ² passes.
         assert!(off <= tried / 1000 && none < tried / 50, "{off} and {none} of {tried}");
     }
 }

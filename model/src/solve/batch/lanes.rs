@@ -39,6 +39,8 @@ pub(super) struct Course {
     pub(super) stopping: Stopping<f64>,
     /// χ² above which a single solve would look further.
     pub(super) most_chi2: f64,
+    /// χ² above which it would look beyond kinks, if it ever does.
+    pub(super) doubted_chi2: Option<f64>,
 }
 
 /// What is measured of a cell, and its weight.
@@ -396,14 +398,13 @@ fn conclude<R: Real<Element = f64>>(
     for (i, row) in inverse.iter().enumerate() {
         stays = both(stays, at_most(row[i], chi2.constant(LARGEST_SIGMA * LARGEST_SIGMA)));
     }
-    if course.is_cold {
+    if let Some(doubted) = course.doubted_chi2 {
         // No step of so many σ is longer than the root of the covariance's trace allows: beyond no kink can there be
         // another minimum.
         let trace = inverse.iter().enumerate().fold(zero, |sum, (i, row)| sum + row[i]);
         let most_moved = trace.root() * chi2.all(REACH * MOST_MAGNIFICATION * head.length_scale_m);
-        for &slack_m in &linearised.slacks_m {
-            stays = both(stays, above(slack_m, most_moved));
-        }
+        let far = linearised.slacks_m.iter().fold(one, |far, &slack_m| both(far, above(slack_m, most_moved)));
+        stays = both(stays, choose(at_most(chi2, chi2.all(doubted)), one, far));
     }
     let mut size = zero;
     for component in end.rotation() {

@@ -15,6 +15,7 @@ use crate::scene::MAX_CELLS;
 use crate::width::{Instructions, Lanes, Task, Width};
 
 use super::chi2::redundancy;
+use super::cold_start::DOUBTED;
 use super::compiled::{Compiled, MotionPrior};
 use super::levenberg_marquardt::Stopping;
 use super::observability::unscaled;
@@ -142,11 +143,16 @@ impl<'a> Batch<'a> {
         let head = &self.solver.compiled;
         let gate = head.gates[head.plan.cell_count()];
         let course = match starts {
-            Starts::Cold => Course { is_cold: true, stopping: Stopping::exact(), most_chi2: gate },
+            Starts::Cold => Course {
+                is_cold: true,
+                stopping: Stopping::exact(),
+                most_chi2: gate,
+                doubted_chi2: Some(DOUBTED * gate),
+            },
             Starts::Near(_) => {
                 let near = <crate::plan::Plan<f64> as Optics<f64>>::NEAR_SIGMAS;
                 let stopping = Stopping { tolerance_sigmas: near, ..Stopping::near() };
-                Course { is_cold: false, stopping, most_chi2: gate }
+                Course { is_cold: false, stopping, most_chi2: gate, doubted_chi2: None }
             }
         };
         self.width.run(Minimise { head, frames, course, minima });
