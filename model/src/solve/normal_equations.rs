@@ -11,7 +11,7 @@
 // heapless clears the memory of a new vector; here that would take as long as the algebra.
 use arrayvec::ArrayVec;
 
-use crate::plan::{CellTerms, Instant, Optics};
+use crate::plan::{BOARD_CELLS, CellTerms, Instant, Optics};
 use crate::pose::Transform;
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
@@ -58,8 +58,8 @@ pub(super) struct Workspace<S: Scalar> {
     pub(super) displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
     /// The readings' slacks: see [`crate::plan::CellTerms`].
     pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
-    /// The readings' distances from walls, if steps cross them.
-    pub(super) walls_m: ArrayVec<S, MAX_CELLS>,
+    /// The readings' distances from walls, if steps cross them: on a board.
+    pub(super) walls_m: ArrayVec<S, BOARD_CELLS>,
     /// M₁ and M₂ of [`super::twist`], if the twist is not known.
     twist_moments: [Matrix6<S>; 2],
     pub(super) elimination: Option<Elimination<S>>,
