@@ -10,7 +10,7 @@ use super::levenberg_marquardt::Minimum;
 use super::observability;
 
 /// Rough approaches that are remembered, so that none is refined twice.
-const REMEMBERED: usize = 16;
+const REMEMBERED: usize = 15;
 
 /// Displacement, in σ of a rough approach, up to which two approaches have led to one place.
 const SAME_SIGMAS: f64 = 0.3;
