@@ -3,25 +3,21 @@
 //! The first pose that fits the data is the answer, unless it may have mirror images ([`super::mirror_images`]):
 //! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
-use arrayvec::ArrayVec;
-
 use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::Scalar;
-use crate::scene::MAX_CELLS;
 
-use super::accept::{DISTINCT_SIGMAS, Fit, ROUGH_WORK, is_elsewhere};
-use super::algebra::Factor;
+use super::accept::{Fit, ROUGH_WORK, is_elsewhere};
 use super::chi2::redundancy;
 use super::compiled::{Compiled, Prior};
-use super::levenberg_marquardt::{Minimum, Stopping};
+use super::levenberg_marquardt::Stopping;
 use super::minima::{Minima, Seen};
 use super::mirror_images::{IMAGES, SOFT_STEPS, image};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
-use super::readings::{Sorted, Usable};
-use super::{observability, starts};
+use super::readings::Sorted;
+use super::starts;
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
 /// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too: without it the
@@ -437,56 +433,6 @@ fn nothing<S: Scalar>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
 /// Of three cells alone nearly every pose has one, and no search is sure to find it.
 fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0 && sorted.faint.is_empty()
-}
-
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
-    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side χ² may
-    /// have a minimum of its own. Of each cell whose kink is within reach the emitter is put across its plane, both
-    /// ways, with the least χ² by the covariance; the last linearisation is at `minimum`.
-    #[cold]
-    #[inline(never)]
-    pub(super) fn beyond_kink(
-        &self,
-        minimum: Minimum<S>,
-        whiteners: &Whiteners<S>,
-        doubted: S,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
-        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !observability::is_singular(factor);
-        let Some(factor) = minimum.factor.filter(may_tell) else { return minimum };
-        let across = |reading: &Usable<S>| {
-            let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
-            let step = factor.solve(&row);
-            let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
-            step.map(|element| element * length)
-        };
-        // It is not known where the kinks of an opening other than a slit lie.
-        let may_cross = |&index: &usize| {
-            let step = across(&self.readings[index]);
-            workspace.slacks_m[index] > S::zero() && !self.is_smooth_in_cell(index, &step, &minimum.pose, workspace)
-        };
-        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(may_cross).collect();
-        let mut best = minimum;
-        let mut iterations = minimum.iterations;
-        for &index in &crossing {
-            let way = across(&self.readings[index]);
-            for step in [way, way.map(|element| -element)] {
-                if workspace.work == 0 {
-                    break;
-                }
-                let start = self.moved(&minimum.pose, &step);
-                let other = self.minimise(start, whiteners, Stopping::exact(), workspace);
-                iterations += other.iterations;
-                if other.converged && other.chi2 < best.chi2 {
-                    best = other;
-                }
-            }
-        }
-        if !crossing.is_empty() {
-            self.linearise(&best.pose, whiteners, workspace);
-        }
-        Minimum { iterations, ..best }
-    }
 }
 
 #[cfg(test)]

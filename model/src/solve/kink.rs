@@ -12,9 +12,12 @@ use crate::rectangle::{MOST_MAGNIFICATION, WALL_SLACK};
 use crate::scalar::Scalar;
 use crate::scene::MAX_CELLS;
 
+use super::accept::DISTINCT_SIGMAS;
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror, square};
-use super::levenberg_marquardt::Minimum;
+use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
+use super::observability;
+use super::readings::Usable;
 use super::step::Step;
 
 /// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
@@ -94,6 +97,54 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         if there.chi2 < at.chi2 { Astride::Lower(nearer, there) } else { Astride::Nothing }
     }
 
+    /// `minimum`, or what fits better beyond a kink beside it if that has more χ² than `doubted`: on either side χ² may
+    /// have a minimum of its own. Of each cell whose kink is within reach the emitter is put across its plane, both
+    /// ways, with the least χ² by the covariance; the last linearisation is at `minimum`.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn beyond_kink(
+        &self,
+        minimum: Minimum<S>,
+        whiteners: &Whiteners<S>,
+        doubted: S,
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
+        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !observability::is_singular(factor);
+        let Some(factor) = minimum.factor.filter(may_tell) else { return minimum };
+        let across = |reading: &Usable<S>| {
+            let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
+            let step = factor.solve(&row);
+            let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
+            step.map(|element| element * length)
+        };
+        // It is not known where the kinks of an opening other than a slit lie.
+        let may_cross = |&index: &usize| {
+            let step = across(&self.readings[index]);
+            workspace.slacks_m[index] > S::zero() && !self.is_smooth_in_cell(index, &step, &minimum.pose, workspace)
+        };
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(may_cross).collect();
+        let mut best = minimum;
+        let mut iterations = minimum.iterations;
+        for &index in &crossing {
+            let way = across(&self.readings[index]);
+            for step in [way, way.map(|element| -element)] {
+                if workspace.work == 0 {
+                    break;
+                }
+                let start = self.moved(&minimum.pose, &step);
+                let other = self.minimise(start, whiteners, Stopping::exact(), workspace);
+                iterations += other.iterations;
+                if other.converged && other.chi2 < best.chi2 {
+                    best = other;
+                }
+            }
+        }
+        if !crossing.is_empty() {
+            self.linearise(&best.pose, whiteners, workspace);
+        }
+        Minimum { iterations, ..best }
+    }
+
     /// Whether a step from the last linearisation may take an emitter to a wall.
     #[inline(always)]
     pub(super) fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
@@ -117,7 +168,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             wall_m <= self.emitter_moves_m(&step.step, start, &self.readings[index])
         };
         let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(|&index| crosses(index)).collect();
-        // What is not known of the motion, or of cells without light, is more than walls add to a residual.
+        // An unknown motion, or a cell without a spot, leaves larger errors than a wall does.
         if crossing.is_empty() || workspace.elimination.is_some() || !workspace.plane_rows.is_empty() {
             return minimum;
         }
