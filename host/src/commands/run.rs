@@ -246,9 +246,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
             outcome = Outcome::DataLost;
         }
         let wanted = interrupted || (bounded && followed.is_ok());
-        if losses::tell(&name, &counts, wanted) == Outcome::DataLost {
-            outcome = Outcome::DataLost;
-        }
+        outcome = outcome.max(losses::tell(&name, &counts, wanted));
         if counts.scans_skipped > 0 && printed.is_ok() {
             talk(format_args!(
                 "{name}: {} of {} scans were not solved: {}",

@@ -80,7 +80,7 @@ impl SideBySide {
                     complain(format_args!("{name}: {:#}", anyhow::Error::new(error)));
                     (Outcome::Failed, Account::default())
                 });
-                ended = worse(ended, outcome);
+                ended = ended.max(outcome);
                 write(&mut table, &name, outcome, &account)?;
                 done += 1;
                 progress.step(done, "");
@@ -130,15 +130,6 @@ impl Job<'_> {
         let (play, poses) = options;
         let printing = Printing { sink: None, target: "", format, is_terminal: false, name: Some(&name) };
         Playback::new(files, play, poses, faults, Speed::Max, printing)?.play()
-    }
-}
-
-/// The one that decides the exit code.
-fn worse(a: Outcome, b: Outcome) -> Outcome {
-    match (a, b) {
-        (Outcome::Failed, _) | (_, Outcome::Failed) => Outcome::Failed,
-        (Outcome::DataLost, _) | (_, Outcome::DataLost) => Outcome::DataLost,
-        (Outcome::Done, Outcome::Done) => Outcome::Done,
     }
 }
 
