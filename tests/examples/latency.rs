@@ -8,17 +8,15 @@
 //! `--against PROGRAM`, another build of `slitpose`, both are measured by turns, and compared.
 
 use std::ffi::OsStr;
-use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::thread::{available_parallelism, sleep, spawn};
-use std::time::Duration;
+use std::thread::available_parallelism;
 
 use clap::Parser;
+use slitpose_tests::acceptance::live_pages::{Page, look};
 use slitpose_tests::latency::{Distribution, Measurement, Plan, measure};
 use slitpose_tests::process::Slitpose;
 use slitpose_tests::terminal::FRAME_RATE_HZ;
-use tungstenite::Message;
 
 /// Bytes in to pose out, half of all poses, µs.
 const MOST_MEDIAN_US: f64 = 150.0;
@@ -57,7 +55,8 @@ fn main() -> ExitCode {
     let own = std::env::current_exe().expect("this program").to_str().expect("UTF-8").to_owned();
     let mut run = options.options;
     if options.pages > 0 {
-        run.extend(["--live".to_owned(), look(options.pages).to_string()]);
+        let pages = [Page::Sleeps].into_iter().chain(std::iter::repeat_n(Page::Takes, options.pages - 1));
+        run.extend(["--live".to_owned(), look(pages).to_string()]);
     }
     let plan = Plan {
         warm_up: FRAME_RATE_HZ as usize,
@@ -78,34 +77,6 @@ fn main() -> ExitCode {
     let verdict = if is_met { "met" } else { "NOT MET" };
     println!("bounds of written to received: median {MOST_MEDIAN_US} us, 99 % {MOST_P99_US} us: {verdict}");
     ExitCode::from(u8::from(!is_met))
-}
-
-/// Messages that a page takes between two acknowledgements.
-const ACKNOWLEDGED: usize = 8;
-
-/// Starts pages, and returns the address at which they look for a daemon. The first one takes no message after its hello.
-fn look(pages: usize) -> SocketAddr {
-    let address = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a free port");
-    for number in 0..pages {
-        spawn(move || {
-            loop {
-                if let Ok((mut page, _)) = tungstenite::connect(format!("ws://{address}/live")) {
-                    let mut taken = 0;
-                    page.send(Message::text(r#"{"kind":"hello"}"#)).expect("a daemon");
-                    while number > 0 && page.read().is_ok() {
-                        taken += 1;
-                        if taken % ACKNOWLEDGED == 0 {
-                            let acknowledgement = format!(r#"{{"kind":"ack","messages":{taken}}}"#);
-                            let _ = page.send(Message::text(acknowledgement));
-                        }
-                    }
-                    sleep(Duration::from_secs(if number > 0 { 0 } else { 3600 }));
-                }
-                sleep(Duration::from_millis(100));
-            }
-        });
-    }
-    address
 }
 
 /// Poses that each of two programs is given at a turn.

@@ -9,17 +9,15 @@
 //! Each daemon's capture is counted and removed when it ends, so that a day needs as much disk as the longest life of one.
 
 use std::fs;
-use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::thread::{sleep, spawn};
 use std::time::Duration;
 
 use clap::Parser;
+use slitpose_tests::acceptance::live_pages::{Page, look};
 use slitpose_tests::acceptance::storm::{Conditions, study};
 use slitpose_tests::process::Slitpose;
 use slitpose_tests::verdicts::Verdicts;
-use tungstenite::Message;
 
 #[derive(Parser)]
 #[command(about = "Faulty boards, and a daemon that is suspended, killed, and without a disk")]
@@ -50,30 +48,6 @@ struct Options {
     slitpose: Option<PathBuf>,
 }
 
-/// Messages that a page takes between two acknowledgements.
-const ACKNOWLEDGED: usize = 8;
-
-/// A live page that comes back whenever it loses its daemon; returns where it looks for one.
-fn page() -> SocketAddr {
-    let address = TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a free port");
-    spawn(move || {
-        loop {
-            if let Ok((mut page, _)) = tungstenite::connect(format!("ws://{address}/live")) {
-                let mut taken = 0;
-                let mut sent = page.send(Message::text(r#"{"kind":"hello"}"#));
-                while sent.is_ok() && page.read().is_ok() {
-                    taken += 1;
-                    if taken % ACKNOWLEDGED == 0 {
-                        sent = page.send(Message::text(format!(r#"{{"kind":"ack","messages":{taken}}}"#)));
-                    }
-                }
-            }
-            sleep(Duration::from_millis(100));
-        }
-    });
-    address
-}
-
 fn main() -> ExitCode {
     let options = Options::parse();
     let conditions = Conditions {
@@ -82,7 +56,7 @@ fn main() -> ExitCode {
         least_blows: 0,
         seed: options.seed,
         pause_s: 8.0..25.0,
-        live: Some(page().to_string()),
+        live: Some(look([Page::Takes]).to_string()),
         disk: options.disk,
         most_bytes: options.most_mib << 20,
     };

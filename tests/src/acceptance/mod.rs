@@ -10,17 +10,19 @@
 //!
 //! Each is an example of this package, in full size, and a test, in small. [`daemon`] is the process under
 //! test, [`usage`] what it takes, which only Linux tells; [`metered`] and [`unplugging`] are its boards,
-//! [`scan_table`] counts what a capture holds, [`curves`] draws.
+//! [`subscriber`] and [`live_pages`] its clients; [`scan_table`] counts what a capture holds, [`curves`] draws.
 
 pub mod builds;
 pub mod curves;
 pub mod daemon;
 pub mod hour;
 pub mod kill;
+pub mod live_pages;
 pub mod metered;
 pub mod replug;
 pub mod scan_table;
 pub mod soak;
 pub mod storm;
+pub mod subscriber;
 pub mod unplugging;
 pub mod usage;

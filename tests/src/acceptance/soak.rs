@@ -1,22 +1,20 @@
 //! Several boards for a long time, everything switched on: nothing is lost anywhere, and nothing grows.
 
 use std::fmt;
-use std::os::unix::net::UnixDatagram;
 use std::process::Stdio;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use slitpose::datagram::{Mode, Request};
 use slitpose_head::scene_file::WIDE;
 use slitpose_model::Tier;
 
 use super::daemon::{Daemon, Ended, boards, name_in, scans};
 use super::metered::{Meter, Metered};
 use super::scan_table::{self, Scans};
+use super::subscriber::Subscriber;
 use super::usage::{Usage, resident_in_quarters};
 use crate::process::Slitpose;
 use crate::terminal::{Board, Terminal};
@@ -73,39 +71,6 @@ pub struct Report {
     replayed: (i32, String),
 }
 
-/// A client that is sent every pose.
-struct Subscriber {
-    over: Arc<AtomicBool>,
-    thread: JoinHandle<u64>,
-}
-
-impl Subscriber {
-    fn start(server: String, own: String) -> Self {
-        let over = Arc::new(AtomicBool::new(false));
-        let ends = Arc::clone(&over);
-        let thread = std::thread::spawn(move || {
-            let socket = UnixDatagram::bind(own).expect("socket");
-            socket.set_read_timeout(Some(Duration::from_millis(100))).expect("settable");
-            let (mut count, mut asked) = (0, None::<Instant>);
-            while !ends.load(Ordering::Relaxed) {
-                if asked.is_none_or(|asked| asked.elapsed() > Duration::from_secs(1)) {
-                    // There is no socket before the daemon has made it, and none when it has gone.
-                    let request = Request::new(Mode::Follow, None);
-                    asked = socket.send_to(&request.to_bytes(), &server).is_ok().then(Instant::now);
-                }
-                count += u64::from(socket.recv(&mut [0; 1024]).is_ok());
-            }
-            count
-        });
-        Self { over, thread }
-    }
-
-    fn end(self) -> u64 {
-        self.over.store(true, Ordering::Relaxed);
-        self.thread.join().expect("subscriber")
-    }
-}
-
 /// Runs it.
 ///
 /// # Panics
@@ -121,12 +86,12 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
         })
         .collect();
     let folder = tempfile::tempdir().expect("temporary folder");
-    let [capture, publish, client] = ["soak.mcap", "publish", "client"].map(|name| name_in(folder.path(), name));
+    let [capture, publish] = ["soak.mcap", "publish"].map(|name| name_in(folder.path(), name));
     let mut arguments = vec!["--format".to_owned(), "none".to_owned(), "--record".to_owned(), capture.clone()];
     arguments.extend(["--publish".to_owned(), format!("unix:{publish}")]);
     arguments.extend(terminals.iter().flat_map(|terminal| ["--device".to_owned(), terminal.path.clone()]));
     let daemon = Daemon::start(slitpose, folder, &arguments, Stdio::null());
-    let subscriber = Subscriber::start(publish, client);
+    let subscriber = Subscriber::start(publish.into());
     daemon.status_when(|status| scans(status).len() == meters.len() && scans(status).iter().all(|scans| *scans > 0));
 
     let (samples, status) = watch(&daemon, conditions);

@@ -3,11 +3,8 @@
 
 use std::fmt;
 use std::ops::Range;
-use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -16,11 +13,11 @@ use nix::unistd::Pid;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use slitpose::datagram::{Mode, Request};
 
 use super::curves::{Panel, svg};
 use super::daemon::{Daemon, Ended, boards, name_in, scans};
 use super::scan_table::{self, Scans};
+use super::subscriber::Subscriber;
 use super::usage::Usage;
 use crate::process::Slitpose;
 use crate::verdicts::Verdicts;
@@ -149,7 +146,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
     let mut counting: Vec<JoinHandle<Captured>> = Vec::new();
     let mut life = 0;
     let mut daemon = start(slitpose, conditions, life);
-    let mut client = Client::start(daemon.folder().join("publish"));
+    let mut client = Subscriber::start(daemon.folder().join("publish"));
     let mut blows = vec![Blow::Suspended, Blow::Killed, Blow::DiskFull];
     blows.extend(conditions.disk.is_some().then_some(Blow::DiskStandsStill));
     let pause = |rng: &mut ChaCha8Rng| Duration::from_secs_f64(rng.random_range(conditions.pause_s.clone()));
@@ -171,7 +168,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
                     counting.push(count(slitpose, daemon.end_by(Signal::SIGKILL), true));
                     life += 1;
                     daemon = start(slitpose, conditions, life);
-                    client = Client::start(daemon.folder().join("publish"));
+                    client = Subscriber::start(daemon.folder().join("publish"));
                 }
                 Blow::DiskFull => daemon.limit_files(),
                 Blow::DiskStandsStill => stand_still(conditions, lasts),
@@ -249,44 +246,12 @@ fn count(slitpose: Slitpose, ended: Ended, was_killed: bool) -> JoinHandle<Captu
     })
 }
 
-/// A control loop that takes every pose.
-struct Client {
-    over: Arc<AtomicBool>,
-    thread: JoinHandle<u64>,
-}
-
-impl Client {
-    fn start(server: PathBuf) -> Self {
-        let over = Arc::new(AtomicBool::new(false));
-        let ends = Arc::clone(&over);
-        let thread = std::thread::spawn(move || {
-            let socket = UnixDatagram::bind(server.with_file_name("client")).expect("socket");
-            socket.set_read_timeout(Some(Duration::from_millis(100))).expect("settable");
-            let (mut count, mut asked) = (0, None::<Instant>);
-            while !ends.load(Ordering::Relaxed) {
-                if asked.is_none_or(|asked| asked.elapsed() > Duration::from_secs(1)) {
-                    let request = Request::new(Mode::Follow, None);
-                    asked = socket.send_to(&request.to_bytes(), &server).is_ok().then(Instant::now);
-                }
-                count += u64::from(socket.recv(&mut [0; 1024]).is_ok());
-            }
-            count
-        });
-        Self { over, thread }
-    }
-
-    fn end(self) -> u64 {
-        self.over.store(true, Ordering::Relaxed);
-        self.thread.join().expect("client")
-    }
-}
-
 impl Daemon {
     fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.id() as i32), signal).expect("running");
     }
 
-    /// No file of it may grow beyond what it has by now: the disk is full.
+    /// No file of it may grow beyond 4 KiB, which its capture has passed: the disk is full.
     fn limit_files(&self) {
         let limit = Command::new("prlimit").args(["--pid", &self.id().to_string(), "--fsize=4096"]).status();
         assert!(limit.is_ok_and(|status| status.success()), "prlimit (util-linux) sets a limit");
@@ -359,21 +324,21 @@ impl Report {
         verdicts.check(is_close(descriptors), &format!("and descriptors: {descriptors:?}"));
     }
 
-    /// Memory, threads and descriptors, latency, and what waits, over time, with the blows by their first letters.
+    /// Memory, threads and descriptors, latency of the worst board, and what waits, over time, with a letter for each blow:
+    /// suspended, killed, disk full (F), disk that stands still.
     pub fn picture(&self) -> String {
         let curve = |name: &str, of: fn(&Sample) -> f64| {
-            (name.to_owned(), self.samples.iter().map(|sample| (sample.elapsed_s, of(sample))).collect())
+            (name.to_owned(), self.samples.iter().map(|sample| [sample.elapsed_s, of(sample)]).collect())
         };
-        let panel =
-            |heading: &str, is_logarithmic, curves| Panel { heading: heading.to_owned(), is_logarithmic, curves };
+        let panel = |label: &str, is_logarithmic, curves| Panel { label: label.to_owned(), is_logarithmic, curves };
         let panels = [
             panel(
-                "memory, MiB",
+                "memory (MiB)",
                 false,
                 vec![curve("resident", |it| it.usage.resident_bytes as f64 / f64::from(1 << 20))],
             ),
             panel(
-                "threads, descriptors",
+                "number",
                 false,
                 vec![
                     curve("threads", |it| it.usage.threads as f64),
@@ -381,7 +346,7 @@ impl Report {
                 ],
             ),
             panel(
-                "light to pose, worst board, ms",
+                "light to pose (ms)",
                 true,
                 vec![
                     curve("median", |it| it.latency_s[0] * 1e3),
@@ -389,7 +354,7 @@ impl Report {
                     curve("most", |it| it.latency_s[2] * 1e3),
                 ],
             ),
-            panel("scans that wait", false, vec![curve("all boards", |it| it.waiting as f64)]),
+            panel("waiting scans", false, vec![curve("all boards", |it| it.waiting as f64)]),
         ];
         let marks: Vec<(f64, String)> = self
             .struck
@@ -404,7 +369,7 @@ impl Report {
                 (struck.at_s, word.to_owned())
             })
             .collect();
-        svg(&panels, &marks)
+        svg("A daemon in a storm", &panels, &marks)
     }
 
     /// The samples as CSV.

@@ -38,7 +38,7 @@ impl Stroke {
 
 /// Which point of a label its position means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Anchor {
+pub enum Anchor {
     /// The beginning.
     Start,
     /// The middle.
@@ -85,13 +85,13 @@ impl TextStyle {
 }
 
 /// A picture in the making.
-pub(crate) struct Canvas {
+pub struct Canvas {
     writer: Writer<Vec<u8>>,
 }
 
 impl Canvas {
     /// An empty white sheet; `title` is for screen readers.
-    pub(crate) fn new(width: f64, height: f64, title: &str) -> Self {
+    pub fn new(width: f64, height: f64, title: &str) -> Self {
         let mut canvas = Self { writer: Writer::new(Vec::new()) };
         let mut svg = BytesStart::new("svg");
         svg.push_attribute(("xmlns", "http://www.w3.org/2000/svg"));
@@ -206,7 +206,7 @@ impl Canvas {
     }
 
     /// The finished picture.
-    pub(crate) fn into_svg(mut self) -> String {
+    pub fn into_svg(mut self) -> String {
         self.event(Event::End(BytesEnd::new("svg")));
         let mut svg = String::from_utf8_lossy(&self.writer.into_inner()).into_owned();
         svg.push('\n');

@@ -19,7 +19,7 @@ const TICK_ROOM: DVec2 = DVec2::new(70.0, 30.0);
 
 /// How numbers are spread along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scale {
+pub enum Scale {
     /// Equal differences are equal distances.
     Linear,
     /// Equal ratios are equal distances; every number must be above zero.
@@ -30,7 +30,7 @@ pub(crate) enum Scale {
 
 /// One axis of a chart.
 #[derive(Clone, Debug)]
-pub(crate) struct Axis {
+pub struct Axis {
     /// Name and unit; formulas between `$`.
     pub label: String,
     /// The least and the largest number shown.
@@ -41,7 +41,7 @@ pub(crate) struct Axis {
 
 impl Axis {
     /// An axis that shows all of `values`, with a twentieth of their span around them.
-    pub(crate) fn around(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
+    pub fn around(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
         let [least, most] = extent(values);
         let margin = if most > least { 0.05 * (most - least) } else { 1.0 };
         Self { label: label.to_owned(), range: [least - margin, most + margin], scale: Scale::Linear }
@@ -49,7 +49,7 @@ impl Axis {
 
     /// A logarithmic axis that shows all of `values` that are above zero, with a twentieth of their
     /// span around them, and at least one whole decade.
-    pub(crate) fn logarithmic(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
+    pub fn logarithmic(label: &str, values: impl IntoIterator<Item = f64>) -> Self {
         let positive = values.into_iter().filter(|value| *value > 0.0 && value.is_finite()).map(f64::log10);
         let [least, most] = extent(positive);
         let (least, most) = if most >= least { (least, most) } else { (0.0, 1.0) };
@@ -59,7 +59,7 @@ impl Axis {
     }
 
     /// The same axis, with zero at its lower end.
-    pub(crate) fn starting_at_zero(self) -> Self {
+    pub fn starting_at_zero(self) -> Self {
         Self { range: [0.0, self.range[1]], ..self }
     }
 
@@ -102,7 +102,7 @@ fn extent(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
 
 /// How a curve is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CurveStyle {
+pub enum CurveStyle {
     /// A solid line.
     Line,
     /// A dashed line.
@@ -119,7 +119,7 @@ pub(crate) enum CurveStyle {
 
 /// Points to draw.
 #[derive(Clone, Debug)]
-pub(crate) struct Curve {
+pub struct Curve {
     /// Name in the legend, where formulas stand between `$`; without one, the curve is not in it.
     pub label: String,
     /// Colour.
@@ -132,7 +132,7 @@ pub(crate) struct Curve {
 
 /// A word beside a point.
 #[derive(Clone, Debug)]
-pub(crate) struct Note {
+pub struct Note {
     /// The point, in the units of the axes.
     pub at: [f64; 2],
     /// From the point to the word's base line, pixels, y down.
@@ -147,7 +147,7 @@ pub(crate) struct Note {
 
 /// Curves over a pair of axes.
 #[derive(Clone, Debug)]
-pub(crate) struct Chart {
+pub struct Chart {
     /// Horizontal axis.
     pub x: Axis,
     /// Vertical axis.
@@ -161,7 +161,7 @@ pub(crate) struct Chart {
 impl Chart {
     /// Draws the chart with its plotting area in the rectangle from `top_left` to `bottom_right`.
     /// Tick numbers and axis names stand to the left of and below it, the legend above it.
-    pub(crate) fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
+    pub fn draw(&self, canvas: &mut Canvas, top_left: DVec2, bottom_right: DVec2) {
         self.draw_with_legend(canvas, top_left, bottom_right, top_left);
     }
 

@@ -1,6 +1,6 @@
 //! Pictures, as SVG.
 //!
-//! `Canvas` draws lines, areas and labels; `Chart` draws curves over axes on a canvas;
+//! [`Canvas`] draws lines, areas and labels; [`Chart`] draws curves over axes on a canvas;
 //! [`scene_picture`] and [`cell_picture`] draw a sensor head. A canvas has its origin at the top
 //! left, y down, in pixels at 96 per inch; pictures of things are in millimetres and degrees.
 
@@ -16,11 +16,12 @@ mod size;
 mod strips;
 mod ticks;
 
-pub(crate) use canvas::{Anchor, Canvas, Stroke, TextStyle};
-pub(crate) use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
+pub use canvas::{Anchor, Canvas};
+pub(crate) use canvas::{Stroke, TextStyle};
+pub use chart::{Axis, Chart, Curve, CurveStyle, Note, Scale};
 pub use close_up::cell_picture;
 pub(crate) use heat::{Heat, heat_picture};
-pub(crate) use palette::{Colour, SOFT_INK, cell_colour};
+pub use palette::{Colour, SOFT_INK, cell_colour};
 pub use scene::scene_picture;
 pub use size::PlotError;
 pub(crate) use ticks::three_digits;

@@ -1,12 +1,12 @@
 //! One set of colours for every picture.
 
 /// A colour as SVG writes it.
-pub(crate) type Colour = &'static str;
+pub type Colour = &'static str;
 
 /// Text and the axes of charts.
 pub(crate) const INK: Colour = "#222222";
 /// Secondary text, dimension lines.
-pub(crate) const SOFT_INK: Colour = "#666666";
+pub const SOFT_INK: Colour = "#666666";
 /// Grid lines, outlines of secondary objects.
 pub(crate) const PALE: Colour = "#d4d4d4";
 /// Grid lines between numbered ones.
@@ -25,7 +25,7 @@ pub(crate) const WHITE: Colour = "#ffffff";
 const CELLS: [Colour; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a"];
 
 /// The colour of a cell in every picture.
-pub(crate) fn cell_colour(cell: usize) -> Colour {
+pub fn cell_colour(cell: usize) -> Colour {
     CELLS[cell % CELLS.len()]
 }
 
