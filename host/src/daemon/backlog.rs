@@ -17,8 +17,11 @@ const LATE_NS: u64 = 5_000_000;
 /// system has suspended it for longer.
 const GRACE_NS: u64 = 5_000_000;
 
-/// Time after which a solver that skips scans tries to solve each again: skipping hides whether it could keep up.
-const TRIAL_AFTER_NS: u64 = 1_000_000_000;
+/// Time after which a solver that skips scans tries to solve each again: skipping hides whether it could keep up. The
+/// first trial comes soon, because scans that a stalled link delivers at once are a matter of milliseconds; each trial
+/// that fails doubles the time to the next.
+const FIRST_TRIAL_AFTER_NS: u64 = 10_000_000;
+const LAST_TRIAL_AFTER_NS: u64 = 1_000_000_000;
 
 /// The next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +42,10 @@ pub(super) struct Backlog {
     keeps_all: bool,
     late_since_ns: Option<u64>,
     behind_since_ns: Option<u64>,
+    /// How long scans are skipped, this time or the last.
+    trial_after_ns: u64,
+    /// When the last trial began.
+    tried_ns: Option<u64>,
     /// The last scan was solved ahead of its turn.
     was_newest: bool,
 }
@@ -46,7 +53,14 @@ pub(super) struct Backlog {
 impl Backlog {
     /// `keeps_all`: each scan must be solved, however late.
     pub(super) fn new(keeps_all: bool) -> Self {
-        Self { keeps_all, late_since_ns: None, behind_since_ns: None, was_newest: false }
+        Self {
+            keeps_all,
+            late_since_ns: None,
+            behind_since_ns: None,
+            trial_after_ns: FIRST_TRIAL_AFTER_NS,
+            tried_ns: None,
+            was_newest: false,
+        }
     }
 
     /// Whether scans are solved ahead of their turn.
@@ -91,15 +105,21 @@ impl Backlog {
             }
         } else {
             let late_since_ns = *self.late_since_ns.get_or_insert(now_ns);
-            if now_ns - late_since_ns > GRACE_NS {
-                self.behind_since_ns.get_or_insert(now_ns);
+            if now_ns - late_since_ns > GRACE_NS && self.behind_since_ns.is_none() {
+                self.behind_since_ns = Some(now_ns);
+                let has_failed = self.tried_ns.is_some_and(|tried_ns| now_ns - tried_ns < LAST_TRIAL_AFTER_NS);
+                self.trial_after_ns = match has_failed {
+                    true => (2 * self.trial_after_ns).min(LAST_TRIAL_AFTER_NS),
+                    false => FIRST_TRIAL_AFTER_NS,
+                };
             }
         }
         if !self.keeps_all
             && let Some(behind_since_ns) = self.behind_since_ns
-            && now_ns - behind_since_ns > TRIAL_AFTER_NS
+            && now_ns - behind_since_ns > self.trial_after_ns
         {
             (self.late_since_ns, self.behind_since_ns) = (None, None);
+            self.tried_ns = Some(now_ns);
         }
     }
 }
@@ -231,6 +251,18 @@ mod tests {
             trial.run(3 * SECOND_NS, true, true, |number| if number % 2000 == 500 { 60_000_000 } else { 10_000 });
             assert_eq!((trial.skipped, trial.was_behind, trial.given.len()), (0, false, trial.arrived as usize));
         }
+    }
+
+    #[test]
+    fn a_pause_that_is_too_long_to_make_up_for_costs_what_waited_and_no_more() {
+        let mut trial = Trial::new(false);
+        // 400 ms, four times: 1600 scans wait, which would take 16 ms.
+        trial.run(8 * SECOND_NS, true, true, |number| if number % 8000 == 500 { 400_000_000 } else { 10_000 });
+        assert!(trial.was_behind && trial.is_in_order());
+        assert_eq!(trial.given.len() as u64 + trial.skipped, trial.arrived);
+        // Those of the 10 ms until the next trial are solved too, but for three of each read.
+        let most = 4 * (1_600 + 3 * 11);
+        assert!((1..=most).contains(&trial.skipped), "{} skipped", trial.skipped);
     }
 
     #[test]
