@@ -14,7 +14,7 @@
 //! use slitpose_design::survey::Survey;
 //! use slitpose_head::scene_file::{SceneFile, WIDE};
 //!
-//! let rolled = Survey::of(&WIDE.read()?, 1000, || ())?;
+//! let rolled = Survey::of(&WIDE.read()?, 1000, |_| ())?;
 //! assert_eq!((rolled.free_at_home.as_str(), rolled.mirror_images), ("", false));
 //!
 //! let mut flat = SceneFile::parse("flat.toml", WIDE.text)?;
@@ -23,7 +23,7 @@
 //!     detector.x_axis_base.z = 0.0;
 //!     detector.x_axis_base = detector.x_axis_base.normalize();
 //! }
-//! let flat = Survey::of(&flat, 1000, || ())?;
+//! let flat = Survey::of(&flat, 1000, |_| ())?;
 //! assert_eq!((flat.free_at_home.as_str(), flat.mirror_images), ("tz;rx;ry", true));
 //! assert_eq!(flat.warnings[0].place, "home");
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -13,7 +13,7 @@ frame: m², m·rad, rad². N counts rows, K cells.
 [0.001, 0.0, -0.002]
 """
 
-from ._native import AXES, SCENES, SlitposeError, __version__
+from ._native import AXES, SCENES, SlitposeError, __version__, limit_cores
 from .calibration import Calibration, CellCheck, Check, calibrate
 from .captures import Scans, open, replay, replay_chunks, series, sessions
 from .follow import LivePose, follow
@@ -48,6 +48,7 @@ __all__ = [
     "calibrate",
     "follow",
     "join",
+    "limit_cores",
     "open",
     "open_seams",
     "replay",

@@ -18,6 +18,7 @@ __all__ = [
     "VERIFIED",
     "__version__",
     "calibrate",
+    "limit_cores",
     "quaternions",
     "rotation_vectors",
 ]
@@ -146,5 +147,6 @@ def calibrate(
     start: Optional[Calibration] = None,
     date: Optional[str] = None,
 ) -> Tuple[Calibration, list[str]]: ...
+def limit_cores(cores: int) -> None: ...
 def rotation_vectors(rotation_xyzw: _Float) -> _Float: ...
 def quaternions(rotation_rad: _Float) -> _Float: ...

@@ -32,6 +32,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<scene::Scene>()?;
     module.add_class::<calibration::Calibration>()?;
     module.add_function(wrap_pyfunction!(calibration::calibrate, module)?)?;
+    module.add_function(wrap_pyfunction!(work::limit_cores, module)?)?;
     module.add_function(wrap_pyfunction!(rotations::rotation_vectors, module)?)?;
     module.add_function(wrap_pyfunction!(rotations::quaternions, module)?)
 }

@@ -1,5 +1,6 @@
 //! Long work beside the interpreter.
 
+use std::num::NonZero;
 use std::ops::Range;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,8 +8,9 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use slitpose_head::threads::on_all_cores;
+use slitpose_head::threads::{limit, on_all_cores};
 
 use crate::error::raised;
 
@@ -20,6 +22,15 @@ const MOMENT: Duration = Duration::from_millis(50);
 
 /// Rows that one core takes at a time.
 const ROWS: usize = 64;
+
+/// Lets long calls work on `cores` cores at once, from now on and in all threads; as many as there are if never called.
+/// Results do not depend on it.
+#[pyfunction]
+pub(crate) fn limit_cores(cores: usize) -> PyResult<()> {
+    let cores = NonZero::new(cores).ok_or_else(|| PyValueError::new_err("cores = 0; give 1 or more"))?;
+    limit(cores);
+    Ok(())
+}
 
 /// Runs `work` on a thread of its own, without the interpreter's lock. It is to end soon once its flag is set, which
 /// Ctrl-C does: then its result is lost.

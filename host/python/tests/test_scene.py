@@ -47,6 +47,20 @@ def test_currents_and_their_poses_are_the_bits_of_the_command(
     assert_same(WIDE.solve(response.currents_a, tier=tier), solved)
 
 
+def test_results_do_not_depend_on_the_number_of_cores(poses: np.ndarray) -> None:
+    translation_m, rotation_rad = np.tile(poses[:, :3] * 1e-3, (5, 1)), np.tile(poses[:, 3:], (5, 1))
+    results = []
+    for cores in (1, 3):
+        slitpose.limit_cores(cores)
+        response = WIDE.model(translation_m, rotation_rad)
+        solved = WIDE.solve(response.currents_a)
+        results.append((response.currents_a, solved.status, solved.translation_m, solved.rotation_rad, solved.covariance))
+    for one, three in zip(*results):
+        np.testing.assert_array_equal(one, three)
+    with pytest.raises(ValueError, match="cores = 0"):
+        slitpose.limit_cores(0)
+
+
 def test_derivatives_are_those_of_the_currents() -> None:
     step = 1e-6
     at = WIDE.derivatives([0, 0, 0], [0, 0, 0])

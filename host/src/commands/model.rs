@@ -48,7 +48,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let header = std::iter::once("id").chain(names.iter().map(String::as_str));
     let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
     let inexact = Mutex::new(Inexact { rows: 0, worst: 0.0 });
-    args.jobs.table(&mut poses, table, |rows, table| {
+    args.jobs.table("model", &mut poses, table, |rows, table| {
         for row in rows.iter() {
             let reached = evaluate(&plan, columns.id(&row), &columns.pose(&row)?, table);
             if let Tier::Exact { tolerance } = tier

@@ -14,6 +14,7 @@ use slitpose_model::Pose;
 use super::CommandError;
 use crate::solving::{NOT_CALIBRATED, head_by};
 pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions};
+use crate::terminal::{Amount, Progress};
 
 /// A number of millimetres or degrees beyond this is a slip of units: 1000 km.
 const MOST: f64 = 1e9;
@@ -36,16 +37,23 @@ impl Jobs {
         cores()
     }
 
-    /// Finishes `table` with what `work` makes of the rows of `reader`, in their order.
+    /// Finishes `table` with what `work` makes of the rows of `reader`, in their order. `name` is that of the progress line,
+    /// which is drawn unless the table goes to a terminal.
     pub(super) fn table(
         self,
+        name: &'static str,
         reader: &mut TableReader,
         table: TableWriter,
         work: impl Fn(&Rows, &mut TableRows) -> Result<(), CommandError> + Sync,
     ) -> Result<(), CommandError> {
         let mut table = table.into_chunks();
+        let length = reader.length().filter(|_| !table.is_terminal());
+        let mut progress = length.map(|length| Progress::new(name, length, Amount::Bytes));
         let start = table.starting();
-        let next = || Ok::<_, CommandError>(Some(reader.next_rows(ROWS)?).filter(|rows| !rows.is_empty()));
+        let next = || {
+            progress.iter_mut().for_each(|progress| progress.at(reader.position()));
+            Ok::<_, CommandError>(Some(reader.next_rows(ROWS)?).filter(|rows| !rows.is_empty()))
+        };
         let work = |rows: Rows| {
             let mut done = start();
             let end = work(&rows, &mut done);

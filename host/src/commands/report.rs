@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::options::Jobs;
 use super::publish::store;
 use super::{CommandError, Outcome, names};
 use crate::terminal::{Amount, Progress};
@@ -32,13 +33,15 @@ pub(super) struct Args {
     /// Seed of the noise
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Fewer poses and rounds: ten seconds instead of minutes
+    /// Fewer poses and rounds: a quarter of the time
     #[arg(long)]
     quick: bool,
     /// Table of cycles on the board, as `slitpose-cycles` prints it; without it that program is run
     /// if it lies beside this one
     #[arg(long, value_name = "FILE")]
     cycles: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
@@ -51,6 +54,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         cycles: args.cycles.clone(),
     };
     let folder = Folder::create(&args.output)?;
+    args.jobs.apply();
     let mut progress = Progress::new("report", SECTIONS, Amount::Of("sections"));
     let mut done = 0;
     let report = study(&file, &settings, |title| {

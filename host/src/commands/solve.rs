@@ -61,7 +61,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     };
     let header = std::iter::once("id").chain(SOLUTION_COLUMNS);
     let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
-    args.jobs.table(&mut currents, table, |rows, table| solve(&solver, &columns, rows, table))?;
+    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, &columns, rows, table))?;
     Ok(Outcome::Done)
 }
 

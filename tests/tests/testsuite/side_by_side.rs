@@ -89,6 +89,7 @@ fn results_do_not_depend_on_the_number_of_jobs() {
     };
     let currents = with_jobs(&["model", "wide", "--poses", "-"], &table);
     with_jobs(&["solve", "wide", "--currents", "-"], &currents);
+    with_jobs(&["scene", "check", "wide", "--samples", "3000", "--format", "json"], "");
     with_jobs(&["scene", "map", "wide", "--samples", "300"], "");
     with_jobs(&["compare", "wide", "base", "--samples", "300"], "");
     let free = ["--free", "slit_width", "--seed", "3"];

@@ -2,9 +2,11 @@
 //! values of the profile than others, and may meet the limit of work.
 
 use serde::Serialize;
-use slitpose_model::{Plan, SceneError, Tier};
+use slitpose_model::{Plan, Pose, SceneError, Tier};
 
 use slitpose_head::scene_file::SceneFile;
+
+use super::sample::{self, Tally};
 
 /// What `solve`, `run`, `replay` and `simulate` ask for unless told otherwise.
 const TOLERANCE: f64 = 1e-6;
@@ -31,25 +33,46 @@ pub(super) fn poses_of(samples: usize) -> usize {
     samples.min(MOST_SAMPLES)
 }
 
-/// The costs of all cells over some of `samples` poses of the workspace; `progress` is called for each.
+/// The costs of all cells.
+#[derive(Clone)]
+struct Costs<'a> {
+    plan: &'a Plan<f64>,
+    cells: Vec<CellCost>,
+}
+
+impl Tally for Costs<'_> {
+    fn add(&mut self, pose: &Pose) {
+        for cost in &mut self.cells {
+            if let Some(integration) = self.plan.respond(cost.cell, pose).integration {
+                cost.raise(integration.evaluations, integration.relative_error);
+            }
+        }
+    }
+
+    fn merge(&mut self, later: Self) {
+        for (cost, later) in self.cells.iter_mut().zip(later.cells) {
+            cost.raise(later.most_evaluations, later.relative_error);
+        }
+    }
+}
+
+impl CellCost {
+    fn raise(&mut self, evaluations: usize, relative_error: f64) {
+        self.most_evaluations = self.most_evaluations.max(evaluations);
+        self.relative_error = self.relative_error.max(relative_error);
+    }
+}
+
+/// The costs of all cells over some of `samples` poses of the workspace.
 pub(super) fn of_cells(
     file: &SceneFile,
     samples: usize,
-    mut progress: impl FnMut(),
+    progress: impl FnMut(usize),
 ) -> Result<Vec<CellCost>, SceneError> {
     let tolerance = TOLERANCE;
     let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
-    let mut costs: Vec<CellCost> = (0..plan.cell_count())
+    let cells = (0..plan.cell_count())
         .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
         .collect();
-    for pose in file.workspace.poses(poses_of(samples)) {
-        for cost in &mut costs {
-            if let Some(integration) = plan.respond(cost.cell, &pose).integration {
-                cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
-                cost.relative_error = cost.relative_error.max(integration.relative_error);
-            }
-        }
-        progress();
-    }
-    Ok(costs)
+    Ok(sample::over(&Costs { plan: &plan, cells }, file.workspace.poses(poses_of(samples)), progress).cells)
 }

@@ -5,6 +5,7 @@ use slitpose_model::{Plan, Pose, Response, Status};
 
 use slitpose_head::scene_file::Workspace;
 
+use super::sample::{self, Tally};
 use super::serialize_pose;
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
@@ -91,11 +92,62 @@ impl CellCoverage {
         self.i_o_range_a = Some([least.min(response.i_o_a), most.max(response.i_o_a)]);
     }
 
+    /// Adds the counts of other poses.
+    fn merge(&mut self, mut later: Self) {
+        for (count, further) in self.counts().into_iter().zip(later.counts()) {
+            *count += *further;
+        }
+        if later.most_electrode_a > self.most_electrode_a {
+            (self.most_electrode_a, self.most_electrode_at) = (later.most_electrode_a, later.most_electrode_at);
+        }
+        self.i_o_range_a = match (self.i_o_range_a, later.i_o_range_a) {
+            (Some([least, most]), Some([lower, upper])) => Some([least.min(lower), most.max(upper)]),
+            (range, None) | (None, range) => range,
+        };
+    }
+
+    fn counts(&mut self) -> [&mut f64; 7] {
+        [
+            &mut self.lit,
+            &mut self.clipped,
+            &mut self.dark,
+            &mut self.behind,
+            &mut self.saturated,
+            &mut self.faint,
+            &mut self.over_scale,
+        ]
+    }
+
     /// Turns counts into shares.
     fn divide_by(&mut self, samples: f64) {
-        let counts = [&mut self.lit, &mut self.clipped, &mut self.dark, &mut self.behind];
-        let lights = [&mut self.saturated, &mut self.faint, &mut self.over_scale];
-        counts.into_iter().chain(lights).for_each(|count| *count /= samples);
+        self.counts().into_iter().for_each(|count| *count /= samples);
+    }
+}
+
+/// Counts of poses.
+#[derive(Clone)]
+struct Counts<'a> {
+    plan: &'a Plan<f64>,
+    full_scale_a: Option<f64>,
+    cells: Vec<CellCoverage>,
+    /// Of the poses with so many cells lit.
+    lit: Vec<usize>,
+}
+
+impl Tally for Counts<'_> {
+    fn add(&mut self, pose: &Pose) {
+        let mut lit = 0;
+        for (number, cell) in self.cells.iter_mut().enumerate() {
+            let response = self.plan.respond(number, pose);
+            lit += usize::from(response.status == Status::Lit);
+            cell.add(pose, &response, self.full_scale_a);
+        }
+        self.lit[lit] += 1;
+    }
+
+    fn merge(&mut self, later: Self) {
+        self.cells.iter_mut().zip(later.cells).for_each(|(cell, later)| cell.merge(later));
+        self.lit.iter_mut().zip(later.lit).for_each(|(count, later)| *count += later);
     }
 }
 
@@ -105,22 +157,17 @@ impl Coverage {
         workspace: &Workspace,
         samples: usize,
         full_scale_a: Option<f64>,
-        progress: &mut impl FnMut(),
+        progress: impl FnMut(usize),
     ) -> Self {
-        let mut cells: Vec<_> = (0..plan.cell_count()).map(CellCoverage::new).collect();
-        let mut lit_counts = vec![0_usize; plan.cell_count() + 1];
-        for pose in workspace.poses(samples) {
-            let mut lit = 0;
-            for (number, cell) in cells.iter_mut().enumerate() {
-                let response = plan.respond(number, &pose);
-                lit += usize::from(response.status == Status::Lit);
-                cell.add(&pose, &response, full_scale_a);
-            }
-            lit_counts[lit] += 1;
-            progress();
-        }
+        let none = Counts {
+            plan,
+            full_scale_a,
+            cells: (0..plan.cell_count()).map(CellCoverage::new).collect(),
+            lit: vec![0; plan.cell_count() + 1],
+        };
+        let Counts { mut cells, lit, .. } = sample::over(&none, workspace.poses(samples), progress);
         cells.iter_mut().for_each(|cell| cell.divide_by(samples as f64));
-        let at_least = |least| lit_counts[least..].iter().sum::<usize>() as f64 / samples as f64;
-        Self { samples, at_least_lit: (0..lit_counts.len()).map(at_least).collect(), cells }
+        let at_least = |least| lit[least..].iter().sum::<usize>() as f64 / samples as f64;
+        Self { samples, at_least_lit: (0..lit.len()).map(at_least).collect(), cells }
     }
 }

@@ -5,6 +5,7 @@ use slitpose_model::{Plan, Pose, Status};
 
 use slitpose_head::scene_file::SceneFile;
 
+use super::sample::{self, Tally};
 use super::serialize_pose;
 
 /// The worst cross-talk of one lighting slot over the workspace.
@@ -23,13 +24,41 @@ pub(crate) struct SlotCrosstalk {
     pub at: Pose,
 }
 
+/// The worst of all slots.
+#[derive(Clone)]
+struct Worst<'a> {
+    plan: &'a Plan<f64>,
+    slots: Vec<SlotCrosstalk>,
+}
+
+impl Tally for Worst<'_> {
+    fn add(&mut self, pose: &Pose) {
+        for slot in &mut self.slots {
+            for cell in slot.emitters.clone() {
+                let share = share_of_others(self.plan, cell, &slot.emitters, pose);
+                if share > slot.share {
+                    (slot.share, slot.cell, slot.at) = (share, cell, *pose);
+                }
+            }
+        }
+    }
+
+    fn merge(&mut self, later: Self) {
+        for (slot, later) in self.slots.iter_mut().zip(later.slots) {
+            if later.share > slot.share {
+                *slot = later;
+            }
+        }
+    }
+}
+
 pub(super) fn of_slots(
     file: &SceneFile,
     plan: &Plan<f64>,
     samples: usize,
-    progress: &mut impl FnMut(),
+    progress: impl FnMut(usize),
 ) -> Vec<SlotCrosstalk> {
-    let mut worst: Vec<_> = file
+    let slots = file
         .lighting
         .slots
         .iter()
@@ -43,18 +72,7 @@ pub(super) fn of_slots(
             at: Pose::HOME,
         })
         .collect();
-    for pose in file.workspace.poses(samples) {
-        progress();
-        for entry in &mut worst {
-            for cell in entry.emitters.clone() {
-                let share = share_of_others(plan, cell, &entry.emitters, &pose);
-                if share > entry.share {
-                    (entry.share, entry.cell, entry.at) = (share, cell, pose);
-                }
-            }
-        }
-    }
-    worst
+    sample::over(&Worst { plan, slots }, file.workspace.poses(samples), progress).slots
 }
 
 /// Zero where the cell's own signal is no measurement anyway: not lit, or faint.

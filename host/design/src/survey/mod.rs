@@ -77,9 +77,9 @@ pub(crate) struct WorkspaceFacts {
 }
 
 impl Survey {
-    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` is called for each pose that was
-    /// evaluated, [`Self::poses_of`] in all.
-    pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut()) -> Result<Self, SceneError> {
+    /// Surveys a scene, with `samples` poses spread over its workspace. `progress` gets how many more poses
+    /// were evaluated, [`Self::poses_of`] in all.
+    pub fn of(file: &SceneFile, samples: usize, mut progress: impl FnMut(usize)) -> Result<Self, SceneError> {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = Plan::<f64>::compile(&file.scene, tier)?;
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;

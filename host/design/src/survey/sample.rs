@@ -1,7 +1,42 @@
-//! Poses along the axes of a workspace.
+//! Poses of a workspace, and along its axes.
+
+use std::convert::Infallible;
 
 use glam::DVec3;
+use slitpose_head::threads::{cores, in_order};
 use slitpose_model::Pose;
+
+/// Poses that a core takes at a time.
+const POSES: usize = 256;
+
+/// What is known of the poses that were looked at.
+pub(super) trait Tally: Clone + Send + Sync {
+    /// Adds a pose.
+    fn add(&mut self, pose: &Pose);
+
+    /// Adds the poses of `later`, which come after those of `self`.
+    fn merge(&mut self, later: Self);
+}
+
+/// What `none` becomes with all of `poses`, on all cores, the same however many they are. `progress` gets the number of
+/// poses of each piece that is done.
+pub(super) fn over<T: Tally>(none: &T, mut poses: impl Iterator<Item = Pose>, mut progress: impl FnMut(usize)) -> T {
+    let mut all = none.clone();
+    let next = || {
+        Ok::<_, Infallible>(Some(poses.by_ref().take(POSES).collect()).filter(|piece: &Vec<Pose>| !piece.is_empty()))
+    };
+    let work = |piece: Vec<Pose>| {
+        let mut tally = none.clone();
+        piece.iter().for_each(|pose| tally.add(pose));
+        (tally, piece.len())
+    };
+    let Ok(()) = in_order(cores(), next, work, |(tally, count)| {
+        all.merge(tally);
+        progress(count);
+        Ok(())
+    });
+    all
+}
 
 /// The six axes of motion from home, in the order (t, θ).
 pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];

@@ -5,7 +5,7 @@ use slitpose_head::scene_file::{BASE, BENCH, WIDE};
 const SAMPLES: usize = 3000;
 
 fn survey_of(text: &str) -> Survey {
-    Survey::of(&SceneFile::parse("scene.toml", text).unwrap(), SAMPLES, || {}).unwrap()
+    Survey::of(&SceneFile::parse("scene.toml", text).unwrap(), SAMPLES, |_| {}).unwrap()
 }
 
 fn warnings(text: &str) -> String {
@@ -26,7 +26,7 @@ fn shares_of_the_shipped_scenes_are_those_of_an_independent_program() {
 fn each_pose_that_is_evaluated_counts_as_progress() {
     for samples in [30, 300] {
         let mut told = 0;
-        Survey::of(&SceneFile::parse("scene.toml", BENCH.text).unwrap(), samples, || told += 1).unwrap();
+        Survey::of(&SceneFile::parse("scene.toml", BENCH.text).unwrap(), samples, |poses| told += poses).unwrap();
         assert_eq!(told, Survey::poses_of(samples));
     }
 }
@@ -97,7 +97,7 @@ fn a_profile_that_meets_the_limit_of_work_is_named() {
     let wide = wide.replace("width_mm = 1.0", "width_mm = 5.0").replace("[0.0, 0.0, -15.0]", "[0.0, 0.0, -2.3]");
     let file =
         SceneFile::parse("saw.toml", &wide.replace("half_angle_deg = 55.0", &format!("profile = [{saw}]"))).unwrap();
-    let warnings = Survey::of(&file, 20, || {}).unwrap().warnings;
+    let warnings = Survey::of(&file, 20, |_| {}).unwrap().warnings;
     let warnings: String = warnings.iter().map(|warning| format!("{warning}\n")).collect();
     assert!(warnings.contains("the limit, do not suffice; give the profile fewer bends"), "{warnings}");
 }

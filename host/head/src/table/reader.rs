@@ -1,6 +1,6 @@
 //! CSV in.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
 use std::sync::Arc;
 
@@ -142,6 +142,8 @@ struct Names {
 pub struct TableReader {
     names: Arc<Names>,
     records: Records,
+    /// Bytes of the file; `None` if it has no length.
+    length: Option<u64>,
     /// The row that was read last.
     row: Rows,
     /// Whether [`TableReader::next_row`] has not given it out yet.
@@ -154,6 +156,8 @@ pub struct TableReader {
 /// CSV, record by record.
 struct Records {
     source: BufReader<Box<dyn Read>>,
+    /// Bytes of it that were parsed.
+    parsed: u64,
     parser: Box<csv_core::Reader>,
     /// The fields of the record at hand one after another, with room behind them.
     text: Vec<u8>,
@@ -172,6 +176,7 @@ impl Records {
     fn of(source: impl Read + 'static) -> Self {
         Self {
             source: BufReader::with_capacity(READ_BYTES, Box::new(LineFeeds::of(source))),
+            parsed: 0,
             parser: Box::new(csv_core::Reader::new()),
             text: vec![0; 1024],
             ends: vec![0; 64],
@@ -187,6 +192,7 @@ impl Records {
             let (result, read, written, ended) =
                 self.parser.read_record(input, &mut self.text[length..], &mut self.ends[fields..]);
             self.source.consume(read);
+            self.parsed += read as u64;
             (length, fields) = (length + written, fields + ended);
             match result {
                 ReadRecordResult::InputEmpty => {}
@@ -207,10 +213,9 @@ impl TableReader {
         if file == "-" {
             return Self::new("standard input", io::stdin().lock());
         }
-        match File::open(file) {
-            Ok(opened) => Self::new(file, opened),
-            Err(source) => Err(TableError::Open { file: file.to_owned(), source }),
-        }
+        let opened = File::open(file).map_err(|source| TableError::Open { file: file.to_owned(), source })?;
+        let length = opened.metadata().ok().filter(Metadata::is_file).map(|metadata| metadata.len());
+        Ok(Self { length, ..Self::new(file, opened)? })
     }
 
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
@@ -225,9 +230,19 @@ impl TableReader {
         let header = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
         let names = Arc::new(Names { file: file.to_owned(), header });
         let row = Rows::none(&names, 1);
-        let mut table = Self { names, records, row, waiting: false, rows: 0, postponed: None };
+        let mut table = Self { names, records, length: None, row, waiting: false, rows: 0, postponed: None };
         table.waiting = table.advance()?;
         if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: file.to_owned() }) }
+    }
+
+    /// Bytes of the file, if it has a length.
+    pub fn length(&self) -> Option<u64> {
+        self.length
+    }
+
+    /// Bytes of the file that were read; lines that end in `\r\n` count one byte less.
+    pub fn position(&self) -> u64 {
+        self.records.parsed
     }
 
     /// Finds a column that must be there.

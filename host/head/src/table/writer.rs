@@ -123,6 +123,11 @@ impl TableWriter {
 }
 
 impl ChunkedTable {
+    /// Whether it goes to a terminal.
+    pub fn is_terminal(&self) -> bool {
+        self.is_terminal
+    }
+
     /// What begins rows for [`Self::append`].
     pub fn starting(&self) -> impl Fn() -> TableRows + Sync + use<> {
         let is_terminal = self.is_terminal;

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::commands::options::CalibrationOption;
+use crate::commands::options::{CalibrationOption, Jobs};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::survey::Survey;
 use slitpose_head::scene_file::SceneFile;
@@ -33,6 +33,8 @@ pub(super) struct Args {
     /// Write to this file instead of standard output
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    jobs: Jobs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -45,10 +47,11 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     let file = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file;
     let output = Output::open(args.output.as_deref())?;
     let samples = args.samples as usize;
+    args.jobs.apply();
     let mut progress = Progress::new("check", Survey::poses_of(samples) as u64, Amount::Of("poses"));
     let mut done = 0;
-    let survey = Survey::of(&file, samples, || {
-        done += 1;
+    let survey = Survey::of(&file, samples, |poses| {
+        done += poses as u64;
         progress.at(done);
     })?;
     drop(progress);

@@ -5,6 +5,7 @@ mod flight;
 use std::hint::black_box;
 
 use glam::dvec2;
+use slitpose_head::threads::on_all_cores;
 use slitpose_model::{Outcome, Solver, Tracked, Tracker};
 
 use crate::report::accuracy::{Errors, rms_of_covariances};
@@ -172,28 +173,36 @@ pub(in crate::report) fn section(head: &Head<'_>, settings: &Settings) -> Result
 
 fn measure(head: &Head<'_>, frame: &Frame, settings: &Settings) -> Result<Vec<Entry>, ReportError> {
     let resting = Solver::<f64>::new(&head.scene, STREAM)?;
-    let mut entries = Vec::new();
-    for motion in [Motion::Smooth, Motion::Straight] {
-        for speed_m_per_s in SPEEDS_M_PER_S {
-            let mut noise = NoiseSource::seeded(settings.seed);
-            let flights = match motion {
-                Motion::Smooth => vec![smooth(head, frame, settings, speed_m_per_s, &mut noise)],
-                Motion::Straight => straight(head, frame, settings, speed_m_per_s, &mut noise),
-            };
-            for following in Following::all() {
-                let learning = following.learning_frames(frame.period_s);
-                // A flight that is over before the filter has filled says nothing of it.
-                if flights.iter().any(|flight| flight.poses.len() <= learning) {
-                    continue;
-                }
-                let counted = flights.iter().flat_map(|flight| &flight.poses[learning..]);
-                let bound = rms_of_covariances(counted.filter_map(|pose| resting.bound(pose)));
-                let (errors, fitting) = follow(following, &resting, frame, &flights);
-                entries.push(Entry { motion, speed_m_per_s, following, errors, bound, fitting });
-            }
+    let motions = [Motion::Smooth, Motion::Straight];
+    let moves: Vec<_> = motions.into_iter().flat_map(|motion| SPEEDS_M_PER_S.map(|speed| (motion, speed))).collect();
+    Ok(on_all_cores(&moves, |&moved| fly(head, frame, settings, &resting, moved)).into_iter().flatten().collect())
+}
+
+/// The errors of all trackers on one motion.
+fn fly(
+    head: &Head<'_>,
+    frame: &Frame,
+    settings: &Settings,
+    resting: &Solver<f64>,
+    (motion, speed_m_per_s): (Motion, f64),
+) -> Vec<Entry> {
+    let mut noise = NoiseSource::seeded(settings.seed);
+    let flights = match motion {
+        Motion::Smooth => vec![smooth(head, frame, settings, speed_m_per_s, &mut noise)],
+        Motion::Straight => straight(head, frame, settings, speed_m_per_s, &mut noise),
+    };
+    let entry = |following: Following| {
+        let learning = following.learning_frames(frame.period_s);
+        // A flight that is over before the filter has filled says nothing of it.
+        if flights.iter().any(|flight| flight.poses.len() <= learning) {
+            return None;
         }
-    }
-    Ok(entries)
+        let counted = flights.iter().flat_map(|flight| &flight.poses[learning..]);
+        let bound = rms_of_covariances(counted.filter_map(|pose| resting.bound(pose)));
+        let (errors, fitting) = follow(following, resting, frame, &flights);
+        Some(Entry { motion, speed_m_per_s, following, errors, bound, fitting })
+    };
+    Following::all().filter_map(entry).collect()
 }
 
 /// Errors of a tracker's poses, and the share of frames that fit.
