@@ -33,26 +33,15 @@ pub(super) fn poses_of(samples: usize) -> usize {
     samples.min(MOST_SAMPLES)
 }
 
-/// The costs of all cells.
-#[derive(Clone)]
-struct Costs<'a> {
-    plan: &'a Plan<f64>,
-    cells: Vec<CellCost>,
-}
-
-impl Tally for Costs<'_> {
-    fn add(&mut self, pose: &Pose) {
-        for cost in &mut self.cells {
-            if let Some(integration) = self.plan.respond(cost.cell, pose).integration {
-                cost.raise(integration.evaluations, integration.relative_error);
-            }
+impl Tally for CellCost {
+    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+        if let Some(integration) = plan.respond(self.cell, pose).integration {
+            self.raise(integration.evaluations, integration.relative_error);
         }
     }
 
     fn merge(&mut self, later: Self) {
-        for (cost, later) in self.cells.iter_mut().zip(later.cells) {
-            cost.raise(later.most_evaluations, later.relative_error);
-        }
+        self.raise(later.most_evaluations, later.relative_error);
     }
 }
 
@@ -71,8 +60,8 @@ pub(super) fn of_cells(
 ) -> Result<Vec<CellCost>, SceneError> {
     let tolerance = TOLERANCE;
     let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
-    let cells = (0..plan.cell_count())
+    let costs: Vec<_> = (0..plan.cell_count())
         .map(|cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance })
         .collect();
-    Ok(sample::over(&Costs { plan: &plan, cells }, file.workspace.poses(poses_of(samples)), progress).cells)
+    Ok(sample::over(&plan, &costs, file.workspace.poses(poses_of(samples)), progress))
 }

@@ -126,19 +126,18 @@ impl CellCoverage {
 
 /// Counts of poses.
 #[derive(Clone)]
-struct Counts<'a> {
-    plan: &'a Plan<f64>,
+struct Counts {
     full_scale_a: Option<f64>,
     cells: Vec<CellCoverage>,
     /// Of the poses with so many cells lit.
     lit: Vec<usize>,
 }
 
-impl Tally for Counts<'_> {
-    fn add(&mut self, pose: &Pose) {
+impl Tally for Counts {
+    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
         let mut lit = 0;
         for (number, cell) in self.cells.iter_mut().enumerate() {
-            let response = self.plan.respond(number, pose);
+            let response = plan.respond(number, pose);
             lit += usize::from(response.status == Status::Lit);
             cell.add(pose, &response, self.full_scale_a);
         }
@@ -160,12 +159,11 @@ impl Coverage {
         progress: impl FnMut(usize),
     ) -> Self {
         let none = Counts {
-            plan,
             full_scale_a,
             cells: (0..plan.cell_count()).map(CellCoverage::new).collect(),
             lit: vec![0; plan.cell_count() + 1],
         };
-        let Counts { mut cells, lit, .. } = sample::over(&none, workspace.poses(samples), progress);
+        let Counts { mut cells, lit, .. } = sample::over(plan, &none, workspace.poses(samples), progress);
         cells.iter_mut().for_each(|cell| cell.divide_by(samples as f64));
         let at_least = |least| lit[least..].iter().sum::<usize>() as f64 / samples as f64;
         Self { samples, at_least_lit: (0..lit.len()).map(at_least).collect(), cells }

@@ -24,30 +24,19 @@ pub(crate) struct SlotCrosstalk {
     pub at: Pose,
 }
 
-/// The worst of all slots.
-#[derive(Clone)]
-struct Worst<'a> {
-    plan: &'a Plan<f64>,
-    slots: Vec<SlotCrosstalk>,
-}
-
-impl Tally for Worst<'_> {
-    fn add(&mut self, pose: &Pose) {
-        for slot in &mut self.slots {
-            for cell in slot.emitters.clone() {
-                let share = share_of_others(self.plan, cell, &slot.emitters, pose);
-                if share > slot.share {
-                    (slot.share, slot.cell, slot.at) = (share, cell, *pose);
-                }
+impl Tally for SlotCrosstalk {
+    fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
+        for &cell in &self.emitters {
+            let share = share_of_others(plan, cell, &self.emitters, pose);
+            if share > self.share {
+                (self.share, self.cell, self.at) = (share, cell, *pose);
             }
         }
     }
 
     fn merge(&mut self, later: Self) {
-        for (slot, later) in self.slots.iter_mut().zip(later.slots) {
-            if later.share > slot.share {
-                *slot = later;
-            }
+        if later.share > self.share {
+            *self = later;
         }
     }
 }
@@ -58,7 +47,7 @@ pub(super) fn of_slots(
     samples: usize,
     progress: impl FnMut(usize),
 ) -> Vec<SlotCrosstalk> {
-    let slots = file
+    let slots: Vec<_> = file
         .lighting
         .slots
         .iter()
@@ -72,7 +61,7 @@ pub(super) fn of_slots(
             at: Pose::HOME,
         })
         .collect();
-    sample::over(&Worst { plan, slots }, file.workspace.poses(samples), progress).slots
+    sample::over(plan, &slots, file.workspace.poses(samples), progress)
 }
 
 /// Zero where the cell's own signal is no measurement anyway: not lit, or faint.

@@ -1,5 +1,6 @@
 use super::*;
 use slitpose_head::scene_file::{BASE, BENCH, WIDE};
+use slitpose_model::{Response, Status};
 
 /// Enough for shares to a percent, few enough for a fast test.
 const SAMPLES: usize = 3000;
@@ -140,5 +141,42 @@ fn heads_with_mirror_images_or_nothing_to_tell_at_home_are_named() {
     for ordinary in [ring(std::f64::consts::FRAC_PI_4), WIDE.text.to_owned(), BASE.text.to_owned()] {
         let warnings = warnings(&ordinary);
         assert!(!warnings.contains("mirror images") && !warnings.contains("free:"), "{warnings}");
+    }
+}
+
+#[test]
+fn pieces_of_the_sample_add_up_to_all_of_it() {
+    let file = SceneFile::parse("scene.toml", WIDE.text).unwrap();
+    // More than two pieces.
+    let samples = 700;
+    let survey = Survey::of(&file, samples, |_| {}).unwrap();
+    let compile = |tolerance| Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance }).unwrap();
+    let (plan, solving) = (compile(TOLERANCE), compile(SOLVING_TOLERANCE));
+    let poses: Vec<Pose> = file.workspace.poses(samples).collect();
+    for (number, cell) in survey.coverage.cells.iter().enumerate() {
+        let responses: Vec<_> = poses.iter().map(|pose| plan.respond(number, pose)).collect();
+        let electrodes = || responses.iter().map(|response| response.currents.i_x1_a.max(response.currents.i_x2_a));
+        let most = electrodes().fold(0.0, f64::max);
+        let first = electrodes().position(|electrode| electrode == most).unwrap();
+        assert_eq!((cell.most_electrode_a, cell.most_electrode_at), (most, poses[first]), "cell {number}");
+        let currents = responses.iter().filter(|response| response.status.has_spot()).map(|response| response.i_o_a);
+        let range =
+            currents.fold([f64::INFINITY, 0.0], |[least, most]: [f64; 2], i_o_a| [least.min(i_o_a), most.max(i_o_a)]);
+        assert_eq!(cell.i_o_range_a, Some(range), "cell {number}");
+        let share = |counts: &dyn Fn(&Response<f64>) -> bool| {
+            responses.iter().filter(|response| counts(response)).count() as f64 / samples as f64
+        };
+        let status = |status: Status| share(&|response| response.status == status);
+        assert_eq!([cell.lit, cell.clipped], [status(Status::Lit), status(Status::Clipped)], "cell {number}");
+        let evaluations =
+            poses.iter().take(cost::poses_of(samples)).filter_map(|pose| solving.respond(number, pose).integration);
+        let most = evaluations.map(|integration| integration.evaluations).max();
+        assert_eq!(Some(survey.cost[number].most_evaluations), most, "cell {number}");
+    }
+    for slot in &survey.crosstalk {
+        let shares = |pose| slot.emitters.iter().map(move |&cell| (cell, pose));
+        let worst =
+            poses.iter().flat_map(shares).map(|(cell, pose)| share_of_others(&plan, cell, &slot.emitters, pose));
+        assert_eq!(slot.share, worst.fold(0.0, f64::max), "slot {}", slot.slot);
     }
 }
