@@ -266,6 +266,20 @@ mod tests {
     }
 
     #[test]
+    fn a_solver_that_stays_too_slow_is_tried_ever_more_rarely() {
+        let mut trial = Trial::new(false);
+        let (mut times_behind, mut is_behind) = (0, false);
+        // Ten seconds, each scan of which costs two of its periods.
+        for step in 1..=10_000 {
+            trial.run(step * 1_000_000, true, false, |_| 2 * FRAME_NS);
+            times_behind += u32::from(trial.backlog.is_behind() && !is_behind);
+            is_behind = trial.backlog.is_behind();
+        }
+        // Skipped for 10, 20, … 640 ms and then a second each time, with some 15 ms in between until it is behind again.
+        assert!((15..=17).contains(&times_behind), "{times_behind} times");
+    }
+
+    #[test]
     fn poses_for_control_loops_stay_new_however_slow_the_solver_is() {
         for keeps_all in [true, false] {
             for cost_ns in [260_000, 370_000, 924_000, 1_536_000, 10_000_000, 400_000_000] {

@@ -193,6 +193,20 @@ fn a_replay_shows_summary_and_progress() {
 }
 
 #[test]
+fn a_table_that_goes_to_a_file_shows_its_progress() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let [poses, currents] = ["poses.csv", "currents.csv"].map(|name| folder.path().join(name));
+    let rows = (0..4000).map(|id| format!("{id},0.1,0.2,0.3,0,0,0\n"));
+    let header = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n";
+    std::fs::write(&poses, header.to_owned() + &rows.collect::<String>()).expect("written");
+    let model = ["model", "wide", "--poses", path(&poses)];
+    let shown = |arguments: &[&str]| Window::open(arguments, 24, 80, &[]).end(None);
+    assert!(!shown(&model).contains(" MB"), "the table goes to the terminal");
+    let text = shown(&[&model[..], &["--output", path(&currents)]].concat());
+    assert!(text.contains("model") && text.contains(" MB"), "{text:?}");
+}
+
+#[test]
 fn errors_are_red_unless_nobody_wants_colours() {
     let error = |environment: &[(&str, &str)]| {
         Window::open(&["scene", "check", "no-such-scene"], 24, 80, environment).end(None)
