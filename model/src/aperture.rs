@@ -24,7 +24,7 @@ pub(crate) enum Aperture<S: Scalar> {
 }
 
 /// A slit face parallel to the detector at height z.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Face<S> {
     pub(crate) z: S,
     pub(crate) x: Span<S>,
@@ -32,7 +32,7 @@ pub(crate) struct Face<S> {
 }
 
 /// An interval and its length, stored because the difference of its ends cancels far from the origin.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Span<S> {
     pub(crate) low: S,
     pub(crate) high: S,

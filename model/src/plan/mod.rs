@@ -1,5 +1,7 @@
 //! A scene compiled for evaluation: each cell's response to a pose, and its derivatives.
 
+#[cfg(feature = "batch")]
+mod cells;
 mod compact;
 mod compile;
 mod evaluate;
@@ -8,6 +10,8 @@ mod optics;
 mod pack;
 #[cfg(feature = "batch")]
 mod poses;
+
+use core::fmt::Debug;
 
 use heapless::Vec;
 
@@ -20,6 +24,8 @@ use crate::response::{Pair, Response, Status};
 use crate::scalar::Scalar;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
+#[cfg(feature = "batch")]
+pub use cells::WideCells;
 pub(crate) use compact::CompactCell;
 pub use compact::{BOARD_CELLS, CompactPlan};
 use imperfect::Imperfect;
@@ -52,6 +58,56 @@ pub struct Plan<S: Scalar> {
     rules: Option<Rules<S>>,
     /// The same cells in SIMD lanes if all are of the kind in [`pack`]; else empty.
     packs: Vec<Pack<S::Lanes>, MAX_CELLS>,
+    /// The cells of the exact tier in as many lanes as the processor has, if all are of one kind.
+    wide: Option<S::WideCells>,
+}
+
+/// Cells of a plan in as many lanes as the processor has: what each gives alone, bit for bit.
+pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
+    /// `None` if the cells of `plan` are not of one kind, or there are no lanes.
+    fn of(plan: &Plan<S>) -> Option<Self>;
+
+    /// [`Optics::linearise_all`] of `plan`.
+    fn linearise(
+        &self,
+        plan: &Plan<S>,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        sink: impl FnMut(usize, &CellTerms<S>),
+    );
+
+    /// [`Optics::currents_all`] of `plan`.
+    fn currents(
+        &self,
+        plan: &Plan<S>,
+        instant: &Instant<'_, S>,
+        wanted: impl Fn(usize) -> bool,
+        sink: impl FnMut(usize, [S; 2]),
+    );
+}
+
+/// Of a processor with a single lane.
+#[derive(Clone, Debug)]
+pub enum NoLanes {}
+
+impl<S: Scalar> CellsAtOnce<S> for NoLanes {
+    fn of(_: &Plan<S>) -> Option<Self> {
+        None
+    }
+
+    fn linearise(
+        &self,
+        _: &Plan<S>,
+        _: &Instant<'_, S>,
+        _: impl Fn(usize) -> bool,
+        _: impl FnMut(usize, &CellTerms<S>),
+    ) {
+        match *self {}
+    }
+
+    fn currents(&self, _: &Plan<S>, _: &Instant<'_, S>, _: impl Fn(usize) -> bool, _: impl FnMut(usize, [S; 2])) {
+        match *self {}
+    }
 }
 
 /// The derivatives of a cell's two currents with respect to a perturbation of the pose in the base
@@ -160,7 +216,7 @@ impl<S: Scalar> Plan<S> {
     /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
-        Self { cells: Vec::new(), imperfect: Vec::new(), is_paper: true, rules: None, packs: Vec::new() }
+        Self { cells: Vec::new(), imperfect: Vec::new(), is_paper: true, rules: None, packs: Vec::new(), wide: None }
     }
 
     /// [`Self::compile`] in place. After an error the plan has no cells.
@@ -168,6 +224,7 @@ impl<S: Scalar> Plan<S> {
         self.cells.clear();
         self.imperfect.clear();
         self.packs.clear();
+        self.wide = None;
         if let Err(error) = compile::fill(&mut self.cells, &mut self.imperfect, scene, tier) {
             self.cells.clear();
             return Err(error);
@@ -178,6 +235,7 @@ impl<S: Scalar> Plan<S> {
         if !integrates {
             pack::fill(&mut self.packs, &self.cells);
         }
+        self.wide = S::WideCells::of(self);
         Ok(())
     }
 
@@ -294,6 +352,9 @@ impl<S: Scalar> Optics<S> for Plan<S> {
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, &CellTerms<S>),
     ) {
+        if let Some(wide) = &self.wide {
+            return wide.linearise(self, instant, wanted, sink);
+        }
         if !self.packs.is_empty() {
             return pack::linearise(&self.packs, self.cells.len(), instant, sink);
         }
@@ -309,6 +370,9 @@ impl<S: Scalar> Optics<S> for Plan<S> {
         wanted: impl Fn(usize) -> bool,
         mut sink: impl FnMut(usize, [S; 2]),
     ) {
+        if let Some(wide) = &self.wide {
+            return wide.currents(self, instant, wanted, sink);
+        }
         if !self.packs.is_empty() {
             return pack::currents(&self.packs, self.cells.len(), instant, sink);
         }

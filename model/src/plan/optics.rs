@@ -67,6 +67,13 @@ impl<S: Scalar> Instant<'_, S> {
         self.pose.translation() + self.linear * offset_s
     }
 
+    /// The exposures of as many cells as `like` has lanes, from number `first` on; `None`: all zero.
+    #[inline(always)]
+    pub(super) fn offsets_in_lanes<R: Real<Element = S>>(&self, like: R, first: usize) -> Option<R> {
+        let last = self.offsets_s.len().checked_sub(1)?;
+        Some(like.each(|lane| self.offsets_s[(first + lane).min(last)]))
+    }
+
     /// The pose at the exposure of one cell.
     pub(super) fn pose_of(&self, cell: usize) -> Transform<S> {
         match self.offsets_s.get(cell) {

@@ -30,21 +30,81 @@ pub(super) enum Faces<R> {
     Thick([Face<R>; 2]),
 }
 
-impl<R: Real> Span<R> {
-    fn of_lanes(like: R, span: impl Fn(usize) -> Span<R::Element>) -> Self {
-        Self {
-            low: like.each(|i| span(i).low),
-            high: like.each(|i| span(i).high),
-            length: like.each(|i| span(i).length),
-        }
+/// Where the numbers of cells come from, in the order in which [`Pack::of_numbers`] asks for them.
+pub(super) trait Numbers<R: Real> {
+    /// The number `of` the cell of each lane. `#[inline(always)]`, as all that it calls.
+    fn next(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> R::Element) -> R;
+
+    #[inline(always)]
+    fn next3(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> <R::Element as Real>::Vec3) -> R::Vec3 {
+        let (x, y) = (self.next(|cell| of(cell).x()), self.next(|cell| of(cell).y()));
+        R::Vec3::new(x, y, self.next(|cell| of(cell).z()))
+    }
+
+    #[inline(always)]
+    fn next_span(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> Span<R::Element>) -> Span<R> {
+        let (low, high) = (self.next(|cell| of(cell).low), self.next(|cell| of(cell).high));
+        Span { low, high, length: self.next(|cell| of(cell).length) }
+    }
+
+    /// The lower face, or the upper one of a thick mask.
+    #[inline(always)]
+    fn next_face(&mut self, upper: bool) -> Face<R> {
+        let of = |cell: &CompiledCell<R::Element>| match &cell.aperture {
+            Aperture::Thick(_, face) if upper => *face,
+            Aperture::Thin(face) | Aperture::Thick(face, _) => *face,
+            Aperture::Turned(_) | Aperture::Imperfect(_) => Face::default(),
+        };
+        let (z, x) = (self.next(|cell| of(cell).z), self.next_span(|cell| of(cell).x));
+        Face { z, x, y: self.next_span(|cell| of(cell).y) }
+    }
+}
+
+/// Numbers of up to as many cells as there are lanes; the last cell fills the remaining lanes.
+struct Gathered<'a, R: Real> {
+    like: R,
+    cells: &'a [CompiledCell<R::Element>],
+}
+
+impl<R: Real> Gathered<'_, R> {
+    fn cell(&self, lane: usize) -> &CompiledCell<R::Element> {
+        &self.cells[lane.min(self.cells.len() - 1)]
+    }
+}
+
+impl<R: Real> Numbers<R> for Gathered<'_, R> {
+    #[inline(always)]
+    fn next(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> R::Element) -> R {
+        self.like.each(|lane| of(self.cell(lane)))
+    }
+}
+
+/// What all masks of a plan are, if they are parallel to their detectors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Masks {
+    Thin,
+    Thick,
+}
+
+impl Masks {
+    /// `None` if a mask is of another kind than the first one, or turned.
+    pub(super) fn of<S: Scalar>(cells: &[CompiledCell<S>]) -> Option<Self> {
+        let of = |cell: &CompiledCell<S>| match cell.aperture {
+            Aperture::Thin(_) => Some(Self::Thin),
+            Aperture::Thick(..) => Some(Self::Thick),
+            Aperture::Turned(_) | Aperture::Imperfect(_) => None,
+        };
+        let first = of(cells.first()?)?;
+        cells.iter().all(|cell| of(cell) == Some(first)).then_some(first)
     }
 }
 
 /// Packs the cells of a plan into `packs`, which stays empty if a cell is of another kind.
 #[inline(never)]
 pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
+    let Some(masks) = Masks::of(cells) else { return };
     for cells in cells.chunks(<S::Lanes as Real>::LANES) {
-        let Some(pack) = Pack::of(<S::Lanes as Default>::default(), cells) else {
+        let Some(pack) = Pack::of(<S::Lanes as Default>::default(), masks, cells) else {
             packs.clear();
             return;
         };
@@ -55,69 +115,48 @@ pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells:
 
 impl<R: Real> Pack<R> {
     /// From up to as many cells as there are lanes; the last cell fills the remaining lanes.
-    fn of(like: R, cells: &[CompiledCell<R::Element>]) -> Option<Self> {
-        let last = cells.len() - 1;
-        let cell = |i: usize| &cells[i.min(last)];
-        let number = |of: &dyn Fn(&CompiledCell<R::Element>) -> R::Element| like.each(|i| of(cell(i)));
-        let vector = |of: &dyn Fn(&CompiledCell<_>) -> <R::Element as Real>::Vec3| {
-            R::Vec3::new(number(&|c| of(c).x()), number(&|c| of(c).y()), number(&|c| of(c).z()))
-        };
-        let face = |of: &dyn Fn(&Aperture<_>) -> Option<Face<R::Element>>| {
-            let faces: Vec<Face<_>, 2> = (0..R::LANES).map(|i| of(&cell(i).aperture)).collect::<Option<_>>()?;
-            Some(Face {
-                z: like.each(|i| faces[i].z),
-                x: Span::of_lanes(like, |i| faces[i].x),
-                y: Span::of_lanes(like, |i| faces[i].y),
-            })
-        };
-        let thin = face(&|aperture| match aperture {
-            Aperture::Thin(face) => Some(*face),
-            _ => None,
-        });
-        let thick = |index: usize| {
-            face(&|aperture| match aperture {
-                Aperture::Thick(lower, upper) => Some([*lower, *upper][index]),
-                _ => None,
-            })
-        };
-        let powers: Vec<_, 2> =
-            (0..R::LANES).map(|i| cell(i).emitter.profile.as_power().cloned()).collect::<Option<_>>()?;
-        Some(Self {
+    fn of(like: R, masks: Masks, cells: &[CompiledCell<R::Element>]) -> Option<Self> {
+        let mut gathered = Gathered { like, cells };
+        let power = |lane| gathered.cell(lane).emitter.profile.as_power().cloned();
+        let powers: Vec<_, 2> = (0..R::LANES).map(power).collect::<Option<_>>()?;
+        let Pack { receiver, faces, source, .. } = Pack::of_numbers(&mut gathered, masks);
+        Some(Self { receiver, faces, source, emission: PowerLanes::of(like, |i| powers[i].clone()) })
+    }
+}
+
+impl<R: Real> Pack<R, ()> {
+    /// Cells without their profiles.
+    #[inline(always)]
+    pub(super) fn of_numbers(numbers: &mut impl Numbers<R>, masks: Masks) -> Self {
+        let axes = [
+            numbers.next3(|cell| cell.receiver.axes[0]),
+            numbers.next3(|cell| cell.receiver.axes[1]),
+            numbers.next3(|cell| cell.receiver.axes[2]),
+        ];
+        Self {
             receiver: Receiver {
-                axes: [0, 1, 2].map(|k| vector(&|cell| cell.receiver.axes[k])),
-                centre: vector(&|cell| cell.receiver.centre),
-                half: [0, 1].map(|k| number(&|cell| cell.receiver.half[k])),
-                per_length: number(&|cell| cell.receiver.per_length),
-                responsivity: number(&|cell| cell.receiver.responsivity),
-                dark: number(&|cell| cell.receiver.dark),
-            },
-            faces: match thin {
-                Some(face) => Faces::Thin(face),
-                None => Faces::Thick([thick(0)?, thick(1)?]),
+                axes,
+                centre: numbers.next3(|cell| cell.receiver.centre),
+                half: [numbers.next(|cell| cell.receiver.half[0]), numbers.next(|cell| cell.receiver.half[1])],
+                per_length: numbers.next(|cell| cell.receiver.per_length),
+                responsivity: numbers.next(|cell| cell.receiver.responsivity),
+                dark: numbers.next(|cell| cell.receiver.dark),
             },
             source: Source {
-                position: vector(&|cell| cell.emitter.source.position),
-                axis: vector(&|cell| cell.emitter.source.axis),
-                intensity: number(&|cell| cell.emitter.source.intensity),
+                position: numbers.next3(|cell| cell.emitter.source.position),
+                axis: numbers.next3(|cell| cell.emitter.source.axis),
+                intensity: numbers.next(|cell| cell.emitter.source.intensity),
             },
-            emission: PowerLanes::of(like, |i| powers[i].clone()),
-        })
+            faces: match masks {
+                Masks::Thin => Faces::Thin(numbers.next_face(false)),
+                Masks::Thick => Faces::Thick([numbers.next_face(false), numbers.next_face(true)]),
+            },
+            emission: (),
+        }
     }
 }
 
 impl<R: Real, E: Falloff<R>> Pack<R, E> {
-    #[inline(always)]
-    fn see(&self, first: usize, instant: &Instant<'_, R::Element>, pose: &Transform<R>) -> Seen<R> {
-        if instant.offsets_s.is_empty() {
-            return self.receiver.see(&self.source, pose);
-        }
-        let last = instant.offsets_s.len() - 1;
-        let like = self.receiver.dark;
-        let offset_s = like.each(|i| instant.offsets_s[(first + i).min(last)]);
-        let twist = [like.all3(instant.linear), like.all3(instant.angular)];
-        self.receiver.see_moved(&self.source, pose, twist, offset_s)
-    }
-
     #[inline(always)]
     fn light<const GRADIENT: bool>(&self, seen: &Seen<R>) -> (Light<R>, Visibility<R>) {
         let (spot, visibility) = self.spot(seen);
@@ -127,6 +166,17 @@ impl<R: Real, E: Falloff<R>> Pack<R, E> {
 }
 
 impl<R: Real, E> Pack<R, E> {
+    /// The emitters of the cells from number `first` on.
+    #[inline(always)]
+    pub(super) fn see(&self, first: usize, instant: &Instant<'_, R::Element>, pose: &Transform<R>) -> Seen<R> {
+        let like = self.receiver.dark;
+        let Some(offset_s) = instant.offsets_in_lanes(like, first) else {
+            return self.receiver.see(&self.source, pose);
+        };
+        let twist = [like.all3(instant.linear), like.all3(instant.angular)];
+        self.receiver.see_moved(&self.source, pose, twist, offset_s)
+    }
+
     #[inline(always)]
     pub(super) fn spot(&self, seen: &Seen<R>) -> (Rectangle<R>, Visibility<R>) {
         let emitter = [seen.position.x(), seen.position.y(), seen.position.z()];

@@ -3,20 +3,20 @@
 //!
 //! Where one formula does not serve all poses, currents of the others are NaN.
 
-use crate::aperture::{Aperture, Face, Span};
+use crate::aperture::Aperture;
 use crate::lanes::{MAX_LANES, PerLane, set};
 use crate::pose::{Pose, Transform};
 use crate::power::SharedPower;
 use crate::rectangle::Visibility;
 use crate::response::{Pair, Status};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Real};
 use crate::scene::MAX_CELLS;
 use crate::width::{Instructions, Lanes, Task, Width};
 use crate::{exact, paper};
 
-use super::optics::{Light, Receiver, Seen, Source, of_sides};
-use super::pack::{Faces, Pack};
-use super::{CompiledCell, CompiledEmitter, CurrentsJacobian, Plan};
+use super::optics::{Light, Seen, of_sides};
+use super::pack::{Masks, Numbers, Pack};
+use super::{CellTerms, CompiledCell, CompiledEmitter, CurrentsJacobian, Plan};
 
 /// A cell's currents at the pose of each lane.
 pub(crate) struct Currents<R> {
@@ -38,12 +38,10 @@ pub(crate) struct Terms<R> {
 impl Plan<f64> {
     /// Whether its cells can be evaluated at several poses at once.
     pub(crate) fn has_lanes(&self) -> bool {
-        let is_integrated_at_once = |cell: &CompiledCell<f64>| {
-            matches!(cell.aperture, Aperture::Thin(_) | Aperture::Thick(..))
-                && cell.emitter.profile.as_cosine().is_some()
-                && cell.emitter.orders.as_ref().is_some_and(|orders| !orders.is_narrow())
+        let has_lanes = |cell: &CompiledCell<f64>| {
+            matches!(cell.aperture, Aperture::Thin(_) | Aperture::Thick(..)) && cell.emitter.is_integrated_in_lanes()
         };
-        !self.packs.is_empty() || self.rules.is_some() && self.cells.iter().all(is_integrated_at_once)
+        !self.packs.is_empty() || self.rules.is_some() && self.cells.iter().all(has_lanes)
     }
 
     /// Passes the numbers of pose and cell, and what [`Self::linearise`] gives there, to `sink`, for each cell at each of
@@ -55,7 +53,7 @@ impl Plan<f64> {
         mut sink: impl FnMut(usize, usize, (Status, Pair<f64>, CurrentsJacobian<f64>)),
     ) {
         let has_lanes = self.has_lanes();
-        let mut found = [const { PerPose::DARK }; MAX_CELLS];
+        let mut found = [const { InLanes::DARK }; MAX_CELLS];
         for (group, poses) in poses.chunks(width.lanes()).enumerate() {
             if has_lanes {
                 self.linearise_group(poses, width, &mut found);
@@ -63,7 +61,12 @@ impl Plan<f64> {
             for (lane, pose) in poses.iter().enumerate() {
                 for cell in 0..self.cell_count() {
                     let at_once = if has_lanes { found[cell].terms(lane) } else { None };
-                    let terms = at_once.unwrap_or_else(|| self.linearise(cell, pose));
+                    let terms = match at_once {
+                        Some(CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian, .. }) => {
+                            (status, Pair { i_x1_a, i_x2_a }, jacobian)
+                        }
+                        None => self.linearise(cell, pose),
+                    };
                     sink(group * width.lanes() + lane, cell, terms);
                 }
             }
@@ -71,7 +74,7 @@ impl Plan<f64> {
     }
 
     /// All cells at no more `poses` than `width` has lanes.
-    fn linearise_group(&self, poses: &[Pose], width: Width, found: &mut [PerPose; MAX_CELLS]) {
+    fn linearise_group(&self, poses: &[Pose], width: Width, found: &mut [InLanes; MAX_CELLS]) {
         width.run(Linearise { plan: self, poses, found });
     }
 
@@ -90,9 +93,19 @@ impl Plan<f64> {
     ) -> Option<Terms<R>> {
         let cell = &self.cells[cell];
         let pack = Pack::in_all_lanes(cell, pose.translation().x())?;
-        let seen = pack.receiver.see(&pack.source, pose);
-        let (light, visibility) = self.light_lanes::<R, EXACT, true>(cell, &pack, &seen)?;
-        let (pair, jacobian) = pack.receiver.linearise(&pack.source, &light, &seen, !EXACT);
+        self.terms_lanes::<R, EXACT>(&cell.emitter, &pack, &pack.receiver.see(&pack.source, pose))
+    }
+
+    /// Currents and derivatives of cells that are `seen`, with the profile of `emitter`.
+    #[inline(always)]
+    pub(super) fn terms_lanes<R: Real<Element = f64>, const EXACT: bool>(
+        &self,
+        emitter: &CompiledEmitter<f64>,
+        cells: &Pack<R, ()>,
+        seen: &Seen<R>,
+    ) -> Option<Terms<R>> {
+        let (light, visibility) = self.light_lanes::<R, EXACT, true>(emitter, cells, seen)?;
+        let (pair, jacobian) = cells.receiver.linearise(&cells.source, &light, seen, !EXACT);
         Some(Terms { currents: Currents::of(pair, visibility), jacobian, slack_m: visibility.slacks_m() })
     }
 
@@ -105,23 +118,33 @@ impl Plan<f64> {
     ) -> Option<Currents<R>> {
         let cell = &self.cells[cell];
         let pack = Pack::in_all_lanes(cell, pose.translation().x())?;
-        let seen = pack.receiver.see(&pack.source, pose);
-        let (light, visibility) = self.light_lanes::<R, EXACT, false>(cell, &pack, &seen)?;
-        let gain = pack.receiver.responsivity * pack.source.intensity;
-        let pair = pack.receiver.divide(gain * light.power.value, light.x_a.value(), !EXACT);
+        self.pairs_lanes::<R, EXACT>(&cell.emitter, &pack, &pack.receiver.see(&pack.source, pose))
+    }
+
+    /// Currents of cells that are `seen`, with the profile of `emitter`.
+    #[inline(always)]
+    pub(super) fn pairs_lanes<R: Real<Element = f64>, const EXACT: bool>(
+        &self,
+        emitter: &CompiledEmitter<f64>,
+        cells: &Pack<R, ()>,
+        seen: &Seen<R>,
+    ) -> Option<Currents<R>> {
+        let (light, visibility) = self.light_lanes::<R, EXACT, false>(emitter, cells, seen)?;
+        let gain = cells.receiver.responsivity * cells.source.intensity;
+        let pair = cells.receiver.divide(gain * light.power.value, light.x_a.value(), !EXACT);
         Some(Currents::of(pair, visibility))
     }
 
-    /// The light of `cell`, which is `pack` in all lanes.
+    /// The light of cells that are `seen`, with the profile of `emitter`.
     #[inline(always)]
     fn light_lanes<R: Real<Element = f64>, const EXACT: bool, const GRADIENT: bool>(
         &self,
-        cell: &CompiledCell<f64>,
-        pack: &Pack<R, ()>,
+        emitter: &CompiledEmitter<f64>,
+        cells: &Pack<R, ()>,
         seen: &Seen<R>,
     ) -> Option<(Light<R>, Visibility<R>)> {
-        let (spot, visibility) = pack.spot(seen);
-        let CompiledEmitter { profile, orders, .. } = &cell.emitter;
+        let (spot, visibility) = cells.spot(seen);
+        let CompiledEmitter { profile, orders, .. } = emitter;
         let light = if EXACT {
             let (orders, rules) = (orders.as_ref()?, self.rules.as_ref()?);
             exact::rectangle_light_lanes::<R, GRADIENT>(&spot, seen.axis, profile.as_cosine()?, orders, rules)
@@ -139,26 +162,65 @@ impl Plan<f64> {
     }
 }
 
-/// What is found of one cell at the pose of each lane.
-struct PerPose {
+impl CompiledEmitter<f64> {
+    /// Whether light of it in several lanes is integrated by one rule.
+    pub(super) fn is_integrated_in_lanes(&self) -> bool {
+        self.profile.as_cosine().is_some() && self.orders.as_ref().is_some_and(|orders| !orders.is_narrow())
+    }
+}
+
+/// What is found in each lane: of one cell at several poses, or of several cells.
+pub(super) struct InLanes {
     statuses: [Status; MAX_LANES],
     /// NaN where it must be evaluated alone.
     pair: [PerLane; 2],
     jacobian: [[PerLane; 6]; 2],
+    slack_m: PerLane,
 }
 
-impl PerPose {
-    const DARK: Self =
-        Self { statuses: [Status::Dark; MAX_LANES], pair: [[0.0; MAX_LANES]; 2], jacobian: [[[0.0; MAX_LANES]; 6]; 2] };
+impl InLanes {
+    pub(super) const DARK: Self = Self {
+        statuses: [Status::Dark; MAX_LANES],
+        pair: [[0.0; MAX_LANES]; 2],
+        jacobian: [[[0.0; MAX_LANES]; 6]; 2],
+        slack_m: [0.0; MAX_LANES],
+    };
 
-    fn terms(&self, lane: usize) -> Option<(Status, Pair<f64>, CurrentsJacobian<f64>)> {
+    #[inline(always)]
+    pub(super) fn set_currents<R: Real<Element = f64>>(&mut self, currents: &Currents<R>) {
+        for lane in 0..R::LANES {
+            self.statuses[lane] = currents.visibility.status(lane);
+        }
+        set(&mut self.pair[0], currents.pair[0]);
+        set(&mut self.pair[1], currents.pair[1]);
+    }
+
+    #[inline(always)]
+    pub(super) fn set<R: Real<Element = f64>>(&mut self, terms: &Terms<R>) {
+        self.set_currents(&terms.currents);
+        set(&mut self.slack_m, terms.slack_m);
+        for row in 0..2 {
+            for axis in 0..6 {
+                set(&mut self.jacobian[row][axis], terms.jacobian[row][axis]);
+            }
+        }
+    }
+
+    /// Photocurrents without dark current; `None` where they must be evaluated alone.
+    pub(super) fn pair(&self, lane: usize) -> Option<[f64; 2]> {
+        let pair = self.pair.map(|current| current[lane]);
+        (!(pair[0] + pair[1]).is_nan()).then_some(pair)
+    }
+
+    /// `None` where they must be evaluated alone.
+    pub(super) fn terms(&self, lane: usize) -> Option<CellTerms<f64>> {
         let status = self.statuses[lane];
         if !status.has_spot() {
-            return Some((status, Pair::default(), [[0.0; 6]; 2]));
+            return Some(CellTerms::dark(status));
         }
-        let [i_x1_a, i_x2_a] = self.pair.map(|current| current[lane]);
         let jacobian = self.jacobian.map(|row| row.map(|value| value[lane]));
-        (!(i_x1_a + i_x2_a).is_nan()).then_some((status, Pair { i_x1_a, i_x2_a }, jacobian))
+        let slack_m = self.slack_m[lane];
+        self.pair(lane).map(|pair| CellTerms { pair, jacobian, slack_m, ..CellTerms::dark(status) })
     }
 }
 
@@ -166,7 +228,7 @@ impl PerPose {
 struct Linearise<'a> {
     plan: &'a Plan<f64>,
     poses: &'a [Pose],
-    found: &'a mut [PerPose; MAX_CELLS],
+    found: &'a mut [InLanes; MAX_CELLS],
 }
 
 impl Linearise<'_> {
@@ -188,15 +250,7 @@ impl Linearise<'_> {
         let pose = Transform::of_parts(rotation, translation);
         for (cell, found) in self.found.iter_mut().enumerate().take(self.plan.cell_count()) {
             let Some(terms) = self.plan.linearise_lanes::<R, EXACT>(cell, &pose) else { return };
-            for lane in 0..R::LANES {
-                found.statuses[lane] = terms.currents.visibility.status(lane);
-            }
-            for row in 0..2 {
-                set(&mut found.pair[row], terms.currents.pair[row]);
-                for axis in 0..6 {
-                    set(&mut found.jacobian[row][axis], terms.jacobian[row][axis]);
-                }
-            }
+            found.set(&terms);
         }
     }
 }
@@ -219,17 +273,16 @@ impl<R: Real> Currents<R> {
     }
 }
 
-impl<S: Scalar> Span<S> {
-    #[inline(always)]
-    fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Span<R> {
-        Span { low: like.all(self.low), high: like.all(self.high), length: like.all(self.length) }
-    }
+/// Numbers of one cell in all lanes.
+struct Shared<'a, R: Real> {
+    like: R,
+    cell: &'a CompiledCell<R::Element>,
 }
 
-impl<S: Scalar> Face<S> {
+impl<R: Real> Numbers<R> for Shared<'_, R> {
     #[inline(always)]
-    fn in_all_lanes<R: Real<Element = S>>(&self, like: R) -> Face<R> {
-        Face { z: like.all(self.z), x: self.x.in_all_lanes(like), y: self.y.in_all_lanes(like) }
+    fn next(&mut self, of: impl Fn(&CompiledCell<R::Element>) -> R::Element) -> R {
+        self.like.all(of(self.cell))
     }
 }
 
@@ -237,27 +290,7 @@ impl<R: Real> Pack<R, ()> {
     /// `cell` without its profile in all lanes of `like`; `None` if it is of another kind.
     #[inline(always)]
     fn in_all_lanes(cell: &CompiledCell<R::Element>, like: R) -> Option<Self> {
-        let (receiver, source) = (&cell.receiver, &cell.emitter.source);
-        Some(Self {
-            receiver: Receiver {
-                axes: [like.all3(receiver.axes[0]), like.all3(receiver.axes[1]), like.all3(receiver.axes[2])],
-                centre: like.all3(receiver.centre),
-                half: [like.all(receiver.half[0]), like.all(receiver.half[1])],
-                per_length: like.all(receiver.per_length),
-                responsivity: like.all(receiver.responsivity),
-                dark: like.all(receiver.dark),
-            },
-            faces: match &cell.aperture {
-                Aperture::Thin(thin) => Faces::Thin(thin.in_all_lanes(like)),
-                Aperture::Thick(lower, upper) => Faces::Thick([lower.in_all_lanes(like), upper.in_all_lanes(like)]),
-                Aperture::Turned(_) | Aperture::Imperfect(_) => return None,
-            },
-            source: Source {
-                position: like.all3(source.position),
-                axis: like.all3(source.axis),
-                intensity: like.all(source.intensity),
-            },
-            emission: (),
-        })
+        let masks = Masks::of(core::slice::from_ref(cell))?;
+        Some(Self::of_numbers(&mut Shared { like, cell }, masks))
     }
 }

@@ -128,6 +128,90 @@ fn cells_side_by_side_answer_as_cells_alone() {
     }
 }
 
+/// Bits of what the solver sees of a cell.
+#[cfg(feature = "batch")]
+fn bits(terms: &CellTerms<f64>) -> Vec<u64, 16> {
+    let numbers = terms.pair.into_iter().chain(terms.jacobian.into_iter().flatten());
+    numbers.chain([terms.slack_m, terms.wall_m]).map(f64::to_bits).collect()
+}
+
+/// Some numbers of cells of one kind, thin and thick, at rest and moving, all or some of them.
+#[cfg(feature = "batch")]
+#[test]
+fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
+    use crate::width::Width;
+
+    // Spots that no single rule integrates, for the horizon of an emitter that lies on its side crosses them.
+    let mut turned = Pose::from_vectors(DVec3::ZERO, DVec3::new(1.56, 0.0, 0.0));
+    let emitter = cell(0).emitter.position_tool_m;
+    turned.translation_m = emitter - turned.rotation * emitter;
+    let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
+    let (mut lit, mut clipped, mut dark, mut divided) = (0, 0, 0, 0);
+    for (count, thickness_m) in
+        [(1, 0.0), (2, 0.3e-3), (3, 0.0), (4, 0.0), (5, 0.3e-3), (6, 0.0), (8, 0.0), (13, 0.3e-3)]
+    {
+        let scene = scene(count, |cell| {
+            cell.slit.thickness_m = thickness_m;
+            cell.emitter.profile = Profile::Cosine { exponent: 1.3 };
+        });
+        let mut plan = Plan::<f64>::compile(&scene, EXACT).expect("scene");
+        let offsets: Vec<f64, MAX_CELLS> = (0..count).map(|i| 34e-6 * i as f64).collect();
+        for pose in poses().into_iter().chain([turned]) {
+            let pose = Transform::of(&pose);
+            for offsets_s in [&offsets[..0], &offsets[..]] {
+                let instant = Instant { pose: &pose, linear: twist[0], angular: twist[1], offsets_s };
+                for width in Width::all() {
+                    plan.wide = Some(WideCells::with_width(&plan, width).expect("cells of one kind"));
+                    for wanted in [u16::MAX, 0b0101_0110_1101_1011, 0b1000] {
+                        let wanted = |cell: usize| wanted >> cell & 1 != 0;
+                        let mut expected = (0..count).filter(|&cell| wanted(cell));
+                        plan.linearise_all(&instant, wanted, |cell, terms| {
+                            assert_eq!(Some(cell), expected.next(), "{width:?}");
+                            let alone = evaluate::linearise(&plan, cell, &instant.pose_of(cell));
+                            assert_eq!(terms.status, alone.status, "cell {cell} of {count}, {width:?}");
+                            assert_eq!(bits(terms), bits(&alone), "cell {cell} of {count}, {width:?}");
+                            lit += usize::from(terms.status == Status::Lit);
+                            clipped += usize::from(terms.status == Status::Clipped);
+                            dark += usize::from(!terms.status.has_spot());
+                        });
+                        assert_eq!(expected.next(), None);
+                        let mut expected = (0..count).filter(|&cell| wanted(cell));
+                        plan.currents_all(&instant, wanted, |cell, pair| {
+                            assert_eq!(Some(cell), expected.next(), "{width:?}");
+                            let Pair { i_x1_a, i_x2_a } = evaluate::photocurrents(&plan, cell, &instant.pose_of(cell));
+                            assert_eq!(pair.map(f64::to_bits), [i_x1_a, i_x2_a].map(f64::to_bits));
+                        });
+                        assert_eq!(expected.next(), None);
+                    }
+                }
+                let rule = |cell| evaluate::respond(&plan, cell, &pose).integration.map_or(0, |of| of.evaluations);
+                // More than the longest rule along both sides has.
+                divided += (0..count).filter(|&cell| rule(cell) > 144).count();
+            }
+        }
+    }
+    // Every kind of cell was there.
+    assert!(lit > 100 && clipped > 100 && dark > 100 && divided > 0, "{lit} {clipped} {dark} {divided}");
+}
+
+#[cfg(feature = "batch")]
+#[test]
+fn cells_of_several_kinds_have_no_wide_lanes() {
+    let kinds: [&dyn Fn(usize, &mut Cell); 4] = [
+        &|index, cell| cell.emitter.profile = Profile::Cosine { exponent: 1.3 + 0.1 * f64::from(u8::from(index == 2)) },
+        &|index, cell| cell.slit.thickness_m = if index == 2 { 0.2e-3 } else { 0.0 },
+        &|index, cell| cell.slit.tilt_rad.x = if index == 2 { 0.1 } else { 0.0 },
+        &|_, cell| cell.emitter.profile = Profile::Cosine { exponent: 30.0 },
+    ];
+    for (kind, change) in kinds.into_iter().enumerate() {
+        let mut scene = scene(4, |cell| cell.emitter.profile = Profile::Cosine { exponent: 1.3 });
+        assert!(Plan::<f64>::compile(&scene, EXACT).expect("scene").wide.is_some());
+        scene.cells.iter_mut().enumerate().for_each(|(index, cell)| change(index, cell));
+        assert!(Plan::<f64>::compile(&scene, EXACT).expect("scene").wide.is_none(), "{kind}");
+        assert!(Plan::<f64>::compile(&scene, Tier::Paper).expect("scene").wide.is_none());
+    }
+}
+
 #[test]
 fn cells_of_different_kinds_answer_as_cells_alone() {
     let knots = [(0.0, 1.0), (0.5, 0.9), (1.0, 0.5)];
