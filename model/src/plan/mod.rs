@@ -86,7 +86,7 @@ pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
     );
 }
 
-/// Of a processor with a single lane.
+/// No cells in lanes: of `f32`, and of `f64` without the feature `batch`.
 #[derive(Clone, Debug)]
 pub enum NoLanes {}
 

@@ -3,7 +3,6 @@
 //!
 //! Where one formula does not serve all poses, currents of the others are NaN.
 
-use crate::aperture::Aperture;
 use crate::lanes::{MAX_LANES, PerLane, set};
 use crate::pose::{Pose, Transform};
 use crate::power::SharedPower;
@@ -39,7 +38,7 @@ impl Plan<f64> {
     /// Whether its cells can be evaluated at several poses at once.
     pub(crate) fn has_lanes(&self) -> bool {
         let has_lanes = |cell: &CompiledCell<f64>| {
-            matches!(cell.aperture, Aperture::Thin(_) | Aperture::Thick(..)) && cell.emitter.is_integrated_in_lanes()
+            Masks::of(core::slice::from_ref(cell)).is_some() && cell.emitter.is_integrated_in_lanes()
         };
         !self.packs.is_empty() || self.rules.is_some() && self.cells.iter().all(has_lanes)
     }
