@@ -67,6 +67,7 @@ mod effects;
 mod exact;
 mod identify;
 mod lanes;
+mod list;
 mod paper;
 mod plan;
 mod polygon;

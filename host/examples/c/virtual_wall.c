@@ -7,8 +7,9 @@
  * The loop has a clock of its own and never waits for the daemon: each period it sets a force from the newest pose
  * that has come. virtual_wall.h has the equations, and when the wall lets go: a daemon that stalls or ends leaves no
  * force behind. Against a stall of this program the motors need a watchdog of their own.
- * At the end, and after an interrupt, it prints how old the poses were and how even the loop was. (A simulated board
- * sends its scans in bursts, real ones one by one.) Exit code 1: daemon unreachable or gone, or no pose; 2: usage.
+ * At the end, and after an interrupt, it prints how old the poses were (nan: none was used) and how even the loop
+ * was. (A simulated board sends its scans in bursts, real ones one by one.) Exit code 1: daemon unreachable or gone,
+ * or no pose; 2: usage.
  */
 #define _POSIX_C_SOURCE 200809L
 
@@ -37,11 +38,14 @@ static void add(struct histogram *times, double time_s)
     times->most_us = fmax(times->most_us, time_s * 1e6);
 }
 
+/* NAN of no times. */
 static double percentile_us(const struct histogram *times, double percent)
 {
     const double rank = percent / 100 * (double)times->count;
     uint64_t below = 0;
     int bin = 0;
+    if (!times->count)
+        return NAN;
     while (bin < BINS - 1 && (double)(below += times->bins[bin]) < rank)
         bin++;
     return bin < BINS - 1 ? fmin(bin + 0.5, times->most_us) : times->most_us;
@@ -50,7 +54,7 @@ static double percentile_us(const struct histogram *times, double percent)
 static void print_times(const char *what, const struct histogram *times)
 {
     printf("%s: p1 %.0f us, median %.0f us, p99 %.0f us, most %.0f us\n", what, percentile_us(times, 1),
-           percentile_us(times, 50), percentile_us(times, 99), times->most_us);
+           percentile_us(times, 50), percentile_us(times, 99), times->count ? times->most_us : NAN);
 }
 
 /* What is printed at the end. */
@@ -70,11 +74,9 @@ static void print_tally(const struct wall *wall, double duration_s)
     printf("\nforce in %" PRIu64 " loops, at most %.2f N; let go %" PRIu64 " times\n", tally.pushes, tally.greatest_n,
            tally.releases);
     print_times("between loops", &tally.intervals);
-    if (tally.ages.count > 0) {
-        print_times("age of the newest pose as the force is set", &tally.ages);
-        printf("passive if the mechanism's own damping exceeds K (T/2 + age) + B = %.2f N s/m (with the p99 of age)\n",
-               wall_passive_ns_per_m(wall, PERIOD_NS * 1e-9, percentile_us(&tally.ages, 99) * 1e-6));
-    }
+    print_times("age of the newest pose as the force is set", &tally.ages);
+    printf("passive if the mechanism's own damping exceeds K (T/2 + age) + B = %.2f N s/m (with the p99 of age)\n",
+           wall_passive_ns_per_m(wall, PERIOD_NS * 1e-9, percentile_us(&tally.ages, 99) * 1e-6));
 }
 
 static volatile sig_atomic_t interrupted;

@@ -2,8 +2,7 @@
 //! profile: bit for bit what each cell gives alone. The paper tier is not here: there, four lanes are no faster for six cells
 //! than three times the two of [`pack`](super::pack), for every lane looks up its power by itself.
 
-use heapless::Vec;
-
+use crate::list::List;
 use crate::pose::Transform;
 use crate::response::Pair;
 use crate::scalar::Real;
@@ -26,7 +25,7 @@ type PerCell = [f64; MAX_CELLS];
 pub struct WideCells {
     width: Width,
     masks: Masks,
-    numbers: Vec<PerCell, NUMBERS>,
+    numbers: List<PerCell, NUMBERS>,
 }
 
 /// Numbers of one cell, to be stored as those of cell `cell`.
@@ -34,7 +33,7 @@ struct Stored<'a> {
     of: &'a CompiledCell<f64>,
     cell: usize,
     next: usize,
-    numbers: &'a mut Vec<PerCell, NUMBERS>,
+    numbers: &'a mut List<PerCell, NUMBERS>,
 }
 
 impl Numbers<f64> for Stored<'_> {
@@ -83,7 +82,7 @@ impl WideCells {
         if !plan.cells.iter().all(has_lanes) {
             return None;
         }
-        let mut numbers = Vec::new();
+        let mut numbers = List::new();
         for cell in 0..MAX_CELLS {
             let of = &plan.cells[cell.min(plan.cells.len() - 1)];
             Pack::of_numbers(&mut Stored { of, cell, next: 0, numbers: &mut numbers }, masks);

@@ -2,11 +2,11 @@
 //! pose.
 
 use glam::DVec3;
-use heapless::Vec;
 
 use crate::aperture::Aperture;
 use crate::effects::{Effects, MAX_IMPERFECT, Opening, RADIAL_TERMS};
 use crate::exact::Orders;
+use crate::list::List;
 use crate::profile::CompiledProfile;
 use crate::scalar::{Scalar, Vector3};
 use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
@@ -86,8 +86,8 @@ impl Check {
 /// Compiles the cells of `scene` into `cells`.
 #[inline(never)]
 pub(super) fn fill<S: Scalar>(
-    cells: &mut Vec<CompiledCell<S>, MAX_CELLS>,
-    imperfect: &mut Vec<Imperfect<S>, MAX_IMPERFECT>,
+    cells: &mut List<CompiledCell<S>, MAX_CELLS>,
+    imperfect: &mut List<Imperfect<S>, MAX_IMPERFECT>,
     scene: &Scene,
     tier: Tier,
 ) -> Result<(), SceneError> {

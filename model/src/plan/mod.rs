@@ -18,6 +18,7 @@ use heapless::Vec;
 use crate::aperture::Aperture;
 use crate::effects::{MAX_IMPERFECT, counts_on};
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
+use crate::list::List;
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
@@ -47,17 +48,17 @@ pub enum Tier {
     },
 }
 
-/// A scene compiled for one tier and one number type. Fixed size, no heap.
+/// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `batch`.
 #[derive(Clone, Debug)]
 pub struct Plan<S: Scalar> {
-    cells: Vec<CompiledCell<S>, MAX_CELLS>,
+    cells: List<CompiledCell<S>, MAX_CELLS>,
     /// The effects of those cells that have any.
-    imperfect: Vec<Imperfect<S>, MAX_IMPERFECT>,
+    imperfect: List<Imperfect<S>, MAX_IMPERFECT>,
     is_paper: bool,
     /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
     /// The same cells in SIMD lanes if all are of the kind in [`pack`]; else empty.
-    packs: Vec<Pack<S::Lanes>, MAX_CELLS>,
+    packs: List<Pack<S::Lanes>, MAX_CELLS>,
     /// The cells of the exact tier in as many lanes as the processor has, if all are of one kind.
     wide: Option<S::WideCells>,
 }
@@ -216,7 +217,7 @@ impl<S: Scalar> Plan<S> {
     /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
-        Self { cells: Vec::new(), imperfect: Vec::new(), is_paper: true, rules: None, packs: Vec::new(), wide: None }
+        Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, packs: List::new(), wide: None }
     }
 
     /// [`Self::compile`] in place. After an error the plan has no cells.

@@ -4,6 +4,7 @@
 use heapless::Vec;
 
 use crate::aperture::{Aperture, Face, Span};
+use crate::list::List;
 use crate::paper;
 use crate::pose::Transform;
 use crate::power::PowerLanes;
@@ -101,7 +102,7 @@ impl Masks {
 
 /// Packs the cells of a plan into `packs`, which stays empty if a cell is of another kind.
 #[inline(never)]
-pub(super) fn fill<S: Scalar>(packs: &mut Vec<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
+pub(super) fn fill<S: Scalar>(packs: &mut List<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
     let Some(masks) = Masks::of(cells) else { return };
     for cells in cells.chunks(<S::Lanes as Real>::LANES) {
         let Some(pack) = Pack::of(<S::Lanes as Default>::default(), masks, cells) else {

@@ -3,9 +3,11 @@
 use std::num::NonZero;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use slitpose_model::{
-    Batch, MotionPrior, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solution, Solver, Start, Starts, Tier, Width,
+    Batch, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solution, Solver, Start, Starts,
+    Tier, Tracker, Width,
 };
 
 use crate::common::{SEED, generator, uniform, vector, wide};
@@ -199,4 +201,23 @@ fn a_million_frames_at_once_have_the_bits_of_each_alone() {
 #[ignore = "takes minutes"]
 fn a_million_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
     compare(&wide(), EXACT, 1_000_000, 1.1);
+}
+
+/// Callers move solvers by value, which a build without optimisation copies. With the cells of its plan in place a solver has
+/// 128 kB, and the daemon's judge of a head took more than the 2 MiB that a thread has by default.
+#[test]
+fn solvers_and_trackers_pass_through_small_stacks() {
+    let whole_chain = || {
+        for tier in [Tier::Paper, Tier::Exact { tolerance: 1e-6 }] {
+            let solver = Solver::<f64>::new(&wide(), tier).expect("scene").with_exposures(&[0.0; 6]).with_max_steps(9);
+            let pose = Pose::from_vectors(DVec3::ZERO, DVec3::ZERO);
+            let seen = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &pose)));
+            let mut tracker = Tracker::new(solver.clone(), 250e-6).with_filter(1e-3);
+            for frame in 0..3 {
+                assert!(matches!(tracker.track(frame, &seen).solution.outcome, Outcome::Converged));
+            }
+        }
+    };
+    let thread = std::thread::Builder::new().stack_size(384 << 10).spawn(whole_chain);
+    thread.expect("a thread").join().expect("it has stack enough");
 }
