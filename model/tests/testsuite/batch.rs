@@ -203,8 +203,8 @@ fn a_million_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
     compare(&wide(), EXACT, 1_000_000, 1.1);
 }
 
-/// Callers move solvers by value, which a build without optimisation copies. With the cells of its plan in place a solver has
-/// 128 kB, and the daemon's judge of a head took more than the 2 MiB that a thread has by default.
+/// Callers move solvers by value, which a build without optimisation copies. With the cells of its plan in place a solver
+/// has 128 kB, and the daemon's judge of a head took more than the 2 MiB that a thread has by default.
 #[test]
 fn solvers_and_trackers_pass_through_small_stacks() {
     let whole_chain = || {
