@@ -1,5 +1,5 @@
-//! Lists of up to `N` items: in place on the board, which has no heap; on the heap with the feature `batch`, for a
-//! compiled scene of 120 kB would be moved over the stacks of a host's threads.
+//! Lists of up to `N` items: in place on the board, which has no heap; on the heap with the feature `batch`, because
+//! a compiled scene of 120 kB would otherwise be moved over the stacks of a host's threads.
 
 #[cfg(not(feature = "batch"))]
 pub(crate) type List<T, const N: usize> = heapless::Vec<T, N>;

@@ -61,6 +61,12 @@ impl<S: Scalar> Power<S> {
         self.exponent
     }
 
+    /// Whether [`Self::of`] is a series, which several lanes have at once, and not the library's power.
+    #[cfg(feature = "batch")]
+    pub(crate) fn has_series(&self) -> bool {
+        self.has_series
+    }
+
     /// cⁿ, c > 0.
     #[inline(always)]
     pub(crate) fn of(&self, c: S) -> S {

@@ -2,6 +2,7 @@
 //! profile: bit for bit what each cell gives alone. The paper tier is not here: there, four lanes are no faster for six cells
 //! than three times the two of [`pack`](super::pack), for every lane looks up its power by itself.
 
+use crate::lanes::MAX_LANES;
 use crate::list::List;
 use crate::pose::Transform;
 use crate::response::Pair;
@@ -19,6 +20,8 @@ const NUMBERS: usize = 38;
 
 /// A number of each cell; the last one fills the remaining lanes.
 type PerCell = [f64; MAX_CELLS];
+
+const _: () = assert!(MAX_CELLS.is_multiple_of(MAX_LANES), "every group of cells fills all lanes");
 
 /// The cells of a plan, number by number.
 #[derive(Clone, Debug)]
@@ -102,7 +105,7 @@ impl WideCells {
         mut sink: impl FnMut(usize, T),
     ) {
         let (lanes, count) = (self.width.lanes(), plan.cell_count());
-        let mut found = InLanes::DARK;
+        let mut found = InLanes::NOTHING;
         for first in (0..count).step_by(lanes) {
             let wanted = || (first..count.min(first + lanes)).filter(|&cell| wanted(cell));
             let at_once = wanted().nth(1).is_some();

@@ -65,7 +65,7 @@ pub struct Plan<S: Scalar> {
 
 /// Cells of a plan in as many lanes as the processor has: what each gives alone, bit for bit.
 pub trait CellsAtOnce<S: Scalar>: Clone + Debug + Send + Sync + 'static {
-    /// `None` if the cells of `plan` are not of one kind, or there are no lanes.
+    /// `None` if the cells of `plan` are not of one kind, or not of the exact tier, or there are no lanes.
     fn of(plan: &Plan<S>) -> Option<Self>;
 
     /// [`Optics::linearise_all`] of `plan`.

@@ -1,11 +1,10 @@
-//! Cells at several poses, a pose per lane: what [`pack`](super::pack) does for several cells at one pose, with the
-//! same bits.
+//! Cells at several poses, a pose per lane, with the bits that each cell has alone at each pose.
 //!
 //! Where one formula does not serve all poses, currents of the others are NaN.
 
 use crate::lanes::{MAX_LANES, PerLane, set};
 use crate::pose::{Pose, Transform};
-use crate::power::SharedPower;
+use crate::power::{Power, SharedPower};
 use crate::rectangle::Visibility;
 use crate::response::{Pair, Status};
 use crate::scalar::{Linear3, Real};
@@ -38,13 +37,17 @@ impl Plan<f64> {
     /// Whether its cells can be evaluated at several poses at once.
     pub(crate) fn has_lanes(&self) -> bool {
         let has_lanes = |cell: &CompiledCell<f64>| {
-            Masks::of(core::slice::from_ref(cell)).is_some() && cell.emitter.is_integrated_in_lanes()
+            let emitter = &cell.emitter;
+            let has_formula =
+                if self.is_paper { emitter.has_power_in_lanes() } else { emitter.is_integrated_in_lanes() };
+            has_formula && Masks::of(core::slice::from_ref(cell)).is_some()
         };
-        !self.packs.is_empty() || self.rules.is_some() && self.cells.iter().all(has_lanes)
+        self.cells.iter().all(has_lanes)
     }
 
-    /// Passes the numbers of pose and cell, and what [`Self::linearise`] gives there, to `sink`, for each cell at each of
-    /// `poses`, in order; bit for bit, but faster: as many poses at once as `width` has lanes.
+    /// Passes the indices of pose and cell, and what [`Self::linearise`] gives there, to `sink`: for each of `poses` in
+    /// order, each cell in order. Bit for bit, but faster: as many poses at once as `width` has lanes, if all cells are of
+    /// a kind that has them.
     pub fn linearise_many(
         &self,
         poses: &[Pose],
@@ -52,7 +55,7 @@ impl Plan<f64> {
         mut sink: impl FnMut(usize, usize, (Status, Pair<f64>, CurrentsJacobian<f64>)),
     ) {
         let has_lanes = self.has_lanes();
-        let mut found = [const { InLanes::DARK }; MAX_CELLS];
+        let mut found = [const { InLanes::NOTHING }; MAX_CELLS];
         for (group, poses) in poses.chunks(width.lanes()).enumerate() {
             if has_lanes {
                 self.linearise_group(poses, width, &mut found);
@@ -162,6 +165,11 @@ impl Plan<f64> {
 }
 
 impl CompiledEmitter<f64> {
+    /// Whether its intensity, in the paper tier, has a series that serves all lanes.
+    fn has_power_in_lanes(&self) -> bool {
+        self.profile.as_power().is_some_and(Power::has_series)
+    }
+
     /// Whether light of it in several lanes is integrated by one rule.
     pub(super) fn is_integrated_in_lanes(&self) -> bool {
         self.profile.as_cosine().is_some() && self.orders.as_ref().is_some_and(|orders| !orders.is_narrow())
@@ -178,9 +186,10 @@ pub(super) struct InLanes {
 }
 
 impl InLanes {
-    pub(super) const DARK: Self = Self {
-        statuses: [Status::Dark; MAX_LANES],
-        pair: [[0.0; MAX_LANES]; 2],
+    /// Nothing: all must be evaluated alone.
+    pub(super) const NOTHING: Self = Self {
+        statuses: [Status::Lit; MAX_LANES],
+        pair: [[f64::NAN; MAX_LANES]; 2],
         jacobian: [[[0.0; MAX_LANES]; 6]; 2],
         slack_m: [0.0; MAX_LANES],
     };

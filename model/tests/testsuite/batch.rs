@@ -3,14 +3,14 @@
 use std::num::NonZero;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use glam::DVec3;
+use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use slitpose_model::{
-    Batch, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Scene, Solution, Solver, Start, Starts,
-    Tier, Tracker, Width,
+    Batch, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Profile, Reading, Scene, Solution, Solver, Start,
+    Starts, Tier, Tracker, Twist, Width,
 };
 
-use crate::common::{SEED, generator, uniform, vector, wide};
+use crate::common::{SEED, generator, six_cells, uniform, vector, wide};
 
 const EXACT: Tier = Tier::Exact { tolerance: 1e-6 };
 
@@ -66,7 +66,11 @@ const CHUNK: usize = 1_000;
 
 /// Compares `count` frames of `scene` in every width that the processor has, on all cores.
 fn compare(scene: &Scene, tier: Tier, count: usize, reach: f64) {
-    let solver = &Solver::new(scene, tier).expect("a possible scene");
+    compare_solutions(&Solver::new(scene, tier).expect("a possible scene"), &MotionPrior::AT_REST, count, reach);
+}
+
+/// [`compare`] of a tool that moves.
+fn compare_solutions(solver: &Solver<f64>, motion: &MotionPrior, count: usize, reach: f64) {
     let next = &AtomicUsize::new(0);
     std::thread::scope(|scope| {
         for _ in 0..std::thread::available_parallelism().map_or(1, NonZero::get) {
@@ -76,7 +80,7 @@ fn compare(scene: &Scene, tier: Tier, count: usize, reach: f64) {
                     if first >= count {
                         return;
                     }
-                    compare_chunk(solver, first, CHUNK.min(count - first), reach);
+                    compare_chunk(solver, motion, first, CHUNK.min(count - first), reach);
                 }
             });
         }
@@ -84,7 +88,7 @@ fn compare(scene: &Scene, tier: Tier, count: usize, reach: f64) {
 }
 
 /// Compares `count` frames, of which the first is number `first`.
-fn compare_chunk(solver: &Solver<f64>, first: usize, count: usize, reach: f64) {
+fn compare_chunk(solver: &Solver<f64>, motion: &MotionPrior, first: usize, count: usize, reach: f64) {
     let seed = SEED + first as u64;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let (frames, starts): (Vec<_>, Vec<_>) = (0..count).map(|_| frame(solver, &mut rng, reach)).unzip();
@@ -94,13 +98,13 @@ fn compare_chunk(solver: &Solver<f64>, first: usize, count: usize, reach: f64) {
             .zip(&starts)
             .map(|(readings, pose)| {
                 let start = if warm { Start::Near(pose) } else { Start::Cold };
-                solver.solve(readings, start, &MotionPrior::AT_REST)
+                solver.solve(readings, start, motion)
             })
             .collect();
         for width in Width::all() {
             let mut next = 0;
             let starts = if warm { Starts::Near(&starts) } else { Starts::Cold };
-            Batch::with_width(solver, width).solve(&frames, starts, &MotionPrior::AT_REST, |index, solution| {
+            Batch::with_width(solver, width).solve(&frames, starts, motion, |index, solution| {
                 assert_eq!(index, next, "out of order");
                 next += 1;
                 let expected = &alone[index];
@@ -147,11 +151,81 @@ fn many_frames_at_once_have_the_bits_of_each_alone_in_the_exact_tier() {
     compare(&wide(), Tier::Exact { tolerance: 1e-11 }, FEW / 3, 1.0);
 }
 
+/// A head of `count` cells of which no two are alike; masks of two thicknesses by turns.
+fn unlike(count: usize, thicknesses_m: [f64; 2]) -> Scene {
+    let mut scene = wide();
+    let ring = scene.cells.clone();
+    let cells = (0..count).map(|k| {
+        let mut cell = ring[k % 6].clone();
+        let step = k as f64;
+        let turn = DQuat::from_rotation_z(0.35 * (k / 6) as f64);
+        let (detector, slit, emitter) = (&mut cell.detector, &mut cell.slit, &mut cell.emitter);
+        for vector in [
+            &mut detector.centre_base_m,
+            &mut detector.x_axis_base,
+            &mut detector.normal_base,
+            &mut emitter.position_tool_m,
+            &mut emitter.axis_tool,
+        ] {
+            *vector = turn * *vector;
+        }
+        detector.length_m += 1e-4 * step;
+        detector.width_m += 2e-5 * step;
+        detector.responsivity_a_per_w += 0.01 * step;
+        detector.dark_current_a = 1e-9 * step;
+        slit.distance_m += 2e-5 * step;
+        slit.width_m += 1e-5 * step;
+        slit.offset_m = DVec2::new(1e-5, -2e-5) * step;
+        slit.thickness_m = thicknesses_m[k % 2];
+        emitter.radiant_intensity_w_per_sr += 5e-5 * step;
+        emitter.profile = Profile::Cosine { exponent: 1.1 + 0.1 * step };
+        cell
+    });
+    scene.cells = cells.collect();
+    scene
+}
+
+#[test]
+fn heads_of_unlike_cells_have_the_bits_of_each_frame_alone() {
+    for tier in [Tier::Paper, EXACT] {
+        for count in [6, 7, 16] {
+            for thicknesses_m in [[0.0; 2], [0.1e-3, 0.0]] {
+                compare(&unlike(count, thicknesses_m), tier, 200, 1.0);
+            }
+        }
+    }
+}
+
 #[test]
 fn frames_of_heads_that_have_no_lanes_are_solved_one_by_one() {
     let mut turned = wide();
     turned.cells[0].slit.tilt_rad.x = 0.01;
     compare(&turned, EXACT, 40, 1.0);
+    let mut narrow = wide();
+    narrow.cells[5].emitter.profile = Profile::Cosine { exponent: 45.0 };
+    let mut displaced = wide();
+    displaced.uncertainty.position_m = 20e-6;
+    let mut five = wide();
+    five.cells.truncate(5);
+    // Poses of a ring whose slits are all rolled alike, but for a little, have mirror images near them.
+    let near_mirror = six_cells(5.0, 0.6, [0.06, -0.06]);
+    for scene in [&narrow, &displaced, &five, &near_mirror] {
+        for tier in [Tier::Paper, EXACT] {
+            compare(scene, tier, 40, 1.0);
+        }
+    }
+    let moving = MotionPrior {
+        twist: Twist { linear_m_per_s: DVec3::new(0.3, -0.2, 0.1), angular_rad_per_s: DVec3::new(2.0, 5.0, -3.0) },
+        linear_sigma_m_per_s: 0.01,
+        angular_sigma_rad_per_s: 0.1,
+    };
+    for tier in [Tier::Paper, EXACT] {
+        let solver = Solver::new(&wide(), tier).expect("a possible scene");
+        compare_solutions(&solver, &moving, 40, 1.0);
+        compare_solutions(&solver.clone().with_max_steps(2), &MotionPrior::AT_REST, 40, 1.0);
+        let offsets_s: Vec<f64> = (0..6).map(|cell| 34e-6 * f64::from(cell)).collect();
+        compare_solutions(&solver.with_exposures(&offsets_s), &moving, 40, 1.0);
+    }
 }
 
 #[test]
@@ -159,9 +233,16 @@ fn many_poses_at_once_have_the_light_and_derivatives_of_each_alone() {
     let mut turned = wide();
     turned.cells[3].slit.tilt_rad.x = 0.01;
     let mut rng = generator();
-    for (scene, tier) in
-        [(wide(), Tier::Paper), (thick(), Tier::Paper), (wide(), EXACT), (thick(), EXACT), (turned, EXACT)]
-    {
+    let unlike = unlike(6, [0.1e-3, 0.0]);
+    for (scene, tier) in [
+        (wide(), Tier::Paper),
+        (thick(), Tier::Paper),
+        (unlike.clone(), Tier::Paper),
+        (wide(), EXACT),
+        (thick(), EXACT),
+        (unlike, EXACT),
+        (turned, EXACT),
+    ] {
         let plan = Plan::<f64>::compile(&scene, tier).expect("a possible scene");
         // From poses where all cells are lit to some where emitters are behind their slits.
         let poses: Vec<Pose> = (0..500)

@@ -47,8 +47,11 @@ impl<'a> Starts<'a> {
 /// Solves many frames of one head.
 ///
 /// Solutions are those of [`Solver::solve`], bit for bit. How many times as fast they come depends on the processor's
-/// lanes and on the head: cells of all kinds are solved, those of thin or thick masks parallel to their detectors with
-/// powers of the cosine at once, others, and in the exact tier those with powers above the fourth, one by one.
+/// lanes and on the head. Its frames are solved at once if it has six cells or more, all exposed at one instant, with masks
+/// parallel to their detectors and emitters whose profiles are powers of the cosine, up to the fourth in the exact tier and
+/// the sixth in the paper tier; if its poses have no mirror images; and if neither steps are limited
+/// ([`Solver::with_max_steps`]) nor places uncertain ([`Uncertainty`](crate::Uncertainty)). Frames of other heads are
+/// solved one by one.
 #[derive(Clone, Copy, Debug)]
 pub struct Batch<'a> {
     solver: &'a Solver<f64>,
