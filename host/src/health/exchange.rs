@@ -179,8 +179,7 @@ impl Search {
     }
 
     fn go_on(&mut self, mut trial: Trial) {
-        let measured = trial.exchange.undone(&self.samples[trial.sample]);
-        trial.misses += usize::from(!self.explains(trial.exchange, &measured));
+        trial.misses += usize::from(!self.explains(trial.exchange, &self.samples[trial.sample]));
         trial.sample += 1;
         let fails = trial.misses > MISSES;
         if !fails && trial.sample < self.kept.min(SAMPLES) {
@@ -200,19 +199,19 @@ impl Search {
         }
     }
 
-    /// Whether a scan fits the scene; `measured`: its currents, with `exchange` undone.
-    fn explains(&mut self, exchange: Exchange, measured: &Photocurrents) -> bool {
-        self.expose(exchange);
+    /// Whether the data of a scan fit the scene once `exchange` is undone.
+    fn explains(&self, exchange: Exchange, sample: &Photocurrents) -> bool {
+        let measured = exchange.undone(sample);
         let mut undone = measured.clone();
         for _ in 0..ROUNDS {
-            let hasty = self.hasty.solve(&undone, Start::Cold, &ANY_MOTION);
-            if hasty.chi2 <= HOPELESS && is_clean(&self.thorough.solve(&undone, Start::Cold, &ANY_MOTION)) {
+            let hasty = self.solve(&self.hasty, exchange, &undone);
+            if hasty.chi2 <= HOPELESS && is_clean(&self.solve(&self.thorough, exchange, &undone)) {
                 return true;
             }
             let Some(estimate) = hasty.estimate else {
                 return false;
             };
-            undone.clone_from(measured);
+            undone.clone_from(&measured);
             if !self.exchange_cross_light(exchange, &estimate.pose, &mut undone) {
                 return false;
             }
@@ -246,15 +245,16 @@ impl Search {
         found
     }
 
-    /// Sets the instants at which cells are exposed: a cell on another cell's plug, in that cell's slot.
-    fn expose(&mut self, exchange: Exchange) {
-        let mut exposures_s = [0.0; MAX_CELLS];
-        exposures_s[..self.exposures_s.len()].copy_from_slice(&self.exposures_s);
-        if let Exchange::Cells { cells: [first, second] } = exchange {
-            exposures_s.swap(first, second);
-        }
-        for solver in [&mut self.hasty, &mut self.thorough] {
-            solver.set_exposures(&exposures_s);
+    fn solve(&self, solver: &Solver<f64>, exchange: Exchange, undone: &Photocurrents) -> Solution {
+        match exchange {
+            Exchange::Cells { cells: [first, second] } if self.exposures_s[first] != self.exposures_s[second] => {
+                // A cell on another cell's plug is exposed in that cell's slot.
+                let mut exposures_s = [0.0; MAX_CELLS];
+                exposures_s[..self.exposures_s.len()].copy_from_slice(&self.exposures_s);
+                exposures_s.swap(first, second);
+                solver.clone().with_exposures(&exposures_s).solve(undone, Start::Cold, &ANY_MOTION)
+            }
+            _ => solver.solve(undone, Start::Cold, &ANY_MOTION),
         }
     }
 }

@@ -86,20 +86,12 @@ impl<S: Scalar, P: Optics<S>> Solver<S, P> {
     /// If there are fewer offsets than cells.
     #[must_use]
     pub fn with_exposures(mut self, offsets_s: &[f64]) -> Self {
-        self.set_exposures(offsets_s);
-        self
-    }
-
-    /// [`Self::with_exposures`] in place.
-    ///
-    /// # Panics
-    /// If there are fewer offsets than cells.
-    pub fn set_exposures(&mut self, offsets_s: &[f64]) {
         let offsets_s = &offsets_s[..self.compiled.plan.cell_count()];
         self.compiled.offsets_s.clear();
         if offsets_s.iter().any(|&offset| offset != 0.0) {
             self.compiled.offsets_s.extend(offsets_s.iter().map(|&offset| S::of(offset)));
         }
+        self
     }
 
     /// Leaves out cells whose light falls so near an end of the detector that its spot is probably
