@@ -1,24 +1,27 @@
-//! Lists of up to `N` items: in place on the board, which has no heap; on the heap with the feature `batch`, because
-//! a compiled scene of 120 kB would otherwise be moved over the stacks of a host's threads.
+//! Lists of up to `N` items: in place on the board, which has no heap. With the feature `batch` they are on the heap and
+//! copies share them: a compiled scene of 120 kB would otherwise be moved over the stacks of a host's threads, and copied
+//! with each tracker.
 
 #[cfg(not(feature = "batch"))]
 pub(crate) type List<T, const N: usize> = heapless::Vec<T, N>;
 #[cfg(feature = "batch")]
-pub(crate) use heaped::List;
+pub(crate) use shared::List;
 
 #[cfg(feature = "batch")]
-mod heaped {
+mod shared {
     extern crate alloc;
 
+    use alloc::sync::Arc;
+    use alloc::vec::Vec;
     use core::ops::{Deref, DerefMut};
 
-    /// What of [`heapless::Vec`] a plan uses.
+    /// What of [`heapless::Vec`] a plan uses. A list that is changed is copied first if it is shared.
     #[derive(Clone, Debug)]
-    pub(crate) struct List<T, const N: usize>(alloc::vec::Vec<T>);
+    pub(crate) struct List<T, const N: usize>(Arc<Vec<T>>);
 
-    impl<T, const N: usize> List<T, N> {
-        pub(crate) const fn new() -> Self {
-            Self(alloc::vec::Vec::new())
+    impl<T: Clone, const N: usize> List<T, N> {
+        pub(crate) fn new() -> Self {
+            Self(Arc::default())
         }
 
         /// # Errors
@@ -27,12 +30,12 @@ mod heaped {
             if self.len() == N {
                 return Err(item);
             }
-            self.0.push(item);
+            Arc::make_mut(&mut self.0).push(item);
             Ok(())
         }
 
         pub(crate) fn clear(&mut self) {
-            self.0.clear();
+            *self = Self::new();
         }
     }
 
@@ -45,10 +48,10 @@ mod heaped {
         }
     }
 
-    impl<T, const N: usize> DerefMut for List<T, N> {
-        #[inline(always)]
+    impl<T: Clone, const N: usize> DerefMut for List<T, N> {
         fn deref_mut(&mut self) -> &mut [T] {
-            &mut self.0
+            let items: &mut Vec<T> = Arc::make_mut(&mut self.0);
+            items
         }
     }
 }

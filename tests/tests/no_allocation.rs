@@ -12,7 +12,7 @@ use slitpose::telemetry::BoardStatistics;
 use slitpose_head::front_end::{self, Stage};
 use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-use slitpose_model::Tier;
+use slitpose_model::{Solver, Tier, Tracker};
 use slitpose_protocol::Command;
 use slitpose_tests::capture::{STREAM, capture, decode, pipeline, solve};
 use slitpose_tests::terminal::request;
@@ -68,6 +68,18 @@ fn reversals_and_damage_allocate_nothing() {
     assert_eq!(info.count_total, 0);
     // One packet of at most four scans every 10 007 bytes of some 5 million, or two at a delimiter.
     assert!(poses > SCANS as u64 / 2 && poses < SCANS as u64 + 400, "{poses}");
+}
+
+/// As a pipeline does that is behind, for the newest scan, and a search for exchanged cells.
+#[test]
+fn copies_of_a_tracker_allocate_nothing() {
+    let scene = WIDE.read().expect("shipped").scene;
+    for tier in [Tier::Paper, STREAM] {
+        let tracker: Tracker<f64> = Tracker::new(Solver::new(&scene, tier).expect("valid"), 250e-6);
+        let mut copy = tracker.clone();
+        let info = allocation_counter::measure(|| copy.clone_from(std::hint::black_box(&tracker)));
+        assert_eq!(info.count_total, 0, "{tier:?}");
+    }
 }
 
 #[test]
@@ -132,12 +144,6 @@ fn segments(frames: usize) -> Vec<Segment> {
 
 #[test]
 fn following_a_board_live_allocates_nothing() {
-    // As large as that of the daemon's threads.
-    let thread = std::thread::Builder::new().stack_size(8 << 20).spawn(follow_a_board_live);
-    thread.expect("a thread").join().expect("no panic");
-}
-
-fn follow_a_board_live() {
     let file = WIDE.read().expect("shipped");
     let segments = segments(SCANS + 4000);
     let mut pipeline = pipeline(&file, STREAM).watched();

@@ -5,7 +5,6 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::{DVec2, DVec3};
-use slitpose_head::boxed::boxed_plan;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, Effects, Pair, Plan, Pose, Scene, SceneError, Tier, rotation_exp};
 
@@ -73,7 +72,7 @@ pub(crate) struct BeyondOptics {
     of: Beyond,
     length_m: f64,
     /// Light of the cell alone, with its weight: the differences that make chip and slit.
-    parts: Vec<(f64, Box<Plan<f64>>)>,
+    parts: Vec<(f64, Plan<f64>)>,
 }
 
 impl BeyondOptics {
@@ -99,7 +98,7 @@ impl BeyondOptics {
         }
         let compile = |(weight, cell): (f64, Cell)| {
             let scene = Scene { cells: [cell].into_iter().collect(), ..Scene::default() };
-            Ok((weight, boxed_plan(&scene, tier)?))
+            Ok((weight, Plan::compile(&scene, tier)?))
         };
         let parts = cells.into_iter().map(compile).collect::<Result<_, SceneError>>()?;
         Ok(Self { of: beyond, length_m: cell.detector.length_m, parts })

@@ -2,7 +2,6 @@
 
 use clap::ValueEnum;
 use slitpose_calibration::{Parameter, draw};
-use slitpose_head::boxed::boxed_plan;
 use slitpose_head::front_end::{Stage, TimingError, configuration};
 use slitpose_head::scene_file::{SceneFile, SceneFileError};
 use slitpose_head::simulator::{Electronics, Light, noisy_reading};
@@ -46,7 +45,7 @@ pub struct DrawnHead {
 /// The light of a drawn head.
 #[derive(Debug)]
 struct Optics {
-    plan: Box<Plan<f64>>,
+    plan: Plan<f64>,
     beyond: Vec<BeyondOptics>,
 }
 
@@ -68,7 +67,7 @@ impl Light for Optics {
 impl Optics {
     fn of(scene: &Scene, beyond: &[Beyond]) -> Result<Self, SceneError> {
         let beyond = scene.cells.iter().zip(beyond).map(|(cell, beyond)| BeyondOptics::of(cell, beyond.clone(), TIER));
-        Ok(Self { plan: boxed_plan(scene, TIER)?, beyond: beyond.collect::<Result<_, _>>()? })
+        Ok(Self { plan: Plan::compile(scene, TIER)?, beyond: beyond.collect::<Result<_, _>>()? })
     }
 }
 
@@ -81,7 +80,7 @@ impl DrawnHead {
         let nominal = &with_tolerance(scene)?;
         let mut chance = Chance::of(seed, 0);
         let (scene, parameters) = draw(nominal, || chance.within_three_sigma())?;
-        let plan = boxed_plan(&scene, TIER)?;
+        let plan = Plan::compile(&scene, TIER)?;
         let mut chance = Chance::of(seed, 1);
         let mut of_cell = |cell| Beyond::draw(nominal, plan.photocurrents(cell, &Pose::HOME).total_a(), &mut chance);
         let beyond: Vec<Beyond> = match within {

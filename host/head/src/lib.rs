@@ -5,7 +5,6 @@
 //! * [`simulator`] is a simulated board;
 //! * [`table`] reads and writes CSV, and writes results;
 //! * [`pace`] holds a stream to a multiple of device time;
-//! * [`boxed`] keeps plans and solvers off the stack;
 //! * [`faults`] injects faults into boards, heads and links;
 //! * [`finding`] states a fault and its remedy;
 //! * [`foreign`] escapes text of others for a terminal;
@@ -53,7 +52,6 @@
 #![forbid(unsafe_code)]
 
 pub mod board_head;
-pub mod boxed;
 pub mod faults;
 pub mod finding;
 pub mod foreign;

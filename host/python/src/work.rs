@@ -14,7 +14,7 @@ use slitpose_head::threads::{limit, on_all_cores};
 
 use crate::error::raised;
 
-/// Solvers and plans are large, and a thread of Python may have half a megabyte.
+/// Scenes are large, and a thread of Python may have half a megabyte.
 const STACK_BYTES: usize = 16 << 20;
 
 /// How long Ctrl-C may go unnoticed.

@@ -259,7 +259,7 @@ fn with_unrecorded(recorder: RecorderReport, boards: &[BoardReport]) -> Recorder
     RecorderReport { bytes_dropped: recorder.bytes_dropped + unrecorded, ..recorder }
 }
 
-/// The stack size of the main thread: a solver takes 100 KB, and is moved during construction.
+/// The stack size of the main thread: scenes and pipelines take tens of kilobytes, and are moved during construction.
 const STACK_BYTES: usize = 8 << 20;
 
 /// A thread with a name.

@@ -101,8 +101,8 @@ impl Exchange {
 /// waits.
 #[derive(Debug)]
 pub(super) struct Search {
-    hasty: Box<Solver<f64>>,
-    thorough: Box<Solver<f64>>,
+    hasty: Solver<f64>,
+    thorough: Solver<f64>,
     exposures_s: Vec<f64>,
     /// Plugs whose emitters are lit together with that of each plug, one bit each.
     together: Vec<u16>,
@@ -133,8 +133,8 @@ impl Search {
         };
         Self {
             together: (0..exposures_s.len()).map(lit_with).collect(),
-            hasty: Box::new(solver.clone().with_max_steps(STEPS)),
-            thorough: Box::new(solver.clone()),
+            hasty: solver.clone().with_max_steps(STEPS),
+            thorough: solver.clone(),
             exposures_s,
             samples: Default::default(),
             kept: 0,

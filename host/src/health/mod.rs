@@ -45,7 +45,7 @@ const SAMPLE_S: f64 = 0.125;
 /// Monitors the cells of one head over one board session.
 #[derive(Debug)]
 pub struct Health {
-    solver: Box<Solver<f64>>,
+    solver: Solver<f64>,
     cells: Vec<Cell>,
     scaling: AdcScaling,
     oversampling: u16,
@@ -89,7 +89,7 @@ impl Health {
     pub fn new(file: &SceneFile, tier: Tier, schedule: &Schedule, scaling: &AdcScaling) -> Result<Self, SceneError> {
         let exposures_s = Stage::new(file, schedule, scaling).exposures_s();
         let scene = Stage::weighted_scene(file, schedule, scaling);
-        let solver = Box::new(Solver::new(&scene, tier)?.with_exposures(&exposures_s));
+        let solver = Solver::new(&scene, tier)?.with_exposures(&exposures_s);
         let time_constant_s = file.front_end.map_or(0.0, |front_end| front_end.time_constant_s);
         let cells: Vec<Cell> = file
             .scene

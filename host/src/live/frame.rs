@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 use slitpose_calibration::Head;
-use slitpose_head::boxed::boxed_plan;
 use slitpose_model::{
     Estimate, Pair, Photocurrents, Plan, Pose, Reading, SceneError, Solution, Status, Tier, TwistEstimate,
 };
@@ -89,7 +88,7 @@ impl From<&Pose> for Place {
 
 /// What frames need to know of a head.
 pub(super) struct Optics {
-    plan: Box<Plan<f64>>,
+    plan: Plan<f64>,
     cells: Vec<Known>,
 }
 
@@ -111,7 +110,7 @@ impl Optics {
             faint_a: cell.detector.faint_a,
             dark_current_a: cell.detector.dark_current_a,
         });
-        Ok(Self { plan: boxed_plan(scene, TIER)?, cells: cells.collect() })
+        Ok(Self { plan: Plan::compile(scene, TIER)?, cells: cells.collect() })
     }
 
     /// The frame of a sample.

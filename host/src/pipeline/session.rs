@@ -32,7 +32,7 @@ pub(super) struct Session {
     head: Head,
     tracker: Tracker<f64>,
     /// Tracks the newest scans while older ones wait.
-    ahead: Option<Box<Tracker<f64>>>,
+    ahead: Option<Tracker<f64>>,
     health: Option<Health>,
     doubt: Doubt,
     /// Number of the head that the board's poses must be of.
@@ -300,10 +300,10 @@ impl Session {
         let ahead = match &mut self.ahead {
             // Starts from the latest pose.
             Some(ahead) if first => {
-                (**ahead).clone_from(&self.tracker);
+                ahead.clone_from(&self.tracker);
                 ahead
             }
-            ahead => ahead.get_or_insert_with(|| Box::new(self.tracker.clone())),
+            ahead => ahead.get_or_insert_with(|| self.tracker.clone()),
         };
         let mut tracked = ahead.track(scan.sequence, &self.photocurrents);
         self.head.complete_tracked(&mut tracked);

@@ -130,17 +130,8 @@ mod tests {
         assert_eq!(late.solution.outcome, in_time.solution.outcome);
     }
 
-    /// Runs `test` on a stack as large as that of the daemon's threads.
-    fn on_a_large_stack(test: fn()) {
-        std::thread::Builder::new().stack_size(8 << 20).spawn(test).unwrap().join().unwrap();
-    }
-
     #[test]
     fn poses_in_turn_do_not_depend_on_scans_solved_ahead() {
-        on_a_large_stack(solve_some_ahead);
-    }
-
-    fn solve_some_ahead() {
         let mut link = SimulatedLink::new();
         let segments: Vec<Segment> = (0..10).map(|token| link.segment(20, token)).collect();
         let mut in_time = link.pipeline().watched();
@@ -196,10 +187,6 @@ mod tests {
 
     #[test]
     fn scans_of_an_earlier_configuration_are_solved_by_it() {
-        on_a_large_stack(solve_across_configurations);
-    }
-
-    fn solve_across_configurations() {
         let (mut first, mut second) = (SimulatedLink::new(), SimulatedLink::new());
         let mut in_time = first.pipeline();
         let mut early = first.segment(20, 0);

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use slitpose_calibration::Head;
-use slitpose_head::boxed::boxed_solver;
 use slitpose_head::threads::lock;
 use slitpose_model::{
     Batch, MotionPrior, Pair, Photocurrents, Reading, Scene, SceneError, Solution, Solver, Starts, Tier,
@@ -50,15 +49,15 @@ impl RowSolver {
             None => {
                 let scene = &self.head.file.scene;
                 let noise = scene.noise.map(|noise| noise.averaged(frames));
-                let mut solver = boxed_solver(&Scene { noise, ..scene.clone() }, self.tier)?;
+                let mut solver = Solver::new(&Scene { noise, ..scene.clone() }, self.tier)?;
                 if self.without_clipped {
-                    *solver = solver.without_clipped();
+                    solver = solver.without_clipped();
                 }
                 let mut solvers = lock(&self.solvers);
                 if solvers.len() >= MOST_SOLVERS {
                     solvers.clear();
                 }
-                Arc::clone(solvers.entry(key).or_insert(Arc::from(solver)))
+                Arc::clone(solvers.entry(key).or_insert(Arc::new(solver)))
             }
         };
         Ok(RowsOf { head: &self.head, solver })

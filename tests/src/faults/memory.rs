@@ -59,7 +59,7 @@ struct Host {
     now_s: f64,
 }
 
-/// Stack of the thread that solves, as in the daemon: scenes and solvers are large.
+/// Stack of the thread that solves, as in the daemon: scenes are large.
 const STACK_BYTES: usize = 8 << 20;
 
 /// What comes of `spec`, or of nothing where that is empty.

@@ -1,7 +1,6 @@
 //! What a single frame says about the pose.
 
 use slitpose_calibration::Head;
-use slitpose_head::boxed::{boxed_plan, boxed_solver};
 use slitpose_model::{
     Estimate, MotionPrior, Outcome, Pair, Photocurrents, Plan, Pose, Reading, Response, SceneError, Solution, Solver,
     Start, Status, Tier,
@@ -28,8 +27,8 @@ pub enum NoiseOf {
 #[derive(Debug)]
 pub struct Outlook {
     head: Head,
-    solver: Box<Solver<f64>>,
-    plan: Box<Plan<f64>>,
+    solver: Solver<f64>,
+    plan: Plan<f64>,
     /// Largest current of an electrode.
     full_scale_a: f64,
     /// Where the noise comes from.
@@ -85,8 +84,8 @@ impl Outlook {
             (None, None) => NoiseOf::Nothing,
         };
         Ok(Self {
-            solver: boxed_solver(&scene, TIER)?,
-            plan: boxed_plan(&scene, TIER)?,
+            solver: Solver::new(&scene, TIER)?,
+            plan: Plan::compile(&scene, TIER)?,
             full_scale_a: head.file.front_end.map_or(f64::INFINITY, |front_end| front_end.full_scale_a),
             noise,
             frame_rate_hz: frame.map(|frame| frame.period_s.recip()),

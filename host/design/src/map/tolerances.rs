@@ -10,7 +10,6 @@ use slitpose_calibration::{
     CalibrateError, Constraint, Data, Knowledge, KnownPoses, PartCosts, PoseRms, Request, Row, calibrate, draw,
     part_costs, uncalibrated,
 };
-use slitpose_head::boxed::{boxed_plan, boxed_solver};
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::simulator::noisy_reading;
 use slitpose_model::{MotionPrior, Photocurrents, Plan, Pose, Solver, Start, Tier};
@@ -45,18 +44,18 @@ impl Tolerances {
         let (scene, _) = frame_scene(file);
         let file = SceneFile { scene, ..file.clone() };
         let costs = part_costs(&file, KNOWN)?;
-        let rough = boxed_solver(&uncalibrated(&file)?, TIER)?;
+        let rough = Solver::new(&uncalibrated(&file)?, TIER)?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut found = Vec::with_capacity(heads);
         for _ in 0..heads {
             progress();
             let (head, _) = draw(&file, || rng.sample(StandardNormal))?;
-            let truth = boxed_plan(&head, TIER)?;
+            let truth = Plan::compile(&head, TIER)?;
             let mut data = Data::default();
             data.add("drawn", Constraint::Known, KNOWN.instrument, measured(&file, &truth, &mut rng));
             let request = Request { file: &file, data: &data, start: None, date: None };
             let calibration = calibrate(&request, &mut |_| ControlFlow::Continue(()))?.calibration;
-            let known = boxed_solver(&calibration.apply(&file)?, TIER)?;
+            let known = Solver::new(&calibration.apply(&file)?, TIER)?;
             found.push([&rough, &known].map(|solver| errors(&file.workspace, &truth, solver)));
         }
         Ok(Self { costs, heads: found, seed })

@@ -6,7 +6,6 @@ use super::Faults;
 use super::kinds::Layer;
 use super::schedule::FaultClock;
 use super::spec::{Effect, Fault};
-use crate::boxed::boxed_plan;
 
 /// Change of an emitter's power, 1/K: the temperature coefficient of GaAlAs emitters (Vishay TSAL6200, −0.6 %/K).
 const EMITTER_PER_K: f64 = -0.006;
@@ -29,7 +28,7 @@ pub struct LightFaults {
 struct LightFault {
     fault: Fault,
     /// The optics with the part that has moved.
-    moved: Option<Box<Plan<f64>>>,
+    moved: Option<Plan<f64>>,
 }
 
 impl LightFaults {
@@ -92,12 +91,10 @@ impl LightFaults {
 }
 
 /// The optics of `scene` with the slit of a cell elsewhere.
-// A scene is as large as a plan.
-#[inline(never)]
-fn moved(scene: &Scene, cell: usize, by_m: f64, tier: Tier) -> Result<Box<Plan<f64>>, SceneError> {
-    let mut scene = Box::new(scene.clone());
+fn moved(scene: &Scene, cell: usize, by_m: f64, tier: Tier) -> Result<Plan<f64>, SceneError> {
+    let mut scene = scene.clone();
     scene.cells[cell].slit.offset_m.x += by_m;
-    boxed_plan(&scene, tier)
+    Plan::compile(&scene, tier)
 }
 
 #[cfg(test)]

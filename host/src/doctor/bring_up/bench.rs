@@ -124,8 +124,7 @@ impl<'a> Bench<'a> {
 
     /// What the scene predicts with the tool at home.
     pub(super) fn expected(&self) -> Result<Expected, BenchError> {
-        // A plan is large for a stack.
-        let optics = |tolerance| Plan::compile(&self.scene.scene, Tier::Exact { tolerance }).map(Box::new);
+        let optics = |tolerance| Plan::compile(&self.scene.scene, Tier::Exact { tolerance });
         let (own, stray) = (optics(OWN_TOLERANCE)?, optics(STRAY_TOLERANCE)?);
         Ok(Expected::of(&own, &stray))
     }

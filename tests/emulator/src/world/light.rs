@@ -39,9 +39,9 @@ struct Knot {
 #[derive(Debug)]
 pub(super) struct Illumination {
     /// For each emitter on its own cell.
-    plan: Box<Plan<f64>>,
+    plan: Plan<f64>,
     /// For each emitter on the other cells.
-    stray: Box<Plan<f64>>,
+    stray: Plan<f64>,
     flaws: Flaws,
     trajectory: Trajectory,
     origin: Ticks,
@@ -59,8 +59,7 @@ impl Illumination {
             Tier::Exact { tolerance } => Tier::Exact { tolerance: tolerance.max(STRAY_TOLERANCE) },
             Tier::Paper => Tier::Paper,
         };
-        // A plan holds room for sixteen cells of any kind: too much for the stack of a thread.
-        let (plan, stray) = (Box::new(Plan::compile(scene, tier)?), Box::new(Plan::compile(scene, stray)?));
+        let (plan, stray) = (Plan::compile(scene, tier)?, Plan::compile(scene, stray)?);
         let dark = [Pair::default(); BOARD_CELLS];
         let nowhere = Knot { at: 0, pose: Pose::HOME, known: 0, by_emitter: [dark; BOARD_CELLS], sum: dark };
         Ok(Self { plan, stray, flaws, trajectory, origin: 0, lit: 0, levels: [0.0; 2], from: nowhere, to: nowhere })
