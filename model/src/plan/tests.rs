@@ -194,6 +194,19 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
     assert!(lit > 100 && clipped > 100 && dark > 100 && divided > 0, "{lit} {clipped} {dark} {divided}");
 }
 
+/// Where the series of a power is too long, lanes would have nothing, and each frame be evaluated twice.
+#[cfg(feature = "batch")]
+#[test]
+fn poses_of_narrow_emitters_have_no_lanes() {
+    for (exponent, in_paper_tier, in_exact_tier) in [(1.3, true, true), (5.0, true, false), (30.0, false, false)] {
+        for (tier, expected) in [(Tier::Paper, in_paper_tier), (EXACT, in_exact_tier)] {
+            let scene = scene(6, |cell| cell.emitter.profile = Profile::Cosine { exponent });
+            let plan = Plan::<f64>::compile(&scene, tier).expect("scene");
+            assert_eq!(plan.has_lanes(), expected, "exponent {exponent}, {tier:?}");
+        }
+    }
+}
+
 #[cfg(feature = "batch")]
 #[test]
 fn cells_of_several_kinds_have_no_wide_lanes() {
