@@ -64,6 +64,7 @@
 
 mod aperture;
 mod effects;
+mod entries;
 mod exact;
 mod identify;
 mod lanes;

@@ -12,6 +12,7 @@ use num_traits::{Float, FloatConst, NumAssignOps};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::entries::Entries;
 use crate::plan::{CellsAtOnce, NoLanes};
 
 #[cfg(feature = "batch")]
@@ -114,7 +115,14 @@ pub trait Real:
 
 /// A real number the optics compute with, and the glam vector that goes with it.
 pub trait Scalar:
-    Real<Element = Self, Vec3: Vector3<Self>> + Default + Float + FloatConst + NumAssignOps + Serialize + DeserializeOwned
+    Real<Element = Self, Vec3: Vector3<Self>>
+    + Entries
+    + Default
+    + Float
+    + FloatConst
+    + NumAssignOps
+    + Serialize
+    + DeserializeOwned
 {
     /// The lanes that a processor evaluates at once: two for `f64`, one for `f32`.
     type Lanes: Real<Element = Self> + Default;

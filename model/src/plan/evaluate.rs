@@ -146,7 +146,7 @@ impl<S: Scalar> Plan<S> {
     }
 }
 
-pub(super) fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
+pub(crate) fn photocurrents<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::photocurrents(plan, cell, imperfect, base_from_tool);
@@ -175,7 +175,7 @@ fn photocurrents_of<S: Scalar>(
 }
 
 #[inline(never)]
-pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
+pub(crate) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::linearise(plan, cell, imperfect, base_from_tool);
@@ -192,7 +192,7 @@ pub(super) fn linearise<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: 
     CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() }
 }
 
-pub(super) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
+pub(crate) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
     let cell = &plan.cells[cell];
     if let Some(imperfect) = plan.imperfect_of(cell) {
         return imperfect::respond(plan, cell, imperfect, base_from_tool);
@@ -256,7 +256,7 @@ pub(super) fn rectangle_solid_angle<S: Scalar>(rectangle: &Rectangle<S>) -> S {
     solid_angle::of_fan(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)
 }
 
-pub(super) fn outline<S: Scalar>(
+pub(crate) fn outline<S: Scalar>(
     plan: &Plan<S>,
     cell: usize,
     base_from_tool: &Transform<S>,
@@ -274,7 +274,7 @@ pub(super) fn outline<S: Scalar>(
     }
 }
 
-pub(super) fn photocurrents_of_emitters<S: Scalar>(
+pub(crate) fn photocurrents_of_emitters<S: Scalar>(
     plan: &Plan<S>,
     cell: usize,
     lit: impl Iterator<Item = (usize, S)>,

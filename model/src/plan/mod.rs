@@ -4,7 +4,7 @@
 mod cells;
 mod compact;
 mod compile;
-mod evaluate;
+pub(crate) mod evaluate;
 mod imperfect;
 mod optics;
 mod pack;
@@ -24,6 +24,7 @@ use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
 use crate::scalar::Scalar;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
+use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
 
 #[cfg(feature = "batch")]
 pub use cells::WideCells;
@@ -156,7 +157,7 @@ impl<S: Scalar> CellTerms<S> {
 }
 
 /// What a solver asks of the optics of a head.
-pub trait Optics<S: Scalar> {
+pub trait Optics<S: Scalar>: Sized {
     /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
     const TELLS_RELIABILITY: bool;
 
@@ -177,6 +178,23 @@ pub trait Optics<S: Scalar> {
     const LOOKS_AGAIN_AFTER: u64;
     /// Whether steps cross the walls of thick masks: see [`CellTerms`].
     const CROSSES_WALLS: bool;
+
+    /// [`Solver::solve`].
+    #[inline(always)]
+    fn solve(
+        solver: &Solver<S, Self>,
+        readings: &Photocurrents<S>,
+        start: Start<'_>,
+        motion: &MotionPrior,
+    ) -> Solution<S> {
+        solver.solve_here(readings, start, motion)
+    }
+
+    /// [`Tracker::track`].
+    #[inline(always)]
+    fn track(tracker: &mut Tracker<S, Self>, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
+        tracker.track_here(frame, readings)
+    }
 
     /// Number of cells.
     fn cell_count(&self) -> usize;
@@ -209,6 +227,11 @@ impl<S: Scalar> Plan<S> {
     /// The first impossible value, with its place in the scene. Values that are possible but
     /// useless (a slit of zero width, an emitter behind the slit) compile; the status shows their effect.
     pub fn compile(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
+        S::compile(scene, tier)
+    }
+
+    #[inline(always)]
+    pub(crate) fn compile_here(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
         let mut plan = Self::empty();
         plan.set_scene(scene, tier)?;
         Ok(plan)
@@ -265,7 +288,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn respond(&self, cell: usize, pose: &Pose) -> Response<S> {
-        evaluate::respond(self, cell, &Transform::of(pose))
+        S::respond(self, cell, pose)
     }
 
     /// The photocurrents of cell `cell` without dark current, amperes: I_X − I_D/2 for each electrode,
@@ -277,7 +300,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn photocurrents(&self, cell: usize, pose: &Pose) -> Pair<S> {
-        evaluate::photocurrents(self, cell, &Transform::of(pose))
+        S::photocurrents(self, cell, pose)
     }
 
     /// The status, the currents of [`Self::photocurrents`], and their analytic derivatives.
@@ -285,8 +308,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn linearise(&self, cell: usize, pose: &Pose) -> (Status, Pair<S>, CurrentsJacobian<S>) {
-        let CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian, .. } =
-            evaluate::linearise(self, cell, &Transform::of(pose));
+        let CellTerms { status, pair: [i_x1_a, i_x2_a], jacobian, .. } = S::linearise(self, cell, pose);
         (status, Pair { i_x1_a, i_x2_a }, jacobian)
     }
 
@@ -296,7 +318,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn spot_outline_m(&self, cell: usize, pose: &Pose) -> Vec<[S; 2], 16> {
-        evaluate::outline(self, cell, &Transform::of(pose))
+        S::spot_outline_m(self, cell, pose)
     }
 
     /// The photocurrents of cell `cell` without dark current, amperes, while the emitters `lit` shine through its slit,
@@ -306,7 +328,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell or emitter.
     pub fn photocurrents_of(&self, cell: usize, lit: impl IntoIterator<Item = (usize, S)>, pose: &Pose) -> Pair<S> {
-        evaluate::photocurrents_of_emitters(self, cell, lit.into_iter(), &Transform::of(pose))
+        S::photocurrents_of(self, cell, &mut lit.into_iter(), pose)
     }
 
     /// [`Self::photocurrents_of`] one emitter at its nominal level.
@@ -337,6 +359,16 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     const DOUBTS_MOTION_FIRST: bool = false;
     const LOOKS_AGAIN_AFTER: u64 = 1;
     const CROSSES_WALLS: bool = false;
+
+    #[inline(always)]
+    fn solve(solver: &Solver<S>, readings: &Photocurrents<S>, start: Start<'_>, motion: &MotionPrior) -> Solution<S> {
+        S::solve(solver, readings, start, motion)
+    }
+
+    #[inline(always)]
+    fn track(tracker: &mut Tracker<S>, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
+        S::track(tracker, frame, readings)
+    }
 
     fn cell_count(&self) -> usize {
         self.cells.len()

@@ -58,8 +58,13 @@ impl<S: Scalar> Solver<S> {
     ///
     /// # Errors
     /// Those of [`Plan::compile`]. The solver is then an empty one.
-    #[inline(never)]
+    #[inline(always)]
     pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+        S::set_scene(self, scene, tier)
+    }
+
+    #[inline(never)]
+    pub(crate) fn set_scene_here(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
         self.compiled.set_scene(scene, tier)?;
         self.compiled.has_images = self.compiled.may_have_images();
         Ok(())
@@ -68,6 +73,11 @@ impl<S: Scalar> Solver<S> {
     /// The directions that the currents of the head leave free at `pose`; `None` if there is none, or if
     /// fewer than three cells see light there.
     pub fn free_directions(&self, pose: &Pose) -> Option<Directions> {
+        S::free_directions(self, pose)
+    }
+
+    #[inline(always)]
+    pub(crate) fn free_directions_here(&self, pose: &Pose) -> Option<Directions> {
         observability::free_directions(&self.compiled.factor_at(pose)?)
     }
 
@@ -75,6 +85,11 @@ impl<S: Scalar> Solver<S> {
     /// of this scene's photocurrents can have, the tool at rest and all cells with light used.
     /// m², m·rad, rad²; `None` where the data leave a direction free.
     pub fn bound(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
+        S::bound(self, pose)
+    }
+
+    #[inline(always)]
+    pub(crate) fn bound_here(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
         observability::covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
     }
 }
@@ -126,6 +141,16 @@ impl<S: Scalar, P: Optics<S>> Solver<S, P> {
 
     /// The pose that explains `readings`, of a tool that moves within the frame as `motion` says.
     pub fn solve(&self, readings: &Photocurrents<S>, start: Start<'_>, motion: &MotionPrior) -> Solution<S> {
+        P::solve(self, readings, start, motion)
+    }
+
+    #[inline(always)]
+    pub(crate) fn solve_here(
+        &self,
+        readings: &Photocurrents<S>,
+        start: Start<'_>,
+        motion: &MotionPrior,
+    ) -> Solution<S> {
         let sorted = Sorted::of(readings, &self.compiled.limits);
         if let Some(solution) = self.compiled.too_few(&sorted) {
             return solution;

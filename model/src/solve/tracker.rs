@@ -211,6 +211,11 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     /// The pose of frame `frame`. Frames are numbered without gaps by the device; across a longer
     /// gap in the numbers the tracker forgets how the tool moved.
     pub fn track(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
+        P::track(self, frame, readings)
+    }
+
+    #[inline(always)]
+    pub(crate) fn track_here(&mut self, frame: u64, readings: &Photocurrents<S>) -> Tracked<S> {
         let mut solution = self.advance(frame, readings);
         let Some(Estimate { covariance, .. }) = &solution.estimate else {
             return Tracked { solution, twist: None, filtered: None };

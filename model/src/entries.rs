@@ -1,0 +1,122 @@
+//! Where other crates enter the generic code.
+//!
+//! A generic function is compiled anew in each crate that calls it, with all that it calls: optics and solver are
+//! most of a megabyte. With the feature `batch`, entries are functions of their own for each number type, which this
+//! crate compiles once for all others. Without it, as for the board, they leave no trace.
+
+use heapless::Vec;
+
+use crate::plan::{CellTerms, Plan, Tier, evaluate};
+use crate::pose::{Pose, Transform};
+use crate::response::{Pair, Response};
+use crate::scalar::Scalar;
+use crate::scene::{Scene, SceneError};
+use crate::solve::{Directions, MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
+
+/// What a number type has to enter by: each function is the method of the same name.
+pub trait Entries: Sized {
+    fn set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError>
+    where
+        Self: Scalar;
+    fn compile(scene: &Scene, tier: Tier) -> Result<Plan<Self>, SceneError>
+    where
+        Self: Scalar;
+    fn respond(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Response<Self>
+    where
+        Self: Scalar;
+    fn photocurrents(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Pair<Self>
+    where
+        Self: Scalar;
+    fn photocurrents_of(
+        plan: &Plan<Self>,
+        cell: usize,
+        lit: &mut dyn Iterator<Item = (usize, Self)>,
+        pose: &Pose,
+    ) -> Pair<Self>
+    where
+        Self: Scalar;
+    fn linearise(plan: &Plan<Self>, cell: usize, pose: &Pose) -> CellTerms<Self>
+    where
+        Self: Scalar;
+    fn spot_outline_m(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16>
+    where
+        Self: Scalar;
+    fn free_directions(solver: &Solver<Self>, pose: &Pose) -> Option<Directions>
+    where
+        Self: Scalar;
+    fn bound(solver: &Solver<Self>, pose: &Pose) -> Option<[[Self; 6]; 6]>
+    where
+        Self: Scalar;
+    fn solve(
+        solver: &Solver<Self>,
+        readings: &Photocurrents<Self>,
+        start: Start<'_>,
+        motion: &MotionPrior,
+    ) -> Solution<Self>
+    where
+        Self: Scalar;
+    fn track(tracker: &mut Tracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Tracked<Self>
+    where
+        Self: Scalar;
+}
+
+macro_rules! entries {
+    ($scalar:ty: $($name:ident($($argument:ident: $of:ty),*) -> $result:ty { $body:expr })*) => {
+        impl Entries for $scalar {
+            $(
+                #[cfg_attr(feature = "batch", inline(never))]
+                #[cfg_attr(not(feature = "batch"), inline(always))]
+                fn $name($($argument: $of),*) -> $result {
+                    $body
+                }
+            )*
+        }
+    };
+}
+
+macro_rules! entries_of {
+    ($($scalar:ty)*) => {
+        $(entries! {
+            $scalar:
+            set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+                solver.set_scene_here(scene, tier)
+            }
+            compile(scene: &Scene, tier: Tier) -> Result<Plan<Self>, SceneError> {
+                Plan::compile_here(scene, tier)
+            }
+            respond(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Response<Self> {
+                evaluate::respond(plan, cell, &Transform::of(pose))
+            }
+            photocurrents(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Pair<Self> {
+                evaluate::photocurrents(plan, cell, &Transform::of(pose))
+            }
+            photocurrents_of(
+                plan: &Plan<Self>, cell: usize, lit: &mut dyn Iterator<Item = (usize, Self)>, pose: &Pose
+            ) -> Pair<Self> {
+                evaluate::photocurrents_of_emitters(plan, cell, lit, &Transform::of(pose))
+            }
+            linearise(plan: &Plan<Self>, cell: usize, pose: &Pose) -> CellTerms<Self> {
+                evaluate::linearise(plan, cell, &Transform::of(pose))
+            }
+            spot_outline_m(plan: &Plan<Self>, cell: usize, pose: &Pose) -> Vec<[Self; 2], 16> {
+                evaluate::outline(plan, cell, &Transform::of(pose))
+            }
+            free_directions(solver: &Solver<Self>, pose: &Pose) -> Option<Directions> {
+                solver.free_directions_here(pose)
+            }
+            bound(solver: &Solver<Self>, pose: &Pose) -> Option<[[Self; 6]; 6]> {
+                solver.bound_here(pose)
+            }
+            solve(
+                solver: &Solver<Self>, readings: &Photocurrents<Self>, start: Start<'_>, motion: &MotionPrior
+            ) -> Solution<Self> {
+                solver.solve_here(readings, start, motion)
+            }
+            track(tracker: &mut Tracker<Self>, frame: u64, readings: &Photocurrents<Self>) -> Tracked<Self> {
+                tracker.track_here(frame, readings)
+            }
+        })*
+    };
+}
+
+entries_of!(f32 f64);
