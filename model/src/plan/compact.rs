@@ -21,7 +21,7 @@ use crate::scene::{Cell, Scene};
 
 use super::imperfect::CompactImperfect;
 use super::optics::{Instant, Light, Place, Receiver, Seen, Source, of_sides};
-use super::{CellTerms, CompiledCell, Optics, Plan};
+use super::{CellTerms, CompiledCell, Near, Optics, Plan};
 
 /// Most cells of a compact plan: what a board has converters for.
 pub const BOARD_CELLS: usize = 6;
@@ -132,10 +132,12 @@ impl<S: Scalar> Optics<S> for CompactPlan<S> {
     const TELLS_RELIABILITY: bool = false;
     // The search would take a board a tenth of a second. Of a head of six cells, five leave four currents to check with.
     const UNIQUE_FROM: usize = 5;
-    // A second evaluation takes half a frame.
-    const NEAR_SIGMAS: f64 = 2.0;
-    // What is left of a frame's work is for another motion, and for the cell that lies.
-    const NEAR_WORK: usize = 3;
+    // A second evaluation takes half a frame. What is left of a frame's work is for another motion, and for the cell that
+    // lies.
+    const NEAR: Near = Near { sigmas: 2.0, work: 3 };
+    // The slower frames follow one another, the farther off is a tool that moves as nobody expects.
+    const NEAR_UNHURRIED: Near = Near { sigmas: 0.8, work: 6 };
+    const UNHURRIED_S: f64 = 450e-6;
     const HAS_SMALL_FRAMES: bool = true;
     // A blow changes the motion of each tool, and there are evaluations for one of both.
     const DOUBTS_MOTION_FIRST: bool = true;

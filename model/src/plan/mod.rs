@@ -156,6 +156,16 @@ impl<S: Scalar> CellTerms<S> {
     }
 }
 
+/// How near to a minimum, and at what cost.
+#[derive(Clone, Copy, Debug)]
+pub struct Near {
+    /// Bound on the distance that may remain, in σ of the pose: tens of times too cautious, so that a part of a tenth of
+    /// that remains.
+    pub(crate) sigmas: f64,
+    /// Evaluations within which it is reached, unless the tool jumped or a cell lies.
+    pub(crate) work: usize,
+}
+
 /// What a solver asks of the optics of a head.
 pub trait Optics<S: Scalar>: Sized {
     /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
@@ -164,11 +174,12 @@ pub trait Optics<S: Scalar>: Sized {
     /// Cells below which mirror images of a pose are searched for on any head, unless the tool was followed to where it is.
     const UNIQUE_FROM: usize;
 
-    /// Bound on the distance to the minimum that may remain where the tool is expected, in σ of the pose: tens of times
-    /// too cautious, so that a part of a tenth of that remains.
-    const NEAR_SIGMAS: f64;
-    /// Evaluations within which a minimum near the expected pose is reached, unless the tool jumped or a cell lies.
-    const NEAR_WORK: usize;
+    /// What is done for a minimum where the tool is expected.
+    const NEAR: Near;
+    /// The same of frames that are [`Self::UNHURRIED_S`] apart or more.
+    const NEAR_UNHURRIED: Near;
+    /// Distance of two frames, seconds, from which on there is time for a second step in each.
+    const UNHURRIED_S: f64;
     /// Whether a frame has so little work that the others of a cell that is left out take more than one.
     const HAS_SMALL_FRAMES: bool;
     /// Whether a frame that contradicts the expected motion is first taken for another motion, and only then for a cell
@@ -353,8 +364,9 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     const TELLS_RELIABILITY: bool = true;
     // With six lit cells no pose but the truth keeps all of them lit, if their planes fix a pose.
     const UNIQUE_FROM: usize = 6;
-    const NEAR_SIGMAS: f64 = 0.8;
-    const NEAR_WORK: usize = 6;
+    const NEAR: Near = Near { sigmas: 0.8, work: 6 };
+    const NEAR_UNHURRIED: Near = Self::NEAR;
+    const UNHURRIED_S: f64 = f64::INFINITY;
     const HAS_SMALL_FRAMES: bool = false;
     const DOUBTS_MOTION_FIRST: bool = false;
     const LOOKS_AGAIN_AFTER: u64 = 1;

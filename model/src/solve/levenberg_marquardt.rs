@@ -266,9 +266,10 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let held_back = workspace.work.saturating_sub(P::NEAR_WORK);
+        let near = if workspace.is_unhurried { P::NEAR_UNHURRIED } else { P::NEAR };
+        let held_back = workspace.work.saturating_sub(near.work);
         workspace.work -= held_back;
-        let stopping = Stopping { tolerance_sigmas: S::of(P::NEAR_SIGMAS), ..Stopping::near() };
+        let stopping = Stopping { tolerance_sigmas: S::of(near.sigmas), ..Stopping::near() };
         let minimum = self.minimise(start, whiteners, stopping, workspace);
         workspace.work += held_back;
         minimum

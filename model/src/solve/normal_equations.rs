@@ -65,6 +65,8 @@ pub(super) struct Workspace<S: Scalar> {
     pub(super) elimination: Option<Elimination<S>>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
     pub(super) work: usize,
+    /// Whether there is time for [`Optics::NEAR_UNHURRIED`].
+    pub(super) is_unhurried: bool,
     /// Evaluations made.
     pub(super) evaluations: usize,
 }
@@ -83,6 +85,7 @@ impl<S: Scalar> Workspace<S> {
     pub(super) fn with_work(work: usize) -> Self {
         Self {
             work,
+            is_unhurried: false,
             evaluations: 0,
             rows: ArrayVec::new(),
             plane_rows: ArrayVec::new(),

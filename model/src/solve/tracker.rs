@@ -291,6 +291,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             return solution;
         }
         let workspace = &mut Workspace::with_work(self.budget.frame);
+        workspace.is_unhurried = self.period_s >= P::UNHURRIED_S;
         let mut solution = match self.motion.predict() {
             Some(expected) => self.follow(&sorted, &expected, workspace),
             None => self.find(&sorted, &unknown_motion::<S>(&self.last_twist), workspace),

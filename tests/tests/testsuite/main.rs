@@ -1,6 +1,7 @@
 //! Tests of the whole chain and of the command, in one program.
 
 mod bad_scenes_and_tables;
+mod board_solver;
 mod bring_up;
 mod calibrate;
 mod calibrate_wrong;

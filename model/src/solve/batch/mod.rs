@@ -153,7 +153,7 @@ impl<'a> Batch<'a> {
                 doubted_chi2: Some(DOUBTED * gate),
             },
             Starts::Near(_) => {
-                let near = <crate::plan::Plan<f64> as Optics<f64>>::NEAR_SIGMAS;
+                let near = <crate::plan::Plan<f64> as Optics<f64>>::NEAR.sigmas;
                 let stopping = Stopping { tolerance_sigmas: near, ..Stopping::near() };
                 Course { is_cold: false, stopping, most_chi2: gate, doubted_chi2: None }
             }
