@@ -152,8 +152,37 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
     }
 
-    /// The minimum near that to which the `step` from `start` leads, where it takes emitters to walls of their masks: those
+    /// The minimum near that to which the `step` from `start` leads, where it takes emitters to walls of their masks: all
     /// cells are linearised anew at its end.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn stepped_again(
+        &self,
+        step: &Step<S>,
+        (start, minimum): (&Transform<S>, Minimum<S>),
+        whiteners: &Whiteners<S>,
+        workspace: &mut Workspace<S>,
+    ) -> Minimum<S> {
+        if !(0..self.readings.len()).any(|index| self.crosses_wall(index, step, start, workspace)) {
+            return minimum;
+        }
+        let at = self.linearise(&minimum.pose, whiteners, workspace);
+        match self.step(&at, S::zero(), workspace) {
+            Some(next) if !next.is_by_qr && next.is_finite() => {
+                self.end_of(&next, self.moved(&minimum.pose, &next.step), &at, minimum.iterations + 1)
+            }
+            _ => minimum,
+        }
+    }
+
+    /// Whether a step takes the emitter of reading `index` to a wall.
+    #[inline(always)]
+    fn crosses_wall(&self, index: usize, step: &Step<S>, start: &Transform<S>, workspace: &Workspace<S>) -> bool {
+        let wall_m = workspace.walls_m.get(index).copied().unwrap_or(S::infinity());
+        wall_m <= self.emitter_moves_m(&step.step, start, &self.readings[index])
+    }
+
+    /// [`Self::stepped_again`], but only the cells at walls are linearised anew, where the motion is known.
     #[cold]
     #[inline(never)]
     pub(super) fn behind_walls(
@@ -163,12 +192,9 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let crosses = |index: usize| {
-            let wall_m = workspace.walls_m.get(index).copied().unwrap_or(S::infinity());
-            wall_m <= self.emitter_moves_m(&step.step, start, &self.readings[index])
-        };
-        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(|&index| crosses(index)).collect();
-        // An unknown motion, or a cell without a spot, leaves larger errors than a wall does.
+        let crosses = |&index: &usize| self.crosses_wall(index, step, start, workspace);
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(crosses).collect();
+        // What the other cells say of a motion that is not known, and of a cell without a spot, would have to be found anew.
         if crossing.is_empty() || workspace.elimination.is_some() || !workspace.plane_rows.is_empty() {
             return minimum;
         }

@@ -146,7 +146,11 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         {
             let end = self.end_of(step, self.moved(&start, &step.step), &at, 1);
             if P::CROSSES_WALLS && self.may_cross_wall(step, workspace) {
-                return self.behind_walls(step, (&start, end), whiteners, workspace);
+                return if workspace.is_unhurried {
+                    self.stepped_again(step, (&start, end), whiteners, workspace)
+                } else {
+                    self.behind_walls(step, (&start, end), whiteners, workspace)
+                };
             }
             return end;
         }
