@@ -16,7 +16,7 @@ use slitpose_protocol::poses::{PoseRecord, PoseStatus, READY_TICKS};
 use slitpose_protocol::{Command, Configuration, HeadPart, Level, RawScan, Schedule, Stream};
 
 /// Frames a second that a board follows a calibrated head with.
-const CALIBRATED_HZ: u64 = 3_300;
+const CALIBRATED_HZ: u64 = 3_200;
 
 /// Mean of χ² of six degrees of freedom, and half its variance.
 const DEGREES: f64 = 6.0;
