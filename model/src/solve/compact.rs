@@ -21,8 +21,8 @@ use super::weights::CellNoise;
 /// Relative error of the currents that is always counted with: a fiftieth of what noise does to them in a frame at 4 kHz.
 const TOLERANCE: f64 = 2e-5;
 
-/// The most that the rule may err by: of thin masks whose slits are turned by a degree, as a calibration may find them, it
-/// is somewhat above [`TOLERANCE`]. What it is counts with the noise.
+/// The largest relative error with which a head is accepted. Thin masks whose slits are turned by a degree, as a
+/// calibration may find them, exceed [`TOLERANCE`] by a little; the error then counts as noise.
 const MOST_ERROR: f64 = 5e-5;
 
 /// Of the currents that it is measured by.
@@ -87,7 +87,7 @@ pub struct CompactPart<S: Scalar> {
 
 impl<S: Scalar> Solver<S, CompactPlan<S>> {
     /// A solver for `scene` in the exact tier, with one short rule for the light of all spots, whose currents are right to
-    /// 5·10⁻⁵ at poses spread over 4 mm and 17° about home, which σ tells. For cells exposed at the reference instant.
+    /// 5·10⁻⁵ at poses spread over 4 mm and 17° about home; σ includes that error. For cells exposed at the reference instant.
     ///
     /// # Errors
     /// If the scene is impossible, has more than [`BOARD_CELLS`] cells, or a cell that is not a slit in a thin mask, parallel to
@@ -285,7 +285,7 @@ mod tests {
         assert!(error < 1e-5, "{error:e}");
     }
 
-    /// Wider spots, or slits that are turned a little farther, are no reason to refuse a head, and σ tells what they cost.
+    /// A head whose currents err a little more than usual is accepted, and its σ includes the error.
     #[test]
     fn a_rule_that_errs_a_little_more_counts_with_the_noise() {
         let turned = |degrees: f64| {

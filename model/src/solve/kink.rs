@@ -167,9 +167,16 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             return minimum;
         }
         let at = self.linearise(&minimum.pose, whiteners, workspace);
-        match self.step(&at, S::zero(), workspace) {
+        self.one_step_on(&at, minimum, workspace)
+    }
+
+    /// One more step from `minimum`, where the normal equations are `at`.
+    #[cold]
+    #[inline(never)]
+    fn one_step_on(&self, at: &NormalEquations<S>, minimum: Minimum<S>, workspace: &mut Workspace<S>) -> Minimum<S> {
+        match self.step(at, S::zero(), workspace) {
             Some(next) if !next.is_by_qr && next.is_finite() => {
-                self.end_of(&next, self.moved(&minimum.pose, &next.step), &at, minimum.iterations + 1)
+                self.end_of(&next, self.moved(&minimum.pose, &next.step), at, minimum.iterations + 1)
             }
             _ => minimum,
         }
@@ -221,11 +228,6 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         mirror(&mut information);
         let sums = self.residual_sums(workspace);
         let at = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        match self.step(&at, S::zero(), workspace) {
-            Some(next) if !next.is_by_qr && next.is_finite() => {
-                self.end_of(&next, self.moved(&minimum.pose, &next.step), &at, minimum.iterations + 1)
-            }
-            _ => minimum,
-        }
+        self.one_step_on(&at, minimum, workspace)
     }
 }

@@ -31,8 +31,8 @@ struct Difference {
 }
 
 impl Difference {
-    /// Of a head over `seconds` at `frame_rate_hz`, the host's tracker taking what is known of the motion within a frame as exact
-    /// once it is uncertain by less than `neglected` σ.
+    /// Of a head over `seconds` at `frame_rate_hz`. The host's tracker takes the motion within a frame as exact once it is
+    /// uncertain by less than `neglected` σ.
     fn of(mut file: SceneFile, frame_rate_hz: f64, seconds: f64, neglected: f64) -> Self {
         file.front_end.as_mut().expect("a front end").frame_rate_hz = frame_rate_hz;
         let trajectory = Trajectory::of_kind(TrajectoryKind::Smooth, SEED, seconds);
@@ -135,7 +135,7 @@ fn where_motion_is_hardly_foreseen_a_board_may_know_less_of_it_but_lacks_no_pose
     assert!(own.apart < 750 && own.rms() < 0.1, "{} {}", own.apart, own.rms());
 }
 
-/// Emitters are at a wall of their thick masks in each fifth frame, where derivatives jump: there is time to look again.
+/// In one frame of twelve an emitter is at a wall of its thick mask, where derivatives jump: there is time for a second step.
 #[test]
 fn at_2_khz_a_calibrated_board_has_the_poses_of_a_host() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/data/heads/calibrated_1.toml");
