@@ -219,11 +219,11 @@ pub trait Vector3<S>: Linear3<S> + Default + PartialEq + Serialize + Deserialize
 
 /// 1/√x without a call: a core with single precision in hardware takes 20 cycles for this, 80 for the
 /// library's root and a division. The first guess halves the exponent (Lomont 2003) and is right to
-/// five bits; each Newton step doubles their number.
+/// five bits; each Newton step doubles their number. Below zero, where there is no root, it is any number.
 #[inline(always)]
 fn single_inverse_root(x: f32) -> f32 {
     let half = 0.5 * x;
-    let mut y = f32::from_bits(0x5f37_59df - (x.to_bits() >> 1));
+    let mut y = f32::from_bits(0x5f37_59df_u32.wrapping_sub(x.to_bits() >> 1));
     y = y * (1.5 - half * y * y);
     y = y * (1.5 - half * y * y);
     // The last step as a small correction, which keeps its rounding small.

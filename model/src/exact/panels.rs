@@ -40,6 +40,8 @@ const MAX_PARTS: usize = 2 * MAX_CORNERS;
 struct Rule<'a, S> {
     along_s: Nodes<'a, S>,
     along_t: Vec<(S, S), MAX_ALONG_T>,
+    /// Whether that begins at the horizon.
+    is_from_horizon: bool,
     series: Option<Series<S>>,
 }
 
@@ -267,8 +269,10 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         let along = [(reach_s, horizon_s, by_s), (reach_t, horizon_t, by_t)];
         let (nodes, series) = self.foreseen(corners, along.into_iter())?;
         let (along_s, along_t) = of_slab(&nodes);
+        let is_from_horizon = from_horizon.is_some();
         Some(Rule {
             along_s: self.rules.get(along_s),
+            is_from_horizon,
             along_t: from_horizon.unwrap_or_else(|| self.rules.get(along_t)).collect(),
             series,
         })
@@ -283,7 +287,8 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
             return None;
         }
         let horizon = t0 - low * (t1 - t0) / (high - low);
-        let mut rule = self.plain_rule(slab, &Panel { t: [horizon, t1], ..*panel })?;
+        let whole = self.plain_rule(slab, &Panel { t: [horizon, t1], ..*panel });
+        let mut rule = whole.filter(|rule| rule.is_from_horizon)?;
         // Where the panel's own range is −1…1.
         let of_panel = |end: S, sign: S| {
             let share = (end - horizon) / (t1 - t0);
@@ -298,7 +303,8 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
 
     /// The rule of [`Self::sample`].
     fn sampling(&self) -> Rule<'_, S> {
-        Rule { along_s: self.rules.get(ESTIMATED), along_t: self.rules.get(ESTIMATED).collect(), series: None }
+        let (along_s, along_t) = (self.rules.get(ESTIMATED), self.rules.get(ESTIMATED));
+        Rule { along_s, along_t: along_t.collect(), is_from_horizon: false, series: None }
     }
 
     /// Integrates over a panel and estimates the error, or bounds its power if it is too wide for that.
