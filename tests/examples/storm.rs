@@ -1,5 +1,5 @@
-//! The daemon with several faulty boards, suspended, killed, and without a disk, at random: a table on stdout, exit code 1
-//! if anything was lost silently, grew, or did not come back.
+//! The daemon with several faulty boards, suspended, killed, without a disk, and its wall clock set, at random: a table on
+//! stdout, exit code 1 if anything was lost silently, grew, or did not come back.
 //!
 //! ```text
 //! cargo build --release -p slitpose
@@ -20,7 +20,7 @@ use slitpose_tests::process::Slitpose;
 use slitpose_tests::verdicts::Verdicts;
 
 #[derive(Parser)]
-#[command(about = "Faulty boards, and a daemon that is suspended, killed, and without a disk")]
+#[command(about = "Faulty boards, and a daemon that is suspended, killed, without a disk, and whose clock is set")]
 struct Options {
     /// Boards, simulated, each at 4 kHz
     #[arg(long, default_value_t = 4)]

@@ -17,13 +17,6 @@
 //! lobe, ln cosⁿγ ≈ λξ − κξ²/2 along the interval. On the ellipse ρ it grows by exp(λρ/2) and exp(κρ²/8);
 //! at the best ρ, 4N/λ or √(8N/κ), N nodes err by (eλ/4N)²ᴺ or (eκ/8N)ᴺ, together at most by
 //! ((λ² + 2Nκ/e)·(e/4N)²)ᴺ. Emitter and horizon must lie outside that ellipse.
-//!
-//! An interval that begins at the horizon, t = 0, has an integrand tⁿ·g(t), and derivatives tⁿ⁻¹·g(t), with g analytic
-//! except at the emitter. The Gauss–Jacobi rule of weight tⁿ⁻¹ ([`Orders::from_horizon`]) integrates both as Gauss–Legendre
-//! does a spot far from the horizon.
-
-use core::iter::{Copied, Zip};
-use core::slice::Iter;
 
 #[cfg(feature = "batch")]
 use arrayvec::ArrayVec;
@@ -32,14 +25,8 @@ use arrayvec::ArrayVec;
 use crate::scalar::Real;
 use crate::scalar::Scalar;
 
-/// Nodes and weights of a rule, on −1…1.
-pub(crate) type Nodes<'a, S> = Zip<Copied<Iter<'a, S>>, Copied<Iter<'a, S>>>;
-
 /// Most nodes of a rule; spots that need more are divided.
 pub(crate) const MAX_NODES: usize = 12;
-
-/// Nodes of the rule for intervals that begin at the horizon.
-pub(crate) const HORIZON_NODES: usize = 8;
 
 /// Above this exponent the lobe, not emitter and horizon, decides the number of nodes.
 const NARROW_LOBE: f64 = 4.0;
@@ -71,9 +58,6 @@ pub(crate) struct Orders<S> {
     faded: S,
     exponent: S,
     tolerance: S,
-    /// Nodes and weights of the rule for an interval that begins at the horizon; `None` if light there has no power of its
-    /// own: profiles of constant or of narrow light.
-    from_horizon: Option<[[S; HORIZON_NODES]; 2]>,
 }
 
 /// 2/e.
@@ -104,17 +88,7 @@ impl<S: Scalar> Orders<S> {
             faded: S::of(if narrow { libm::pow(FADED_SHARE * tolerance, exponent.recip()) } else { 1.0 }),
             exponent: S::of(exponent),
             tolerance: S::of(tolerance),
-            from_horizon: (exponent > 0.0 && !narrow).then(|| rule_from_horizon(exponent)),
         }
-    }
-
-    /// The rule for an interval that begins at the horizon, at its end −1, with this reach to the emitter; `None` if it errs
-    /// too much. Its integrand may grow like the interval's width: half a node is for that, and half for the power of t that
-    /// the weight lacks.
-    #[inline(always)]
-    pub(crate) fn from_horizon(&self, emitter: S) -> Option<Nodes<'_, S>> {
-        let [nodes, weights] = self.from_horizon.as_ref()?;
-        (emitter >= self.emitter[HORIZON_NODES - 2]).then(|| nodes.iter().copied().zip(weights.iter().copied()))
     }
 
     /// Number of nodes for a narrow lobe along an interval that subtends 2/`reach` radians, at an angle γ to the axis
@@ -305,7 +279,7 @@ impl<S: Scalar> Rules<S> {
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].
     #[inline(always)]
-    pub(crate) fn get(&self, count: usize) -> Nodes<'_, S> {
+    pub(crate) fn get(&self, count: usize) -> impl Iterator<Item = (S, S)> + Clone {
         let nodes = &self.nodes[count - 1][..count];
         let weights = &self.weights[count - 1][..count];
         nodes.iter().copied().zip(weights.iter().copied())
@@ -336,43 +310,6 @@ fn legendre(n: usize, x: f64) -> [f64; 2] {
     [before, value]
 }
 
-/// The Gauss–Jacobi rule of weight (1+x)^β, β = `exponent` − 1, for integrands with that factor: its weights are divided by
-/// it, 2^(β+1)/((1−x²)·P'(x)²·(1+x)^β) (Abramowitz and Stegun 25.4.33). The roots are found like those of [`legendre_root`].
-fn rule_from_horizon<S: Scalar>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
-    let beta = exponent - 1.0;
-    let count = HORIZON_NODES as f64;
-    let mut rule = [[S::zero(); HORIZON_NODES]; 2];
-    for i in 0..HORIZON_NODES {
-        let estimate = (i as f64 + 0.75 + 0.5 * beta) / (count + 0.5 * (beta + 1.0));
-        let mut x = -libm::cos(core::f64::consts::PI * estimate);
-        let mut slope = 0.0;
-        for _ in 0..9 {
-            let [value, derivative] = jacobi(HORIZON_NODES, beta, x);
-            slope = derivative;
-            x -= value / derivative;
-        }
-        rule[0][i] = S::of(x);
-        rule[1][i] = S::of(2.0 / ((1.0 - x * x) * slope * slope) * libm::pow(2.0 / (1.0 + x), beta));
-    }
-    rule
-}
-
-/// P_n^(0,β) and its derivative at x, n ≥ 2, by the recursion of Abramowitz and Stegun 22.7.1 and 22.8.1.
-fn jacobi(n: usize, beta: f64, x: f64) -> [f64; 2] {
-    let (mut before, mut value) = (1.0, 1.0 + 0.5 * (beta + 2.0) * (x - 1.0));
-    for k in 2..=n {
-        let k = k as f64;
-        let a = 2.0 * k + beta;
-        let next =
-            (a - 1.0) * (a * (a - 2.0) * x - beta * beta) * value - 2.0 * (k - 1.0) * (k + beta - 1.0) * a * before;
-        (before, value) = (value, next / (2.0 * k * (k + beta) * (a - 2.0)));
-    }
-    let n = n as f64;
-    let a = 2.0 * n + beta;
-    let slope = n * (2.0 * (n + beta) * before - (beta + a * x) * value) / (a * (1.0 - x * x));
-    [value, slope]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -385,20 +322,6 @@ mod tests {
                 let sum: f64 = rules.get(count).map(|(x, w)| w * x.powi(degree as i32)).sum();
                 let exact = if degree % 2 == 0 { 2.0 / (degree as f64 + 1.0) } else { 0.0 };
                 assert!((sum - exact).abs() < 4e-15, "{count} nodes, degree {degree}: {sum}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_rule_from_the_horizon_integrates_powers_times_polynomials_exactly() {
-        for exponent in [0.05, 0.5, 1.0, 1.247, 2.5, 4.0] {
-            let [nodes, weights] = rule_from_horizon::<f64>(exponent);
-            assert!(nodes.is_sorted_by(|a, b| a < b) && nodes[0] > -1.0 && nodes[HORIZON_NODES - 1] < 1.0);
-            for degree in 0..2 * HORIZON_NODES {
-                let power = exponent - 1.0 + degree as f64;
-                let sum: f64 = nodes.iter().zip(weights).map(|(x, w)| w * (1.0 + x).powf(power)).sum();
-                let exact = 2.0_f64.powf(power + 1.0) / (power + 1.0);
-                assert!((sum / exact - 1.0).abs() < 2e-13, "{exponent}, degree {degree}: {sum} for {exact}");
             }
         }
     }

@@ -33,7 +33,8 @@ fn main() -> Result<(), Failure> {
     wire()?;
     files()?;
     captures()?;
-    network()
+    network()?;
+    usb()
 }
 
 fn folder(target: &str) -> PathBuf {
@@ -216,4 +217,40 @@ fn network() -> Result<(), Failure> {
         write("http", name, text)?;
     }
     Ok(())
+}
+
+/// What a host asks a serial port for, in order, and what it does besides.
+fn usb() -> Result<(), Failure> {
+    let transfer = |request: [u8; 8], data: &[u8]| [&[7, 8 + data.len() as u8], &request[..], data].concat();
+    let read = |kind: u8, index: u8, length: u8| transfer([0x80, 6, index, kind, 0, 0, length, 0], &[]);
+    // USB 2.0, 9.4; CDC PSTN 1.2, 6.3.
+    let steps: [(&str, Vec<u8>); 14] = [
+        ("device", read(1, 0, 64)),
+        ("address", transfer([0, 5, 9, 0, 0, 0, 0, 0], &[])),
+        ("configuration", read(2, 0, 255)),
+        ("string", read(3, 1, 255)),
+        ("qualifier", read(6, 0, 10)),
+        ("configure", transfer([0, 9, 1, 0, 0, 0, 0, 0], &[])),
+        ("status", transfer([0x80, 0, 0, 0, 0, 0, 2, 0], &[])),
+        ("halt", transfer([2, 3, 0, 0, 0x81, 0, 0, 0], &[])),
+        ("clear_halt", transfer([2, 1, 0, 0, 0x81, 0, 0, 0], &[])),
+        ("line_coding", transfer([0x21, 0x20, 0, 0, 0, 0, 7, 0], &[0, 0xc2, 1, 0, 0, 0, 8])),
+        ("read_line_coding", transfer([0xa1, 0x21, 0, 0, 0, 0, 7, 0], &[])),
+        ("open", transfer([0x21, 0x22, 3, 0, 0, 0, 0, 0], &[])),
+        ("interface", transfer([1, 11, 0, 0, 1, 0, 0, 0], &[])),
+        ("traffic", vec![2, 9, 1, 0, 1, 2, 3, 4, 5, 6, 7, 2, 3, 0x11, 8, 0, 1, 1, 1, 1, 1, 0x12, 1, 1, 3]),
+    ];
+    for (name, step) in &steps {
+        write("usb", name, step)?;
+    }
+    let whole: Vec<u8> = steps.into_iter().flat_map(|(_, step)| step).collect();
+    write("usb", "whole", [&whole[..], &[3, 1, 200]].concat())?;
+    write("usb", "reset", [&whole[..], &[4, 0], &whole[..30]].concat())?;
+    write("usb", "suspension", [&whole[..], &[5, 1, 150, 3, 1, 64], &whole[..30]].concat())?;
+    // A request that is broken off by the next one, and data that nobody asked for.
+    write(
+        "usb",
+        "broken_off",
+        [0, 8, 0x80, 6, 0, 1, 0, 0, 64, 0, 0, 8, 0x80, 6, 0, 2, 0, 0, 255, 0, 1, 1, 0, 2, 3, 0x10, 1, 2],
+    )
 }

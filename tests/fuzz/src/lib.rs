@@ -17,6 +17,8 @@ mod pipeline;
 mod precision;
 #[cfg(feature = "host")]
 mod settings;
+#[cfg(feature = "host")]
+mod usb;
 mod wire;
 
 /// A function of bytes from strangers.
@@ -53,6 +55,8 @@ pub const TARGETS: &[Target] = &[
     Target { name: "pipeline", smoke: 100, run: pipeline::hostile_board },
     Target { name: "scene", smoke: 300, run: files::scene },
     Target { name: "table", smoke: 1000, run: files::table },
+    #[cfg(feature = "host")]
+    Target { name: "usb", smoke: 100, run: usb::hostile_host },
 ];
 
 /// Runs the target of this name.

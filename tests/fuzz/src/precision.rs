@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 use slitpose_firmware::pcb::{default_configuration, default_scaling};
-use slitpose_firmware::pose::{HEAD_BYTES, PoseSolver};
+use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
 use slitpose_head::board_head;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
@@ -54,9 +54,21 @@ pub(crate) fn single_and_double_agree(bytes: &[u8]) {
 pub(crate) fn board_and_host_agree(bytes: &[u8]) {
     static LIGHT: LazyLock<Plan<f64>> =
         LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped"));
+    static STAGE: LazyLock<Stage> =
+        LazyLock::new(|| Stage::new(&FILE, &default_configuration().schedule, &default_scaling()));
+    static HEAD: LazyLock<Head> = LazyLock::new(|| {
+        let (schedule, scaling) = (default_configuration().schedule, default_scaling());
+        board_head::compile(&FILE, &schedule, &scaling, Hashes::default()).expect("slits and cosines")
+    });
+    static HOST: LazyLock<Tracker<f64>> = LazyLock::new(|| {
+        let (schedule, scaling) = (default_configuration().schedule, default_scaling());
+        let scene = Stage::weighted_scene(&FILE, &schedule, &scaling);
+        let solver = Solver::new(&scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped");
+        let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
+        Tracker::new(solver.with_exposures(&STAGE.exposures_s()), period_s)
+    });
     let Some(pose) = pose(bytes) else { return };
     let (schedule, scaling) = (default_configuration().schedule, default_scaling());
-    let stage = Stage::new(&FILE, &schedule, &scaling);
     let mut scan = RawScan::new(schedule.cells.into(), schedule.dark_slot().is_some());
     scan.levels_mut().fill(Level::NOMINAL);
     // A little above the words of no light: ambient light.
@@ -64,24 +76,19 @@ pub(crate) fn board_and_host_agree(bytes: &[u8]) {
     if let Some(dark) = scan.dark_mut() {
         dark.fill([dark_word as u16; 2]);
     }
-    let head = board_head::compile(&FILE, &schedule, &scaling, Hashes::default()).expect("slits and cosines");
     let noise = |at: usize| bytes.get(12 + at).map_or(0.0, |&byte| f64::from(byte as i8) / 64.0);
     for (cell, words) in scan.lit_mut().iter_mut().enumerate() {
         let pair = LIGHT.photocurrents(cell, &pose);
-        let amperes_per_word = f64::from(head.readout.stages[cell].amperes_per_word);
+        let amperes_per_word = f64::from(HEAD.readout.stages[cell].amperes_per_word);
         let word = |current: f64, at: usize| (dark_word + current / amperes_per_word + noise(at)).round() as u16;
         *words = [word(pair.i_x1_a, 2 * cell), word(pair.i_x2_a, 2 * cell + 1)];
     }
 
     let mut board = PoseSolver::default();
-    board.load(head.encode(&mut [0; HEAD_BYTES]).expect("room")).expect("whole");
+    board.load(HEAD.encode(&mut [0; HEAD_BYTES]).expect("room")).expect("whole");
     board.begin(&schedule);
     let solved = board.solve(&scan).expect("its schedule");
-    let scene = Stage::weighted_scene(&FILE, &schedule, &scaling);
-    let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped");
-    let solver = solver.with_exposures(&stage.exposures_s());
-    let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
-    let host = Tracker::new(solver, period_s).track(scan.sequence, &stage.photocurrents(&scan)).solution;
+    let host = HOST.clone().track(scan.sequence, &STAGE.photocurrents(&scan)).solution;
     let are_sure = solved.record.status == PoseStatus::Converged && host.outcome == Outcome::Converged;
     let Some(estimate) = host.estimate.as_ref().filter(|_| are_sure) else { return };
     let found = DVec3::from_array(solved.record.translation_m.map(f64::from));

@@ -98,5 +98,5 @@ macro_rules! targets {
 }
 
 targets! {
-    board board_pose calibration capture configuration datagram decoder head http optics page pipeline scene table
+    board board_pose calibration capture configuration datagram decoder head http optics page pipeline scene table usb
 }

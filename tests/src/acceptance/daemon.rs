@@ -14,6 +14,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use super::usage::Usage;
+use super::wall_clock::WallClock;
 use crate::process::Slitpose;
 
 /// A busy machine may take long to start a program.
@@ -49,8 +50,23 @@ impl Daemon {
         arguments: impl IntoIterator<Item = A>,
         stdout: Stdio,
     ) -> Self {
+        Self::start_by(None, slitpose, folder, arguments, stdout)
+    }
+
+    /// The same by a wall clock of its own.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start_by<A: AsRef<OsStr>>(
+        clock: Option<&WallClock>,
+        slitpose: Slitpose,
+        folder: TempDir,
+        arguments: impl IntoIterator<Item = A>,
+        stdout: Stdio,
+    ) -> Self {
         let status = format!("unix:{}", folder.path().join("status").display());
         let mut command = slitpose.command(["run", "--status", &status]);
+        command.envs(clock.map(WallClock::environment).into_iter().flatten());
         let mut child = command.args(arguments).stdout(stdout).spawn().expect("slitpose starts");
         let mut talk = child.stderr.take().expect("piped");
         // Read all the time, or a daemon that has much to say would wait.

@@ -1,5 +1,5 @@
-//! A soak in bad weather: boards whose link and light fail by schedule, and a daemon that is suspended, killed, and left
-//! without a disk or with one that stands still, at random. Nothing may be lost silently, and nothing may grow.
+//! A soak in bad weather: boards whose link and light fail by schedule, and a daemon that is suspended, killed, left
+//! without a disk or with one that stands still, and whose wall clock is set, at random. Nothing may be lost silently, and nothing may grow.
 
 use std::fmt;
 use std::ops::Range;
@@ -19,6 +19,7 @@ use super::daemon::{Daemon, Ended, boards, name_in, scans};
 use super::scan_table::{self, Scans};
 use super::subscriber::Subscriber;
 use super::usage::Usage;
+use super::wall_clock::WallClock;
 use crate::process::Slitpose;
 use crate::verdicts::Verdicts;
 
@@ -55,7 +56,16 @@ pub enum Blow {
     DiskFull,
     /// The disk takes nothing for some time.
     DiskStandsStill,
+    /// Its wall clock is set, by up to an hour ahead or back.
+    ClockSet,
 }
+
+impl Blow {
+    const ALL: [Self; 5] = [Self::Suspended, Self::Killed, Self::DiskFull, Self::DiskStandsStill, Self::ClockSet];
+}
+
+/// Most by which the wall clock is off, seconds.
+const MOST_AHEAD_S: f64 = 3600.0;
 
 /// How the soak is made.
 #[derive(Clone, Debug)]
@@ -145,10 +155,11 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
     };
     let mut counting: Vec<JoinHandle<Captured>> = Vec::new();
     let mut life = 0;
-    let mut daemon = start(slitpose, conditions, life);
+    let clock = WallClock::make();
+    let mut daemon = start(slitpose, conditions, life, &clock);
     let mut client = Subscriber::start(daemon.folder().join("publish"));
-    let mut blows = vec![Blow::Suspended, Blow::Killed, Blow::DiskFull];
-    blows.extend(conditions.disk.is_some().then_some(Blow::DiskStandsStill));
+    let mut blows = Blow::ALL.to_vec();
+    blows.retain(|blow| conditions.disk.is_some() || *blow != Blow::DiskStandsStill);
     let pause = |rng: &mut ChaCha8Rng| Duration::from_secs_f64(rng.random_range(conditions.pause_s.clone()));
     let mut next = pause(&mut rng);
     while begun.elapsed() < conditions.duration || report.struck.len() < conditions.least_blows {
@@ -167,11 +178,14 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
                     report.datagrams += client.end();
                     counting.push(count(slitpose, daemon.end_by(Signal::SIGKILL), true));
                     life += 1;
-                    daemon = start(slitpose, conditions, life);
+                    daemon = start(slitpose, conditions, life, &clock);
                     client = Subscriber::start(daemon.folder().join("publish"));
                 }
                 Blow::DiskFull => daemon.limit_files(),
                 Blow::DiskStandsStill => stand_still(conditions, lasts),
+                Blow::ClockSet => {
+                    clock.set_ahead((rng.random_range(-MOST_AHEAD_S..MOST_AHEAD_S) * 1e9) as i64);
+                }
             }
             let since = Instant::now();
             let recovered_s = recovers(&daemon).then(|| since.elapsed().as_secs_f64());
@@ -188,7 +202,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
     report
 }
 
-fn start(slitpose: Slitpose, conditions: &Conditions, life: usize) -> Daemon {
+fn start(slitpose: Slitpose, conditions: &Conditions, life: usize, clock: &WallClock) -> Daemon {
     let folder = match &conditions.disk {
         Some(disk) => tempfile::tempdir_in(disk),
         None => tempfile::tempdir(),
@@ -203,7 +217,7 @@ fn start(slitpose: Slitpose, conditions: &Conditions, life: usize) -> Daemon {
         arguments.extend(["--fault".to_owned(), format!("{fault},seed={}", conditions.seed + life as u64)]);
     }
     arguments.extend(conditions.live.iter().flat_map(|live| ["--live".to_owned(), live.clone()]));
-    let daemon = Daemon::start(slitpose, folder, &arguments, Stdio::null());
+    let daemon = Daemon::start_by(Some(clock), slitpose, folder, &arguments, Stdio::null());
     daemon
         .status_when(|status| scans(status).len() == conditions.boards && scans(status).iter().all(|scans| *scans > 0));
     daemon
@@ -325,7 +339,7 @@ impl Report {
     }
 
     /// Memory, threads and descriptors, latency of the worst board, and what waits, over time, with a letter for each blow:
-    /// suspended, killed, disk full (F), disk that stands still.
+    /// suspended, killed, disk full (F), disk that stands still, clock set.
     pub fn picture(&self) -> String {
         let curve = |name: &str, of: fn(&Sample) -> f64| {
             (name.to_owned(), self.samples.iter().map(|sample| [sample.elapsed_s, of(sample)]).collect())
@@ -365,6 +379,7 @@ impl Report {
                     Blow::Killed => "K",
                     Blow::DiskFull => "F",
                     Blow::DiskStandsStill => "D",
+                    Blow::ClockSet => "C",
                 };
                 (struck.at_s, word.to_owned())
             })
@@ -402,7 +417,7 @@ impl fmt::Display for Report {
         let Conditions { boards, duration, seed, .. } = &self.conditions;
         writeln!(f, "{boards} boards at 4 kHz with {} faults, for {duration:?}, seed {seed}", FAULTS.len())?;
         writeln!(f, "  {:<18}{:>8}{:>16}{:>12}", "blow", "times", "back, median s", "most s")?;
-        for blow in [Blow::Suspended, Blow::Killed, Blow::DiskFull, Blow::DiskStandsStill] {
+        for blow in Blow::ALL {
             let mut back: Vec<f64> =
                 self.struck.iter().filter(|struck| struck.blow == blow).filter_map(|it| it.recovered_s).collect();
             back.sort_by(f64::total_cmp);

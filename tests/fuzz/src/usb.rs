@@ -1,0 +1,222 @@
+//! The board's image behind a USB port whose host is hostile.
+
+use std::sync::LazyLock;
+
+use slitpose_emulator::image::Image;
+use slitpose_emulator::machine::Stop;
+use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::rig::{Rig, open_image};
+use slitpose_emulator::silicon::Silicon;
+use slitpose_emulator::usb_wire::{
+    BusSignal, FRAME_TICKS, FullSpeedDevice, Handshake, InAnswer, MAX_PACKET_BYTES, OutPacket, data_ticks,
+};
+use slitpose_emulator::world::World;
+use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
+
+use crate::framing::steps;
+
+/// Most steps of a script: a third of a second of the board's time.
+const MAX_STEPS: usize = 64;
+
+/// Until a host of good will hears a hello: debouncing, reset and recovery take 160 ms (USB 2.0, 7.1.7), requests and the
+/// board's answers the rest.
+const RECOVERED: Ticks = TICKS_PER_SECOND / 2;
+
+/// Packets that the data stage of one transfer takes at most.
+const MAX_PACKETS: usize = 8;
+
+/// No light, and converters at zero.
+#[derive(Debug)]
+struct Dark;
+
+impl World for Dark {
+    fn drive(&mut self, _: Ticks, _: u8, _: [u16; 2]) {}
+
+    fn sample(&mut self, _: Ticks, _: u8, _: u8) -> u16 {
+        0
+    }
+}
+
+/// Runs the script against the image that `firmware/build` made last: packets in and out of turn, resets of the bus,
+/// silence. The core never stops, nothing resets it, no emitter is lit by it, and after a reset by its button a host of good
+/// will finds the board and hears its hello.
+///
+/// Without the button it may not: the driver waits without end for the status stage of a control transfer that its host has
+/// broken off, and does not see a reset of the bus meanwhile.
+///
+/// # Panics
+/// Also without an image.
+pub(crate) fn hostile_host(script: &[u8]) {
+    static IMAGE: LazyLock<Image> = LazyLock::new(|| open_image(None).unwrap_or_else(|error| panic!("{error}")));
+    let mut host = Hostile::plugged_in(&IMAGE);
+    for step in steps(script).take(MAX_STEPS) {
+        host.act(step.operation, step.bytes);
+    }
+    host.leave();
+}
+
+/// The hostile host and its victim.
+struct Hostile {
+    rig: Rig<Dark>,
+    /// What the device was told and has acknowledged.
+    address: u8,
+    next_frame: Ticks,
+    frame: u16,
+    /// No start of frame is sent before this.
+    silent_until: Ticks,
+}
+
+impl Hostile {
+    fn plugged_in(image: &Image) -> Self {
+        let mut rig = Rig::power_on(image, Dark, Silicon::default());
+        rig.set_cable(false);
+        let mut host = Self { rig, address: 0, next_frame: 0, frame: 0, silent_until: 0 };
+        host.wait(TICKS_PER_SECOND / 100);
+        assert!(host.device(|device| device.is_pulled_up()), "no pull-up after start");
+        host.reset_bus();
+        host
+    }
+
+    fn device<T>(&mut self, act: impl FnOnce(&mut dyn FullSpeedDevice) -> T) -> T {
+        let board = &mut self.rig.machine().board;
+        let result = act(&mut board.usb.port(&mut board.effects));
+        board.outside_changed();
+        result
+    }
+
+    /// Lets the board run, with a start of frame each millisecond.
+    fn wait(&mut self, ticks: Ticks) {
+        let end = self.rig.now() + ticks;
+        loop {
+            let next = self.next_frame.max(self.silent_until).min(end);
+            let stop = self.rig.run_until(next);
+            assert_eq!(stop, Stop::Reached, "the core stopped");
+            if next == end {
+                break;
+            }
+            self.frame = (self.frame + 1) % 2048;
+            let frame = self.frame;
+            self.device(|device| device.signal(BusSignal::StartOfFrame(frame)));
+            self.next_frame = next + FRAME_TICKS;
+        }
+        let board = &self.rig.machine().board;
+        assert_eq!(board.gates(), 0, "lit without a command");
+    }
+
+    fn reset_bus(&mut self) {
+        self.device(|device| device.signal(BusSignal::ResetBegins));
+        let held = TICKS_PER_SECOND / 100;
+        self.silent_until = self.rig.now() + held;
+        self.wait(held);
+        self.device(|device| device.signal(BusSignal::ResetEnds));
+        self.address = 0;
+        self.wait(FRAME_TICKS);
+    }
+
+    fn put(&mut self, endpoint: u8, setup: bool, toggle: bool, bytes: &[u8]) -> Handshake {
+        let bytes = &bytes[..bytes.len().min(MAX_PACKET_BYTES)];
+        self.wait(data_ticks(bytes));
+        let address = self.address;
+        self.device(|device| device.packet_out(OutPacket { address, endpoint, setup, toggle, bytes }))
+    }
+
+    /// Asks for data; whoever does not acknowledge gets them again.
+    fn get(&mut self, endpoint: u8, acknowledges: bool) -> InAnswer {
+        let address = self.address;
+        let answer = self.device(|device| device.token_in(address, endpoint));
+        if let InAnswer::Data { bytes, .. } = &answer {
+            assert!(bytes.len() <= MAX_PACKET_BYTES, "a packet of {} bytes", bytes.len());
+            self.wait(data_ticks(bytes));
+            if acknowledges {
+                self.device(|device| device.acknowledged(address, endpoint));
+            }
+        } else {
+            self.wait(data_ticks(&[]));
+        }
+        answer
+    }
+
+    fn act(&mut self, operation: u8, bytes: &[u8]) {
+        let (first, rest) = bytes.split_first().map_or((0, bytes), |(&first, rest)| (first, rest));
+        let endpoint = first & 0x0f;
+        match operation % 8 {
+            0 => drop(self.put(0, true, false, bytes)),
+            1 => drop(self.get(endpoint, first & 0x10 == 0)),
+            2 => drop(self.put(endpoint, first & 0x20 != 0, first & 0x10 != 0, rest)),
+            3 => self.wait(Ticks::from(first) * (FRAME_TICKS / 32)),
+            4 => self.reset_bus(),
+            5 => {
+                // Without frames the bus is suspended after 3 ms.
+                let silence = Ticks::from(first) * (FRAME_TICKS / 16);
+                self.silent_until = self.rig.now() + silence;
+                self.wait(silence);
+                self.device(|device| device.signal(BusSignal::ResumeBegins));
+                self.wait(FRAME_TICKS);
+                self.device(|device| device.signal(BusSignal::ResumeEnds));
+            }
+            6 => self.address = first & 0x7f,
+            _ => self.transfer(bytes),
+        }
+    }
+
+    /// A control transfer in order: eight bytes of request, and what the data stage sends to the device.
+    fn transfer(&mut self, bytes: &[u8]) {
+        let mut request = [0; 8];
+        let (head, mut data) = bytes.split_at(bytes.len().min(8));
+        request[..head.len()].copy_from_slice(head);
+        if self.put(0, true, false, &request) != Handshake::Ack {
+            return;
+        }
+        let length = usize::from(u16::from_le_bytes([request[6], request[7]]));
+        if request[0] & 0x80 != 0 && length > 0 {
+            for _ in 0..MAX_PACKETS {
+                match self.get(0, true) {
+                    InAnswer::Data { bytes, .. } if bytes.len() == MAX_PACKET_BYTES => {}
+                    InAnswer::Nak => {}
+                    _ => break,
+                }
+            }
+            self.put(0, false, true, &[]);
+            return;
+        }
+        let mut toggle = true;
+        for _ in 0..MAX_PACKETS.min(length.div_ceil(MAX_PACKET_BYTES)) {
+            let (packet, left) = data.split_at(data.len().min(MAX_PACKET_BYTES));
+            if self.put(0, false, toggle, packet) == Handshake::Ack {
+                (data, toggle) = (left, !toggle);
+            }
+        }
+        let is_done = matches!(self.get(0, true), InAnswer::Data { .. });
+        // SET_ADDRESS takes effect behind the status stage (USB 2.0, 9.4.6).
+        if is_done && request[..2] == [0, 5] {
+            self.address = request[2] & 0x7f;
+        }
+    }
+
+    /// The board is reset, and the cable goes to a host of good will.
+    fn leave(mut self) {
+        let machine = self.rig.machine();
+        let resets = machine.resets();
+        assert_eq!(resets.len(), 1, "reset: {resets:?}");
+        machine.pull_reset_pin();
+        let from = self.rig.now();
+        self.rig.set_cable(true);
+        self.rig.set_open(true);
+        let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+        let mut has_hello = false;
+        while !has_hello && self.rig.now() < from + RECOVERED {
+            assert_eq!(self.rig.run_for(1e-3), Stop::Reached, "the core stopped");
+            let heard = self.rig.take_bytes();
+            let mut heard = heard.as_slice();
+            while let Some(message) = decoder.next::<Message<'_>>(&mut heard) {
+                has_hello |= matches!(message, Ok(Message::Hello(_)));
+            }
+        }
+        let machine = self.rig.machine();
+        let complaints = machine.board.usb_host.complaints();
+        assert!(has_hello, "no hello after {:?}", complaints);
+        assert!(complaints.is_empty(), "{complaints:?}");
+        assert_eq!(machine.board.gates(), 0, "lit without a command");
+        assert!(self.rig.faults().is_empty(), "{:?}", self.rig.faults());
+    }
+}
