@@ -5,10 +5,9 @@
 //! `cargo run --release -p slitpose-head --example poses_of_this_build`
 
 use std::fmt::Write;
-use std::hash::{DefaultHasher, Hasher};
 
 use slitpose_head::front_end::{self, Stage};
-use slitpose_head::scene_file::SceneFile;
+use slitpose_head::scene_file::{SceneFile, WIDE, fnv1a_64};
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
 use slitpose_model::{Solver, Tier, Tracker};
 use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, Request, encode};
@@ -19,10 +18,10 @@ const TIER: Tier = Tier::Exact { tolerance: 1e-6 };
 const FILTER_S: f64 = 5e-3;
 
 fn main() {
-    let file = SceneFile::open("wide").expect("a shipped scene");
+    let file = WIDE.read().expect("a shipped scene");
     let bytes = sent(&file);
     let (poses, text) = poses(&file, &bytes);
-    println!("bytes {:016x}, {poses} filtered poses {:016x}", hash(&bytes), hash(text.as_bytes()));
+    println!("bytes {:016x}, {poses} filtered poses {:016x}", fnv1a_64(&bytes), fnv1a_64(text.as_bytes()));
 }
 
 /// What a simulated board sends.
@@ -66,10 +65,4 @@ fn poses(file: &SceneFile, mut bytes: &[u8]) -> (usize, String) {
         }
     }
     (poses, text)
-}
-
-fn hash(bytes: &[u8]) -> u64 {
-    let mut hasher = DefaultHasher::new();
-    hasher.write(bytes);
-    hasher.finish()
 }

@@ -388,8 +388,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Whatever is begun and ended, and whoever sends meanwhile: each capture holds what came while it was open, in
-        /// order, and what cannot be decoded is counted.
+        /// Recordings begin and end at random while boards send. Each capture holds the bytes that came while it was open, in
+        /// their order; bytes of boards that have not introduced themselves are counted as missing.
         #[test]
         fn captures_hold_what_came_while_they_were_open(steps in steps()) {
             let folder = tempfile::tempdir().unwrap();

@@ -9,7 +9,7 @@ use slitpose_head::board_head;
 use slitpose_head::front_end::Stage;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_model::{Outcome, Plan, Pose, Solver, Tier, Tracker};
-use slitpose_protocol::{Hashes, Level, PoseStatus, RawScan};
+use slitpose_protocol::{AdcScaling, Hashes, Level, PoseStatus, RawScan, Schedule};
 
 /// Largest share by which a current in single precision may be off: the optics of a cell are some hundred operations of
 /// 6·10⁻⁸ each, part of which cancel.
@@ -21,6 +21,11 @@ const DARK_A: f64 = 1e-11;
 /// Distance of the poses of board and host in standard deviations: both have the same words, so that only their arithmetic
 /// tells them apart.
 const SIGMAS: f64 = 1.0;
+
+/// What the board runs, and what its words are worth.
+fn setup() -> (Schedule, AdcScaling) {
+    (default_configuration().schedule, default_scaling())
+}
 
 static FILE: LazyLock<SceneFile> = LazyLock::new(|| WIDE.read().expect("shipped"));
 
@@ -54,21 +59,23 @@ pub(crate) fn single_and_double_agree(bytes: &[u8]) {
 pub(crate) fn board_and_host_agree(bytes: &[u8]) {
     static LIGHT: LazyLock<Plan<f64>> =
         LazyLock::new(|| Plan::compile(&FILE.scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped"));
-    static STAGE: LazyLock<Stage> =
-        LazyLock::new(|| Stage::new(&FILE, &default_configuration().schedule, &default_scaling()));
+    static STAGE: LazyLock<Stage> = LazyLock::new(|| {
+        let (schedule, scaling) = setup();
+        Stage::new(&FILE, &schedule, &scaling)
+    });
     static HEAD: LazyLock<Head> = LazyLock::new(|| {
-        let (schedule, scaling) = (default_configuration().schedule, default_scaling());
+        let (schedule, scaling) = setup();
         board_head::compile(&FILE, &schedule, &scaling, Hashes::default()).expect("slits and cosines")
     });
     static HOST: LazyLock<Tracker<f64>> = LazyLock::new(|| {
-        let (schedule, scaling) = (default_configuration().schedule, default_scaling());
+        let (schedule, scaling) = setup();
         let scene = Stage::weighted_scene(&FILE, &schedule, &scaling);
         let solver = Solver::new(&scene, Tier::Exact { tolerance: 1e-6 }).expect("shipped");
         let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
         Tracker::new(solver.with_exposures(&STAGE.exposures_s()), period_s)
     });
     let Some(pose) = pose(bytes) else { return };
-    let (schedule, scaling) = (default_configuration().schedule, default_scaling());
+    let (schedule, scaling) = setup();
     let mut scan = RawScan::new(schedule.cells.into(), schedule.dark_slot().is_some());
     scan.levels_mut().fill(Level::NOMINAL);
     // A little above the words of no light: ambient light.

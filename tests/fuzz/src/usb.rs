@@ -15,15 +15,15 @@ use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
 use crate::framing::steps;
 
-/// Most steps of a script: a third of a second of the board's time.
+/// Most steps of a script: a second of the board's time, if all of them wait for long.
 const MAX_STEPS: usize = 64;
 
 /// Until a host of good will hears a hello: debouncing, reset and recovery take 160 ms (USB 2.0, 7.1.7), requests and the
 /// board's answers the rest.
 const RECOVERED: Ticks = TICKS_PER_SECOND / 2;
 
-/// Packets that the data stage of one transfer takes at most.
-const MAX_PACKETS: usize = 8;
+/// Packets and tokens that one stage of a transfer takes at most: a device that is not ready answers NAK some dozen times.
+const MAX_TRIES: usize = 64;
 
 /// No light, and converters at zero.
 #[derive(Debug)]
@@ -120,7 +120,7 @@ impl Hostile {
         self.device(|device| device.packet_out(OutPacket { address, endpoint, setup, toggle, bytes }))
     }
 
-    /// Asks for data; whoever does not acknowledge gets them again.
+    /// Asks for data. The device sends data that are not acknowledged again.
     fn get(&mut self, endpoint: u8, acknowledges: bool) -> InAnswer {
         let address = self.address;
         let answer = self.device(|device| device.token_in(address, endpoint));
@@ -169,28 +169,43 @@ impl Hostile {
         }
         let length = usize::from(u16::from_le_bytes([request[6], request[7]]));
         if request[0] & 0x80 != 0 && length > 0 {
-            for _ in 0..MAX_PACKETS {
-                match self.get(0, true) {
-                    InAnswer::Data { bytes, .. } if bytes.len() == MAX_PACKET_BYTES => {}
-                    InAnswer::Nak => {}
-                    _ => break,
-                }
-            }
-            self.put(0, false, true, &[]);
+            // A short packet is the last.
+            let mut packets = (0..length.div_ceil(MAX_PACKET_BYTES)).map(|_| self.get_when_ready());
+            packets.find(|packet| packet.as_ref().is_none_or(|bytes| bytes.len() < MAX_PACKET_BYTES));
+            self.put_when_ready(true, &[]);
             return;
         }
         let mut toggle = true;
-        for _ in 0..MAX_PACKETS.min(length.div_ceil(MAX_PACKET_BYTES)) {
+        for _ in 0..length.div_ceil(MAX_PACKET_BYTES) {
             let (packet, left) = data.split_at(data.len().min(MAX_PACKET_BYTES));
-            if self.put(0, false, toggle, packet) == Handshake::Ack {
-                (data, toggle) = (left, !toggle);
+            if !self.put_when_ready(toggle, packet) {
+                return;
+            }
+            (data, toggle) = (left, !toggle);
+            if packet.len() < MAX_PACKET_BYTES {
+                break;
             }
         }
-        let is_done = matches!(self.get(0, true), InAnswer::Data { .. });
         // SET_ADDRESS takes effect behind the status stage (USB 2.0, 9.4.6).
-        if is_done && request[..2] == [0, 5] {
+        if self.get_when_ready().is_some() && request[..2] == [0, 5] {
             self.address = request[2] & 0x7f;
         }
+    }
+
+    /// Data of endpoint 0 as soon as it has some; `None` if it has none, or takes too long.
+    fn get_when_ready(&mut self) -> Option<Vec<u8>> {
+        (0..MAX_TRIES).map(|_| self.get(0, true)).find(|answer| *answer != InAnswer::Nak).and_then(
+            |answer| match answer {
+                InAnswer::Data { bytes, .. } => Some(bytes),
+                InAnswer::Nak | InAnswer::Stall | InAnswer::Silence => None,
+            },
+        )
+    }
+
+    /// Data to endpoint 0 as soon as it has room; whether it took them.
+    fn put_when_ready(&mut self, toggle: bool, bytes: &[u8]) -> bool {
+        let answer = (0..MAX_TRIES).map(|_| self.put(0, false, toggle, bytes)).find(|answer| *answer != Handshake::Nak);
+        answer == Some(Handshake::Ack)
     }
 
     /// The board is reset, and the cable goes to a host of good will.

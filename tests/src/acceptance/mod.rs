@@ -9,8 +9,8 @@
 //! * [`builds`]: whether two builds give the same poses, bit for bit.
 //!
 //! Each is an example of this package, in full size, and a test, in small. [`daemon`] is the process under
-//! test, [`usage`] what it takes, which only Linux tells; [`wall_clock`] what it goes by; [`metered`] and [`unplugging`] are its boards,
-//! [`subscriber`] and [`live_pages`] its clients; [`scan_table`] counts what a capture holds, [`curves`] draws.
+//! test, [`wall_clock`] its clock, [`usage`] what it takes, which only Linux tells; [`metered`] and [`unplugging`] are
+//! its boards, [`subscriber`] and [`live_pages`] its clients; [`scan_table`] counts what a capture holds, [`curves`] draws.
 
 pub mod builds;
 pub mod curves;

@@ -1,5 +1,6 @@
 //! A soak in bad weather: boards whose link and light fail by schedule, and a daemon that is suspended, killed, left
-//! without a disk or with one that stands still, and whose wall clock is set, at random. Nothing may be lost silently, and nothing may grow.
+//! without a disk or with one that stands still, and whose wall clock is set, at random. Nothing may be lost silently, and
+//! nothing may grow.
 
 use std::fmt;
 use std::ops::Range;
@@ -64,8 +65,8 @@ impl Blow {
     const ALL: [Self; 5] = [Self::Suspended, Self::Killed, Self::DiskFull, Self::DiskStandsStill, Self::ClockSet];
 }
 
-/// Most by which the wall clock is off, seconds.
-const MOST_AHEAD_S: f64 = 3600.0;
+/// Most by which the wall clock is off: an hour.
+const MOST_AHEAD_NS: i64 = 3_600_000_000_000;
 
 /// How the soak is made.
 #[derive(Clone, Debug)]
@@ -183,9 +184,7 @@ pub fn study(slitpose: Slitpose, conditions: &Conditions) -> Report {
                 }
                 Blow::DiskFull => daemon.limit_files(),
                 Blow::DiskStandsStill => stand_still(conditions, lasts),
-                Blow::ClockSet => {
-                    clock.set_ahead((rng.random_range(-MOST_AHEAD_S..MOST_AHEAD_S) * 1e9) as i64);
-                }
+                Blow::ClockSet => clock.set_ahead(rng.random_range(-MOST_AHEAD_NS..MOST_AHEAD_NS)),
             }
             let since = Instant::now();
             let recovered_s = recovers(&daemon).then(|| since.elapsed().as_secs_f64());

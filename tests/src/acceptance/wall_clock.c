@@ -29,8 +29,10 @@ int clock_gettime(clockid_t clock, struct timespec *time) {
     }
     int failed = system_clock(clock, time);
     if (!failed && clock == CLOCK_REALTIME && ahead_ns) {
-        int64_t ns = time->tv_nsec + *ahead_ns % 1000000000;
-        time->tv_sec += *ahead_ns / 1000000000 + (ns >= 1000000000) - (ns < 0);
+        /* Read once: it may change meanwhile. */
+        int64_t ahead = *ahead_ns;
+        int64_t ns = time->tv_nsec + ahead % 1000000000;
+        time->tv_sec += ahead / 1000000000 + (ns >= 1000000000) - (ns < 0);
         time->tv_nsec = (ns + 1000000000) % 1000000000;
     }
     return failed;
