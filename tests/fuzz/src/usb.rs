@@ -3,8 +3,8 @@
 use std::sync::LazyLock;
 
 use slitpose_emulator::image::Image;
-use slitpose_emulator::machine::Stop;
-use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::machine::{Reset, Stop};
+use slitpose_emulator::peripherals::{ResetCause, TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::usb_wire::{
@@ -18,8 +18,8 @@ use crate::framing::steps;
 /// Most steps of a script: a second of the board's time, if all of them wait for long.
 const MAX_STEPS: usize = 64;
 
-/// Until a host of good will hears a hello: debouncing, reset and recovery take 160 ms (USB 2.0, 7.1.7), requests and the
-/// board's answers the rest.
+/// Until a host of good will hears a hello: debouncing, reset and recovery take 160 ms (USB 2.0, 7.1.7), what the driver has
+/// missed is seen within 100, requests and the board's answers take the rest.
 const RECOVERED: Ticks = TICKS_PER_SECOND / 2;
 
 /// Packets and tokens that one stage of a transfer takes at most: a device that is not ready answers NAK some dozen times.
@@ -38,11 +38,9 @@ impl World for Dark {
 }
 
 /// Runs the script against the image that `firmware/build` made last: packets in and out of turn, resets of the bus,
-/// silence. The core never stops, nothing resets it, no emitter is lit by it, and after a reset by its button a host of good
-/// will finds the board and hears its hello.
-///
-/// Without the button it may not: the driver waits without end for the status stage of a control transfer that its host has
-/// broken off, and does not see a reset of the bus meanwhile.
+/// silence. The core never stops, no emitter is lit by it, and a host of good will finds the board afterwards and hears its
+/// hello. The board may restart: embassy-stm32's driver loops without end on a SETUP that has not eight bytes, which the
+/// watchdog ends, and panics at a request for an endpoint beyond the seventh.
 ///
 /// # Panics
 /// Also without an image.
@@ -208,12 +206,8 @@ impl Hostile {
         answer == Some(Handshake::Ack)
     }
 
-    /// The board is reset, and the cable goes to a host of good will.
+    /// The cable goes to a host of good will.
     fn leave(mut self) {
-        let machine = self.rig.machine();
-        let resets = machine.resets();
-        assert_eq!(resets.len(), 1, "reset: {resets:?}");
-        machine.pull_reset_pin();
         let from = self.rig.now();
         self.rig.set_cable(true);
         self.rig.set_open(true);
@@ -232,6 +226,9 @@ impl Hostile {
         assert!(has_hello, "no hello after {:?}", complaints);
         assert!(complaints.is_empty(), "{complaints:?}");
         assert_eq!(machine.board.gates(), 0, "lit without a command");
+        let resets = &machine.resets()[1..];
+        let restarts = |reset: &Reset| matches!(reset.cause, ResetCause::Watchdog | ResetCause::Software);
+        assert!(resets.iter().all(restarts), "reset: {resets:?}");
         assert!(self.rig.faults().is_empty(), "{:?}", self.rig.faults());
     }
 }

@@ -10,6 +10,7 @@ use slitpose_emulator::memory::UNIQUE_ID;
 use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::request;
 use slitpose_emulator::silicon::{Fault, Silicon};
+use slitpose_emulator::usb_wire::{FullSpeedDevice, Handshake, OutPacket};
 use slitpose_protocol::{
     Command, Decoder, FrameError, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PayloadError, Request, ResetCause,
 };
@@ -19,6 +20,9 @@ const HOST_GONE: Ticks = 500 * MS;
 
 /// The core is polled every millisecond at least, and a frame may be under way.
 const POLL: Ticks = MS + FRAME_TICKS;
+
+/// A bus without frames is looked for this often while a control transfer waits for its host, and known at the second look.
+const NOTICED: Ticks = 100 * MS;
 
 /// A bus without frames is known to be asleep after this: 3 ms (USB 2.0, 7.1.7.6).
 const SUSPENSION: Ticks = 3 * MS;
@@ -208,6 +212,35 @@ fn a_computer_may_sleep() {
     assert_eq!((status.scans_lost, status.adc_overruns), (0, 0));
     assert_eq!(talk.rig.machine().resets().len(), 1);
     talk.expect_no_faults();
+}
+
+#[test]
+fn a_host_that_dies_within_a_control_transfer_leaves_no_light_and_the_next_one_is_heard() {
+    // SET_LINE_CODING without its data, SET_CONTROL_LINE_STATE with DTR without its status stage (CDC PSTN 1.2, 6.3).
+    for setup in [[0x21, 0x20, 0, 0, 0, 0, 7, 0], [0x21, 0x22, 1, 0, 0, 0, 0, 0]] {
+        let mut talk = Talk::at_usb();
+        assert_eq!(talk.ask(Command::Start), Ok(()));
+        talk.run_ms(10.0);
+        talk.rig.set_cable(false);
+        let board = &mut talk.rig.machine().board;
+        let mut port = board.usb.port(&mut board.effects);
+        let mut takes = |address| {
+            let packet = OutPacket { address, endpoint: 0, setup: true, toggle: false, bytes: &setup };
+            port.packet_out(packet) == Handshake::Ack
+        };
+        assert!((1..128).any(&mut takes), "the board takes a SETUP");
+        board.outside_changed();
+        talk.ear.breaks += 1;
+        // As long as the board waits for a host, and until it has noticed that this one is gone.
+        talk.run_until(talk.rig.now() + HOST_GONE + NOTICED + POLL);
+        assert!(!lit_within_a_frame(&mut talk), "lit without a host, {setup:x?}");
+        talk.ear.begin_session();
+        talk.rig.set_cable(true);
+        assert!(talk.wait_for(500, |talk| talk.ear.hello().is_some()), "no hello after {setup:x?}");
+        assert!(!talk.is_acquiring());
+        assert_eq!(talk.rig.machine().resets().len(), 1);
+        talk.expect_no_faults();
+    }
 }
 
 #[test]

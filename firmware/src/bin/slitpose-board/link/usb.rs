@@ -8,11 +8,13 @@ use core::cell::Cell;
 use embassy_executor::Spawner;
 use embassy_futures::select::{Either, select, select3};
 use embassy_stm32::Peri;
+use embassy_stm32::pac::USB as REGISTERS;
 use embassy_stm32::peripherals::{PA11, PA12, USB};
 use embassy_stm32::usb::Driver;
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::{CriticalSectionRawMutex, ThreadModeRawMutex};
 use embassy_sync::signal::Signal;
+use embassy_time::{Duration, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Config, Handler, UsbDevice};
 use slitpose_firmware::TRANSMIT_BYTES;
@@ -29,10 +31,14 @@ const PACKET: usize = 64;
 const VENDOR: u16 = 0x1209;
 const PRODUCT: u16 = 0x0001;
 
+/// The driver sees within a few milliseconds what happens on the bus. After 2,048 ms frames have the same numbers again.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
 type Bus = Driver<'static, USB>;
 
 /// Whether the device is configured and the bus awake.
 static IS_AWAKE: Mutex<CriticalSectionRawMutex, Cell<bool>> = Mutex::new(Cell::new(false));
+static IS_SUSPENDED: Mutex<CriticalSectionRawMutex, Cell<bool>> = Mutex::new(Cell::new(false));
 static WAKING: Signal<ThreadModeRawMutex, ()> = Signal::new();
 static CLOSED: Signal<ThreadModeRawMutex, ()> = Signal::new();
 
@@ -83,6 +89,7 @@ impl Watch {
     fn tell(&self) {
         let is_awake = self.is_configured && !self.is_suspended;
         IS_AWAKE.lock(|cell| cell.set(is_awake));
+        IS_SUSPENDED.lock(|cell| cell.set(self.is_suspended));
         WAKING.signal(());
     }
 }
@@ -109,9 +116,41 @@ impl Handler for Watch {
     }
 }
 
+/// Runs the device, anew where its driver has missed something: it waits without end for the rest of a control transfer
+/// that the host has broken off, and looks at the bus no more. What the interrupts have noted meanwhile is seen then.
 #[embassy_executor::task]
 async fn device(mut device: UsbDevice<'static, Bus>) -> ! {
-    device.run().await
+    loop {
+        match select(device.run(), missed()).await {
+            Either::First(never) => never,
+            Either::Second(Missed::Rest) => {}
+            // Leaves the suspension.
+            Either::Second(Missed::Waking) => device.disable().await,
+        }
+    }
+}
+
+/// What the driver may have missed.
+enum Missed {
+    /// A reset of the bus, or that it is silent: nothing is under way on it, and to run the device anew does no harm.
+    Rest,
+    /// That the bus is awake: of a suspension, a resumption and a reset it sees the suspension last.
+    Waking,
+}
+
+async fn missed() -> Missed {
+    let frame = || REGISTERS.fnr().read().fn_();
+    loop {
+        let (before, was_suspended) = (frame(), IS_SUSPENDED.lock(Cell::get));
+        Timer::after(LOOK_EVERY).await;
+        // A reset switches the device off (RM0440, USB_DADDR), and the driver switches it on again.
+        if frame() == before || !REGISTERS.daddr().read().ef() {
+            return Missed::Rest;
+        }
+        if was_suspended && IS_SUSPENDED.lock(Cell::get) {
+            return Missed::Waking;
+        }
+    }
 }
 
 /// Opens and closes the link.
