@@ -2,7 +2,8 @@
 //!
 //! The spot is cut along the emitter's horizon and sliced, at its corners' coordinates t, into slabs
 //! with the shape of trapezoids. Near the horizon, t runs perpendicular to it: the integrand vanishes
-//! there like tⁿ, and panels shrink geometrically towards it. Derivatives follow Leibniz' rule: the
+//! there like tⁿ, which the slab that begins there has a rule for; other panels shrink geometrically towards
+//! it. Derivatives follow Leibniz' rule: the
 //! integral of ∂g/∂e, and for each moving side the light that its motion sweeps over ([`super::sides`]).
 
 use heapless::Vec;
@@ -12,8 +13,12 @@ use crate::profile::{Emission, Falloff, Series};
 use crate::scalar::{Linear3, Real, Scalar};
 
 use super::lobe::Cone;
-use super::order::{MAX_NODES, Orders, Rules};
+use super::order::{MAX_NODES, Nodes, Orders, Rules};
 use super::{Cosines, Integration, panels, sides};
+
+/// An end of a line is at the horizon if u·d there is within this share of the tolerance, or so many roundings, of what it is
+/// at the other end.
+const AT_HORIZON: (f64, f64) = (0.05, 64.0);
 
 /// Contributions of panels and sides of the spot. Moments are about the spot's reference point.
 #[derive(Default)]
@@ -269,6 +274,17 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
             }
         }
         Some((nodes, series))
+    }
+
+    /// The rule along a line on which u·d rises from `low` to `high`, if `low` is at the horizon; see
+    /// [`Orders::horizon_rule`].
+    pub(super) fn horizon_rule(&self, [low, high]: [S; 2], reach: S) -> Option<Nodes<'_, S>> {
+        let (share, roundings) = AT_HORIZON;
+        let zero = (S::of(share) * self.orders.tolerance()).max(S::of(roundings) * S::epsilon());
+        if E::NEEDS_SERIES || low > zero * high {
+            return None;
+        }
+        self.orders.horizon_rule(reach)
     }
 
     /// I_rel·h/r³ at a point of the detector, per area; zero behind the horizon.

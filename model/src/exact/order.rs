@@ -17,6 +17,13 @@
 //! lobe, ln cosⁿγ ≈ λξ − κξ²/2 along the interval. On the ellipse ρ it grows by exp(λρ/2) and exp(κρ²/8);
 //! at the best ρ, 4N/λ or √(8N/κ), N nodes err by (eλ/4N)²ᴺ or (eκ/8N)ᴺ, together at most by
 //! ((λ² + 2Nκ/e)·(e/4N)²)ᴺ. Emitter and horizon must lie outside that ellipse.
+//!
+//! An interval that begins at the horizon, t = 0, has an integrand tⁿ·g(t), and derivatives tⁿ⁻¹·g(t), with g analytic
+//! except at the emitter. The Gauss–Jacobi rule of weight tⁿ⁻¹ ([`Orders::horizon_rule`]) integrates both as Gauss–Legendre
+//! does a spot far from the horizon.
+
+use core::iter::{Copied, Zip};
+use core::slice::Iter;
 
 #[cfg(feature = "batch")]
 use arrayvec::ArrayVec;
@@ -25,8 +32,14 @@ use arrayvec::ArrayVec;
 use crate::scalar::Real;
 use crate::scalar::Scalar;
 
+/// Nodes and weights of a rule, on −1…1.
+pub(crate) type Nodes<'a, S> = Zip<Copied<Iter<'a, S>>, Copied<Iter<'a, S>>>;
+
 /// Most nodes of a rule; spots that need more are divided.
 pub(crate) const MAX_NODES: usize = 12;
+
+/// Nodes of the rule for intervals that begin at the horizon.
+pub(crate) const HORIZON_NODES: usize = 6;
 
 /// Above this exponent the lobe, not emitter and horizon, decides the number of nodes.
 const NARROW_LOBE: f64 = 4.0;
@@ -52,12 +65,21 @@ pub(crate) struct Orders<S> {
     horizon: [S; MAX_NODES],
     /// For the nearer of emitter and horizon, when both factors vary together.
     both: [S; MAX_NODES],
-    /// The greatest λ² + 2Nκ/e, for narrow lobes.
-    lobe: Option<[S; MAX_NODES]>,
+    falloff: Shape<S>,
     /// Factor by which cos γ falls to where a narrow lobe has faded; one for other profiles.
     faded: S,
     exponent: S,
     tolerance: S,
+}
+
+/// How light falls off from the emitter's axis to its horizon.
+#[derive(Clone, Debug)]
+enum Shape<S> {
+    Constant,
+    /// Like a low power of the distance from the horizon: nodes and weights of the rule for an interval that begins there.
+    Broad([[S; HORIZON_NODES]; 2]),
+    /// As a lobe that does not reach the horizon: the greatest λ² + 2Nκ/e of each number of nodes.
+    Narrow([S; MAX_NODES]),
 }
 
 /// 2/e.
@@ -84,11 +106,28 @@ impl<S: Scalar> Orders<S> {
             emitter: table(&|n| if narrow { least(-6.0, n).max(ellipse(n)) } else { least(-(exponent + 3.0), n) }),
             horizon: table(&|n| if narrow { ellipse(n) } else { least(exponent, n) }),
             both: table(&|n| if narrow { least(-6.0, n).max(ellipse(n)) } else { least(-(2.0 * exponent + 3.0), n) }),
-            lobe: narrow.then(|| table(&lobe)),
+            falloff: if narrow {
+                Shape::Narrow(table(&lobe))
+            } else if exponent > 0.0 {
+                Shape::Broad(horizon_rule(exponent))
+            } else {
+                Shape::Constant
+            },
             faded: S::of(if narrow { libm::pow(FADED_SHARE * tolerance, exponent.recip()) } else { 1.0 }),
             exponent: S::of(exponent),
             tolerance: S::of(tolerance),
         }
+    }
+
+    /// The rule for an interval that begins at the horizon, at its end −1, with this reach to the emitter; `None` if it errs
+    /// too much. Its integrand may grow like the interval's width: half a node is for that, and half for the power of t that
+    /// the weight lacks.
+    #[inline(always)]
+    pub(crate) fn horizon_rule(&self, emitter: S) -> Option<Nodes<'_, S>> {
+        let Shape::Broad([nodes, weights]) = &self.falloff else {
+            return None;
+        };
+        (emitter >= self.emitter[HORIZON_NODES - 2]).then(|| nodes.iter().copied().zip(weights.iter().copied()))
     }
 
     /// Number of nodes for a narrow lobe along an interval that subtends 2/`reach` radians, at an angle γ to the axis
@@ -99,7 +138,7 @@ impl<S: Scalar> Orders<S> {
     /// −n/cos²γ; the distance to the emitter adds three powers.
     #[inline(always)]
     pub(crate) fn lobe_nodes(&self, tangent2: S, slope: S, reach: S) -> Option<usize> {
-        let Some(limits) = &self.lobe else {
+        let Shape::Narrow(limits) = &self.falloff else {
             return Some(1);
         };
         let delta2 = (reach * reach).recip();
@@ -170,7 +209,7 @@ impl<S: Scalar> Orders<S> {
 
     /// Whether the lobe decides the number of nodes.
     pub(crate) fn is_narrow(&self) -> bool {
-        self.lobe.is_some()
+        matches!(self.falloff, Shape::Narrow(_))
     }
 }
 
@@ -279,7 +318,7 @@ impl<S: Scalar> Rules<S> {
 
     /// (node, weight) pairs of the rule with `count` nodes, 1 ≤ `count` ≤ [`MAX_NODES`].
     #[inline(always)]
-    pub(crate) fn get(&self, count: usize) -> impl Iterator<Item = (S, S)> + Clone {
+    pub(crate) fn get(&self, count: usize) -> Nodes<'_, S> {
         let nodes = &self.nodes[count - 1][..count];
         let weights = &self.weights[count - 1][..count];
         nodes.iter().copied().zip(weights.iter().copied())
@@ -310,6 +349,43 @@ fn legendre(n: usize, x: f64) -> [f64; 2] {
     [before, value]
 }
 
+/// The Gauss–Jacobi rule of weight (1+x)^β, β = `exponent` − 1, for integrands with that factor: its weights are divided by
+/// it, 2^(β+1)/((1−x²)·P'(x)²·(1+x)^β) (Abramowitz and Stegun 25.4.33). The roots are found like those of [`legendre_root`].
+fn horizon_rule<S: Scalar>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
+    let beta = exponent - 1.0;
+    let count = HORIZON_NODES as f64;
+    let mut rule = [[S::zero(); HORIZON_NODES]; 2];
+    for i in 0..HORIZON_NODES {
+        let estimate = (i as f64 + 0.75 + 0.5 * beta) / (count + 0.5 * (beta + 1.0));
+        let mut x = -libm::cos(core::f64::consts::PI * estimate);
+        let mut slope = 0.0;
+        for _ in 0..9 {
+            let [value, derivative] = jacobi(HORIZON_NODES, beta, x);
+            slope = derivative;
+            x -= value / derivative;
+        }
+        rule[0][i] = S::of(x);
+        rule[1][i] = S::of(2.0 / ((1.0 - x * x) * slope * slope) * libm::pow(2.0 / (1.0 + x), beta));
+    }
+    rule
+}
+
+/// P_n^(0,β) and its derivative at x, n ≥ 2, by the recursion of Abramowitz and Stegun 22.7.1 and 22.8.1.
+fn jacobi(n: usize, beta: f64, x: f64) -> [f64; 2] {
+    let (mut before, mut value) = (1.0, 1.0 + 0.5 * (beta + 2.0) * (x - 1.0));
+    for k in 2..=n {
+        let k = k as f64;
+        let a = 2.0 * k + beta;
+        let next =
+            (a - 1.0) * (a * (a - 2.0) * x - beta * beta) * value - 2.0 * (k - 1.0) * (k + beta - 1.0) * a * before;
+        (before, value) = (value, next / (2.0 * k * (k + beta) * (a - 2.0)));
+    }
+    let n = n as f64;
+    let a = 2.0 * n + beta;
+    let slope = n * (2.0 * (n + beta) * before - (beta + a * x) * value) / (a * (1.0 - x * x));
+    [value, slope]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -322,6 +398,20 @@ mod tests {
                 let sum: f64 = rules.get(count).map(|(x, w)| w * x.powi(degree as i32)).sum();
                 let exact = if degree % 2 == 0 { 2.0 / (degree as f64 + 1.0) } else { 0.0 };
                 assert!((sum - exact).abs() < 4e-15, "{count} nodes, degree {degree}: {sum}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_rule_from_the_horizon_integrates_powers_times_polynomials_exactly() {
+        for exponent in [0.05, 0.5, 1.0, 1.247, 2.5, 4.0] {
+            let [nodes, weights] = horizon_rule::<f64>(exponent);
+            assert!(nodes.is_sorted_by(|a, b| a < b) && nodes[0] > -1.0 && nodes[HORIZON_NODES - 1] < 1.0);
+            for degree in 0..2 * HORIZON_NODES {
+                let power = exponent - 1.0 + degree as f64;
+                let sum: f64 = nodes.iter().zip(weights).map(|(x, w)| w * (1.0 + x).powf(power)).sum();
+                let exact = 2.0_f64.powf(power + 1.0) / (power + 1.0);
+                assert!((sum / exact - 1.0).abs() < 2e-13, "{exponent}, degree {degree}: {sum} for {exact}");
             }
         }
     }

@@ -9,7 +9,7 @@ use crate::scalar::{Linear3, Scalar};
 
 use super::Integration;
 use super::integrand::{Integrand, Slab, Sums, of_slab};
-use super::order::{ESTIMATED, MAX_NODES};
+use super::order::{ESTIMATED, HORIZON_NODES, MAX_NODES, Nodes};
 
 /// Most panels of a spot. Ordinary spots have one per slab; a lobe much narrower than its spot takes
 /// tens; a table of nine points over a spot of 150° at a tolerance of 1e-10 takes about a hundred.
@@ -36,14 +36,33 @@ const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
 /// Enough for four parts of each slab of common spots; others are divided adaptively.
 const MAX_PARTS: usize = 2 * MAX_CORNERS;
 
-/// Numbers of nodes along s and t, and the profile's series.
-type Rule<S> = ((usize, usize), Option<Series<S>>);
+/// A rule for a panel.
+struct Rule<'a, S> {
+    along_s: Nodes<'a, S>,
+    along_t: Vec<(S, S), MAX_ALONG_T>,
+    /// Whether that begins at the horizon.
+    is_from_horizon: bool,
+    series: Option<Series<S>>,
+}
+
+/// Most nodes along t: those of two rules from the horizon.
+const MAX_ALONG_T: usize = if 2 * HORIZON_NODES > MAX_NODES { 2 * HORIZON_NODES } else { MAX_NODES };
+
+/// A panel counts as all light between the horizon and its upper end, less that below its lower end, where u·d at the lower
+/// end is at most this share of u·d at the upper one: of ordinary emitters a fifth is subtracted then, and little cancels.
+const BESIDE_HORIZON: f64 = 0.5;
+
+impl<S: Scalar> Rule<'_, S> {
+    fn evaluations(&self) -> usize {
+        self.along_s.len() * self.along_t.len()
+    }
+}
 
 /// A panel and its integrals.
 struct Measured<S> {
     panel: Panel<S>,
-    /// Numbers of nodes along s and t; `None` if the panel is dark or too wide to sample its profile.
-    nodes: Option<(usize, usize)>,
+    /// Whether it is dark, or too wide to sample its profile.
+    is_left_out: bool,
     power: S,
     moment: S,
     /// Estimated error of the power; for a panel that is not sampled, a bound on its power.
@@ -64,15 +83,15 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let is_narrow = integrand.orders.is_narrow();
     for parts in if E::NEEDS_SERIES || is_narrow { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
         let panels = || (0..slabs.len()).flat_map(|slab| integrand.lit(whole(slabs, slab), slabs).parts(*parts));
-        let rules: Vec<Rule<S>, MAX_PARTS> =
+        let rules: Vec<Rule<'_, S>, MAX_PARTS> =
             panels().take(MAX_PARTS).map_while(|panel| integrand.rule(&slabs[panel.slab], &panel)).collect();
         if rules.len() < panels().count() {
             continue;
         }
         let (mut sums, mut evaluations) = (Sums::default(), 0);
-        for (panel, (nodes, series)) in panels().zip(&rules) {
-            evaluations += nodes.0 * nodes.1;
-            integrand.add_panel::<GRADIENT>(&slabs[panel.slab], &panel, *nodes, series.as_ref(), &mut sums);
+        for (panel, rule) in panels().zip(&rules) {
+            evaluations += rule.evaluations();
+            integrand.add_panel::<GRADIENT>(&slabs[panel.slab], &panel, rule, &mut sums);
         }
         if is_narrow && !integrand.may_leave_out(sums.power.value) {
             break;
@@ -136,12 +155,10 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         }
     }
     if GRADIENT {
-        for measured in &panels {
+        for measured in panels.iter().filter(|measured| !measured.is_left_out) {
             let slab = &slabs[measured.panel.slab];
-            if let Some(nodes) = measured.nodes {
-                let series = integrand.rule(slab, &measured.panel).and_then(|(_, series)| series);
-                integrand.add_panel::<true>(slab, &measured.panel, nodes, series.as_ref(), &mut sums);
-            }
+            let rule = integrand.rule(slab, &measured.panel).unwrap_or_else(|| integrand.sampling());
+            integrand.add_panel::<true>(slab, &measured.panel, &rule, &mut sums);
         }
     }
     // The values are the same with and without derivatives.
@@ -213,7 +230,12 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
     }
 
     /// The rule that suffices for a panel, if it can be foreseen.
-    fn rule(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<S>> {
+    fn rule(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<'_, S>> {
+        self.plain_rule(slab, panel).or_else(|| self.rule_beside_horizon(slab, panel))
+    }
+
+    /// The same without what lies beside the panel.
+    fn plain_rule(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<'_, S>> {
         let ([c0, c1], [t0, t1]) = (panel.share, panel.t);
         let corners = self.corners(slab, panel);
         let [f00, f10, f11, f01] = corners.map(|ray| self.axis.dot(ray).max(S::zero()));
@@ -240,11 +262,49 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
             .into_iter()
             .fold(S::infinity(), S::min);
         let horizon_s = if self.across_horizon { S::infinity() } else { horizon(f00, f10).min(horizon(f01, f11)) };
-        let horizon_t = horizon(f00, f01).min(horizon(f10, f11));
+        let from_horizon =
+            if self.across_horizon { self.horizon_rule([f00.max(f10), f01.max(f11)], reach_t) } else { None };
+        let horizon_t = if from_horizon.is_some() { S::infinity() } else { horizon(f00, f01).min(horizon(f10, f11)) };
         let [by_s, by_t] = self.differences(corners);
         let along = [(reach_s, horizon_s, by_s), (reach_t, horizon_t, by_t)];
         let (nodes, series) = self.foreseen(corners, along.into_iter())?;
-        Some((of_slab(&nodes), series))
+        let (along_s, along_t) = of_slab(&nodes);
+        let is_from_horizon = from_horizon.is_some();
+        Some(Rule {
+            along_s: self.rules.get(along_s),
+            is_from_horizon,
+            along_t: from_horizon.unwrap_or_else(|| self.rules.get(along_t)).collect(),
+            series,
+        })
+    }
+
+    /// The rule for a panel near the horizon: that of the panel with all that lies between it and the horizon, less that
+    /// of the latter, both from the horizon on.
+    fn rule_beside_horizon(&self, slab: &Slab<S>, panel: &Panel<S>) -> Option<Rule<'_, S>> {
+        let [t0, t1] = panel.t;
+        let [low, high] = panel.t.map(|t| self.axis.dot(self.ray(slab.s(S::half(), t), t)));
+        if !self.across_horizon || low <= S::zero() || low > S::of(BESIDE_HORIZON) * high {
+            return None;
+        }
+        let horizon = t0 - low * (t1 - t0) / (high - low);
+        let whole = self.plain_rule(slab, &Panel { t: [horizon, t1], ..*panel });
+        let mut rule = whole.filter(|rule| rule.is_from_horizon)?;
+        // Where the panel's own range is −1…1.
+        let of_panel = |end: S, sign: S| {
+            let share = (end - horizon) / (t1 - t0);
+            move |&(xi, weight): &(S, S)| {
+                (share * (xi - S::one()) + S::two() * (end - t1) / (t1 - t0) + S::one(), sign * share * weight)
+            }
+        };
+        let [with, without] = [of_panel(t1, S::one()), of_panel(t0, -S::one())];
+        rule.along_t = rule.along_t.iter().map(with).chain(rule.along_t.iter().map(without)).collect();
+        Some(rule)
+    }
+
+    /// The rule of [`Self::sample`].
+    fn sampling(&self) -> Rule<'_, S> {
+        let (along_s, along_t) = (self.rules.get(ESTIMATED), self.rules.get(ESTIMATED));
+        Rule { along_s, along_t: along_t.collect(), is_from_horizon: false, series: None }
     }
 
     /// Integrates over a panel and estimates the error, or bounds its power if it is too wide for that.
@@ -258,7 +318,7 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         let (length_s, length_t) = ((right - left) * (c1 - c0), t1 - t0);
         let mut measured = Measured {
             panel,
-            nodes: None,
+            is_left_out: true,
             power: S::zero(),
             moment: S::zero(),
             error: S::zero(),
@@ -273,11 +333,11 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         if greatest == S::zero() {
             return measured;
         }
-        if let Some((nodes, series)) = self.rule(slab, &panel) {
+        if let Some(rule) = self.rule(slab, &panel) {
             let mut sums = Sums::default();
-            self.add_panel::<false>(slab, &panel, nodes, series.as_ref(), &mut sums);
-            measured.nodes = Some(nodes);
-            measured.evaluations = nodes.0 * nodes.1;
+            self.add_panel::<false>(slab, &panel, &rule, &mut sums);
+            measured.is_left_out = false;
+            measured.evaluations = rule.evaluations();
             (measured.power, measured.moment) = (sums.power.value, sums.moment.value);
         } else if self.emission.is_resolved(cosines.lower, cosines.upper) {
             self.sample(slab, &mut measured, self.emission.is_smooth(cosines.lower, cosines.upper));
@@ -328,7 +388,7 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
             }
         }
         let [by_s, by_t] = [along_s, along_t].map(|sums| self.rules.estimate(&sums, self.orders.rounding(), is_smooth));
-        measured.nodes = Some((ESTIMATED, ESTIMATED));
+        measured.is_left_out = false;
         measured.evaluations = ESTIMATED * ESTIMATED;
         measured.error = by_s + by_t;
         measured.is_rough = !is_smooth;
@@ -339,13 +399,12 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         &self,
         slab: &Slab<S>,
         panel: &Panel<S>,
-        nodes: (usize, usize),
-        series: Option<&Series<S>>,
+        rule: &Rule<'_, S>,
         sums: &mut Sums<S>,
     ) {
-        match series {
-            Some(series) => self.add_nodes::<_, GRADIENT>(series, slab, panel, nodes, sums),
-            None => self.add_nodes::<_, GRADIENT>(self.emission, slab, panel, nodes, sums),
+        match &rule.series {
+            Some(series) => self.add_nodes::<_, GRADIENT>(series, slab, panel, rule, sums),
+            None => self.add_nodes::<_, GRADIENT>(self.emission, slab, panel, rule, sums),
         }
     }
 
@@ -354,7 +413,7 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         falloff: &F,
         slab: &Slab<S>,
         panel: &Panel<S>,
-        nodes: (usize, usize),
+        rule: &Rule<'_, S>,
         sums: &mut Sums<S>,
     ) {
         let half = S::half();
@@ -362,11 +421,11 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
         let half_t = half * (t1 - t0);
         let half_share = half * (panel.share[1] - panel.share[0]);
         let middle_share = half * (panel.share[0] + panel.share[1]);
-        for (eta, weight_t) in self.rules.get(nodes.1) {
+        for &(eta, weight_t) in &rule.along_t {
             let t = half * (t0 + t1) + half_t * eta;
             let [left, right] = slab.sides(t);
             let scale = weight_t * half_t * half_share * (right - left);
-            for (xi, weight_s) in self.rules.get(nodes.0) {
+            for (xi, weight_s) in rule.along_s.clone() {
                 let s = left + (right - left) * (middle_share + half_share * xi);
                 self.add_point::<F, GRADIENT>(falloff, self.ray(s, t), weight_s * scale, sums);
             }
@@ -374,4 +433,4 @@ impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
     }
 }
 
-const _: () = assert!(ESTIMATED <= MAX_NODES && MAX_PANELS >= 2 * MAX_CORNERS);
+const _: () = assert!(ESTIMATED <= MAX_NODES && MAX_NODES <= MAX_ALONG_T && MAX_PANELS >= 2 * MAX_CORNERS);

@@ -74,17 +74,28 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
         let reach = (p.length() + q.length()) / length;
         let horizon = if fp == fq { S::infinity() } else { (fp + fq) / (fp - fq).abs() };
         if matches!(self.line.motion, Motion::Horizon { .. }) {
-            let nodes = integrand.orders.nodes(reach, S::infinity());
-            return self.add_nodes([low, high], nodes.or(must.then_some(MAX_NODES)), sums, |_| self.at_horizon);
+            let nodes = integrand.orders.nodes(reach, S::infinity()).or(must.then_some(MAX_NODES));
+            if let Some(nodes) = nodes {
+                self.add_nodes([low, high], integrand.rules.get(nodes), sums, |_| self.at_horizon);
+            }
+            return nodes.is_some();
+        }
+        for (ends, sign) in [([fp, fq], S::one()), ([fq, fp], -S::one())] {
+            if let Some(rule) = integrand.horizon_rule(ends, reach) {
+                let rule = rule.map(|(xi, weight)| (sign * xi, weight));
+                self.add_nodes([low, high], rule, sums, |c| in_front(integrand.emission, c));
+                return true;
+            }
         }
         if let Some((nodes, series)) =
             integrand.foreseen([p, q], core::iter::once((reach, horizon, fp / p.length() - fq / q.length())))
         {
-            let nodes = nodes.first().copied();
-            return match series {
-                Some(series) => self.add_nodes([low, high], nodes, sums, |c| in_front(&series, c)),
-                None => self.add_nodes([low, high], nodes, sums, |c| in_front(integrand.emission, c)),
-            };
+            let rule = integrand.rules.get(nodes[0]);
+            match series {
+                Some(series) => self.add_nodes([low, high], rule, sums, |c| in_front(&series, c)),
+                None => self.add_nodes([low, high], rule, sums, |c| in_front(integrand.emission, c)),
+            }
+            return true;
         }
         let cosines = integrand.cosines([p, q]);
         let height = integrand.height;
@@ -109,23 +120,21 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
                 return false;
             }
         }
-        self.add_nodes([low, high], Some(ESTIMATED), sums, |c| in_front(integrand.emission, c))
+        self.add_nodes([low, high], integrand.rules.get(ESTIMATED), sums, |c| in_front(integrand.emission, c));
+        true
     }
 
-    /// Adds a piece by the rule with this number of nodes; with `None` adds nothing and returns `false`.
+    /// Adds a piece by nodes and weights.
     fn add_nodes(
         &self,
         [low, high]: [S; 2],
-        nodes: Option<usize>,
+        rule: impl Iterator<Item = (S, S)>,
         sums: &mut Sums<S>,
         relative: impl Fn(S) -> S,
-    ) -> bool {
-        let Some(nodes) = nodes else {
-            return false;
-        };
+    ) {
         let integrand = self.integrand;
         let half_length = S::half() * (self.at(high) - self.at(low)).length();
-        for (xi, weight) in integrand.rules.get(nodes) {
+        for (xi, weight) in rule {
             let ray = self.at(S::half() * (low + high) + S::half() * (high - low) * xi);
             let inverse = ray.length().recip();
             let c = integrand.axis.dot(ray) * inverse;
@@ -140,6 +149,5 @@ impl<S: Scalar, E: Emission<S>> Side<'_, '_, S, E> {
                 sums.turn[1] += by_turn * (g * x);
             }
         }
-        true
     }
 }

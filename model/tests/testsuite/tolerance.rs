@@ -98,3 +98,22 @@ fn a_lobe_narrower_than_its_spot_takes_few_values_of_its_profile() {
     // Without leaving out where the lobe has faded it is 1200, with nodes for the whole angle's slope 900.
     assert!(mean < 450.0, "{mean}");
 }
+
+/// Work is counted, not timed: what spots take where the light may end at the emitter's horizon.
+#[test]
+fn a_spot_across_the_horizon_takes_few_values_of_its_profile() {
+    let mut rng = generator();
+    let mut evaluations: Vec<usize> = Vec::new();
+    while evaluations.len() < 5000 {
+        let scene = scene(&mut rng, Kind::Thin);
+        let plan = Plan::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 }).expect("scene");
+        let pose = pose(&mut rng, &scene, 2.5e-3, 1.6);
+        evaluations.extend(plan.respond(0, &pose).integration.map(|integration| integration.evaluations));
+    }
+    evaluations.sort_unstable();
+    let of_99 = evaluations[evaluations.len() * 99 / 100];
+    let mean = evaluations.iter().sum::<usize>() as f64 / evaluations.len() as f64;
+    println!("{mean:.1} values on average, 99 %: {of_99}");
+    // Panels halved towards the horizon take 41 and 436.
+    assert!(mean < 24.0 && of_99 < 120, "{mean} on average, 99 %: {of_99}");
+}

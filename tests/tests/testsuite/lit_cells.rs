@@ -17,7 +17,7 @@ const MOST_OF_99: usize = 36;
 fn no_scan_costs_more_than_its_budget() {
     println!("seed {}", TRIALS.seed);
     for case in cases(&WIDE.read().expect("shipped"), 20, 250) {
-        let report = study(&case, TRIALS);
+        let report = study(&case, TRIALS, 1);
         let what =
             format!("{:?} {:?} on {:?} {:?} {}", case.sight, case.tier, case.light, case.motion, case.healthy_scans);
         let (most, of_99, mean) = (report.evaluations(1.0), report.evaluations(0.99), report.mean_evaluations());
