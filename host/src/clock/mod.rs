@@ -13,6 +13,7 @@ mod utc;
 use nix::time::{ClockId, clock_gettime};
 
 pub(crate) use fit::ClockFit;
+pub(crate) use utc::UtcWatch;
 
 /// Both clocks of the host, read at one instant, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -17,7 +17,7 @@ use super::record::RecordOptions;
 use super::tool::ToolOptions;
 use super::zenoh::{ZenohOptions, key_of};
 use super::{CommandError, Outcome, interrupt, losses, names, talk};
-use crate::clock::HostInstant;
+use crate::clock::{HostInstant, UtcWatch};
 use crate::daemon::{Admit, BoardPlan, Daemon, Ended, Opener, Plan, PortOpener, SimulatedOpener};
 use crate::datagram::{Address, DatagramServer};
 use crate::device::{Search, Selector};
@@ -216,9 +216,12 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     // A manager that does not listen at this moment will at the next.
     let notify = |state| drop(service.notify(state));
     notify(service::READY);
-    let (mut accounted, mut alive) = (Instant::now(), Instant::now());
+    let (mut accounted, mut alive, mut utc) = (Instant::now(), Instant::now(), UtcWatch::default());
     while !daemon.is_over() {
         std::thread::sleep(MOMENT);
+        if let Some(step_s) = utc.step_s(HostInstant::now()) {
+            tell_step(step_s);
+        }
         if service.watchdog_every().is_some_and(|every| alive.elapsed() >= every) && daemon.is_alive() {
             alive = Instant::now();
             notify(service::ALIVE);
@@ -233,6 +236,22 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     drop((status, live, foxglove, mouse));
     let reconnects = daemon.report().boards.iter().map(|board| board.link.reconnects).collect::<Vec<_>>();
     outcome_of(ended, &reconnects, stop.load(Ordering::Relaxed), args.poses.duration.is_some())
+}
+
+/// Says that UTC has made a step, and what follows from it.
+fn tell_step(step_s: f64) {
+    if step_s > 0.0 {
+        talk(format_args!(
+            "this computer's clock was set ahead by {step_s:.1} s, or it was suspended: `host_utc_ns` jumps, \
+             `host_monotonic_ns` does not"
+        ));
+    } else {
+        let (back_s, lasts_s) = (-step_s, -2.0 * step_s);
+        talk(format_args!(
+            "this computer's clock was set back by {back_s:.1} s: `host_utc_ns` runs at half speed for {lasts_s:.1} s, \
+             `host_monotonic_ns` is not affected"
+        ));
+    }
 }
 
 /// Reports losses; the first error counts.
