@@ -49,7 +49,9 @@ fn main() -> ExitCode {
         println!(
             "{scene}: besides its tracker a scan costs {median_us:.1} us, 99 % {of_99_us:.1} us; the latter is in all that follows"
         );
-        let studied = cases(&file, options.healthy, options.scans).into_iter().map(|case| study(&case, trials, usize::from(options.passes)));
+        let studied = cases(&file, options.healthy, options.scans)
+            .into_iter()
+            .map(|case| study(&case, trials, usize::from(options.passes)));
         reports.extend(studied.map(|report| report.with_besides(of_99_us)));
     }
     println!(

@@ -24,7 +24,7 @@ impl UtcWatch {
         let now_ns = offset_ns(now);
         let least_ns = now_ns.min(self.last_ns.replace(now_ns)?);
         let step_ns = least_ns - self.least_ns.replace(least_ns)?;
-        (step_ns.abs() >= LEAST_STEP_NS).then(|| step_ns as f64 * 1e-9)
+        (step_ns.abs() >= LEAST_STEP_NS).then_some(step_ns as f64 * 1e-9)
     }
 }
 
