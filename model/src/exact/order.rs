@@ -359,6 +359,7 @@ fn horizon_rule<S: Scalar>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
         let estimate = (i as f64 + 0.75 + 0.5 * beta) / (count + 0.5 * (beta + 1.0));
         let mut x = -libm::cos(core::f64::consts::PI * estimate);
         let mut slope = 0.0;
+        // The estimate is worst for exponents near zero, where nine steps are ample.
         for _ in 0..9 {
             let [value, derivative] = jacobi(HORIZON_NODES, beta, x);
             slope = derivative;

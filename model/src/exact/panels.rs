@@ -46,7 +46,7 @@ struct Rule<'a, S> {
 }
 
 /// Most nodes along t: those of two rules from the horizon.
-const MAX_ALONG_T: usize = if 2 * HORIZON_NODES > MAX_NODES { 2 * HORIZON_NODES } else { MAX_NODES };
+const MAX_ALONG_T: usize = 2 * HORIZON_NODES;
 
 /// A panel counts as all light between the horizon and its upper end, less that below its lower end, where u·d at the lower
 /// end is at most this share of u·d at the upper one: of ordinary emitters a fifth is subtracted then, and little cancels.
