@@ -1,18 +1,16 @@
 //! What ends the light, with the instants on the emulated pins, and what the board says afterwards.
 
 use crate::common::light::{Bench, MS, Said};
+use crate::common::trial::endings::{
+    AT_ONCE_TICKS, HALTED_TICKS, find_function, find_instruction, hang, jump, until_lit_and_awake,
+};
 use crate::common::{detector_ticks, dma_ticks, silicon};
-use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::silicon::Fault;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
 
 /// A period of the default schedule; the last slot is dark.
 const FRAME_TICKS: Ticks = 42_500;
-
-/// From an event of the supply or a fault to the gates: an exception's entry, some ten instructions
-/// from flash, and whatever runs with interrupts off, 250 ticks at most.
-const AT_ONCE_TICKS: Ticks = 500;
 
 /// How long the gates were on behind `event`; 0 if they were off already.
 fn lit_for(bench: &mut Bench, event: Ticks) -> Ticks {
@@ -33,25 +31,10 @@ fn assert_comes_back(bench: &mut Bench, cause: ResetCause) {
     bench.assert_no_faults();
 }
 
-/// Lets time pass until the core is awake in thread mode and a gate is on, so that the event that
-/// comes next finds the light on.
-fn until_lit_and_awake(bench: &mut Bench) {
-    for _ in 0..FRAME_TICKS * 100 {
-        let before = bench.rig.machine().cpu.instructions();
-        let next = bench.rig.now() + 1;
-        bench.rig.run_until(next);
-        let cpu = &bench.rig.machine().cpu;
-        if cpu.instructions() != before && cpu.exception() == 0 && bench.gates() != 0 {
-            return;
-        }
-    }
-    panic!("never lit and awake");
-}
-
 /// Lets time pass until the light is on, in phase `n`; gives the instant, and forgets what was before.
 fn lit_in_phase(bench: &mut Bench, n: u64) -> Ticks {
     change_phase(bench, n);
-    until_lit_and_awake(bench);
+    until_lit_and_awake(&mut bench.rig);
     bench.forget();
     bench.rig.now()
 }
@@ -59,28 +42,6 @@ fn lit_in_phase(bench: &mut Bench, n: u64) -> Ticks {
 /// How long the gates went on behind `event`, of what is recorded since.
 fn dark_after(bench: &mut Bench, event: Ticks) -> Ticks {
     bench.record().drives.iter().find(|drive| drive.gates == 0).expect("it goes dark").at - event
-}
-
-/// Sends the core to `address`.
-fn jump(bench: &mut Bench, address: u32) {
-    let cpu = &mut bench.rig.machine().cpu;
-    let mut state = cpu.state();
-    state.r[15] = address;
-    cpu.set_state(&state);
-}
-
-/// Address of an instruction `half` in the image. It is jumped to, so that where it stands does not
-/// matter.
-fn find_instruction(bench: &mut Bench, half: u16) -> u32 {
-    let code = bench.rig.machine().board.flash_array().bytes();
-    let offset = code.chunks_exact(2).position(|bytes| bytes == half.to_le_bytes());
-    FLASH_BASE + 2 * offset.expect("the image has one") as u32
-}
-
-/// Address of the function whose mangled name contains `name`.
-fn find_function(bench: &Bench, name: &str) -> u32 {
-    let mut symbols = bench.image.symbols().filter(|(symbol, _)| symbol.contains(name));
-    symbols.next().expect("the image has it").1.address
 }
 
 fn lit() -> Bench {
@@ -168,10 +129,10 @@ fn a_pulled_cable_ends_the_light() {
 fn a_panic_ends_the_light_at_once() {
     for function in ["panicking5panic", "panic_bounds_check", "panic_already_borrowed"] {
         let mut bench = lit();
-        until_lit_and_awake(&mut bench);
+        until_lit_and_awake(&mut bench.rig);
         let event = bench.rig.now();
-        let address = find_function(&bench, function);
-        jump(&mut bench, address);
+        let address = find_function(&bench.image, function);
+        jump(&mut bench.rig, address);
         bench.run_ms(1);
         let lit = bench.dark_since() - event;
         println!("{function}: dark after {lit} ticks, {:.2} µs", us(lit));
@@ -185,10 +146,10 @@ fn a_fault_ends_the_light_at_once() {
     // UDF, a permanently undefined instruction; then an address where nothing is.
     for address in [None, Some(0x6000_0000)] {
         let mut bench = lit();
-        until_lit_and_awake(&mut bench);
+        until_lit_and_awake(&mut bench.rig);
         let event = bench.rig.now();
-        let address = address.unwrap_or_else(|| find_instruction(&mut bench, 0xDEFE));
-        jump(&mut bench, address);
+        let address = address.unwrap_or_else(|| find_instruction(&mut bench.rig, 0xDEFE));
+        jump(&mut bench.rig, address);
         bench.run_ms(1);
         let lit = bench.dark_since() - event;
         println!("jump to {address:#010x}: dark after {lit} ticks, {:.2} µs", us(lit));
@@ -201,11 +162,9 @@ fn a_fault_ends_the_light_at_once() {
 #[test]
 fn the_watchdog_ends_the_light_of_a_program_that_hangs() {
     let mut bench = lit();
-    until_lit_and_awake(&mut bench);
+    until_lit_and_awake(&mut bench.rig);
     let event = bench.rig.now();
-    // B . : interrupts go on, the main loop does not.
-    let address = find_instruction(&mut bench, 0xE7FE);
-    jump(&mut bench, address);
+    hang(&mut bench.rig);
     bench.forget();
     bench.run_ms(120);
     let resets = bench.rig.machine().resets().len();
@@ -241,10 +200,9 @@ fn a_debugger_that_halts_the_board_leaves_it_dark_and_lets_it_go_on() {
         assert_eq!(strange.count(), 0, "no frame with half of its light is handed out");
     }
     println!("halted: dark after {longest} ticks at most");
-    // What the guard waits, which is less than two slots.
-    assert!(longest < 2 * 5_800, "{longest}");
+    assert!(longest < HALTED_TICKS, "{longest}");
     bench.assert_no_faults();
-    until_lit_and_awake(&mut bench);
+    until_lit_and_awake(&mut bench.rig);
     let event = bench.rig.now();
     bench.rig.machine().halt_until(event + 150 * MS);
     assert_eq!(bench.gates(), 0);
@@ -259,7 +217,7 @@ fn a_crystal_that_stops_ends_the_light_at_once_and_the_next_start_does_without()
         return;
     }
     assert_eq!(bench.ask_status().clock, ClockSource::Crystal);
-    until_lit_and_awake(&mut bench);
+    until_lit_and_awake(&mut bench.rig);
     bench.forget();
     let event = bench.rig.now();
     bench.rig.machine().board.stop_crystal();
@@ -298,7 +256,7 @@ fn a_brown_out_lets_the_pins_float_at_once() {
     // Where the backup registers are kept the board knows that it had been running.
     for (volts, cause) in [(1.6, ResetCause::BrownOut), (0.0, ResetCause::PowerOn)] {
         let mut bench = lit();
-        until_lit_and_awake(&mut bench);
+        until_lit_and_awake(&mut bench.rig);
         let event = bench.rig.now();
         bench.rig.machine().set_supply_v(volts);
         let lit = lit_for(&mut bench, event);
@@ -315,7 +273,7 @@ fn a_brown_out_lets_the_pins_float_at_once() {
 #[test]
 fn the_reset_pin_ends_the_light_at_once() {
     let mut bench = lit();
-    until_lit_and_awake(&mut bench);
+    until_lit_and_awake(&mut bench.rig);
     let event = bench.rig.now();
     bench.rig.machine().pull_reset_pin();
     let lit = lit_for(&mut bench, event);

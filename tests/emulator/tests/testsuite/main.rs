@@ -14,5 +14,6 @@ mod panics;
 mod poses;
 mod readme;
 mod schedules;
+mod silicon;
 mod solver_cycles;
 mod storage;

@@ -6,6 +6,7 @@ pub mod pins;
 pub mod registers;
 pub mod solving;
 pub mod talk;
+pub mod trial;
 pub mod wiring;
 
 use slitpose_emulator::silicon::{Fault, Silicon};
