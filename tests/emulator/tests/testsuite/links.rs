@@ -214,22 +214,29 @@ fn a_computer_may_sleep() {
     talk.expect_no_faults();
 }
 
+/// The host begins a control transfer, outside the emulated host, and never ends it.
+fn begin_transfer(talk: &mut Talk, setup: &[u8]) {
+    let board = &mut talk.rig.machine().board;
+    let mut port = board.usb.port(&mut board.effects);
+    let mut takes = |address| {
+        let packet = OutPacket { address, endpoint: 0, setup: true, toggle: false, bytes: setup };
+        port.packet_out(packet) == Handshake::Ack
+    };
+    assert!((1..128).any(&mut takes), "the board takes a SETUP");
+    board.outside_changed();
+}
+
+/// SET_LINE_CODING without its data, SET_CONTROL_LINE_STATE with DTR without its status stage (CDC PSTN 1.2, 6.3).
+const UNENDED: [[u8; 8]; 2] = [[0x21, 0x20, 0, 0, 0, 0, 7, 0], [0x21, 0x22, 1, 0, 0, 0, 0, 0]];
+
 #[test]
 fn a_host_that_dies_within_a_control_transfer_leaves_no_light_and_the_next_one_is_heard() {
-    // SET_LINE_CODING without its data, SET_CONTROL_LINE_STATE with DTR without its status stage (CDC PSTN 1.2, 6.3).
-    for setup in [[0x21, 0x20, 0, 0, 0, 0, 7, 0], [0x21, 0x22, 1, 0, 0, 0, 0, 0]] {
+    for setup in UNENDED {
         let mut talk = Talk::at_usb();
         assert_eq!(talk.ask(Command::Start), Ok(()));
         talk.run_ms(10.0);
         talk.rig.set_cable(false);
-        let board = &mut talk.rig.machine().board;
-        let mut port = board.usb.port(&mut board.effects);
-        let mut takes = |address| {
-            let packet = OutPacket { address, endpoint: 0, setup: true, toggle: false, bytes: &setup };
-            port.packet_out(packet) == Handshake::Ack
-        };
-        assert!((1..128).any(&mut takes), "the board takes a SETUP");
-        board.outside_changed();
+        begin_transfer(&mut talk, &setup);
         talk.ear.breaks += 1;
         // As long as the board waits for a host, and until it has noticed that this one is gone.
         talk.run_until(talk.rig.now() + HOST_GONE + NOTICED + POLL);
@@ -240,6 +247,32 @@ fn a_host_that_dies_within_a_control_transfer_leaves_no_light_and_the_next_one_i
         assert!(!talk.is_acquiring());
         assert_eq!(talk.rig.machine().resets().len(), 1);
         talk.expect_no_faults();
+    }
+}
+
+#[test]
+fn of_a_suspension_and_a_reset_within_a_control_transfer_the_last_counts() {
+    for (setup, phase) in UNENDED.into_iter().flat_map(|setup| (0..5).map(move |phase| (setup, phase))) {
+        let mut talk = Talk::at_usb();
+        // Another phase of the board's looks at the bus.
+        talk.run_ms(11.0 * f64::from(phase));
+        begin_transfer(&mut talk, &setup);
+        talk.ear.breaks += 1;
+        let board = &mut talk.rig.machine().board;
+        board.usb_host.suspend(board.effects.now());
+        board.outside_changed();
+        talk.run_ms(5.0);
+        talk.ear.begin_session();
+        let board = &mut talk.rig.machine().board;
+        board.usb_host.resume(board.effects.now());
+        board.outside_changed();
+        talk.run_ms(1.0);
+        let board = &mut talk.rig.machine().board;
+        board.usb_host.reset_bus(board.effects.now());
+        board.outside_changed();
+        assert!(talk.wait_for(1_000, |talk| talk.ear.hello().is_some()), "no hello after {setup:x?}, phase {phase}");
+        assert_eq!(talk.ask(Command::Start), Ok(()));
+        assert!(talk.is_acquiring());
     }
 }
 
