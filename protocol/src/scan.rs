@@ -4,7 +4,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::schedule::{MAX_CELLS, MAX_OVERSAMPLING};
+use crate::schedule::MAX_CELLS;
 
 /// Drive level of an emitter: its radiant intensity as a fraction of nominal, in
 /// units of 1/32 768. `Level(0x8000)` is nominal, `Level(0)` off, `Level(0xFFFF)` just
@@ -129,17 +129,20 @@ pub struct AdcScaling {
 }
 
 impl AdcScaling {
-    /// Checks that words can be converted to currents.
+    /// Whether a word of 16 bits holds the sum of `oversampling` conversions of `bits` bits each.
+    pub fn fits_a_word(bits: u32, oversampling: u32) -> bool {
+        (1..=u16::BITS).contains(&bits) && ((1_u32 << bits) - 1).saturating_mul(oversampling) <= u32::from(u16::MAX)
+    }
+
+    /// Checks that words, each the sum of `oversampling` conversions, can be converted to currents.
     ///
     /// # Errors
     /// The first contradiction found, with its numbers.
-    pub fn validate(&self) -> Result<(), ScalingError> {
-        // The widest conversion whose largest allowed sum still fits a word.
-        const MAX_BITS: u8 = (u16::MAX / MAX_OVERSAMPLING).ilog2() as u8 + 1;
-        if self.bits == 0 || self.bits > MAX_BITS {
-            return Err(ScalingError::Bits { bits: self.bits, max: MAX_BITS });
+    pub fn validate(&self, oversampling: u16) -> Result<(), ScalingError> {
+        if !Self::fits_a_word(self.bits.into(), oversampling.into()) {
+            return Err(ScalingError::Bits { bits: self.bits, oversampling });
         }
-        let top_code = (1 << self.bits) - 1;
+        let top_code = u16::MAX >> (u16::BITS - u32::from(self.bits));
         if self.saturation_code > top_code {
             return Err(ScalingError::SaturationCode { saturation_code: self.saturation_code, top_code });
         }
@@ -172,12 +175,12 @@ impl AdcScaling {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum ScalingError {
     /// The width of a conversion is out of range.
-    #[error("conversions of {bits} bits: 1 to {max} fit a summed word")]
+    #[error("a word of 16 bits does not hold sums of {oversampling} conversions of {bits} bits")]
     Bits {
         /// Bits of one conversion.
         bits: u8,
-        /// Widest conversion allowed.
-        max: u8,
+        /// Conversions in a word.
+        oversampling: u16,
     },
     /// The saturation code lies above the top code.
     #[error("saturation code {saturation_code} lies above the top code {top_code}")]
@@ -220,25 +223,26 @@ mod tests {
 
     #[test]
     fn scalings_that_mean_nothing_are_refused() {
-        for (bits, saturation_code) in [(1, 1), (12, 0), (12, 4095)] {
-            assert_eq!(AdcScaling { bits, saturation_code, ..FALLING }.validate(), Ok(()));
+        // 16 · 4095 and 1 · 65 535 are the largest sums that fit 16 bits.
+        let whole = [(1, 16, 1), (12, 16, 0), (12, 16, 4095), (14, 4, 0), (16, 1, 65_535)];
+        for (bits, oversampling, saturation_code) in whole {
+            assert_eq!(AdcScaling { bits, saturation_code, ..FALLING }.validate(oversampling), Ok(()));
         }
-        for bits in [0, 13, 255] {
+        for (bits, oversampling) in [(0, 1), (13, 16), (15, 4), (16, 2), (17, 1), (255, 1)] {
             let scaling = AdcScaling { bits, ..FALLING };
-            let error = ScalingError::Bits { bits, max: 12 };
-            assert_eq!(scaling.validate(), Err(error));
+            assert_eq!(scaling.validate(oversampling), Err(ScalingError::Bits { bits, oversampling }));
         }
         let scaling = AdcScaling { saturation_code: 4096, ..FALLING };
         let error = ScalingError::SaturationCode { saturation_code: 4096, top_code: 4095 };
-        assert_eq!(scaling.validate(), Err(error));
+        assert_eq!(scaling.validate(16), Err(error));
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let scaling = AdcScaling { zero_code: wrong, ..FALLING };
-            assert!(matches!(scaling.validate(), Err(ScalingError::ZeroCode(_))), "{wrong}");
+            assert!(matches!(scaling.validate(16), Err(ScalingError::ZeroCode(_))), "{wrong}");
             let scaling = AdcScaling { amperes_per_code: wrong, ..FALLING };
-            assert!(matches!(scaling.validate(), Err(ScalingError::AmperesPerCode(_))), "{wrong}");
+            assert!(matches!(scaling.validate(16), Err(ScalingError::AmperesPerCode(_))), "{wrong}");
         }
         let scaling = AdcScaling { amperes_per_code: 0.0, ..FALLING };
-        assert_eq!(scaling.validate(), Err(ScalingError::AmperesPerCode(0.0)));
+        assert_eq!(scaling.validate(16), Err(ScalingError::AmperesPerCode(0.0)));
     }
 
     #[test]

@@ -54,7 +54,7 @@ pub fn check(file: &SceneFile, scene_match: SceneMatch, hello: &Hello<'_>) -> Re
     let board = || hello.board.to_owned();
     let versions = Versions { board: hello.protocol };
     hello.check_schemas().map_err(|source| PipelineError::Schema { board: board(), versions, source })?;
-    hello.scaling.validate().map_err(|source| PipelineError::Scaling { board: board(), source })?;
+    hello.scaling.validate(1).map_err(|source| PipelineError::Scaling { board: board(), source })?;
     if let Some(board_hash) = hello.hashes.scene
         && board_hash != file.hash
         && scene_match == SceneMatch::Required
@@ -106,7 +106,9 @@ impl Session {
         check(file, scene_match, hello)?;
         check_calibration(&head, scene_match, hello)?;
         let board = || hello.board.to_owned();
+        let Schedule { oversampling, .. } = hello.schedule;
         hello.schedule.validate().map_err(|source| PipelineError::Schedule { board: board(), source })?;
+        hello.scaling.validate(oversampling).map_err(|source| PipelineError::Scaling { board: board(), source })?;
         let board_cells = usize::from(hello.schedule.cells);
         let scene_cells = file.scene.cells.len();
         if board_cells != scene_cells {

@@ -69,7 +69,7 @@ fn read(message: &Message<'_>, schedule: &mut Option<Schedule>) {
     match message {
         Message::Hello(hello) => {
             *schedule = Some(hello.schedule.clone()).filter(|schedule| schedule.validate().is_ok());
-            let _ = (hello.scaling.validate(), hello.check_schemas());
+            let _ = (hello.scaling.validate(hello.schedule.oversampling), hello.check_schemas());
         }
         Message::Batch(batch) => {
             if let Some(schedule) = schedule

@@ -77,6 +77,13 @@ fn warnings_carry_the_number_and_a_remedy() {
             "set electrode_gain_relative",
         ),
         (wide.replace("frame_rate_hz = 4000", "frame_rate_hz = 9000"), "frame period is 111.1 µs", "frame_rate_hz"),
+        (wide.replace("adc_bits = 12", "adc_bits = 16"), "sums 4 conversions of 16 bits", "lower front_end"),
+        (
+            wide.replace("oversampling = 4", "oversampling = 32")
+                .replace("frame_rate_hz = 4000", "frame_rate_hz = 100"),
+            "sums 32 conversions",
+            "lower front_end.oversampling",
+        ),
         (wide.replace("[4.0, 4.0, 4.0]", "[4.0, 9.0, 4.0]"), "beyond ty", "shrink the workspace"),
         (
             wide.replace("emitter_mm = [10.0, 0.0, 0.0]", "emitter_mm = [30.0, 0.0, 0.0]"),

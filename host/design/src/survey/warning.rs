@@ -1,6 +1,9 @@
 //! Warnings for the designer, each with its number and a remedy.
 
+use std::error::Error;
+
 use slitpose_head::finding::{Finding, Grade};
+use slitpose_head::front_end::board_configuration;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Pose, Status};
 
@@ -62,6 +65,11 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
     warnings.extend(of_uncertainty(file));
     if let Err(error) = file.require_slots_fit() {
         warnings.push(Finding::new(Grade::Warning, "front end", error.to_string()));
+    } else if file.front_end.is_some()
+        && let Err(error) = board_configuration(file)
+    {
+        let reason = error.source().map_or_else(String::new, |source| format!(": {source}"));
+        warnings.push(Finding::new(Grade::Warning, "front end", format!("no board can run it: {error}{reason}")));
     }
     warnings
 }

@@ -192,7 +192,7 @@ impl Injector {
 
     fn meet(&mut self, hello: &Hello<'_>) {
         let schedule = &hello.schedule;
-        if schedule.validate().is_ok() && hello.scaling.validate().is_ok() {
+        if schedule.validate().is_ok() && hello.scaling.validate(schedule.oversampling).is_ok() {
             let scale =
                 WordScale { scaling: hello.scaling, oversampling: schedule.oversampling, tick_hz: schedule.tick_hz };
             self.sampled = Some((schedule.clone(), scale));

@@ -14,7 +14,7 @@ mod timing;
 pub use noise::{ROOM_TEMPERATURE_K, dark_word_noise_a};
 pub use settling::Settling;
 pub use stage::Stage;
-pub use timing::{TimingError, configuration};
+pub use timing::{TimingError, board_configuration, configuration};
 
 /// Largest relative difference of the full scales of one front end, above the tolerance of resistors.
 const FULL_SCALE_SLACK: f64 = 0.01;

@@ -1,11 +1,11 @@
 //! The schedule of a board, from a scene's lighting and electronics.
 
 use slitpose_protocol::{
-    Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
+    AdcScaling, Configuration, EmitterSet, Exposure, Level, MAX_CELLS, MAX_OVERSAMPLING, Schedule, ScheduleError,
 };
 use thiserror::Error;
 
-use crate::scene_file::SceneFile;
+use crate::scene_file::{FrontEnd, SceneFile};
 
 /// Device ticks per second of schedules from scenes. A board whose timers count at another rate rejects
 /// them, and names both rates.
@@ -31,6 +31,19 @@ pub enum TimingError {
         /// Requested number of conversions.
         oversampling: u32,
     },
+    /// Conversions whose sum a word does not hold.
+    #[error(
+        "scene `{scene}` sums {oversampling} conversions of {bits} bits, more than the 16 bits of a word on the wire; \
+         lower front_end.oversampling or front_end.adc_bits"
+    )]
+    Bits {
+        /// The scene.
+        scene: String,
+        /// Bits of one conversion.
+        bits: u32,
+        /// Conversions in a word.
+        oversampling: u32,
+    },
     /// A duration that cannot be expressed in ticks.
     #[error("scene `{scene}`: front_end.{key} = {value} is not a duration a timer of {TICK_HZ} Hz can count")]
     Ticks {
@@ -49,6 +62,20 @@ pub enum TimingError {
         /// The contradiction.
         source: ScheduleError,
     },
+}
+
+/// As [`configuration`], for a board that is to send what it converts.
+///
+/// # Errors
+/// Those of [`configuration`], and if a word on the wire does not hold the sum of its conversions.
+pub fn board_configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
+    let configuration = configuration(file)?;
+    match file.front_end {
+        Some(FrontEnd { adc_bits: bits, oversampling, .. }) if !AdcScaling::fits_a_word(bits, oversampling) => {
+            Err(TimingError::Bits { scene: file.name.clone(), bits, oversampling })
+        }
+        _ => Ok(configuration),
+    }
 }
 
 /// The configuration of a board for `file`: its lighting slots, each just long enough for settling and
@@ -108,6 +135,22 @@ mod tests {
         assert_eq!((schedule.slots.len(), levels.len(), schedule.words_per_scan()), (4, 6, 24));
         let busy = 4.0 * f64::from(schedule.slot_ticks) / f64::from(schedule.frame_ticks);
         assert!((0.5..0.67).contains(&busy), "{busy}");
+    }
+
+    #[test]
+    fn a_board_whose_words_are_too_narrow_is_refused_but_not_its_noise() {
+        let mut file = wide();
+        // 4 · 16 383 = 65 532 fits 16 bits, 4 · 32 767 does not; one conversion of 16 bits does.
+        for (bits, oversampling, fits) in [(12, 16, true), (14, 4, true), (15, 4, false), (16, 1, true), (16, 2, false)]
+        {
+            let front_end = file.front_end.as_mut().unwrap();
+            (front_end.adc_bits, front_end.oversampling, front_end.frame_rate_hz) = (bits, oversampling, 1000.0);
+            assert!(configuration(&file).is_ok());
+            match board_configuration(&file) {
+                Ok(_) => assert!(fits, "{bits}, {oversampling}"),
+                Err(error) => assert!(!fits && error.to_string().contains(&format!("{bits} bits")), "{error}"),
+            }
+        }
     }
 
     #[test]

@@ -99,7 +99,7 @@ impl SimulatedBoard {
         trajectory: Trajectory,
         seed: u64,
     ) -> Result<Self, SimulatorError> {
-        let configuration: Configuration = front_end::configuration(file)?;
+        let configuration: Configuration = front_end::board_configuration(file)?;
         let front_end = file.front_end.as_ref().ok_or_else(|| TimingError::NoFrontEnd { scene: file.name.clone() })?;
         let electronics = Electronics::new(&file.scene, front_end);
         let mut device_id = *b"simulated\0\0\0";
