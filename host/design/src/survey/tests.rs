@@ -77,6 +77,7 @@ fn warnings_carry_the_number_and_a_remedy() {
             "set electrode_gain_relative",
         ),
         (wide.replace("frame_rate_hz = 4000", "frame_rate_hz = 9000"), "frame period is 111.1 µs", "frame_rate_hz"),
+        (BENCH.text.to_owned(), "six coordinates take 3 cells, it has 1", "add cells"),
         (wide.replace("adc_bits = 12", "adc_bits = 16"), "sums 4 conversions of 16 bits", "lower front_end"),
         (
             wide.replace("oversampling = 4", "oversampling = 32")

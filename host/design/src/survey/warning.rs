@@ -19,6 +19,9 @@ const CROSSTALK_LIMIT: f64 = 1e-3;
 /// with derivatives, and leave it within 100 µs.
 const MOST_EVALUATIONS: usize = 150;
 
+/// Cells whose currents, two each, tell six coordinates.
+const FEWEST_CELLS: usize = 3;
+
 /// How much looser a tolerance is proposed.
 const LOOSER: f64 = 100.0;
 
@@ -50,6 +53,10 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
         warnings.push(Finding::warning("scene", text, TURN_DETECTORS));
     }
     let cells = survey.home.len();
+    if cells < FEWEST_CELLS {
+        let text = format!("six coordinates take {FEWEST_CELLS} cells, it has {cells}: every pose is `unobservable`");
+        warnings.push(Finding::warning("scene", text, "add cells"));
+    }
     let share = survey.coverage.at_least_lit[cells];
     if share < 1.0 {
         let text = format!("all {cells} cells are lit in {:.2} % of it only", 100.0 * share);

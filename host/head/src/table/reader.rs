@@ -43,6 +43,17 @@ pub enum TableError {
         /// The file.
         file: String,
     },
+    /// Columns that are separated by something else than commas.
+    #[error(
+        "{file}, line 1: columns are separated by {separator}; save the file with commas between columns, and points in \
+         numbers"
+    )]
+    Separator {
+        /// The file.
+        file: String,
+        /// What separates them, in a word.
+        separator: &'static str,
+    },
     /// A column that is needed and not there.
     #[error(
         "{file}, line 1: column `{}` is missing; the header has {}; add the column",
@@ -127,6 +138,9 @@ pub enum TableError {
 
 /// Bytes that are read at a time.
 const READ_BYTES: usize = 1 << 16;
+
+/// What programs write instead of commas, also where a comma begins the decimals.
+const SEPARATORS: [(char, &str); 2] = [(';', "semicolons"), ('\t', "tabs")];
 
 /// A column of the table at hand, found by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -227,7 +241,12 @@ impl TableReader {
         };
         let text =
             std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file.to_owned(), row: 0, line })?;
-        let header = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
+        let header: Vec<_> = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
+        if let [only] = &header[..]
+            && let Some((_, separator)) = SEPARATORS.into_iter().find(|(separator, _)| only.contains(*separator))
+        {
+            return Err(TableError::Separator { file: file.to_owned(), separator });
+        }
         let names = Arc::new(Names { file: file.to_owned(), header });
         let row = Rows::none(&names, 1);
         let mut table = Self { names, records, length: None, row, waiting: false, rows: 0, postponed: None };
@@ -506,6 +525,8 @@ mod tests {
             ("", "b", &["poses.csv is empty", "header row"][..]),
             ("id,b\n", "b", &["no row", "add at least one"]),
             ("id,c\n1,2\n", "b", &["line 1", "`b`", "id, c", "add"]),
+            ("id;b\n1;2,5\n", "b", &["line 1", "semicolons", "save the file with commas"]),
+            ("id\tb\n1\t2\n", "b", &["line 1", "tabs", "save the file with commas"]),
             ("b,b\n1,2\n", "b", &["line 1", "`b`", "twice", "rename"]),
             ("id,b\n1,2\n2,2 mm\n", "b", &["row 2 (line 3)", "`b`", "`2 mm`", "give one like"]),
             ("id,b\r\n1,2\r\n2,2 mm\r\n", "b", &["row 2 (line 3)", "`2 mm`"]),
