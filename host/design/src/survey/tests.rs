@@ -78,6 +78,8 @@ fn warnings_carry_the_number_and_a_remedy() {
         ),
         (wide.replace("frame_rate_hz = 4000", "frame_rate_hz = 9000"), "frame period is 111.1 µs", "frame_rate_hz"),
         (BENCH.text.to_owned(), "six coordinates take 3 cells, it has 1", "add cells"),
+        // exp(−2/1.36) is 0.23; 1.36 µs · ln 100 is 6.26 µs.
+        (wide.replace("settling_s = 13e-6", "settling_s = 2e-6"), "1.5 time constants, and 23 %", "to 6.3 µs"),
         (wide.replace("adc_bits = 12", "adc_bits = 16"), "sums 4 conversions of 16 bits", "lower front_end"),
         (
             wide.replace("oversampling = 4", "oversampling = 32")

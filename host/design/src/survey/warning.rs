@@ -4,7 +4,7 @@ use std::error::Error;
 
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::board_configuration;
-use slitpose_head::scene_file::SceneFile;
+use slitpose_head::scene_file::{FrontEnd, SceneFile};
 use slitpose_model::{Pose, Status};
 
 use super::cost::CellCost;
@@ -14,6 +14,10 @@ use super::{End, Survey};
 
 /// Cross-talk below this share stays under what gains are known to (1e-3).
 const CROSSTALK_LIMIT: f64 = 1e-3;
+
+/// Share of the slot before in a cell's first conversion. Where emitters of that slot give the cell a tenth of its own
+/// signal, this much of it is [`CROSSTALK_LIMIT`]. What is not yet there of its own light is known, and corrected.
+const UNSETTLED_LIMIT: f64 = 0.01;
 
 /// Values of a profile that six cells may take in the three to five evaluations of a solve, at some 25 ns each
 /// with derivatives, and leave it within 100 µs.
@@ -70,15 +74,33 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
         warnings.push(Finding::warning("lighting", text, "add [] to lighting.slots"));
     }
     warnings.extend(of_uncertainty(file));
-    if let Err(error) = file.require_slots_fit() {
-        warnings.push(Finding::new(Grade::Warning, "front end", error.to_string()));
-    } else if file.front_end.is_some()
-        && let Err(error) = board_configuration(file)
-    {
-        let reason = error.source().map_or_else(String::new, |source| format!(": {source}"));
-        warnings.push(Finding::new(Grade::Warning, "front end", format!("no board can run it: {error}{reason}")));
-    }
+    warnings.extend(file.front_end.and_then(|front_end| of_front_end(file, &front_end)));
     warnings
+}
+
+/// What no board can run, or where light of a slot is still there in the next.
+fn of_front_end(file: &SceneFile, front_end: &FrontEnd) -> Option<Finding> {
+    if let Err(error) = file.require_slots_fit() {
+        return Some(Finding::new(Grade::Warning, "front end", error.to_string()));
+    }
+    if let Err(error) = board_configuration(file) {
+        let reason = error.source().map_or_else(String::new, |source| format!(": {source}"));
+        return Some(Finding::new(Grade::Warning, "front end", format!("no board can run it: {error}{reason}")));
+    }
+    let FrontEnd { settling_s, time_constant_s, .. } = *front_end;
+    let (rest, follow) = ((-settling_s / time_constant_s).exp(), file.lighting.slots.windows(2));
+    let has_neighbours = follow.into_iter().any(|slots| slots.iter().all(|slot| !slot.is_empty()));
+    (has_neighbours && rest > UNSETTLED_LIMIT).then(|| {
+        let text = format!(
+            "settling_s is {:.1} time constants, and {:.0} % of what other emitters gave in the slot before is still in a \
+             cell's first conversion",
+            settling_s / time_constant_s,
+            100.0 * rest
+        );
+        let next_step =
+            format!("raise front_end.settling_s to {:.1} µs", -time_constant_s * UNSETTLED_LIMIT.ln() * 1e6);
+        Finding::warning("front end", text, next_step)
+    })
 }
 
 /// Where the tool leaves a cell's range inside the workspace.
