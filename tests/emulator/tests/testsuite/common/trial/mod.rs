@@ -114,6 +114,7 @@ impl Plan {
         const INSISTS_EVERY: Ticks = 20 * MS;
         chain.rig.machine().board.log_gates();
         until_lit_and_awake(&mut chain.rig);
+        chain.rig.machine().board.take_gate_log();
         let event = chain.rig.now();
         let end = event + self.ending.most_ticks(self.silicon) + DARK_TICKS;
         self.ending.happen(&mut chain.rig, image);
@@ -125,11 +126,9 @@ impl Plan {
             }
         }
         let log = chain.rig.machine().board.take_gate_log();
-        let lit_ticks = match log.iter().rposition(|edge| edge.gates != 0) {
-            Some(last) if last + 1 == log.len() => end - event,
-            Some(last) => log[last + 1].at.saturating_sub(event),
-            None => 0,
-        };
+        // It was lit to begin with.
+        let dark = log.iter().rposition(|edge| edge.gates != 0).map_or(0, |last_lit| last_lit + 1);
+        let lit_ticks = log.get(dark).map_or(end, |edge| edge.at) - event;
         self.ending.pass(&mut chain.rig);
         // With its last words.
         chain.run_for(DARK_TICKS as f64 / TICKS_PER_SECOND as f64);
