@@ -11,8 +11,8 @@ mod chain;
 #[path = "../tests/testsuite/common/trial/mod.rs"]
 mod trial;
 
+use std::num::NonZero;
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use clap::{Parser, ValueEnum};
 use rand::{RngExt, SeedableRng};
@@ -21,8 +21,9 @@ use slitpose_emulator::named::Named;
 use slitpose_emulator::peripherals::TICKS_PER_SECOND;
 use slitpose_emulator::rig::open_image;
 use slitpose_emulator::silicon::{Fault, Silicon};
+use slitpose_head::threads;
+use trial::Plan;
 use trial::endings::Ending;
-use trial::{Outcome, Plan};
 
 /// What ends the light without waiting for anything.
 const AT_ONCE: [Ending; 6] =
@@ -42,7 +43,7 @@ struct Options {
     seed: u64,
     /// Boards at a time [default: one a processor]
     #[arg(long)]
-    jobs: Option<usize>,
+    jobs: Option<NonZero<usize>>,
 }
 
 fn main() -> ExitCode {
@@ -67,26 +68,16 @@ fn main() -> ExitCode {
         })
         .collect();
 
-    let jobs = options.jobs.or_else(|| std::thread::available_parallelism().ok().map(Into::into)).unwrap_or(1);
-    let next = AtomicUsize::new(0);
-    let work = || {
-        let mut done = Vec::new();
-        while let Some((row, plan)) = plans.get(next.fetch_add(1, Ordering::Relaxed)) {
-            done.push((*row, *plan, plan.carry_out(&image)));
-        }
-        done
-    };
-    let outcomes: Vec<(usize, Plan, Result<Outcome, String>)> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..jobs.max(1)).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().flat_map(|worker| worker.join().expect("no board fails")).collect()
-    });
+    options.jobs.into_iter().for_each(threads::limit);
+    let outcomes = threads::on_all_cores(&plans, |(_, plan)| plan.carry_out(&image));
 
     println!("seed {}, {} boards, {} s of light each", options.seed, plans.len(), options.seconds);
     println!("                                 lit beyond the end, us, by what ended it:");
     println!("boards    scans  missing  codes  at once   stop    hang host gone  silicon");
     let mut is_sound = true;
     for (row, (name, _)) in silicons.iter().enumerate() {
-        let lived: Vec<_> = outcomes.iter().filter(|(of, ..)| *of == row).map(|(_, plan, is)| (plan, is)).collect();
+        let lived: Vec<_> =
+            plans.iter().zip(&outcomes).filter(|((of, _), _)| *of == row).map(|((_, plan), is)| (plan, is)).collect();
         let sound: Vec<_> = lived.iter().filter_map(|(plan, is)| Some((plan, is.as_ref().ok()?))).collect();
         let lit_us = |endings: &[Ending]| {
             let of = sound.iter().filter(|(plan, _)| endings.contains(&plan.ending));

@@ -88,8 +88,8 @@ fn of_front_end(file: &SceneFile, front_end: &FrontEnd) -> Option<Finding> {
         return Some(Finding::new(Grade::Warning, "front end", format!("no board can run it: {error}{reason}")));
     }
     let FrontEnd { settling_s, time_constant_s, .. } = *front_end;
-    let (rest, follow) = ((-settling_s / time_constant_s).exp(), file.lighting.slots.windows(2));
-    let has_neighbours = follow.into_iter().any(|slots| slots.iter().all(|slot| !slot.is_empty()));
+    let rest = (-settling_s / time_constant_s).exp();
+    let has_neighbours = file.lighting.slots.windows(2).any(|slots| slots.iter().all(|slot| !slot.is_empty()));
     (has_neighbours && rest > UNSETTLED_LIMIT).then(|| {
         let text = format!(
             "settling_s is {:.1} time constants, and {:.0} % of what other emitters gave in the slot before is still in a \

@@ -2,15 +2,13 @@
 
 use crate::common::light::{Bench, MS, Said};
 use crate::common::trial::endings::{
-    AT_ONCE_TICKS, HALTED_TICKS, find_function, find_instruction, hang, jump, until_lit_and_awake,
+    AT_ONCE_TICKS, Ending, HALTED_TICKS, find_function, find_instruction, hang, jump, until_lit_and_awake,
 };
-use crate::common::{detector_ticks, dma_ticks, silicon};
+use crate::common::trial::words::FRAME_TICKS;
+use crate::common::{dma_ticks, silicon};
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::silicon::Fault;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
-
-/// A period of the default schedule; the last slot is dark.
-const FRAME_TICKS: Ticks = 42_500;
 
 /// How long the gates were on behind `event`; 0 if they were off already.
 fn lit_for(bench: &mut Bench, event: Ticks) -> Ticks {
@@ -239,7 +237,7 @@ fn a_falling_supply_ends_the_light_within_microseconds() {
         bench.run_ms(5);
         let lit = dark_after(&mut bench, event);
         longest = longest.max(lit);
-        assert!(lit <= AT_ONCE_TICKS + detector_ticks(), "{lit}");
+        assert!(lit <= Ending::LowSupply.most_ticks(silicon()), "{lit}");
         assert!(bench.record().drives.iter().all(|drive| drive.gates == 0 || drive.at < event + lit), "and stays dark");
         assert!(bench.events().iter().any(|text| text.contains("supply")), "{:?}", bench.said);
         bench.rig.machine().set_supply_v(3.3);

@@ -2,7 +2,8 @@
 //! sleep, do not read, or talk rubbish.
 
 use crate::common::is_of_silicon;
-use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk, last_light};
+use crate::common::talk::{FRAME_TICKS, MS, Said, TRANSFER_SCANS, Talk};
+use crate::common::trial::endings::last_light;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use slitpose_emulator::machine::Stop;
@@ -125,7 +126,7 @@ fn a_board_that_is_left_goes_dark_after_half_a_second_and_says_so() {
     talk.close();
     let closed = talk.rig.now();
     talk.run_ms(600.0);
-    let (Some(last), false) = last_light(&mut talk) else { panic!("lit after 600 ms") };
+    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 600 ms") };
     // Closing is seen with a resolution of 0.1 ms.
     let after = last - closed;
     println!("dark {:.3} ms after closing", after as f64 / MS as f64);
@@ -159,7 +160,7 @@ fn a_cable_may_be_pulled_and_plugged_in_again() {
     talk.ear.breaks += 1;
     let pulled = talk.rig.now();
     talk.run_ms(600.0);
-    let (Some(last), false) = last_light(&mut talk) else { panic!("lit after 600 ms") };
+    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 600 ms") };
     let after = last - pulled;
     println!("dark {:.3} ms after pulling the cable", after as f64 / MS as f64);
     let range = HOST_GONE..=HOST_GONE + SUSPENSION + 2 * POLL;
@@ -449,7 +450,7 @@ fn the_serial_port_carries_the_default_stream_while_it_is_spoken_to() {
     talk.rig.machine().board.log_gates();
     let begin = talk.rig.now();
     talk.run_ms(2_600.0);
-    let (Some(last), false) = last_light(&mut talk) else { panic!("lit after 2.6 s") };
+    let (Some(last), false) = last_light(&mut talk.rig) else { panic!("lit after 2.6 s") };
     let after = last - begin;
     println!("dark {:.3} ms after the last word", after as f64 / MS as f64);
     let silence = 2_000 * MS;

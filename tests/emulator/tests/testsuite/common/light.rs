@@ -1,6 +1,7 @@
 //! A board on the bench: what its host hears, and every change of its emitter pins and every
 //! instant at which a converter holds a sample.
 
+pub use super::trial::endings::MS;
 use super::{dma_ticks, is_of_silicon, silicon};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
@@ -15,8 +16,6 @@ use slitpose_protocol::{
     AdcScaling, Command, Configuration, Decoder, Level, MAX_MESSAGE_BYTES, Message, RawScan, Rejection, ResetCause,
     Schedule, Status,
 };
-
-pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
 /// Gates and level codes from `at` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

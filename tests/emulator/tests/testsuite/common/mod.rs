@@ -24,11 +24,6 @@ pub fn dma_ticks() -> u64 {
     if silicon().has(Fault::DmaLatency) { 4 * 60 } else { 0 }
 }
 
-/// Ticks after which the supply detector reacts.
-pub fn detector_ticks() -> u64 {
-    if silicon().has(Fault::PvdSlow) { 17_000 } else { 0 }
-}
-
 /// Ticks by which the converters may see a trigger late: three to their clock's edge, and an eighth of a clock.
 pub fn trigger_ticks() -> u64 {
     if silicon().has(Fault::TriggerPhase) { 4 } else { 0 }

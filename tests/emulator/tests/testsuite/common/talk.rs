@@ -3,10 +3,12 @@
 //! [`Listener`] decodes what comes into messages of its own and checks what must hold of any of
 //! them: scans in order, counters that add up. [`Talk`] is a listener at a [`Rig`], with time.
 
+pub use super::trial::endings::MS;
+pub use super::trial::words::FRAME_TICKS;
 use super::{is_of_silicon, silicon};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
-use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
+use slitpose_emulator::peripherals::Ticks;
 use slitpose_emulator::rig::{Link, Rig, open_image, open_pose_image};
 use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
@@ -16,12 +18,6 @@ use slitpose_protocol::{
     Batch, Command, Decoder, Hashes, MAX_MESSAGE_BYTES, Message, Pong, RawScan, Rejection, Reply, ResetCause, Schedule,
     Severity, Status,
 };
-
-/// Ticks of a millisecond.
-pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
-
-/// A frame of the default configuration.
-pub const FRAME_TICKS: u64 = 42_500;
 
 /// From power-on or the plugging in of the cable to a working port: debouncing 100 ms, reset 50 ms,
 /// recovery 10 ms, and some twenty requests of a few milliseconds at most.
@@ -456,10 +452,3 @@ const AT_REST: &str = "\
 time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad
 0,0.31,-0.23,0.17,0.011,-0.007,0.019
 ";
-
-/// When the gates of `edges` were last lit, and whether they are at the end.
-pub fn last_light(talk: &mut Talk) -> (Option<Ticks>, bool) {
-    let edges = talk.rig.machine().board.take_gate_log();
-    let is_lit = talk.rig.machine().board.gates() != 0;
-    (edges.iter().rev().find(|edge| edge.gates == 0).map(|edge| edge.at), is_lit)
-}

@@ -8,7 +8,8 @@ use slitpose_emulator::silicon::{Fault, Silicon};
 use slitpose_emulator::world::World;
 use slitpose_protocol::Command;
 
-const MS: Ticks = TICKS_PER_SECOND / 1_000;
+/// Ticks of a millisecond.
+pub const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
 /// From an event of the supply or a fault to the gates: an exception's entry, some ten instructions from flash, and
 /// whatever runs with interrupts off, 250 ticks at most.
@@ -156,4 +157,11 @@ pub fn find_instruction<W: World>(rig: &mut Rig<W>, half: u16) -> u32 {
 pub fn find_function(image: &Image, name: &str) -> u32 {
     let mut symbols = image.symbols().filter(|(symbol, _)| symbol.contains(name));
     symbols.next().expect("the image has it").1.address
+}
+
+/// When the gates were last lit, by the log since it was last taken, and whether they are now.
+pub fn last_light<W: World>(rig: &mut Rig<W>) -> (Option<Ticks>, bool) {
+    let edges = rig.machine().board.take_gate_log();
+    let is_lit = rig.machine().board.gates() != 0;
+    (edges.iter().rev().find(|edge| edge.gates == 0).map(|edge| edge.at), is_lit)
 }

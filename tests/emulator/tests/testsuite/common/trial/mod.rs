@@ -7,7 +7,7 @@ pub mod endings;
 pub mod words;
 
 use super::chain::Chain;
-use endings::{Ending, until_lit_and_awake};
+use endings::{Ending, MS, last_light, until_lit_and_awake};
 use slitpose_emulator::image::Image;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::silicon::{Fault, Silicon};
@@ -16,8 +16,6 @@ use slitpose_head::scene_file::WIDE;
 use slitpose_head::simulator::{Trajectory, TrajectoryKind};
 use slitpose_protocol::Command;
 use words::{FRAME_TICKS, Model, TOLERANCE_CODES, difference};
-
-const MS: Ticks = TICKS_PER_SECOND / 1_000;
 
 /// Dark between two starts, in seconds: shorter and longer than what makes a converter stale (1 ms), and longer than
 /// a session that breaks.
@@ -125,10 +123,11 @@ impl Plan {
                 self.ending.insist(&mut chain.rig);
             }
         }
-        let log = chain.rig.machine().board.take_gate_log();
-        // It was lit to begin with.
-        let dark = log.iter().rposition(|edge| edge.gates != 0).map_or(0, |last_lit| last_lit + 1);
-        let lit_ticks = log.get(dark).map_or(end, |edge| edge.at) - event;
+        let dark = match last_light(&mut chain.rig) {
+            (Some(dark), false) => dark,
+            _ => end,
+        };
+        let lit_ticks = dark - event;
         self.ending.pass(&mut chain.rig);
         // With its last words.
         chain.run_for(DARK_TICKS as f64 / TICKS_PER_SECOND as f64);
