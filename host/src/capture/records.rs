@@ -156,7 +156,14 @@ impl<R: Read> Records<R> {
                 self.window.advance(rest);
                 return Ok(Next::Cut(self.window.offset() - self.whole_bytes.max(self.damaged_to)));
             }
-            if may_begin(&bytes[at..]) && matches!(self.proven_at(at)?, Found::Record { .. }) {
+            // Up to where a chunk's beginning would be cut off; at the end of the file one byte at a time.
+            let last = bytes.len().saturating_sub(CHUNK_BEGIN_BYTES).max(at);
+            let Some(passed_over) = (at..=last).position(|at| may_begin(&bytes[at..])) else {
+                at = last + 1;
+                continue;
+            };
+            at += passed_over;
+            if matches!(self.proven_at(at)?, Found::Record { .. }) {
                 self.window.advance(at);
                 self.has_gap = true;
                 self.damaged_to = self.window.offset();

@@ -1,7 +1,9 @@
 //! A hostile device on the port: its bytes through the pipeline.
 
+use std::sync::LazyLock;
+
 use slitpose::pipeline::{Item, Pipeline, PipelineError, SceneMatch};
-use slitpose_head::scene_file::WIDE;
+use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_model::Tier;
 
 use crate::framing::repaired;
@@ -27,8 +29,8 @@ type Solved = (u64, Option<[u64; 3]>);
 
 /// What came of the scans, and whether the board was refused.
 fn solve(pieces: &[&[u8]]) -> (Vec<Solved>, bool) {
-    let head = WIDE.read().expect("shipped");
-    let mut pipeline = Pipeline::new(head, Tier::Paper, SceneMatch::Waived).watched();
+    static HEAD: LazyLock<SceneFile> = LazyLock::new(|| WIDE.read().expect("shipped"));
+    let mut pipeline = Pipeline::new(HEAD.clone(), Tier::Paper, SceneMatch::Waived).watched();
     let (mut solved, mut scans) = (Vec::new(), 0_usize);
     let mut is_refused = false;
     for piece in pieces {
