@@ -1,4 +1,5 @@
-//! Light on a cell from other emitters that are lit with its own.
+//! Light on a cell from other emitters: those that are lit with its own, and those of the slot before, whose light the
+//! front end has not forgotten.
 
 use serde::Serialize;
 use slitpose_model::{Plan, Pose, Status};
@@ -7,6 +8,9 @@ use slitpose_head::scene_file::SceneFile;
 
 use super::sample::{self, Tally};
 use super::serialize_pose;
+
+/// Cross-talk below this share stays under what gains are known to (1e-3).
+pub(super) const CROSSTALK_LIMIT: f64 = 1e-3;
 
 /// The worst cross-talk of one lighting slot over the workspace.
 #[derive(Clone, Debug, Serialize)]
@@ -22,12 +26,25 @@ pub(crate) struct SlotCrosstalk {
     /// Where.
     #[serde(serialize_with = "serialize_pose")]
     pub at: Pose,
+    /// The emitters whose light counts.
+    #[serde(skip)]
+    others: Vec<usize>,
+    /// As which share of it.
+    #[serde(skip)]
+    weight: f64,
+}
+
+impl SlotCrosstalk {
+    fn new(slot: usize, emitters: &[usize], others: &[usize], weight: f64) -> Self {
+        let cell = emitters.first().copied().unwrap_or_default();
+        Self { slot, emitters: emitters.to_vec(), share: 0.0, cell, at: Pose::HOME, others: others.to_vec(), weight }
+    }
 }
 
 impl Tally for SlotCrosstalk {
     fn add(&mut self, plan: &Plan<f64>, pose: &Pose) {
         for &cell in &self.emitters {
-            let share = share_of_others(plan, cell, &self.emitters, pose);
+            let share = self.weight * share_of_others(plan, cell, &self.others, pose);
             if share > self.share {
                 (self.share, self.cell, self.at) = (share, cell, *pose);
             }
@@ -41,27 +58,39 @@ impl Tally for SlotCrosstalk {
     }
 }
 
+/// Cross-talk within each slot of several emitters, and from the slot before each slot where a front end is slow enough
+/// for it to count.
 pub(super) fn of_slots(
     file: &SceneFile,
     plan: &Plan<f64>,
     samples: usize,
     progress: impl FnMut(usize),
-) -> Vec<SlotCrosstalk> {
-    let slots: Vec<_> = file
-        .lighting
-        .slots
-        .iter()
-        .enumerate()
-        .filter(|(_, emitters)| emitters.len() > 1)
-        .map(|(slot, emitters)| SlotCrosstalk {
-            slot,
-            emitters: emitters.clone(),
-            share: 0.0,
-            cell: emitters[0],
-            at: Pose::HOME,
-        })
-        .collect();
-    sample::over(plan, &slots, file.workspace.poses(samples), progress)
+) -> (Vec<SlotCrosstalk>, Vec<SlotCrosstalk>) {
+    let slots = &file.lighting.slots;
+    let together = slots.iter().enumerate().filter(|(_, emitters)| emitters.len() > 1);
+    let together: Vec<_> = together.map(|(slot, emitters)| SlotCrosstalk::new(slot, emitters, emitters, 1.0)).collect();
+    let before = |slot: usize| (slot + slots.len() - 1) % slots.len();
+    let carried = slots.iter().enumerate().map(|(slot, emitters)| {
+        SlotCrosstalk::new(slot, emitters, &slots[before(slot)], share_carried_into(file, slot))
+    });
+    // Less than this is too little even of neighbours that are as bright as a cell's own light.
+    let carried = carried.filter(|slot| slot.weight > CROSSTALK_LIMIT && !slot.emitters.is_empty());
+    let mut all: Vec<_> = together.iter().cloned().chain(carried.filter(|slot| !slot.others.is_empty())).collect();
+    all = sample::over(plan, &all, file.workspace.poses(samples), progress);
+    let carried = all.split_off(together.len());
+    (all, carried)
+}
+
+/// Share of a current of the slot before that is in the words of `slot`: exp(−t/τ), in the mean of its conversions.
+/// The first slot follows the last one of the frame before, and the rest of that frame.
+fn share_carried_into(file: &SceneFile, slot: usize) -> f64 {
+    let Some(front_end) = file.front_end else { return 0.0 };
+    let slot_s = front_end.slot_duration_s(file.scene.cells.len());
+    let idle_s = front_end.frame_period_s() - file.lighting.slots.len() as f64 * slot_s;
+    let off_s = front_end.settling_s + if slot == 0 { idle_s.max(0.0) } else { 0.0 };
+    let count = front_end.oversampling;
+    let at_s = (0..count).map(|conversion| off_s + f64::from(conversion) * front_end.conversion_s);
+    at_s.map(|at_s| (-at_s / front_end.time_constant_s).exp()).sum::<f64>() / f64::from(count)
 }
 
 /// Zero where the cell's own signal is no measurement anyway: not lit, or faint.

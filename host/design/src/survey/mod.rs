@@ -21,6 +21,7 @@ use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
+use crate::map::Outlook;
 pub(crate) use cost::CellCost;
 pub(crate) use coverage::Coverage;
 pub(crate) use crosstalk::{SlotCrosstalk, share_of_others};
@@ -48,6 +49,8 @@ pub struct Survey {
     pub(crate) workspace: WorkspaceFacts,
     /// Each cell with the tool at home.
     pub(crate) home: Vec<CellAtHome>,
+    /// Standard deviations that one frame gives the pose at home, metres and radians; `None` if it gives none.
+    pub(crate) sigma_at_home: Option<[f64; 6]>,
     /// The sampled workspace.
     pub(crate) coverage: Coverage,
     /// How far the tool moves along each axis with every cell lit and not faint.
@@ -56,6 +59,8 @@ pub struct Survey {
     pub(crate) cost: Vec<CellCost>,
     /// Cross-talk of every lighting slot with more than one emitter.
     pub(crate) crosstalk: Vec<SlotCrosstalk>,
+    /// Light of the slot before, of every slot into which the front end carries more than a thousandth of it.
+    pub(crate) carried: Vec<SlotCrosstalk>,
     /// Duration of slots and frame; `None` without front end.
     pub(crate) timing: Option<Timing>,
     /// Coordinates that the currents leave free at home, joined by `;`; empty if there are none.
@@ -83,6 +88,7 @@ impl Survey {
         let tier = Tier::Exact { tolerance: TOLERANCE };
         let plan = Plan::<f64>::compile(&file.scene, tier)?;
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
+        let (crosstalk, carried) = crosstalk::of_slots(file, &plan, samples, &mut progress);
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
         let mut survey = Self {
             name: file.name.clone(),
@@ -90,10 +96,12 @@ impl Survey {
             hash: format!("{:016x}", file.hash),
             workspace: file.workspace.into(),
             home: home::at_home(&file.scene, &plan),
+            sigma_at_home: Outlook::of(file.clone().into())?.at(&Pose::HOME).sigma,
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
             travel: travel::along_axes(&plan),
             cost: cost::of_cells(file, samples, &mut progress)?,
-            crosstalk: crosstalk::of_slots(file, &plan, samples, &mut progress),
+            crosstalk,
+            carried,
             timing: Timing::of(file),
             free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
             mirror_images: solver.has_mirror_images(),

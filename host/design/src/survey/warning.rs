@@ -9,15 +9,11 @@ use slitpose_model::{Pose, Status};
 
 use super::cost::CellCost;
 use super::coverage::CellCoverage;
-use super::crosstalk::SlotCrosstalk;
-use super::{End, Survey};
+use super::crosstalk::{CROSSTALK_LIMIT, SlotCrosstalk};
+use super::{AXES, End, Survey, WorkspaceFacts};
 
-/// Cross-talk below this share stays under what gains are known to (1e-3).
-const CROSSTALK_LIMIT: f64 = 1e-3;
-
-/// Share of the slot before in a cell's first conversion. Where emitters of that slot give the cell a tenth of its own
-/// signal, this much of it is [`CROSSTALK_LIMIT`]. What is not yet there of its own light is known, and corrected.
-const UNSETTLED_LIMIT: f64 = 0.01;
+/// σ of a single frame at home over the workspace's half extent: beyond this a pose is hardly told.
+const VAGUE: f64 = 0.1;
 
 /// Values of a profile that six cells may take in the three to five evaluations of a solve, at some 25 ns each
 /// with derivatives, and leave it within 100 µs.
@@ -48,6 +44,7 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
         let text = format!("the currents leave {} free: poses there are `unobservable`", survey.free_at_home);
         warnings.push(Finding::warning("home", text, TURN_DETECTORS));
     }
+    warnings.extend(vague_at_home(survey));
     if survey.mirror_images {
         let text = format!(
             "poses of the head `{}` have mirror images with nearly the same currents: a cold start is slow, and says \
@@ -69,17 +66,19 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
     warnings.extend(survey.coverage.cells.iter().flat_map(|cell| of_light(file, cell)));
     warnings.extend(survey.cost.iter().filter_map(of_cost));
     warnings.extend(survey.crosstalk.iter().filter(|slot| slot.share > CROSSTALK_LIMIT).map(of_crosstalk));
+    warnings.extend(file.front_end.and_then(|front_end| of_carried(survey, &front_end)));
     if file.lighting.dark_slot().is_none() {
         let text = "no lighting slot is dark, so ambient light and offsets stay in the currents";
         warnings.push(Finding::warning("lighting", text, "add [] to lighting.slots"));
     }
     warnings.extend(of_uncertainty(file));
-    warnings.extend(file.front_end.and_then(|front_end| of_front_end(file, &front_end)));
+    warnings.extend(of_front_end(file));
     warnings
 }
 
-/// What no board can run, or where light of a slot is still there in the next.
-fn of_front_end(file: &SceneFile, front_end: &FrontEnd) -> Option<Finding> {
+/// What no board can run.
+fn of_front_end(file: &SceneFile) -> Option<Finding> {
+    file.front_end?;
     if let Err(error) = file.require_slots_fit() {
         return Some(Finding::new(Grade::Warning, "front end", error.to_string()));
     }
@@ -87,19 +86,25 @@ fn of_front_end(file: &SceneFile, front_end: &FrontEnd) -> Option<Finding> {
         let reason = error.source().map_or_else(String::new, |source| format!(": {source}"));
         return Some(Finding::new(Grade::Warning, "front end", format!("no board can run it: {error}{reason}")));
     }
-    let FrontEnd { settling_s, time_constant_s, .. } = *front_end;
-    let rest = (-settling_s / time_constant_s).exp();
-    let has_neighbours = file.lighting.slots.windows(2).any(|slots| slots.iter().all(|slot| !slot.is_empty()));
-    (has_neighbours && rest > UNSETTLED_LIMIT).then(|| {
+    None
+}
+
+/// The axis that noise leaves open most, if it leaves more than a tenth of the workspace.
+fn vague_at_home(survey: &Survey) -> Option<Finding> {
+    let sigma = survey.sigma_at_home?;
+    let WorkspaceFacts { half_extent_m, half_extent_rad } = survey.workspace;
+    let axes = AXES.into_iter().zip(sigma).zip(half_extent_m.into_iter().chain(half_extent_rad));
+    let share = |sigma: f64, half_extent: f64| if half_extent > 0.0 { sigma / half_extent } else { 0.0 };
+    let ((axis, sigma), half_extent) =
+        axes.max_by(|((_, a), of), ((_, b), of_b)| share(*a, *of).total_cmp(&share(*b, *of_b)))?;
+    (share(sigma, half_extent) > VAGUE).then(|| {
         let text = format!(
-            "settling_s is {:.1} time constants, and {:.0} % of what other emitters gave in the slot before is still in a \
-             cell's first conversion",
-            settling_s / time_constant_s,
-            100.0 * rest
+            "noise moves {axis} of a single frame by {} (1 σ), in a workspace of ±{}",
+            extent(axis, sigma).trim_start_matches('+'),
+            extent(axis, half_extent).trim_start_matches('+')
         );
-        let next_step =
-            format!("raise front_end.settling_s to {:.1} µs", -time_constant_s * UNSETTLED_LIMIT.ln() * 1e6);
-        Finding::warning("front end", text, next_step)
+        let next_step = "raise slit.distance_mm, so that spots move farther, or the emitter's intensity";
+        Finding::warning("home", text, next_step)
     })
 }
 
@@ -186,6 +191,24 @@ fn of_crosstalk(slot: &SlotCrosstalk) -> Finding {
         describe(&slot.at)
     );
     Finding::warning(format!("slot {}", slot.slot), text, "light them in different slots")
+}
+
+/// Light of the slot before, where it is worst.
+fn of_carried(survey: &Survey, front_end: &FrontEnd) -> Option<Finding> {
+    let worst = survey.carried.iter().max_by(|a, b| a.share.total_cmp(&b.share))?;
+    (worst.share > CROSSTALK_LIMIT).then(|| {
+        let text = format!(
+            "cell {} gets {:.2} % of its own signal at {} from emitters of the slot before: settling_s is {:.1} time \
+             constants",
+            worst.cell,
+            100.0 * worst.share,
+            describe(&worst.at),
+            front_end.settling_s / front_end.time_constant_s,
+        );
+        let settled_s = front_end.settling_s + front_end.time_constant_s * (worst.share / CROSSTALK_LIMIT).ln();
+        let next_step = format!("raise front_end.settling_s to {:.1} µs", settled_s * 1e6);
+        Finding::warning(format!("slot {}", worst.slot), text, next_step)
+    })
 }
 
 /// Gains that the scene leaves open, but only those that both electrodes of a cell share.
