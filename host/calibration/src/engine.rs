@@ -17,7 +17,9 @@ use crate::pose_error::PoseError;
 use crate::start::{Beginning, solved};
 use crate::state::{State, Weights};
 use crate::weakness;
-use crate::{Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, prior, residuals};
+use crate::{
+    Calibration, CalibrationFileError, Clock, ClockError, Frames, Residual, Statistics, prior, residuals, uncalibrated,
+};
 
 /// Rounds of adjustment and estimate of the model errors.
 const ROUNDS: usize = 12;
@@ -31,6 +33,13 @@ const LEAST_HELD_OUT: usize = 20;
 /// Most adjustments for the clocks of instruments alone, and the change of a clock below which none follows, seconds.
 const CLOCK_ROUNDS: usize = 3;
 const CLOCK_SETTLED_S: f64 = 0.2e-3;
+
+/// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
+/// are exchanged it is more than all.
+const FOREIGN: f64 = 0.25;
+
+/// What the tolerances of parts that count as known do at least.
+const LEAST_EXPLAINED: ModelError = ModelError { relative: 0.05, position_m: 50e-6, current_a: 0.0 };
 
 /// Why there is no calibration.
 #[derive(Debug, Error)]
@@ -50,6 +59,38 @@ pub enum CalibrateError {
     /// No parameter to be found.
     #[error("the scene's [tolerance] says that every part is known; raise the tolerances of the parts that are not")]
     NothingOpen,
+    /// Rows that lead to no pose by the tolerances of the parts alone.
+    #[error(
+        "{file}: only {found} of {rows} rows lead to a pose by the scene and its tolerances; calibrate by poses in the frames of the scene first (--known), or begin with an earlier calibration (--start); if neither helps, check the scene, and that the currents are in amperes"
+    )]
+    NoPoses {
+        /// The file.
+        file: String,
+        /// Rows with a pose.
+        found: usize,
+        /// All rows.
+        rows: usize,
+    },
+    /// Rows that lead to no pose by an earlier calibration.
+    #[error(
+        "{file}: only {found} of {rows} rows lead to a pose by the calibration to start with; check that it is of this head, and that the currents are in amperes"
+    )]
+    NoPosesByStart {
+        /// The file.
+        file: String,
+        /// Rows with a pose.
+        found: usize,
+        /// All rows.
+        rows: usize,
+    },
+    /// Cells whose readings are not those of the scene's.
+    #[error(
+        "no head within the tolerances explains these readings: an adjustment leaves {left} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, and at these cells in the scene, or take one out of both"
+    )]
+    ForeignCells {
+        /// What is left of each such cell, between readings and model.
+        left: String,
+    },
     /// Poses that do not fix what they have in common.
     #[error(
         "{file}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
@@ -128,7 +169,7 @@ pub fn calibrate(
     plausibility::check(file, data)?;
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
     let errors = vec![ModelError::default(); file.scene.cells.len()];
-    let Beginning { poses, unknowns } = Beginning::of(file, data)?;
+    let Beginning { poses, unknowns } = Beginning::of(file, start, data)?;
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
     let on_time;
@@ -150,6 +191,9 @@ pub fn calibrate(
         if change < 0.1 {
             break;
         }
+    }
+    if !is_interrupted {
+        foreign_cells(file, &state)?;
     }
     let remarks = worse_instruments(data, &state);
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
@@ -179,6 +223,22 @@ fn put_on_time(
         }
     }
     Ok(data)
+}
+
+/// Refuses readings that the parameters do not explain, and which the adjustment leaves to the model errors of cells.
+fn foreign_cells(file: &SceneFile, state: &State) -> Result<(), CalibrateError> {
+    let by_tolerances = uncalibrated(file)?;
+    let cells = by_tolerances.cells.iter().zip(&state.model_errors).enumerate();
+    let foreign = cells.filter_map(|(number, (cell, left))| {
+        let before = &cell.effects.model_error;
+        let is_left = |left: f64, before: f64, least: f64| left > FOREIGN * before.max(least);
+        let is_foreign = is_left(left.position_m, before.position_m, LEAST_EXPLAINED.position_m)
+            || is_left(left.relative, before.relative, LEAST_EXPLAINED.relative);
+        is_foreign
+            .then(|| format!("{:.0} µm and {:.1} % of cell {number}", left.position_m * 1e6, 100.0 * left.relative))
+    });
+    let left: Vec<String> = foreign.collect();
+    if left.is_empty() { Ok(()) } else { Err(CalibrateError::ForeignCells { left: left.join(", ") }) }
 }
 
 /// Ratio of an instrument's errors to its stated σ that counts as worse.

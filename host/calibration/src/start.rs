@@ -8,7 +8,10 @@ use crate::constraint;
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
 use crate::frames;
 use crate::sensitivity::TIER;
-use crate::{CalibrateError, uncalibrated};
+use crate::{CalibrateError, Calibration, uncalibrated};
+
+/// Share of a group's rows that must lead to a pose for the others to follow from home.
+const LEAST_WITH_POSE: f64 = 0.25;
 
 /// Poses of all rows and unknowns of all groups. Rows without a pose stay at home.
 pub(crate) struct Beginning {
@@ -31,12 +34,15 @@ pub(crate) fn solved(scene: &Scene, rows: &[Row]) -> Result<Vec<Option<Pose>>, S
 }
 
 impl Beginning {
-    /// From the data and the scene.
+    /// From the data and the head as it is known: by an earlier calibration, or by the tolerances of `file`.
     ///
     /// # Errors
-    /// A group whose poses do not fix what they have in common.
-    pub(crate) fn of(file: &SceneFile, data: &Data) -> Result<Self, CalibrateError> {
-        let scene = uncalibrated(file)?;
+    /// A group whose rows lead to too few poses, or whose poses do not fix what they have in common.
+    pub(crate) fn of(file: &SceneFile, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
+        let scene = match start {
+            Some(start) => start.apply(file)?,
+            None => uncalibrated(file)?,
+        };
         let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
         for group in &data.groups {
             let rows = &data.rows[group.rows.clone()];
@@ -49,6 +55,14 @@ impl Beginning {
                 continue;
             }
             let found = solved(&scene, rows)?;
+            let with_pose = found.iter().flatten().count();
+            if (with_pose as f64) < LEAST_WITH_POSE * rows.len() as f64 {
+                let (file, rows) = (group.file.clone(), rows.len());
+                return Err(match start {
+                    Some(_) => CalibrateError::NoPosesByStart { file, found: with_pose, rows },
+                    None => CalibrateError::NoPoses { file, found: with_pose, rows },
+                });
+            }
             for (place, pose) in places.iter_mut().zip(&found) {
                 *place = pose.unwrap_or(Pose::HOME);
             }

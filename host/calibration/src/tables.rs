@@ -39,7 +39,7 @@ pub fn read(
         Constraint::Known | Constraint::KnownInOwnFrames => {
             let poses = PoseColumns::find(&reader)?;
             while let Some(row) = reader.next_row()? {
-                let knowledge = Knowledge::Reported(poses.pose(&row)?);
+                let knowledge = Knowledge::Reported(poses.reported_pose(&row)?);
                 rows.push(row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?);
             }
         }

@@ -1,5 +1,6 @@
 //! Calibration with data that are not what they are said to be.
 
+use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -20,14 +21,18 @@ struct Known {
 
 impl Known {
     fn read() -> Self {
+        // Half of them is enough, and half as slow.
+        Self::read_every(2)
+    }
+
+    fn read_every(step: usize) -> Self {
         let text = std::fs::read_to_string(data("head_1_known.csv")).expect("a table");
         let row = |line: &str| {
             let numbers: Vec<f64> = line.split(',').map(|field| field.parse().expect("a number")).collect();
             let pose = std::array::from_fn(|k| numbers[1 + k]);
             (pose, std::array::from_fn(|cell| [numbers[7 + 2 * cell], numbers[8 + 2 * cell]]))
         };
-        // Half of them is enough, and half as slow.
-        Self { rows: text.lines().skip(1).step_by(2).map(row).collect() }
+        Self { rows: text.lines().skip(1).step_by(step).map(row).collect() }
     }
 
     fn spoilt(mut self, spoil: impl FnMut(&mut ([f64; 6], [[f64; 2]; 6]))) -> Self {
@@ -80,15 +85,22 @@ fn wrong_data_are_recognised_and_named() {
     let scaled = |from: usize, factor: f64| {
         known.clone().spoilt(|row| row.0[from..from + 3].iter_mut().for_each(|value| *value *= factor))
     };
-    let cases: [(&str, Known, &[&str]); 9] = [
+    // Angles of degrees that could be radians.
+    let mut little = Known::read_every(1);
+    let is_little = |pose: &[f64; 6]| pose[3..].iter().all(|angle| angle.to_degrees().abs() < TAU);
+    little.rows.retain(|(pose, _)| is_little(pose));
+    let in_degrees = |row: &mut ([f64; 6], _)| row.0[3..].iter_mut().for_each(|angle| *angle = angle.to_degrees());
+    let cases: [(&str, Known, &[&str]); 11] = [
         ("little motion", known.clone().spoilt(few_millimetres), &["too little to tell parts apart"]),
         ("a dead cell", known.clone().spoilt(|row| row.1[3] = [1e-9; 2]), &["cell 3 sees no light in 100 of 100 rows"]),
         ("electrodes", known.clone().spoilt(|row| row.1[2].swap(0, 1)), &["electrodes of cell 2", "i_x1_2_a"]),
         ("cells", known.clone().spoilt(|row| row.1.swap(1, 2)), &["cell 1 look like those of cell 2"]),
         ("a shift", late, &["shifted against the currents by -1 rows"]),
-        ("metres", scaled(0, 1e-3), &["times as far as its currents say", "are these metres?"]),
+        ("metres", scaled(0, 1e-3), &["tx_mm, ty_mm and tz_mm are millimetres", "are these metres?"]),
         ("micrometres", scaled(0, 1e3), &["are these micrometres?"]),
-        ("degrees", scaled(3, 1f64.to_degrees()), &["are these degrees?"]),
+        ("inches", scaled(0, 25.4f64.recip()), &["are these inches?"]),
+        ("degrees", known.clone().spoilt(in_degrees), &["row 1", "column `rx_rad`", "are these degrees?"]),
+        ("degrees within a turn", little.spoilt(in_degrees), &["radians, but are these degrees?"]),
         ("inversion", known.clone().spoilt(inverted), &["look inverted", "base_from_tool"]),
     ];
     for (case, table, parts) in cases {
@@ -97,6 +109,38 @@ fn wrong_data_are_recognised_and_named() {
         for part in parts {
             assert!(said.contains(part), "{case}: `{part}` is not in: {said}");
         }
+    }
+}
+
+/// Without an instrument nothing tells which cell is wrong, and the errors that are left could pass for those of the model.
+#[test]
+fn free_motion_of_exchanged_cells_is_refused() {
+    let text = std::fs::read_to_string(data("head_1_free.csv")).expect("a table");
+    let (header, rows) = text.split_once('\n').expect("rows");
+    let rows: Vec<Vec<&str>> = rows.lines().map(|row| row.split(',').collect()).collect();
+    let column = |cell: usize, electrode: usize| 2 + 2 * cell + electrode;
+    let mut exchanged_cells = rows.clone();
+    let mut exchanged_electrodes = rows.clone();
+    let mut late_cell = rows.clone();
+    for (row, fields) in rows.iter().enumerate() {
+        for electrode in 0..2 {
+            exchanged_cells[row].swap(column(1, electrode), column(2, electrode));
+            late_cell[row][column(4, electrode)] = rows[(row + 50) % rows.len()][column(4, electrode)];
+        }
+        exchanged_electrodes[row].swap(column(3, 0), column(3, 1));
+        assert_eq!(fields.len(), column(6, 0));
+    }
+    let folder = TempDir::new().expect("a folder");
+    let [table, output] = ["free.csv", "head.toml"].map(|name| folder.path().join(name));
+    let cases = [(exchanged_cells, " of cell 2"), (exchanged_electrodes, " of cell 3"), (late_cell, " of cell 4")];
+    for (rows, cell) in cases {
+        let rows: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
+        std::fs::write(&table, format!("{header}\n{}\n", rows.join("\n"))).expect("written");
+        let [table, output] = [&table, &output].map(|path| path.to_str().expect("UTF-8"));
+        let finished = slitpose!().run(["calibrate", &data("nominal.toml"), "--free", table, "--output", output]);
+        let said = finished.stderr;
+        assert!(finished.code == 1 && said.contains("no head within the tolerances") && said.contains(cell), "{said}");
+        assert!(!std::path::Path::new(output).exists());
     }
 }
 

@@ -1,5 +1,7 @@
 //! The columns that hold a pose: `id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad`.
 
+use std::f64::consts::TAU;
+
 use glam::DVec3;
 use slitpose_model::Pose;
 
@@ -13,6 +15,9 @@ const LONGEST_MM: f64 = 1e9;
 
 /// A rotation vector beyond this has lost its angle to rounding.
 const MOST_RAD: f64 = 1e6;
+
+/// What an instrument reports is no longer than a turn, unless it is in another unit.
+const MOST_REPORTED_RAD: f64 = TAU;
 
 /// Where a table keeps its poses.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +50,17 @@ impl PoseColumns {
     /// The row's identifier, of any kind.
     pub fn id<'a>(&self, row: &Row<'a>) -> &'a str {
         row.text(self.id)
+    }
+
+    /// The row's pose as an instrument reports it: rotations of more than a turn are refused.
+    pub fn reported_pose(&self, row: &Row<'_>) -> Result<Pose, TableError> {
+        for column in &self.components[3..] {
+            let angle = row.number(*column)?;
+            if angle.abs() > MOST_REPORTED_RAD {
+                return Err(row.out_of_range(*column, angle, "radians, at most a turn of 6.28; are these degrees?"));
+            }
+        }
+        self.pose(row)
     }
 
     /// The row's pose.
