@@ -7,7 +7,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use slitpose_calibration::{
-    Calibrated, Calibration, Constraint, Data, Knowledge, Quantity, Request, Row, calibrate, draw, validity,
+    CalibrateError, Calibrated, Calibration, Constraint, Data, Implausible, Knowledge, Quantity, Request, Row,
+    calibrate, draw, inverse, validity,
 };
 use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, SceneFile, WIDE};
 use slitpose_model::{Noise, Plan, Pose, Scene, Tier};
@@ -102,6 +103,72 @@ impl Bench {
         println!("seed {SEED}: light of the head predicted to {relative:.1e}, and to {:.2} µm", share * 12e3);
         assert!(relative < 1e-3 && share * 12e-3 < 1e-6);
     }
+}
+
+/// Why these rows are refused.
+fn refused(file: &SceneFile, constraint: Constraint, rows: Vec<Row>) -> CalibrateError {
+    let mut data = Data::default();
+    data.add("wrong.csv", constraint, STATED, rows);
+    let request = Request { file, data: &data, start: None, date: None };
+    calibrate(&request, &mut |_| ControlFlow::Continue(())).expect_err("refused")
+}
+
+#[test]
+fn poses_in_other_units_frames_and_rows_are_told_by_where_the_light_is() {
+    let mut bench = Bench::new();
+    let head = bench.head(|_| false, 1.0);
+    let rows = bench.rows(&head, 60, STATED);
+    let reported = |row: &Row| match row.knowledge {
+        Knowledge::Reported(pose) => pose,
+        _ => unreachable!("known rows"),
+    };
+    let with = |pose: &dyn Fn(usize) -> Pose| {
+        let row = |(number, row): (usize, &Row)| Row { knowledge: Knowledge::Reported(pose(number)), ..row.clone() };
+        rows.iter().enumerate().map(row).collect::<Vec<_>>()
+    };
+    for (scale, named) in [(1e-3, "metres"), (1e3, "micrometres"), (25.4_f64.recip(), "inches")] {
+        let scaled = |row: usize| {
+            let pose = reported(&rows[row]);
+            Pose { translation_m: pose.translation_m * scale, ..pose }
+        };
+        let error = refused(&bench.file, Constraint::Known, with(&scaled));
+        let CalibrateError::Implausible(Implausible::Lengths { unit, .. }) = error else { panic!("{error}") };
+        assert_eq!(unit, named);
+    }
+    let error = refused(&bench.file, Constraint::Known, with(&|row| inverse(&reported(&rows[row]))));
+    assert!(matches!(error, CalibrateError::Implausible(Implausible::Inverted { .. })), "{error}");
+    let error = refused(&bench.file, Constraint::Known, with(&|row| reported(&rows[(row + 3) % 60])));
+    assert!(matches!(error, CalibrateError::Implausible(Implausible::Shifted { rows: -3, .. })), "{error}");
+    // An instrument whose frame is another one: 4 mm are 2 mm on a detector.
+    let elsewhere = |row: usize| {
+        let pose = reported(&rows[row]);
+        Pose { translation_m: pose.translation_m + DVec3::splat(4e-3), ..pose }
+    };
+    let error = refused(&bench.file, Constraint::Known, with(&elsewhere));
+    assert!(matches!(error, CalibrateError::Implausible(Implausible::OtherScene { .. })), "{error}");
+}
+
+#[test]
+fn without_an_instrument_exchanged_cells_and_missing_poses_are_told() {
+    let mut bench = Bench::new();
+    let head = bench.head(|_| false, 1.0);
+    let mut rows = bench.rows(&head, 60, STATED);
+    rows.iter_mut().for_each(|row| row.readings.swap(1, 2));
+    let error = refused(&bench.file, Constraint::Free, rows);
+    assert!(matches!(error, CalibrateError::ForeignCells { .. }), "{error}");
+
+    // Two redundancies do not outweigh parts that are a few tenths of a millimetre off.
+    bench.file.scene.cells.truncate(4);
+    bench.file.lighting.slots = vec![vec![0, 2], vec![1, 3], vec![]];
+    let head = bench.head(|_| false, 1.0);
+    let rows = bench.rows(&head, 60, STATED);
+    let error = refused(&bench.file, Constraint::Free, rows.clone());
+    assert!(matches!(error, CalibrateError::NoPoses { found: 0..15, rows: 60, .. }), "{error}");
+    let known = bench.calibrated(rows.clone()).calibration;
+    let mut data = Data::default();
+    data.add("free.csv", Constraint::Free, STATED, rows);
+    let request = Request { file: &bench.file, data: &data, start: Some(&known), date: None };
+    assert!(calibrate(&request, &mut |_| ControlFlow::Continue(())).is_ok());
 }
 
 /// All emitters lit at once: a fiftieth of a cell's light is that of its neighbours, and their parts deviate, too.
