@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use slitpose_calibration::{CalibrateError, Constraint, Data, Row, measured_noise, read_tracked, tables};
+use slitpose_calibration::{CalibrateError, Calibration, Constraint, Data, Row, measured_noise, read_tracked, tables};
 use slitpose_head::front_end::{Stage, TimingError, configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Electronics;
@@ -83,11 +83,17 @@ pub enum MeasurementsError {
 }
 
 impl Measurements {
-    /// Reads all of them, of the head of `file`; `say` is told what is remarkable.
+    /// Reads all of them, of the head of `file`, which may have been calibrated before (`start`); `say` is told what is
+    /// remarkable.
     ///
     /// # Errors
     /// Files that cannot be read, or are of another head.
-    pub fn read(&self, file: &SceneFile, say: &mut dyn FnMut(&str)) -> Result<Data, MeasurementsError> {
+    pub fn read(
+        &self,
+        file: &SceneFile,
+        start: Option<&Calibration>,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Data, MeasurementsError> {
         let known = if self.has_own_frames { Constraint::KnownInOwnFrames } else { Constraint::Known };
         let mut data = Data::default();
         if let Some(capture) = self.known_captures.get(self.known.len()) {
@@ -96,7 +102,7 @@ impl Measurements {
         let (tracked, listed) = self.known.split_at(self.known_captures.len());
         for (table, capture) in tracked.iter().zip(&self.known_captures) {
             let rows = read_capture(file, capture, &mut data, say)?;
-            read_tracked(file, [table, capture], rows, known, self.known_sigmas, &mut data)?;
+            read_tracked(file, start, [table, capture], rows, known, self.known_sigmas, &mut data)?;
         }
         for (files, constraint, sigmas) in [
             (listed, known, self.known_sigmas),

@@ -16,10 +16,10 @@ use thiserror::Error;
 use crate::data::{Constraint, Data, Row, compose, inverse};
 use crate::frames::align;
 use crate::plausibility::median;
-use crate::start::solved;
+use crate::start::{first_poses, known_so_far};
 use crate::tables::thinned;
 use crate::track::{FoundClock, Track};
-use crate::{CalibrateError, uncalibrated};
+use crate::{CalibrateError, Calibration};
 
 /// Rows between two orientations that are compared.
 const APART: usize = 5;
@@ -287,12 +287,14 @@ impl Motion<'_> {
     }
 }
 
-/// Adds the frames of a capture, whose poses the instrument of `table` recorded by its own clock, to `data`.
+/// Adds the frames of a capture, whose poses the instrument of `table` recorded by its own clock, to `data`; `start` is what
+/// the head is known by if it has been calibrated before.
 ///
 /// # Errors
-/// A table without times and poses, and a motion that does not tell how the clocks differ.
+/// A capture with few poses, a table without times and poses, and a motion that does not tell how the clocks differ.
 pub fn read_tracked(
     file: &SceneFile,
+    start: Option<&Calibration>,
     [table, capture]: [&str; 2],
     frames: Vec<Row>,
     constraint: Constraint,
@@ -303,7 +305,7 @@ pub fn read_tracked(
     let mut rows = thinned(frames);
     rows.retain(|row| row.time_s.is_some());
     let middle = |row: &Row| row.time_s.map_or(0.0, |[first, last]| 0.5 * (first + last));
-    let poses = solved(&uncalibrated(file)?, &rows)?;
+    let poses = first_poses(&known_so_far(file, start)?, start, capture, &rows)?;
     let seen = rows.iter().zip(poses).filter_map(|(row, pose)| Some((middle(row), pose?)));
     let ahead_s = Motion { poses: seen.collect(), constraint, files: [table, capture] }.ahead_s(&track)?;
     let centre_s = rows.first().zip(rows.last()).map_or(0.0, |(first, last)| 0.5 * (middle(first) + middle(last)));

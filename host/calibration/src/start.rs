@@ -33,16 +33,43 @@ pub(crate) fn solved(scene: &Scene, rows: &[Row]) -> Result<Vec<Option<Pose>>, S
     Ok(rows.iter().map(solve).collect())
 }
 
+/// The head by an earlier calibration, or by the tolerances of `file`.
+pub(crate) fn known_so_far(file: &SceneFile, start: Option<&Calibration>) -> Result<Scene, CalibrateError> {
+    Ok(match start {
+        Some(start) => start.apply(file)?,
+        None => uncalibrated(file)?,
+    })
+}
+
+/// The poses of `rows`, which are of the file `name`, by the head as it is [`known_so_far`].
+///
+/// # Errors
+/// Too few rows with a pose.
+pub(crate) fn first_poses(
+    scene: &Scene,
+    start: Option<&Calibration>,
+    name: &str,
+    rows: &[Row],
+) -> Result<Vec<Option<Pose>>, CalibrateError> {
+    let poses = solved(scene, rows)?;
+    let found = poses.iter().flatten().count();
+    if (found as f64) >= LEAST_WITH_POSE * rows.len() as f64 {
+        return Ok(poses);
+    }
+    let (file, rows) = (name.to_owned(), rows.len());
+    Err(match start {
+        Some(_) => CalibrateError::NoPosesByStart { file, found, rows },
+        None => CalibrateError::NoPoses { file, found, rows },
+    })
+}
+
 impl Beginning {
     /// From the data and the head as it is known: by an earlier calibration, or by the tolerances of `file`.
     ///
     /// # Errors
     /// A group whose rows lead to too few poses, or whose poses do not fix what they have in common.
     pub(crate) fn of(file: &SceneFile, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
-        let scene = match start {
-            Some(start) => start.apply(file)?,
-            None => uncalibrated(file)?,
-        };
+        let scene = known_so_far(file, start)?;
         let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
         for group in &data.groups {
             let rows = &data.rows[group.rows.clone()];
@@ -54,15 +81,7 @@ impl Beginning {
                 unknowns.push(vec![0.0; constraint::unknowns(group)]);
                 continue;
             }
-            let found = solved(&scene, rows)?;
-            let with_pose = found.iter().flatten().count();
-            if (with_pose as f64) < LEAST_WITH_POSE * rows.len() as f64 {
-                let (file, rows) = (group.file.clone(), rows.len());
-                return Err(match start {
-                    Some(_) => CalibrateError::NoPosesByStart { file, found: with_pose, rows },
-                    None => CalibrateError::NoPoses { file, found: with_pose, rows },
-                });
-            }
+            let found = first_poses(&scene, start, &group.file, rows)?;
             for (place, pose) in places.iter_mut().zip(&found) {
                 *place = pose.unwrap_or(Pose::HOME);
             }

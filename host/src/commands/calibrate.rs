@@ -124,7 +124,11 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
     let calibration = Calibration::open(path)?;
     let file = calibration.scene_file()?;
     let scene = calibration.apply(&file)?;
-    let data = Measurements { free: vec![readings.to_owned()], ..Measurements::default() }.read(&file, &mut say)?;
+    let data = Measurements { free: vec![readings.to_owned()], ..Measurements::default() }.read(
+        &file,
+        Some(&calibration),
+        &mut say,
+    )?;
     let found = validity(&scene, data.noise.or(scene.noise), data.rows())?;
     let mut text = format!("{:>4} {:>10} {:>12} {:>12} {:>14}\n", "cell", "light", "position", "rms", "chi2 without");
     for (number, cell) in found.cells.iter().enumerate() {
@@ -153,7 +157,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
 fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     let file = SceneFile::open(&args.scene)?;
     let start = args.start.as_deref().map(Calibration::open).transpose()?;
-    let data = args.measurements().read(&file, &mut say)?;
+    let data = args.measurements().read(&file, start.as_ref(), &mut say)?;
     let output = Output::open(Some(path))?;
     let folder = args.report.as_deref().map(Folder::create).transpose()?;
     let stop = interrupt()?;

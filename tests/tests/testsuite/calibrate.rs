@@ -252,7 +252,7 @@ fn a_head_without_poses_before_it_is_calibrated_is_calibrated_by_known_ones() {
     let cells: Vec<&str> = WIDE.text.split("[[cell]]").collect();
     let four = [cells[0].replace("[[0, 3], [1, 4], [2, 5], []]", "[[0, 2], [1, 3], []]"), cells[1..5].join("[[cell]]")];
     std::fs::write(at("four.toml"), four.join("[[cell]]")).expect("written");
-    let bench = ["bench", &at("four.toml"), "--duration", "1s", "--output", &at("bench")];
+    let bench = ["bench", &at("four.toml"), "--duration", "4s", "--output", &at("bench")];
     assert_eq!(slitpose!().run(bench).code, 0);
     let [scene, known] = ["scene.toml", "known.csv"].map(|name| at(&format!("bench/{name}")));
 
@@ -267,14 +267,18 @@ fn a_head_without_poses_before_it_is_calibrated_is_calibrated_by_known_ones() {
     // The instrument errs by 2 µm an axis, 3.5 µm in all.
     assert!(missed_um < 5.0, "{said}");
 
-    let free = at("bench/free.csv");
-    let go_on = |arguments: &[&str]| {
-        let fixed = ["calibrate", &scene, "--free", &free, "--output", &at("on.toml")];
-        let finished = slitpose!().run(fixed.iter().chain(arguments));
-        (finished.code, finished.stderr)
-    };
-    let (code, said) = go_on(&[]);
-    assert!(code == 1 && said.contains("lead to a pose by the scene and its tolerances; calibrate by"), "{said}");
-    let (code, said) = go_on(&["--start", &at("head.toml")]);
-    assert_eq!(code, 0, "{said}");
+    let [free, tracked, capture] = ["free.csv", "tracked.csv", "free.mcap"].map(|name| at(&format!("bench/{name}")));
+    let without_frames: [&[&str]; 2] =
+        [&["--free", &free], &["--known", &tracked, "--known-capture", &capture, "--frames", "own"]];
+    for measured in without_frames {
+        let go_on = |arguments: &[&str]| {
+            let fixed = ["calibrate", &scene, "--output", &at("on.toml")];
+            let finished = slitpose!().run(fixed.iter().chain(measured).chain(arguments));
+            (finished.code, finished.stderr)
+        };
+        let (code, said) = go_on(&[]);
+        assert!(code == 1 && said.contains("lead to a pose by the scene and its tolerances; calibrate by"), "{said}");
+        let (code, said) = go_on(&["--start", &at("head.toml")]);
+        assert_eq!(code, 0, "{said}");
+    }
 }

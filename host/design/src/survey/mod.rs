@@ -6,6 +6,7 @@
 mod cost;
 mod coverage;
 mod crosstalk;
+mod first_light;
 mod home;
 mod report;
 mod sample;
@@ -65,6 +66,8 @@ pub struct Survey {
     pub(crate) timing: Option<Timing>,
     /// Coordinates that the currents leave free at home, joined by `;`; empty if there are none.
     pub free_at_home: String,
+    /// Share of poses that a frame tells although parts are only known within their tolerances.
+    pub(crate) told_uncalibrated: f64,
     /// Whether poses have mirror images with nearly the same currents although all cells see light.
     pub mirror_images: bool,
     /// Warnings for the designer.
@@ -104,6 +107,7 @@ impl Survey {
             carried,
             timing: Timing::of(file),
             free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
+            told_uncalibrated: first_light::told(file, &plan)?,
             mirror_images: solver.has_mirror_images(),
             warnings: Vec::new(),
         };

@@ -15,6 +15,9 @@ use super::{AXES, End, Survey, WorkspaceFacts};
 /// σ of a single frame at home over the workspace's half extent: beyond this a pose is hardly told.
 const VAGUE: f64 = 0.1;
 
+/// Share of poses that an uncalibrated head should tell: its user sees something, and can calibrate it by free motion.
+const TOLD_UNCALIBRATED: f64 = 0.5;
+
 /// Values of a profile that six cells may take in the three to five evaluations of a solve, at some 25 ns each
 /// with derivatives, and leave it within 100 µs.
 const MOST_EVALUATIONS: usize = 150;
@@ -57,6 +60,15 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
     if cells < FEWEST_CELLS {
         let text = format!("six coordinates take {FEWEST_CELLS} cells, it has {cells}: every pose is `unobservable`");
         warnings.push(Finding::warning("scene", text, "add cells"));
+    }
+    if survey.sigma_at_home.is_some() && survey.told_uncalibrated < TOLD_UNCALIBRATED {
+        let text = format!(
+            "before it is calibrated, with parts within their tolerances, a frame tells {:.0} % of its poses",
+            100.0 * survey.told_uncalibrated
+        );
+        let next_step =
+            "add cells, or calibrate it by an instrument's poses in the frames of the scene (calibrate --known)";
+        warnings.push(Finding::warning("tolerances", text, next_step));
     }
     let share = survey.coverage.at_least_lit[cells];
     if share < 1.0 {
