@@ -293,7 +293,8 @@ fn known(file: &SceneFile, data: &Data, group: &Group, rows: &[usize], reports: 
     };
     try_reading(&in_degrees, &|better| Implausible::Degrees { file: name(), better });
     try_reading(&|row| Some(inverse(&reports[row])), &|_| Implausible::Inverted { file: name() });
-    for shift in (-FARTHEST..=FARTHEST).filter(|&shift| shift != 0) {
+    let leaves_enough = |shift: &i64| *shift != 0 && reports.len() as u64 >= LEAST as u64 + shift.unsigned_abs();
+    for shift in (-FARTHEST..=FARTHEST).filter(leaves_enough) {
         let of_row = |row: usize| reports.get(usize::try_from(row as i64 + shift).ok()?).copied();
         try_reading(&of_row, &|_| Implausible::Shifted { file: name(), rows: shift });
     }

@@ -32,6 +32,12 @@ const LETTERS: [DVec2; 5] = [DVec2::ZERO, dvec2(-16.0, -8.0), dvec2(16.0, -8.0),
 /// A slit seen edge-on is drawn as a gap if it is narrower than this share of its mask.
 const GAP_SHARE: f64 = 0.25;
 
+/// Distances of a cell's number from the middle of its detector that are tried.
+const NUMBER_DISTANCES: [f64; 8] = [16.0, 28.0, 40.0, 52.0, 64.0, 76.0, 88.0, 100.0];
+
+/// Points that stand for an edge: nearer to each other than letters are high.
+const EDGE_POINTS: u32 = 32;
+
 /// Length of a drawn emitter axis: a little longer than an emitter's housing.
 const AXIS_MM: f64 = 2.6;
 
@@ -180,14 +186,28 @@ impl Sheet {
         }
     }
 
-    /// Outward of the detector; below the whole drawing where that place is taken by some cell.
+    /// Outward of the detector, as near as no cell is in the way; below the whole drawing where that is too far.
     fn number_place(&self, shape: &CellShape, shapes: &[&CellShape]) -> DVec2 {
         let centre = self.place(shape.centre());
-        let outward = centre + 16.0 * (centre - self.middle).normalize_or(DVec2::Y);
-        let taken = shapes.iter().flat_map(|other| [self.places(&other.detector), self.places(&other.mask)]);
-        let letters = LETTERS.map(|offset| outward + offset);
-        if !taken.into_iter().any(|corners| letters.iter().any(|point| contains(&corners, *point))) {
-            return outward;
+        let outward = (centre - self.middle).normalize_or(DVec2::Y);
+        let taken: Vec<_> =
+            shapes.iter().flat_map(|other| [self.places(&other.detector), self.places(&other.mask)]).collect();
+        // A shape seen edge-on covers no point, but its outline crosses letters; so does light.
+        let outlines =
+            taken.iter().flat_map(|corners| corners.iter().copied().zip(corners.iter().copied().cycle().skip(1)));
+        let light = shapes.iter().filter_map(|other| Some((self.place(other.emitter), self.place(other.x_a?))));
+        let edges = outlines.chain(light);
+        let along = |(from, to): (DVec2, DVec2)| {
+            (0..EDGE_POINTS).map(move |k| from.lerp(to, f64::from(k) / f64::from(EDGE_POINTS)))
+        };
+        let lines: Vec<DVec2> = edges.flat_map(along).collect();
+        let is_free = |at: &DVec2| {
+            let is_covered = |letter: &DVec2| taken.iter().any(|corners| contains(corners, *at + *letter));
+            let is_crossed = |point: &DVec2| (*point - *at).abs().cmple(LETTERS[3]).all();
+            !LETTERS.iter().any(is_covered) && !lines.iter().any(is_crossed)
+        };
+        if let Some(free) = NUMBER_DISTANCES.map(|distance| centre + distance * outward).iter().find(|at| is_free(at)) {
+            return *free;
         }
         let corners = shapes.iter().flat_map(|other| other.mask.iter().chain(&other.detector));
         let lowest = corners.map(|corner| self.place(*corner).y).fold(centre.y, f64::max);

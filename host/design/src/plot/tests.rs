@@ -90,3 +90,20 @@ fn a_picture_tells_what_the_model_says() {
         assert!(text.contains(part), "`{part}` is not in: {text}");
     }
 }
+
+#[test]
+fn each_of_six_cells_side_by_side_has_its_own_number_beside_it() {
+    let file = SHIPPED[0].read().unwrap();
+    let mut scene = file.scene.clone();
+    for (number, cell) in scene.cells.iter_mut().enumerate() {
+        let (sin, cos) = (number as f64 * std::f64::consts::FRAC_PI_3).sin_cos();
+        let across = DVec3::new(15e-3 * cos, 15e-3 * sin, 0.0);
+        cell.detector.centre_base_m = across + DVec3::Z * 20e-3;
+        (cell.detector.normal_base, cell.detector.x_axis_base) = (-DVec3::Z, DVec3::new(cos, sin, 0.0));
+        (cell.emitter.position_tool_m, cell.emitter.axis_tool) = (across, DVec3::Z);
+    }
+    let plan = Plan::<f64>::compile(&scene, Tier::Paper).unwrap();
+    let labels = labels(&scene_picture("flat", &scene, &plan, &Pose::HOME).unwrap());
+    let top = labels.split("top view").nth(1).and_then(|rest| rest.split("front view").next()).unwrap();
+    assert!(!top.contains(", "), "{top}");
+}
