@@ -203,7 +203,7 @@ impl Sheet {
         let lines: Vec<DVec2> = edges.flat_map(along).collect();
         let is_free = |at: &DVec2| {
             let is_covered = |letter: &DVec2| taken.iter().any(|corners| contains(corners, *at + *letter));
-            let is_crossed = |point: &DVec2| (*point - *at).abs().cmple(LETTERS[3]).all();
+            let is_crossed = |point: &DVec2| (*point - *at).abs().cmplt(LETTERS[3] - DVec2::ONE).all();
             !LETTERS.iter().any(is_covered) && !lines.iter().any(is_crossed)
         };
         if let Some(free) = NUMBER_DISTANCES.map(|distance| centre + distance * outward).iter().find(|at| is_free(at)) {
