@@ -20,7 +20,7 @@ const READING_LIMIT: f64 = 30.0;
 const POSE_LIMIT: f64 = 40.0;
 
 /// Model error of an uncalibrated cell, from which the adjustment starts.
-const FIRST_ERROR: ModelError = ModelError { relative: 0.03, position_m: 50e-6, current_a: 0.0 };
+pub(crate) const FIRST_ERROR: ModelError = ModelError { relative: 0.03, position_m: 50e-6, current_a: 0.0 };
 
 /// The least model error: of the arithmetic.
 const LEAST_ERROR: ModelError = ModelError { relative: 1e-6, position_m: 1e-9, current_a: 0.0 };

@@ -8,10 +8,10 @@ use slitpose_head::table::TableError;
 use slitpose_model::{ModelError, Pose, Scene, SceneError};
 use thiserror::Error;
 
-use crate::adjust::Adjustment;
+use crate::adjust::{Adjustment, FIRST_ERROR};
 use crate::data::{Constraint, Data, compose, inverse, pose_of};
 use crate::normal::Normal;
-use crate::parameters::Parameters;
+use crate::parameters::{Parameter, Parameters};
 use crate::plausibility::{self, Implausible};
 use crate::pose_error::PoseError;
 use crate::start::{Beginning, solved};
@@ -38,8 +38,10 @@ const CLOCK_SETTLED_S: f64 = 0.2e-3;
 /// are exchanged it is more than all.
 const FOREIGN: f64 = 0.25;
 
-/// What the tolerances of parts that count as known do at least.
-const LEAST_EXPLAINED: ModelError = ModelError { relative: 0.05, position_m: 50e-6, current_a: 0.0 };
+/// Errors of an instrument's poses, metres and radians, that no calibration needs, if they also are so many times what is
+/// stated: parts within their tolerances do as much.
+const COARSE: [f64; 2] = [0.1e-3, 10e-3];
+const COARSE_RATIO: f64 = 20.0;
 
 /// Why there is no calibration.
 #[derive(Debug, Error)]
@@ -85,11 +87,23 @@ pub enum CalibrateError {
     },
     /// Cells whose readings are not those of the scene's.
     #[error(
-        "no head within the tolerances explains these readings: an adjustment leaves {left} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, and at these cells in the scene, or take one out of both"
+        "no head within the tolerances explains these readings: an adjustment leaves {left} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, and at these cells in the scene, or take one out of both"
     )]
     ForeignCells {
         /// What is left of each such cell, between readings and model.
         left: String,
+    },
+    /// Poses that are not those of the tool.
+    #[error(
+        "{file}: its poses err by {found}, {ratio:.0} times what is stated: they are not poses of this tool; look for axes of another order, direction or handedness, for rotations of the other sense, and for another marker, or state how coarse the instrument is (--known-sigma-um, --known-sigma-urad)"
+    )]
+    ForeignPoses {
+        /// The file.
+        file: String,
+        /// By how much, with its unit.
+        found: String,
+        /// The same over what is stated.
+        ratio: f64,
     },
     /// Poses that do not fix what they have in common.
     #[error(
@@ -193,9 +207,11 @@ pub fn calibrate(
         }
     }
     if !is_interrupted {
+        foreign_poses(data, &state)?;
         foreign_cells(file, &state)?;
     }
-    let remarks = worse_instruments(data, &state);
+    let mut remarks = worse_instruments(data, &state);
+    remarks.extend(beyond_tolerances(&state.parameters.entries));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     if !is_interrupted {
         is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, progress)?;
@@ -225,15 +241,27 @@ fn put_on_time(
     Ok(data)
 }
 
+/// Refuses poses that the readings contradict by more than a coarse instrument errs.
+fn foreign_poses(data: &Data, state: &State) -> Result<(), CalibrateError> {
+    for (group, ratios) in data.groups.iter().zip(&state.scales) {
+        let stated = [group.sigma_m, group.sigma_rad];
+        let found = |k: usize| stated[k] * ratios[k];
+        let Some(k) = (0..2).find(|&k| ratios[k] > COARSE_RATIO && found(k) > COARSE[k]) else { continue };
+        let found = if k == 0 { format!("{:.2} mm", found(0) * 1e3) } else { format!("{:.0} mrad", found(1) * 1e3) };
+        return Err(CalibrateError::ForeignPoses { file: group.file.clone(), found, ratio: ratios[k] });
+    }
+    Ok(())
+}
+
 /// Refuses readings that the parameters do not explain, and which the adjustment leaves to the model errors of cells.
 fn foreign_cells(file: &SceneFile, state: &State) -> Result<(), CalibrateError> {
     let by_tolerances = uncalibrated(file)?;
     let cells = by_tolerances.cells.iter().zip(&state.model_errors).enumerate();
     let foreign = cells.filter_map(|(number, (cell, left))| {
         let before = &cell.effects.model_error;
-        let is_left = |left: f64, before: f64, least: f64| left > FOREIGN * before.max(least);
-        let is_foreign = is_left(left.position_m, before.position_m, LEAST_EXPLAINED.position_m)
-            || is_left(left.relative, before.relative, LEAST_EXPLAINED.relative);
+        // With too few readings of a cell to tell, an adjustment ends as it began.
+        let is_foreign = left.position_m > (FOREIGN * before.position_m).max(FIRST_ERROR.position_m)
+            || left.relative > (FOREIGN * before.relative).max(FIRST_ERROR.relative);
         is_foreign
             .then(|| format!("{:.0} µm and {:.1} % of cell {number}", left.position_m * 1e6, 100.0 * left.relative))
     });
@@ -258,6 +286,29 @@ fn worse_instruments(data: &Data, state: &State) -> Vec<String> {
         }
     }
     remarks
+}
+
+/// Shift of a part, in units of its tolerance, that one in a thousand million has by chance.
+const FAR: f64 = 6.0;
+
+/// Most parts that are named.
+const NAMED: usize = 3;
+
+/// Parts that are elsewhere than the scene says. Of textures tolerances say little.
+fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
+    let is_far = |entry: &&Parameter| entry.quantity.family().is_none() && entry.shift().abs() > FAR;
+    let mut far: Vec<&Parameter> = parameters.iter().filter(is_far).collect();
+    far.sort_by(|a, b| b.shift().abs().total_cmp(&a.shift().abs()));
+    let name = |entry: &&Parameter| format!("{} by {:.0} times", entry.name(), entry.shift().abs());
+    let named: Vec<String> = far.iter().take(NAMED).map(name).collect();
+    (!far.is_empty()).then(|| {
+        format!(
+            "{} parameters are farther from the scene than its [tolerance] says, {}; check the scene's numbers and the frames \
+             of the poses (--frames own), or state greater tolerances",
+            far.len(),
+            named.join(", ")
+        )
+    })
 }
 
 /// Parameters, and the information of their prior in units of its σ.

@@ -1,5 +1,6 @@
 //! Data that cannot be what they are said to be, found by the uncalibrated head before anything is adjusted.
 
+use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, Plan, Pose, SceneError};
 use thiserror::Error;
@@ -98,6 +99,20 @@ pub enum Implausible {
         /// By how much smaller the spots' distances are then.
         better: f64,
     },
+    /// Axes of another order, direction or handedness, or rotations of the other sense.
+    #[error(
+        "{file}: the axes of the poses look exchanged or reversed: the currents fit {better:.0} times as well if tx_mm, ty_mm, tz_mm become ({translation}), and rx_rad, ry_rad, rz_rad ({rotation})"
+    )]
+    Axes {
+        /// The file.
+        file: String,
+        /// What the translations become.
+        translation: String,
+        /// What the rotation vectors become.
+        rotation: String,
+        /// By how much smaller the spots' distances are then.
+        better: f64,
+    },
     /// tool_from_base instead of base_from_tool.
     #[error(
         "{file}: the poses look inverted, the base seen from the tool; give the tool seen from the base (base_from_tool)"
@@ -192,11 +207,11 @@ fn dark(file: &SceneFile, data: &Data, group: &Group) -> Result<(), Implausible>
 /// Root-mean-square deviation of translations and rotation vectors from their means.
 fn extent(poses: &[Pose]) -> [f64; 2] {
     let count = poses.len() as f64;
-    let centre = poses.iter().map(|pose| pose.translation_m).sum::<glam::DVec3>() / count;
+    let centre = poses.iter().map(|pose| pose.translation_m).sum::<DVec3>() / count;
     let first = poses[poses.len() / 2].rotation;
     let turns: Vec<_> =
         poses.iter().map(|pose| slitpose_model::rotation_log(pose.rotation * first.conjugate())).collect();
-    let mean = turns.iter().sum::<glam::DVec3>() / count;
+    let mean = turns.iter().sum::<DVec3>() / count;
     let t: f64 = poses.iter().map(|pose| (pose.translation_m - centre).length_squared()).sum();
     let r: f64 = turns.iter().map(|turn| (*turn - mean).length_squared()).sum();
     [(t / count).sqrt(), (r / count).sqrt()]
@@ -293,6 +308,18 @@ fn known(file: &SceneFile, data: &Data, group: &Group, rows: &[usize], reports: 
     };
     try_reading(&in_degrees, &|better| Implausible::Degrees { file: name(), better });
     try_reading(&|row| Some(inverse(&reports[row])), &|_| Implausible::Inverted { file: name() });
+    for axes in Axes::others() {
+        let read = |row: usize| {
+            let Pose { translation_m, .. } = reports[row];
+            Some(Pose::from_vectors(axes.turned(translation_m), axes.sense * axes.turned(reports[row].rotation_rad())))
+        };
+        try_reading(&read, &|better| Implausible::Axes {
+            file: name(),
+            translation: axes.named(["tx_mm", "ty_mm", "tz_mm"], 1.0),
+            rotation: axes.named(["rx_rad", "ry_rad", "rz_rad"], axes.sense),
+            better,
+        });
+    }
     let leaves_enough = |shift: &i64| *shift != 0 && reports.len() as u64 >= LEAST as u64 + shift.unsigned_abs();
     for shift in (-FARTHEST..=FARTHEST).filter(leaves_enough) {
         let of_row = |row: usize| reports.get(usize::try_from(row as i64 + shift).ok()?).copied();
@@ -309,6 +336,40 @@ fn known(file: &SceneFile, data: &Data, group: &Group, rows: &[usize], reports: 
     let half_m = scene.cells.iter().zip(&spots.sigmas).map(|(cell, sigma)| 0.5 * cell.detector.length_m * sigma);
     let expected_mm = median(half_m.collect()) * 1e3;
     Err(Implausible::OtherScene { file: name(), found_mm: as_given * expected_mm, expected_mm })
+}
+
+/// Axes of the scene in terms of those of the poses.
+#[derive(Clone, Copy, PartialEq)]
+struct Axes {
+    from: [usize; 3],
+    signs: [f64; 3],
+    /// Of rotations: −1 if they are counted the other way round.
+    sense: f64,
+}
+
+impl Axes {
+    /// All but those that are right.
+    fn others() -> impl Iterator<Item = Self> {
+        const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [1, 0, 2], [0, 2, 1], [2, 1, 0]];
+        const BOTH: [f64; 2] = [1.0, -1.0];
+        let signs = BOTH.into_iter().flat_map(|x| BOTH.into_iter().flat_map(move |y| BOTH.map(|z| [x, y, z])));
+        let senses = signs.flat_map(|signs| BOTH.map(|sense| (signs, sense)));
+        let all = senses.flat_map(|(signs, sense)| ORDERS.map(|from| Self { from, signs, sense }));
+        all.filter(|axes| *axes != Self { from: ORDERS[0], signs: [1.0; 3], sense: 1.0 })
+    }
+
+    fn turned(&self, vector: DVec3) -> DVec3 {
+        DVec3::from_array(std::array::from_fn(|axis| self.signs[axis] * vector[self.from[axis]]))
+    }
+
+    /// The components of the scene, by the names of the columns.
+    fn named(&self, columns: [&str; 3], sense: f64) -> String {
+        let component = |axis: usize| {
+            let sign = if sense * self.signs[axis] < 0.0 { "−" } else { "" };
+            format!("{sign}{}", columns[self.from[axis]])
+        };
+        [0, 1, 2].map(component).join(", ")
+    }
 }
 
 /// Finds columns that belong to other electrodes or cells, by where the light is.

@@ -114,7 +114,7 @@ fn refused(file: &SceneFile, constraint: Constraint, rows: Vec<Row>) -> Calibrat
 }
 
 #[test]
-fn poses_in_other_units_frames_and_rows_are_told_by_where_the_light_is() {
+fn poses_in_other_units_axes_frames_and_rows_are_told_by_where_the_light_is() {
     let mut bench = Bench::new();
     let head = bench.head(|_| false, 1.0);
     let rows = bench.rows(&head, 60, STATED);
@@ -139,13 +139,41 @@ fn poses_in_other_units_frames_and_rows_are_told_by_where_the_light_is() {
     assert!(matches!(error, CalibrateError::Implausible(Implausible::Inverted { .. })), "{error}");
     let error = refused(&bench.file, Constraint::Known, with(&|row| reported(&rows[(row + 3) % 60])));
     assert!(matches!(error, CalibrateError::Implausible(Implausible::Shifted { rows: -3, .. })), "{error}");
-    // An instrument whose frame is another one: 4 mm are 2 mm on a detector.
-    let elsewhere = |row: usize| {
-        let pose = reported(&rows[row]);
-        Pose { translation_m: pose.translation_m + DVec3::splat(4e-3), ..pose }
+    // A frame that is turned by 90°, one that is left-handed, and rotations of the other sense in that of the scene.
+    let turned = |v: DVec3| DVec3::new(v.y, -v.x, v.z);
+    let mirrored = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
+    let same = |v: DVec3| v;
+    type Map<'a> = &'a dyn Fn(DVec3) -> DVec3;
+    let cases: [(Map<'_>, Map<'_>, [&str; 2]); 3] = [
+        (&turned, &turned, ["−ty_mm, tx_mm, tz_mm", "−ry_rad, rx_rad, rz_rad"]),
+        (&mirrored, &|r| -mirrored(r), ["−tx_mm, ty_mm, tz_mm", "rx_rad, −ry_rad, −rz_rad"]),
+        (&same, &|r| -r, ["tx_mm, ty_mm, tz_mm", "−rx_rad, −ry_rad, −rz_rad"]),
+    ];
+    for (of_translation, of_rotation, expected) in cases {
+        let other = |row: usize| {
+            let pose = reported(&rows[row]);
+            Pose::from_vectors(of_translation(pose.translation_m), of_rotation(pose.rotation_rad()))
+        };
+        let error = refused(&bench.file, Constraint::Known, with(&other));
+        let CalibrateError::Implausible(Implausible::Axes { translation, rotation, .. }) = error else {
+            panic!("{error}")
+        };
+        assert_eq!([translation.as_str(), rotation.as_str()], expected);
+    }
+    let reversed = |row: usize| Pose { rotation: reported(&rows[row]).rotation.conjugate(), ..reported(&rows[row]) };
+    let error = refused(&bench.file, Constraint::KnownInOwnFrames, with(&reversed));
+    assert!(matches!(error, CalibrateError::ForeignPoses { .. }), "{error}");
+    // An instrument whose frame is elsewhere: 4 mm are 2 mm on a detector.
+    let elsewhere = |offset_m: f64| {
+        with(&|row: usize| {
+            let pose = reported(&rows[row]);
+            Pose { translation_m: pose.translation_m + DVec3::splat(offset_m), ..pose }
+        })
     };
-    let error = refused(&bench.file, Constraint::Known, with(&elsewhere));
+    let error = refused(&bench.file, Constraint::Known, elsewhere(4e-3));
     assert!(matches!(error, CalibrateError::Implausible(Implausible::OtherScene { .. })), "{error}");
+    let remarks = bench.calibrated(elsewhere(1e-3)).remarks;
+    assert!(remarks.iter().any(|remark| remark.contains("farther from the scene than its [tolerance]")), "{remarks:?}");
 }
 
 #[test]
