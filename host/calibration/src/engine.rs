@@ -38,6 +38,9 @@ const CLOCK_SETTLED_S: f64 = 0.2e-3;
 /// are exchanged it is more than all.
 const FOREIGN: f64 = 0.25;
 
+/// Share of the rows of a file that may be outliers: a third are not exceptions.
+const MOST_LEFT_OUT: f64 = 1.0 / 3.0;
+
 /// Errors of an instrument's poses, metres and radians, that no calibration needs, if they also are so many times what is
 /// stated: parts within their tolerances do as much.
 const COARSE: [f64; 2] = [0.1e-3, 10e-3];
@@ -85,13 +88,25 @@ pub enum CalibrateError {
         /// All rows.
         rows: usize,
     },
-    /// Cells whose readings are not those of the scene's.
+    /// Readings of cells that are not those of the scene.
     #[error(
-        "no head within the tolerances explains these readings: an adjustment leaves {left} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, and at these cells in the scene, or take one out of both"
+        "no head within the tolerances explains these readings: an adjustment leaves {left} (usual: a few µm and 0.1 %); look for exchanged electrodes or cells, for readings of other instants, for exchanged or reversed axes of poses, at the kind of measurement that each file is, and at these cells in the scene, or take one out of both"
     )]
     ForeignCells {
         /// What is left of each such cell, between readings and model.
         left: String,
+    },
+    /// Rows that most others contradict.
+    #[error(
+        "{file}: {left_out} of {rows} rows contradict the rest, and were left out as outliers: they are not what they are said to be; look at units (step_mm is in millimetres), at instants, and at the kind of measurement (--known, --pivot, --stage, --rest)"
+    )]
+    ForeignRows {
+        /// The file.
+        file: String,
+        /// Rows that were left out.
+        left_out: usize,
+        /// All rows.
+        rows: usize,
     },
     /// Poses that are not those of the tool.
     #[error(
@@ -207,6 +222,7 @@ pub fn calibrate(
         }
     }
     if !is_interrupted {
+        foreign_rows(data, &weights)?;
         foreign_poses(data, &state)?;
         foreign_cells(file, &state)?;
     }
@@ -239,6 +255,18 @@ fn put_on_time(
         }
     }
     Ok(data)
+}
+
+/// Refuses a file of which many rows had to be left out.
+fn foreign_rows(data: &Data, weights: &Weights) -> Result<(), CalibrateError> {
+    for group in &data.groups {
+        let (file, rows) = (group.file.clone(), group.rows.len());
+        let left_out = weights.poses[group.rows.clone()].iter().filter(|weight| **weight < 1.0).count();
+        if left_out as f64 > MOST_LEFT_OUT * rows as f64 {
+            return Err(CalibrateError::ForeignRows { file, left_out, rows });
+        }
+    }
+    Ok(())
 }
 
 /// Refuses poses that the readings contradict by more than a coarse instrument errs.
@@ -288,7 +316,7 @@ fn worse_instruments(data: &Data, state: &State) -> Vec<String> {
     remarks
 }
 
-/// Shift of a part, in units of its tolerance, that one in a thousand million has by chance.
+/// Shift of a part, in units of its tolerance, that two in a thousand million have by chance.
 const FAR: f64 = 6.0;
 
 /// Most parts that are named.
@@ -299,11 +327,11 @@ fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
     let is_far = |entry: &&Parameter| entry.quantity.family().is_none() && entry.shift().abs() > FAR;
     let mut far: Vec<&Parameter> = parameters.iter().filter(is_far).collect();
     far.sort_by(|a, b| b.shift().abs().total_cmp(&a.shift().abs()));
-    let name = |entry: &&Parameter| format!("{} by {:.0} times", entry.name(), entry.shift().abs());
+    let name = |entry: &&Parameter| format!("{} {:.0} times its tolerance", entry.name(), entry.shift().abs());
     let named: Vec<String> = far.iter().take(NAMED).map(name).collect();
     (!far.is_empty()).then(|| {
         format!(
-            "{} parameters are farther from the scene than its [tolerance] says, {}; check the scene's numbers and the frames \
+            "{} parameters are farther from the scene than its [tolerance] says: {}; check the scene's numbers and the frames \
              of the poses (--frames own), or state greater tolerances",
             far.len(),
             named.join(", ")

@@ -52,20 +52,35 @@ impl Bench {
     /// Readings all over the workspace, means of 16 frames, and what an instrument says of them.
     fn rows(&mut self, head: &Scene, count: usize, [sigma_m, sigma_rad]: [f64; 2]) -> Vec<Row> {
         let plan = Plan::<f64>::compile(head, TIER).expect("a head");
-        let noise_a = NOISE_A / 4.0;
-        let row = |number| {
+        let row = |_| {
             let workspace = self.file.workspace;
             let pose = Pose::from_vectors(self.vector(workspace.half_extent_m), self.vector(workspace.half_extent_rad));
-            let mut read = |cell| {
-                let pair = plan.photocurrents(cell, &pose);
-                [pair.i_x1_a, pair.i_x2_a].map(|current_a| current_a + noise_a * self.normal())
-            };
-            let readings = (0..plan.cell_count()).map(|cell| Some(read(cell))).collect();
+            let readings = self.readings(&plan, &pose);
             let error = [sigma_m, sigma_rad].map(|sigma| DVec3::from_array([(); 3].map(|()| sigma * self.normal())));
             let knowledge = Knowledge::Reported(pose.perturbed(error[0], error[1]));
-            Row { id: format!("{number}"), readings, frames: 16.0, time_s: None, knowledge }
+            Row { id: String::new(), readings, frames: 16.0, time_s: None, knowledge }
         };
         (0..count).map(row).collect()
+    }
+
+    /// Readings along x, a fifth of a millimetre apart, and how far the stage says it has moved.
+    fn stage(&mut self, head: &Scene, scale: f64) -> Vec<Row> {
+        let plan = Plan::<f64>::compile(head, TIER).expect("a head");
+        let row = |number: i32| {
+            let moved_m = f64::from(number) * 0.2e-3;
+            let readings = self.readings(&plan, &Pose::from_vectors(DVec3::X * moved_m, DVec3::splat(0.05)));
+            Row { id: String::new(), readings, frames: 16.0, time_s: None, knowledge: Knowledge::Step(scale * moved_m) }
+        };
+        (-10..=10).map(row).collect()
+    }
+
+    fn readings(&mut self, plan: &Plan<f64>, pose: &Pose) -> Vec<Option<[f64; 2]>> {
+        let noise_a = NOISE_A / 4.0;
+        let mut read = |cell| {
+            let pair = plan.photocurrents(cell, pose);
+            [pair.i_x1_a, pair.i_x2_a].map(|current_a| current_a + noise_a * self.normal())
+        };
+        (0..plan.cell_count()).map(|cell| Some(read(cell))).collect()
     }
 
     fn calibrated(&self, rows: Vec<Row>) -> Calibrated {
@@ -177,13 +192,26 @@ fn poses_in_other_units_axes_frames_and_rows_are_told_by_where_the_light_is() {
 }
 
 #[test]
-fn without_an_instrument_exchanged_cells_and_missing_poses_are_told() {
+fn without_an_instrument_exchanged_cells_other_units_and_missing_poses_are_told() {
     let mut bench = Bench::new();
     let head = bench.head(|_| false, 1.0);
     let mut rows = bench.rows(&head, 60, STATED);
     rows.iter_mut().for_each(|row| row.readings.swap(1, 2));
     let error = refused(&bench.file, Constraint::Free, rows);
     assert!(matches!(error, CalibrateError::ForeignCells { .. }), "{error}");
+
+    // A stage that counts in another unit, beside free motion: it would be left out row by row.
+    let head = bench.head(|_| false, 1.0);
+    for (scale, is_right) in [(1.0, true), (1e-3, false)] {
+        let mut data = Data::default();
+        data.add("free.csv", Constraint::Free, STATED, bench.rows(&head, 60, STATED));
+        data.add("stage.csv", Constraint::Stage, [0.5e-6, 20e-6], bench.stage(&head, scale));
+        let request = Request { file: &bench.file, data: &data, start: None, date: None };
+        match calibrate(&request, &mut |_| ControlFlow::Continue(())) {
+            Ok(_) => assert!(is_right),
+            Err(error) => assert!(!is_right && matches!(error, CalibrateError::ForeignRows { .. }), "{error}"),
+        }
+    }
 
     // Two redundancies do not outweigh parts that are a few tenths of a millimetre off.
     bench.file.scene.cells.truncate(4);
