@@ -114,7 +114,9 @@ impl Calibration {
             let file = self.0.scene_file().map_err(raised)?;
             let scene = self.0.apply(&file).map_err(raised)?;
             let measurements = Measurements { free: texts(readings), ..Measurements::default() };
-            let data = measurements.read(&file, &mut |remark| remarks.push(remark.to_owned())).map_err(raised)?;
+            let data = measurements
+                .read(&file, Some(&self.0), &mut |remark| remarks.push(remark.to_owned()))
+                .map_err(raised)?;
             validity(&scene, data.noise.or(scene.noise), data.rows()).map_err(raised)
         })??;
         let dict = PyDict::new(py);
@@ -172,7 +174,7 @@ pub(crate) fn calibrate(
     let (file, start) = (scene.file(), start.map(|start| &start.0));
     let mut remarks = Vec::new();
     let found = beside(py, |stop| {
-        let data = measurements.read(file, &mut |remark| remarks.push(remark.to_owned())).map_err(raised)?;
+        let data = measurements.read(file, start, &mut |remark| remarks.push(remark.to_owned())).map_err(raised)?;
         let request = Request { file, data: &data, start, date };
         let mut go_on =
             |_| if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
