@@ -16,6 +16,7 @@
 #![forbid(unsafe_code)]
 
 mod adjust;
+mod agreement;
 mod clock;
 mod constraint;
 mod data;

@@ -1,13 +1,11 @@
 //! Data that cannot be what they are said to be, found by the uncalibrated head before anything is adjusted.
 
 use glam::DVec3;
-use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{Cell, Plan, Pose, SceneError};
+use slitpose_model::{Cell, Plan, Pose, Scene, SceneError};
 use thiserror::Error;
 
 use crate::data::{Constraint, Data, Group, inverse};
 use crate::sensitivity::TIER;
-use crate::uncalibrated;
 
 /// Rows of a group that are looked at.
 const SAMPLE: usize = 60;
@@ -171,30 +169,30 @@ pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Refuses data that look like another thing than they are said to be.
+/// Refuses data that look like another thing than they are said to be; `scene` is the head by its tolerances.
 ///
 /// # Errors
 /// What they look like.
-pub(crate) fn check(file: &SceneFile, data: &Data) -> Result<(), Implausible> {
+pub(crate) fn check(scene: &Scene, data: &Data) -> Result<(), Implausible> {
     for group in &data.groups {
-        dark(file, data, group)?;
+        dark(scene, data, group)?;
         let rows: Vec<usize> = group.rows.clone().filter(|&row| data.rows[row].reported().is_some()).collect();
         if rows.len() < LEAST {
             continue;
         }
         let reports: Vec<Pose> = rows.iter().filter_map(|&row| data.rows[row].reported()).collect();
         match group.constraint {
-            Constraint::Known => known(file, data, group, &rows, &reports)?,
+            Constraint::Known => known(scene, data, group, &rows, &reports)?,
             _ => little_motion(group, &reports)?,
         }
     }
     Ok(())
 }
 
-fn dark(file: &SceneFile, data: &Data, group: &Group) -> Result<(), Implausible> {
+fn dark(scene: &Scene, data: &Data, group: &Group) -> Result<(), Implausible> {
     let rows = group.rows.len();
-    for cell in 0..file.scene.cells.len() {
-        let faint_a = file.scene.cells[cell].detector.faint_a;
+    for cell in 0..scene.cells.len() {
+        let faint_a = scene.cells[cell].detector.faint_a;
         let is_lit = |row: usize| data.rows[row].readings[cell].is_some_and(|[a, b]| a + b > faint_a);
         let dark = group.rows.clone().filter(|&row| !is_lit(row)).count();
         if rows >= LEAST && 2 * dark > rows {
@@ -280,12 +278,11 @@ fn share([first, second]: [f64; 2]) -> f64 {
 }
 
 /// Holds poses in frames of the scene against the places of the light, read as they are and in all ways that users got wrong.
-fn known(file: &SceneFile, data: &Data, group: &Group, rows: &[usize], reports: &[Pose]) -> Result<(), Implausible> {
-    let scene = uncalibrated(file)?;
+fn known(scene: &Scene, data: &Data, group: &Group, rows: &[usize], reports: &[Pose]) -> Result<(), Implausible> {
     // What is off in both currents alike does not move a spot.
     let sigma = |cell: &Cell| (2.0 * cell.effects.model_error.position_m / cell.detector.length_m).max(LEAST_SIGMA);
     let spots = Spots {
-        plan: Plan::compile(&scene, TIER)?,
+        plan: Plan::compile(scene, TIER)?,
         sigmas: scene.cells.iter().map(sigma).collect(),
         readings: rows.iter().map(|&row| data.rows[row].readings.as_slice()).collect(),
     };

@@ -64,12 +64,11 @@ pub(crate) fn first_poses(
 }
 
 impl Beginning {
-    /// From the data and the head as it is known: by an earlier calibration, or by the tolerances of `file`.
+    /// From the data and the head as it is [`known_so_far`].
     ///
     /// # Errors
     /// A group whose rows lead to too few poses, or whose poses do not fix what they have in common.
-    pub(crate) fn of(file: &SceneFile, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
-        let scene = known_so_far(file, start)?;
+    pub(crate) fn of(scene: &Scene, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
         let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
         for group in &data.groups {
             let rows = &data.rows[group.rows.clone()];
@@ -81,7 +80,7 @@ impl Beginning {
                 unknowns.push(vec![0.0; constraint::unknowns(group)]);
                 continue;
             }
-            let found = first_poses(&scene, start, &group.file, rows)?;
+            let found = first_poses(scene, start, &group.file, rows)?;
             for (place, pose) in places.iter_mut().zip(&found) {
                 *place = pose.unwrap_or(Pose::HOME);
             }

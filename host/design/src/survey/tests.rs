@@ -85,13 +85,18 @@ fn warnings_carry_the_number_and_a_remedy() {
         (wide.replace("frame_rate_hz = 4000", "frame_rate_hz = 9000"), "frame period is 111.1 µs", "frame_rate_hz"),
         (four_cells(), "a frame tells 0 % of its poses", "calibrate --known"),
         (BENCH.text.to_owned(), "six coordinates take 3 cells, it has 1", "add cells"),
+        // 2 µs + 1.36 µs · ln 183.7 is 9.1 µs.
         (
             wide.replace("settling_s = 13e-6", "settling_s = 2e-6"),
-            "from emitters of the slot before: settling_s is 1.5 time constants",
-            "raise front_end.settling_s to ",
+            "gets 18.37 % of its own signal",
+            "raise front_end.settling_s to 9.1 µs",
         ),
         // A slip of the unit.
-        (wide.replace("distance_mm = 5.0 ", "distance_mm = 0.005 "), "of a single frame by ", "raise slit.distance_mm"),
+        (
+            wide.replace("distance_mm = 5.0 ", "distance_mm = 0.005 "),
+            "ry of a single frame by 33.7° (1 σ), in a workspace of ±15.0°",
+            "raise slit",
+        ),
         (wide.replace("adc_bits = 12", "adc_bits = 16"), "sums 4 conversions of 16 bits", "lower front_end"),
         (
             wide.replace("oversampling = 4", "oversampling = 32")

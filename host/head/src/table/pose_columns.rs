@@ -16,9 +16,6 @@ const LONGEST_MM: f64 = 1e9;
 /// A rotation vector beyond this has lost its angle to rounding.
 const MOST_RAD: f64 = 1e6;
 
-/// What an instrument reports is no longer than a turn, unless it is in another unit.
-const MOST_REPORTED_RAD: f64 = TAU;
-
 /// Where a table keeps its poses.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseColumns {
@@ -54,25 +51,23 @@ impl PoseColumns {
 
     /// The row's pose as an instrument reports it: rotations of more than a turn are refused.
     pub fn reported_pose(&self, row: &Row<'_>) -> Result<Pose, TableError> {
-        for column in &self.components[3..] {
-            let angle = row.number(*column)?;
-            if angle.abs() > MOST_REPORTED_RAD {
-                return Err(row.out_of_range(*column, angle, "radians, at most a turn of 6.28; are these degrees?"));
-            }
-        }
-        self.pose(row)
+        self.pose_within(row, TAU, "radians, at most a turn of 6.28; are these degrees?")
     }
 
     /// The row's pose.
     pub fn pose(&self, row: &Row<'_>) -> Result<Pose, TableError> {
+        self.pose_within(row, MOST_RAD, "radians, at most 1e6")
+    }
+
+    fn pose_within(&self, row: &Row<'_>, most_rad: f64, rotations: &'static str) -> Result<Pose, TableError> {
         let mut numbers = [0.0; 6];
         for (index, (number, column)) in numbers.iter_mut().zip(self.components).enumerate() {
             *number = row.number(column)?;
             if index < 3 && number.abs() > LONGEST_MM {
                 return Err(row.out_of_range(column, *number, "millimetres, at most 1e9"));
             }
-            if index >= 3 && number.abs() > MOST_RAD {
-                return Err(row.out_of_range(column, *number, "radians, at most 1e6"));
+            if index >= 3 && number.abs() > most_rad {
+                return Err(row.out_of_range(column, *number, rotations));
             }
         }
         let [tx, ty, tz, rx, ry, rz] = numbers;
