@@ -13,10 +13,11 @@ use crate::{Parameter, Quantity, prior};
 pub fn draw(file: &SceneFile, mut normal: impl FnMut() -> f64) -> Result<(Scene, Vec<Parameter>), SceneError> {
     let mut parameters = prior::parameters(file)?;
     for entry in &mut parameters.entries {
-        let deviation = normal();
-        // Light adds.
-        let deviation = if matches!(entry.quantity, Quantity::Stray(_)) { deviation.abs() } else { deviation };
-        entry.value = entry.prior + entry.prior_sigma * deviation;
+        entry.value = entry.prior + entry.prior_sigma * normal();
+        // Light adds; a scene's own may be less.
+        if matches!(entry.quantity, Quantity::Stray(_)) && entry.prior > 0.0 {
+            entry.value = entry.value.abs();
+        }
         entry.sigma = 0.0;
     }
     Ok((parameters.scene(&file.scene), parameters.entries))

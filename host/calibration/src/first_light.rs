@@ -14,10 +14,6 @@ const POSES: usize = 40;
 /// Change of a parameter by which its effect is found, in its standard deviations.
 const STEP: f64 = 0.25;
 
-/// Share of an electrode in the standard deviation of stray light, which is of both together: light centred anywhere on
-/// the detector with equal probability divides into 1/2 ± c, and the mean of its square is a third.
-pub(crate) const OF_ELECTRODE: f64 = 0.577_350_269_189_625_8;
-
 /// The most probable head of parts within the tolerances of `file`; its model errors are what the tolerances do to the
 /// currents.
 ///
@@ -50,8 +46,7 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     for place in parameters.acting_on(cell, number, 0) {
         let parameter = &parameters.entries[place];
         let adds_current = is_stray(parameter.quantity);
-        let sigma = if adds_current { OF_ELECTRODE * parameter.sigma } else { parameter.sigma };
-        let changed = Some((place, parameter.value + STEP * sigma));
+        let changed = Some((place, parameter.value + STEP * parameter.sigma));
         let changed = Observer::of(parameters.cell(cell, number, changed))?;
         for (pose, before) in &lit {
             // A spot that the change moves off the detector is seen at other poses.
@@ -152,8 +147,7 @@ mod tests {
         for head in 0..HEADS {
             let mut drawn = parameters.clone();
             for entry in &mut drawn.entries {
-                let sigma = if is_stray(entry.quantity) { OF_ELECTRODE * entry.sigma } else { entry.sigma };
-                entry.value += sigma * rng.sample::<f64, _>(StandardNormal);
+                entry.value += entry.sigma * rng.sample::<f64, _>(StandardNormal);
             }
             let truth = Plan::<f64>::compile(&drawn.scene(&file.scene), TIER).expect("a head");
             for _ in 0..ROWS {

@@ -6,12 +6,12 @@ use slitpose_model::{ModelError, Pose};
 
 use crate::adjust::USUAL_ERROR;
 use crate::data::{Constraint, Data, Knowledge, Row};
-use crate::first_light::{OF_ELECTRODE, uncalibrated};
+use crate::first_light::uncalibrated;
 use crate::normal::Normal;
 use crate::pose_error::{POSES, spread};
 use crate::sensitivity::sensitivities;
 use crate::state::{State, Weights};
-use crate::{CalibrateError, Parameter, Quantity, prior};
+use crate::{CalibrateError, Quantity, prior};
 
 /// The known poses of a calibration.
 #[derive(Clone, Copy, Debug)]
@@ -83,29 +83,20 @@ fn part(quantity: Quantity) -> (&'static str, &'static str) {
 /// A scene that cannot be computed, or without tolerances.
 pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, CalibrateError> {
     let nominal = &file.scene;
-    let mut parameters = prior::parameters(file)?;
+    let parameters = prior::parameters(file)?;
     if parameters.entries.is_empty() {
         return Err(CalibrateError::NothingOpen);
-    }
-    for entry in &mut parameters.entries {
-        // Stray light that is not there cannot change.
-        if matches!(entry.quantity, Quantity::Stray(_)) {
-            entry.value = OF_ELECTRODE * entry.prior_sigma;
-            entry.prior = entry.value;
-        }
     }
     let count = parameters.entries.len();
     let state_with = |errors: Vec<ModelError>, data: &Data| {
         State::new(nominal, parameters.clone(), data, data.rows.iter().filter_map(Row::reported).collect(), errors)
     };
-    let scale = |entry: &Parameter| if matches!(entry.quantity, Quantity::Stray(_)) { OF_ELECTRODE } else { 1.0 };
-    let variances: Vec<f64> = parameters.entries.iter().map(|entry| scale(entry).powi(2)).collect();
 
     let rough = uncalibrated(file)?;
     let errors = rough.cells.iter().map(|cell| cell.effects.model_error).collect();
     let before = state_with(errors, &Data::default());
     let diagonal = |counts: &dyn Fn(Quantity) -> bool| {
-        let value = |k: usize| if counts(parameters.entries[k].quantity) { variances[k] } else { 0.0 };
+        let value = |k: usize| if counts(parameters.entries[k].quantity) { 1.0 } else { 0.0 };
         DMatrix::from_diagonal(&DVector::from_iterator(count, (0..count).map(value)))
     };
 
@@ -121,7 +112,7 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
     };
     data.add("", Constraint::Known, known.instrument, at.iter().copied().enumerate().map(row).collect());
     let after = state_with(vec![USUAL_ERROR; nominal.cells.len()], &data);
-    let information = DMatrix::from_diagonal(&DVector::from_iterator(count, variances.iter().map(|v| v.recip())));
+    let information = DMatrix::identity(count, count);
     let normal = Normal::assemble(&data, &after, cells, &Weights::equal(&data), &information);
     // Covariance of all others if those of one kind are known.
     let without = |known: &dyn Fn(Quantity) -> bool| -> Result<DMatrix<f64>, CalibrateError> {

@@ -18,6 +18,11 @@ const EDGE: [f64; 2] = [0.3, 0.7];
 /// What of a profile's tolerance depends on the azimuth: chips are nearly square, and their tilt is a parameter of its own.
 const AZIMUTH: f64 = 0.2;
 
+/// Mean and standard deviation of the stray light of one electrode, in the tolerance of that of both together. Light adds, so
+/// that this is the size of a normal number; centred anywhere on the detector with equal probability it divides into u and
+/// 1 − u. Mean ½·√(2/π), mean square 1/3, and the electrodes are as good as independent (correlation 0.04).
+const STRAY_OF_ELECTRODE: [f64; 2] = [0.399, 0.417];
+
 /// Change of stray light from home to the edge of the workspace, relative: in proportion to the way, and to its square.
 /// Surfaces that reflect are about ten workspaces' extents of path away.
 const STRAY_CHANGE: [f64; 2] = [0.15, 0.05];
@@ -101,7 +106,9 @@ fn of_cell(tolerance: &Tolerance, cell: &Cell, quantity: Quantity, stray_a: f64,
             debug_assert!(usize::from(k) <= NONLINEARITY_ORDERS);
             around_zero(tolerance.nonlinearity_m * 4.0 / (3.0 + f64::from(k)))
         }
-        Quantity::Stray(_) => around_zero(stray_a),
+        // What the scene gives may be wrong either way.
+        Quantity::Stray(_) if cell.effects.stray.is_some() => around_zero(STRAY_OF_ELECTRODE[1] * stray_a),
+        Quantity::Stray(_) => STRAY_OF_ELECTRODE.map(|share| share * stray_a),
         Quantity::StrayLevel(_) | Quantity::StrayBalance(_) if stray_a == 0.0 => return None,
         Quantity::StrayLevel(0..3) => around_zero(STRAY_CHANGE[0] / extent_m),
         Quantity::StrayLevel(_) => around_zero(STRAY_CHANGE[1] / (extent_m * extent_m)),
@@ -118,7 +125,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;
-    use slitpose_head::scene_file::WIDE;
+    use slitpose_head::scene_file::{SceneFile, WIDE};
+    use slitpose_model::{Plan, Pose, Tier};
 
     use crate::{Quantity, draw};
 
@@ -130,6 +138,39 @@ mod tests {
             assert_eq!(cells, 6, "{quantity}");
         }
         assert_eq!(found.iter().filter(|entry| entry.cell.is_none()).count(), Quantity::of_head().count());
+    }
+
+    #[test]
+    fn electrodes_share_the_stray_light_of_a_spot_anywhere() {
+        const SEED: u64 = 3;
+        const SPOTS: usize = 100_000;
+        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+        let of_electrode: Vec<f64> =
+            (0..SPOTS).map(|_| rng.sample::<f64, _>(StandardNormal).abs() * rng.random_range(0.0..1.0)).collect();
+        let mean = of_electrode.iter().sum::<f64>() / SPOTS as f64;
+        let variance = of_electrode.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / SPOTS as f64;
+        // Five times the standard error of the mean; that of a standard deviation is about the same.
+        let tolerance = 5.0 * (variance / SPOTS as f64).sqrt();
+        let [of_mean, of_sigma] = super::STRAY_OF_ELECTRODE;
+        assert!((mean - of_mean).abs() < tolerance && (variance.sqrt() - of_sigma).abs() < tolerance, "seed {SEED}");
+    }
+
+    /// What the scene says of stray light is as likely too much as too little.
+    #[test]
+    fn stray_light_is_expected_unless_the_scene_gives_it() {
+        let mut file = WIDE.read().expect("the scene");
+        let stray = |file: &SceneFile| -> Vec<f64> {
+            let (_, found) = draw(file, || 0.0).expect("a head");
+            found.iter().filter(|entry| matches!(entry.quantity, Quantity::Stray(_))).map(|entry| entry.value).collect()
+        };
+        let home = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: 1e-6 }).expect("a scene");
+        let expected = 0.03 * 0.399 * home.photocurrents(0, &Pose::HOME).total_a();
+        let found = stray(&file);
+        assert!(found.len() == 12 && found.iter().all(|value| (value / expected - 1.0).abs() < 1e-3), "{found:?}");
+        for cell in &mut file.scene.cells {
+            cell.effects.stray = Some(slitpose_model::Stray::default());
+        }
+        assert!(stray(&file).iter().all(|value| *value == 0.0));
     }
 
     /// Data sheets of 12-bit converters state an integral non-linearity of 1 to 2 steps.

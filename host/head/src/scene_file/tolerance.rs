@@ -24,7 +24,7 @@ pub struct Tolerance {
     pub nonlinearity_m: f64,
     /// Thickness of the detectors' cover, metres.
     pub window_m: f64,
-    /// Stray light, relative to the current of a cell with the tool at home.
+    /// Stray light of a cell, of both electrodes together, relative to its current with the tool at home.
     pub stray_relative: f64,
 }
 
