@@ -3,13 +3,17 @@
 use slitpose_model::Tier;
 
 use super::faults::FaultOptions;
-use super::{CommandError, names};
+use super::{CommandError, names, talk};
 use crate::device::SimulatedDevice;
 use slitpose_head::faults::{Faults, Injector};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
+use slitpose_head::table::POSE_COLUMNS;
+
+/// How many times as far out as the workspace a path may lead without a word.
+const FAR: f64 = 2.0;
 
 /// The tool in front of a simulated board.
 #[derive(clap::Args, Debug)]
@@ -49,6 +53,17 @@ impl ToolOptions {
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let seed = self.seed(number);
         let trajectory = self.trajectory(file, number, duration_s)?;
+        if let Some((axis, times)) = file.workspace.farthest(trajectory.knots())
+            && number == 0
+            && times > FAR
+        {
+            let table = self.table().unwrap_or_default();
+            talk(format_args!(
+                "{table}: {} leads {times:.0} times as far out as the scene's workspace, where there may be no light and no \
+                 pose; translations are millimetres, rotations radians",
+                POSE_COLUMNS[axis]
+            ));
+        }
         let board = SimulatedBoard::numbered(number, file, trajectory, tier, seed)?;
         let faults = Faults::new(self.faults.fault.clone(), file.scene.cells.len())?;
         let board = board.with_faults(&faults, file, tier)?;

@@ -170,6 +170,26 @@ fn paths_that_do_not_advance() {
     slitpose!().run(run).assert_refused(1, &[name, "`time_s` is missing"]);
 }
 
+/// The workspace of `wide` reaches to 4 mm and 15°, 0.2618 rad.
+#[test]
+fn paths_far_beyond_the_workspace_are_told() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let [path, capture] = ["path.csv", "path.mcap"].map(|name| folder.path().join(name).display().to_string());
+    for (row, told) in [
+        ("1,7,0,0.5,0", None),
+        ("0,7,0,1,0", Some("ry_rad leads 4 times")),
+        ("0,20,0,1,0", Some("ty_mm leads 5 times")),
+    ] {
+        std::fs::write(&path, format!("time_s,tx_mm,ty_mm,rx_rad,ry_rad,rz_rad,tz_mm\n0,0,0,0,0,0,0\n1,{row},0\n"))
+            .expect("table");
+        let simulate = ["simulate", "--duration", "1ms", "--trajectory", &path, "--overwrite", "--output", &capture];
+        let run = slitpose!().run(simulate);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        assert_eq!(run.stderr.contains("leads"), told.is_some(), "{row}: {}", run.stderr);
+        assert!(run.stderr.contains(told.unwrap_or_default()), "{row}: {}", run.stderr);
+    }
+}
+
 #[test]
 fn integrals_that_meet_the_limit_of_work_are_told() {
     let folder = tempfile::tempdir().expect("temporary folder");

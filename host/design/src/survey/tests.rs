@@ -68,7 +68,7 @@ fn warnings_carry_the_number_and_a_remedy() {
             "raise the full scale",
         ),
         (wide.replace("saturation_a = 100e-6", "saturation_a = 8e-6"), "saturates in", "narrow the slit"),
-        (wide.replace("3.16e-3", "3.16e-5"), ": faint in", "widen the slit"),
+        (wide.replace("3.16e-3", "3.16e-5"), "all cells: faint in up to ", "widen the slit"),
         (wide.replace("[2, 5], []]", "[2, 5]]"), "no lighting slot is dark", "add []"),
         (wide.replace("half_angle_deg = 55.0", "half_angle_deg = 0.2"), "at tolerance 1e-6", "--tolerance 1e-4"),
         (
@@ -115,6 +115,24 @@ fn warnings_carry_the_number_and_a_remedy() {
         let warnings = warnings(&text);
         assert!(warnings.contains(finding) && warnings.contains(remedy), "`{finding}` is not in:\n{warnings}");
     }
+}
+
+#[test]
+fn cells_that_are_alike_share_a_warning_that_names_the_worst() {
+    let of_scale = |text: &str| {
+        let mut warnings = survey_of(&text.replace("full_scale_a = 10e-6", "full_scale_a = 5e-6")).warnings;
+        warnings.retain(|warning| warning.text.contains("full_scale_a"));
+        let [warning] = warnings.try_into().expect("one warning");
+        (warning.place.into_owned(), warning.text)
+    };
+    let (cells, text) = of_scale(WIDE.text);
+    assert!(cells == "all cells" && text.contains("on one electrode of cell ") && text.contains("(up to "), "{text}");
+    // A fifth of the intensity, a third of the full scale at most; then in all cells but one.
+    let dim = "emitter = { radiant_intensity_w_per_sr = 0.6e-3 }\nnormal =";
+    let (cells, _) = of_scale(&WIDE.text.replacen("normal =", dim, 1));
+    assert_eq!(cells, "5 of 6 cells");
+    let (cells, text) = of_scale(&WIDE.text.replace("normal =", dim).replacen(dim, "normal =", 1));
+    assert!(cells == "cell 0" && text.contains("on one electrode at ") && !text.contains("up to"), "{text}");
 }
 
 #[test]

@@ -75,7 +75,7 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
         let text = format!("all {cells} cells are lit in {:.2} % of it only", 100.0 * share);
         warnings.push(Finding::warning("workspace", text, "shrink the workspace, or lower slit.distance_mm"));
     }
-    warnings.extend(survey.coverage.cells.iter().flat_map(|cell| of_light(file, cell)));
+    warnings.extend(of_light(file, &survey.coverage.cells));
     warnings.extend(survey.cost.iter().filter_map(of_cost));
     warnings.extend(survey.crosstalk.iter().filter(|slot| slot.share > CROSSTALK_LIMIT).map(of_crosstalk));
     warnings.extend(file.front_end.and_then(|front_end| of_carried(survey, &front_end)));
@@ -138,37 +138,58 @@ fn short_travels(survey: &Survey) -> impl Iterator<Item = Finding> {
     })
 }
 
-/// Currents beyond the converter or the detector, or too small.
-fn of_light(file: &SceneFile, coverage: &CellCoverage) -> Vec<Finding> {
-    let mut warnings = Vec::new();
-    let [least_a, most_a] = coverage.i_o_range_a.unwrap_or_default();
-    if let (Some(front_end), true) = (file.front_end, coverage.over_scale > 0.0) {
+/// Currents beyond the converter or the detector, or too small: of all cells that have them, with the worst one.
+fn of_light(file: &SceneFile, cells: &[CellCoverage]) -> Vec<Finding> {
+    let i_o_range_a = |cell: &CellCoverage| cell.i_o_range_a.unwrap_or_default();
+    let over_scale = file.front_end.and_then(|front_end| {
+        let (which, worst, share) = worst_of(cells, |cell| cell.over_scale, |cell| cell.most_electrode_a)?;
         let text = format!(
-            "{:.2} µA on one electrode at {}, more than front_end.full_scale_a = {:.2} µA ({:.2} % of the workspace)",
-            coverage.most_electrode_a * 1e6,
-            describe(&coverage.most_electrode_at),
+            "{:.2} µA on one electrode{} at {}, more than front_end.full_scale_a = {:.2} µA ({share})",
+            worst.most_electrode_a * 1e6,
+            of(worst, &which),
+            describe(&worst.most_electrode_at),
             front_end.full_scale_a * 1e6,
-            100.0 * coverage.over_scale
         );
-        let next_step = "raise the full scale or lower the emitter's intensity";
-        warnings.push(Finding::warning(cell(coverage.cell), text, next_step));
-    }
-    if coverage.saturated > 0.0 {
+        Some(Finding::warning(which, text, "raise the full scale or lower the emitter's intensity"))
+    });
+    let saturated = worst_of(cells, |cell| cell.saturated, |cell| i_o_range_a(cell)[1]).map(|(which, worst, share)| {
         let text = format!(
-            "the detector saturates in {:.2} % of the workspace (I_O up to {:.1} µA, more than its saturation_a)",
-            100.0 * coverage.saturated,
-            most_a * 1e6
+            "the detector saturates in {share} (I_O{} up to {:.1} µA, more than its saturation_a)",
+            of(worst, &which),
+            i_o_range_a(worst)[1] * 1e6
         );
-        let next_step = "lower the emitter's intensity or narrow the slit";
-        warnings.push(Finding::warning(cell(coverage.cell), text, next_step));
-    }
-    if coverage.faint > 0.0 {
-        let share = 100.0 * coverage.faint;
-        let text = format!("faint in {share:.2} % of the workspace (I_O down to {:.1} nA)", least_a * 1e9);
-        let next_step = "raise the emitter's intensity or widen the slit";
-        warnings.push(Finding::warning(cell(coverage.cell), text, next_step));
-    }
-    warnings
+        Finding::warning(which, text, "lower the emitter's intensity or narrow the slit")
+    });
+    let faint = worst_of(cells, |cell| cell.faint, |cell| -i_o_range_a(cell)[0]).map(|(which, worst, share)| {
+        let least_na = i_o_range_a(worst)[0] * 1e9;
+        let text = format!("faint in {share} (I_O{} down to {least_na:.1} nA)", of(worst, &which));
+        Finding::warning(which, text, "raise the emitter's intensity or widen the slit")
+    });
+    [over_scale, saturated, faint].into_iter().flatten().collect()
+}
+
+/// The cells with a `share` of the workspace, the one of them that is worst by `badness`, and the greatest share in words;
+/// `None` if no cell has any.
+fn worst_of(
+    cells: &[CellCoverage],
+    share: fn(&CellCoverage) -> f64,
+    badness: impl Fn(&CellCoverage) -> f64,
+) -> Option<(String, &CellCoverage, String)> {
+    let found: Vec<_> = cells.iter().filter(|cell| share(cell) > 0.0).collect();
+    let worst = *found.iter().max_by(|a, b| badness(a).total_cmp(&badness(b)))?;
+    let percent = 100.0 * found.iter().map(|cell| share(cell)).fold(0.0, f64::max);
+    let (which, up_to) = match found.as_slice() {
+        [only] => (cell(only.cell), ""),
+        _ if found.len() == cells.len() => ("all cells".to_owned(), "up to "),
+        _ => (format!("{} of {} cells", found.len(), cells.len()), "up to "),
+    };
+    Some((which, worst, format!("{up_to}{percent:.2} % of the workspace")))
+}
+
+/// Which cell it is, unless the finding is on this one.
+fn of(worst: &CellCoverage, which: &str) -> String {
+    let name = cell(worst.cell);
+    if name == which { String::new() } else { format!(" of {name}") }
 }
 
 /// Integrals that meet the limit of work, or take long.

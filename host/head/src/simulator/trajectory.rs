@@ -127,6 +127,12 @@ impl Trajectory {
         Ok(Self::through(knots))
     }
 
+    /// The poses that a path leads through; none of any other motion.
+    pub fn knots(&self) -> impl Iterator<Item = &Pose> {
+        let knots = if let Motion::Path(knots) = &self.0 { knots.as_slice() } else { &[] };
+        knots.iter().map(|(_, pose)| pose)
+    }
+
     /// A path through `knots`, in the order of time in seconds, with a constant twist between them.
     pub fn through(knots: Vec<(f64, Pose)>) -> Self {
         Self(Motion::Path(knots))
