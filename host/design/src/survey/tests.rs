@@ -97,6 +97,16 @@ fn warnings_carry_the_number_and_a_remedy() {
             "ry of a single frame by 33.7° (1 σ), in a workspace of ±15.0°",
             "raise slit",
         ),
+        // Cells are 117.4 µs apart: a slot of 20 µs and 6 · 16 conversions of 0.87 µs, and 16 conversions for the cell's turn
+        // in it. Six of them have a mean square of 35/12 · 117.4²; half of 100 m/s² times that.
+        (
+            wide.replace("[[0, 3], [1, 4], [2, 5], []]", "[[0], [1], [2], [3], [4], [5], []]")
+                .replace("oversampling = 4", "oversampling = 16")
+                .replace("settling_s = 13e-6", "settling_s = 20e-6")
+                .replace("frame_rate_hz = 4000", "frame_rate_hz = 1000"),
+            "shifts its pose by 2.0 µm, where noise leaves 1.4 µm",
+            "light more emitters together",
+        ),
         (wide.replace("adc_bits = 12", "adc_bits = 16"), "sums 4 conversions of 16 bits", "lower front_end"),
         (
             wide.replace("oversampling = 4", "oversampling = 32")

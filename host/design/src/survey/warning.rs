@@ -25,6 +25,9 @@ const MOST_EVALUATIONS: usize = 150;
 /// Cells whose currents, two each, tell six coordinates.
 const FEWEST_CELLS: usize = 3;
 
+/// A hand that goes to and fro over 5 mm at up to 0.5 m/s.
+const FAST_HAND_M_PER_S2: f64 = 100.0;
+
 /// How much looser a tolerance is proposed.
 const LOOSER: f64 = 100.0;
 
@@ -84,6 +87,7 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
         warnings.push(Finding::warning("lighting", text, "add [] to lighting.slots"));
     }
     warnings.extend(of_uncertainty(file));
+    warnings.extend(of_exposures(file, survey.sigma_at_home));
     warnings.extend(of_front_end(file));
     warnings
 }
@@ -241,6 +245,30 @@ fn of_carried(survey: &Survey, front_end: &FrontEnd) -> Option<Finding> {
         let settled_s = front_end.settling_s + front_end.time_constant_s * (worst.share / CROSSTALK_LIMIT).ln();
         let next_step = format!("raise front_end.settling_s to {:.1} µs", settled_s * 1e6);
         Finding::warning(format!("slot {}", worst.slot), text, next_step)
+    })
+}
+
+/// Exposures so far apart that the tool does not move steadily over them. The instant of a frame is their mean: a constant
+/// velocity leaves the pose of it alone, an acceleration a shifts it by a/2 times their mean square.
+fn of_exposures(file: &SceneFile, sigma_at_home: Option<[f64; 6]>) -> Option<Finding> {
+    let schedule = board_configuration(file).ok()?.schedule;
+    let from_instant = |ticks: f64| (ticks - schedule.reference_ticks()) / f64::from(schedule.tick_hz);
+    let exposures = (0..file.scene.cells.len()).filter_map(|cell| schedule.lit_sample_ticks(cell));
+    let exposures_s: Vec<f64> = exposures.map(from_instant).collect();
+    let mean_square = exposures_s.iter().map(|at| at * at).sum::<f64>() / exposures_s.len().max(1) as f64;
+    let shift_m = 0.5 * FAST_HAND_M_PER_S2 * mean_square;
+    let sigma_m = sigma_at_home?[..3].iter().copied().fold(0.0, f64::max);
+    (shift_m > sigma_m).then(|| {
+        let [first, last] = [f64::min, f64::max].map(|most| exposures_s.iter().copied().fold(0.0, most));
+        let text = format!(
+            "the cells of a frame are exposed within {:.0} µs: an acceleration of {FAST_HAND_M_PER_S2} m/s², that of a fast \
+             hand, shifts its pose by {:.1} µm, where noise leaves {:.1} µm (1 σ); σ does not know of it",
+            1e6 * (last - first),
+            1e6 * shift_m,
+            1e6 * sigma_m
+        );
+        let next_step = "light more emitters together, or lower front_end.oversampling or settling_s";
+        Finding::warning("front end", text, next_step)
     })
 }
 
