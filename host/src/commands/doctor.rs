@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         }
         talk(format_args!("no environment, and no names of users or hosts"));
     }
-    talk(format_args!("{failed} checks failed, {warnings} with warnings, of {}", examination.checks.len()));
+    talk(format_args!("of {} checks {failed} failed, {warnings} with warnings", examination.checks.len()));
     Ok(if failed == 0 { Outcome::Done } else { Outcome::Failed })
 }
 

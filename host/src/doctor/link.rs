@@ -86,7 +86,7 @@ fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
             let boards = ports.iter().filter(|port| port.is_board()).count();
             let debuggers = ports.iter().filter(|port| port.is_debugger()).count();
             let count = ports.len();
-            Finding::ok("ports", format!("{count} serial ports, {boards} of them boards, {debuggers} of debuggers"))
+            Finding::ok("ports", format!("{count} serial, {boards} of boards, {debuggers} of debuggers"))
         }
         Err(error) => Finding::warning("ports", in_full(&error), "give the path of the port with --device"),
     }
