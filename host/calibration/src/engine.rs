@@ -53,10 +53,8 @@ pub enum CalibrateError {
     /// No parameter to be found.
     #[error("the scene's [tolerance] says that every part is known; raise the tolerances of the parts that are not")]
     NothingOpen,
-    /// Rows that lead to no pose by the tolerances of the parts alone.
-    #[error(
-        "{file}: only {found} of {rows} rows lead to a pose by the scene and its tolerances; calibrate by poses in the frames of the scene first (--known), or begin with an earlier calibration (--start); if neither helps, check the scene, and that the currents are in amperes"
-    )]
+    /// Rows that lead to no pose by what is known of the head so far.
+    #[error("{file}: only {found} of {rows} rows lead to a pose by {basis}; {next_step}")]
     NoPoses {
         /// The file.
         file: String,
@@ -64,18 +62,10 @@ pub enum CalibrateError {
         found: usize,
         /// All rows.
         rows: usize,
-    },
-    /// Rows that lead to no pose by an earlier calibration.
-    #[error(
-        "{file}: only {found} of {rows} rows lead to a pose by the calibration to start with; check that it is of this head, and that the currents are in amperes"
-    )]
-    NoPosesByStart {
-        /// The file.
-        file: String,
-        /// Rows with a pose.
-        found: usize,
-        /// All rows.
-        rows: usize,
+        /// What is known of the head.
+        basis: &'static str,
+        /// What to do.
+        next_step: &'static str,
     },
     /// Readings of cells that are not those of the scene.
     #[error(

@@ -63,6 +63,7 @@ pub use plausibility::Implausible;
 pub use reading_noise::measured_noise;
 pub use residuals::Residual;
 pub use spectrum::Direction;
+pub use start::FEWEST_CELLS;
 pub use validity::{CellValidity, Validity, validity};
 
 use parameters::Parameters;

@@ -13,6 +13,9 @@ use crate::{CalibrateError, Calibration, uncalibrated};
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
 const LEAST_WITH_POSE: f64 = 0.25;
 
+/// Cells whose currents, two each, tell six coordinates.
+pub const FEWEST_CELLS: usize = 3;
+
 /// Poses of all rows and unknowns of all groups. Rows without a pose stay at home.
 pub(crate) struct Beginning {
     pub(crate) poses: Vec<Pose>,
@@ -56,11 +59,21 @@ pub(crate) fn first_poses(
     if (found as f64) >= LEAST_WITH_POSE * rows.len() as f64 {
         return Ok(poses);
     }
-    let (file, rows) = (name.to_owned(), rows.len());
-    Err(match start {
-        Some(_) => CalibrateError::NoPosesByStart { file, found, rows },
-        None => CalibrateError::NoPoses { file, found, rows },
-    })
+    let (basis, next_step) = match start {
+        Some(_) => {
+            ("the calibration to start with", "check that it is of this head, and that the currents are in amperes")
+        }
+        None if scene.cells.len() < FEWEST_CELLS => (
+            "the scene, which has fewer than three cells",
+            "such a head can only be calibrated by poses in the frames of the scene (--known)",
+        ),
+        None => (
+            "the scene and its tolerances",
+            "calibrate by poses in the frames of the scene first (--known), or begin with an earlier calibration (--start); \
+             if neither helps, check the scene, and that the currents are in amperes",
+        ),
+    };
+    Err(CalibrateError::NoPoses { file: name.to_owned(), found, rows: rows.len(), basis, next_step })
 }
 
 impl Beginning {

@@ -142,6 +142,16 @@ fn free_motion_with_readings_that_are_not_the_cells_own_is_refused() {
 }
 
 #[test]
+fn a_head_that_never_tells_a_pose_is_sent_to_known_poses_alone() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let [free, output] = ["free.csv", "head.toml"].map(|name| folder.path().join(name).display().to_string());
+    let rows: String = (0..50).map(|row| format!("{row},{}e-6,2e-6\n", 1.0 + 0.02 * f64::from(row))).collect();
+    std::fs::write(&free, "id,i_x1_0_a,i_x2_0_a\n".to_owned() + &rows).expect("written");
+    let calibrated = slitpose!().run(["calibrate", "bench", "--free", &free, "--output", &output]);
+    calibrated.assert_refused(1, &["fewer than three cells", "can only be calibrated by poses", "(--known)"]);
+}
+
+#[test]
 fn another_scene_is_recognised() {
     let (code, said) = Known::read().calibrate("base", &[]);
     assert!(code == 1 && said.contains("do not belong to this scene") && said.contains("tolerances explain"), "{said}");

@@ -2,6 +2,7 @@
 
 use std::error::Error;
 
+use slitpose_calibration::FEWEST_CELLS;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::board_configuration;
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
@@ -21,9 +22,6 @@ const TOLD_UNCALIBRATED: f64 = 0.5;
 /// Values of a profile that six cells may take in the three to five evaluations of a solve, at some 25 ns each
 /// with derivatives, and leave it within 100 µs.
 const MOST_EVALUATIONS: usize = 150;
-
-/// Cells whose currents, two each, tell six coordinates.
-const FEWEST_CELLS: usize = 3;
 
 /// A hand that goes to and fro over 5 mm at up to 0.5 m/s.
 const FAST_HAND_M_PER_S2: f64 = 100.0;
