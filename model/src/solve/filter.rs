@@ -25,6 +25,10 @@ const CHANCE: f64 = 1.2;
 /// Frames from which on a parabola is fitted; before, a line.
 const PARABOLA_FROM: u32 = 4;
 
+/// A pose whose variance is this many times that of the pose before, in translation or rotation, says little of the motion: of a
+/// cell less, for example, that the head can hardly do without.
+const WEAK: f64 = 9.0;
+
 /// Share of the newest frame in the running mean of squared errors.
 const NEWEST: f64 = 0.02;
 
@@ -157,6 +161,8 @@ struct State<S: Scalar> {
     frames: u32,
     /// Frames of memory: θ = memory/(1 + memory).
     memory: S,
+    /// Variances of the last pose's translation and rotation, mean of the axes.
+    variances: [S; 2],
     /// Running mean of the squared prediction error, 1 if noise explains it.
     strain: S,
     /// The same of translations and of rotations alone: bends of the one are not those of the other.
@@ -190,6 +196,22 @@ impl<S: Scalar> FadingFilter<S> {
         self.state = None;
     }
 
+    /// Whether a pose of this covariance says little of the motion, beside the poses before: see [`WEAK`].
+    #[inline(always)]
+    pub(super) fn is_weak(&self, covariance: &Matrix6<S>) -> bool {
+        let is_beyond = |state: &State<S>| {
+            let [translation, rotation] = mean_variances(covariance);
+            let bound = S::of(WEAK);
+            translation > bound * state.variances[0] || rotation > bound * state.variances[1]
+        };
+        self.state.as_ref().is_some_and(|state| state.frames > PARABOLA_FROM && is_beyond(state))
+    }
+
+    /// σ of the last pose, mean of the axes: metres and radians.
+    pub(super) fn sigmas(&self) -> [S; 2] {
+        self.state.as_ref().map_or([S::zero(); 2], |state| state.variances.map(S::root))
+    }
+
     /// A frame without a pose: the motion goes on as it was.
     pub(super) fn coast(&mut self) {
         if let Some(state) = &mut self.state {
@@ -218,6 +240,7 @@ impl<S: Scalar> FadingFilter<S> {
         squared_sigmas: impl Fn([S::Vec3; 2]) -> S,
     ) {
         let (zero, one) = (S::zero(), S::one());
+        let variances = mean_variances(covariance);
         let Some(state) = &mut self.state else {
             self.state = Some(State {
                 pose: *measured,
@@ -226,6 +249,7 @@ impl<S: Scalar> FadingFilter<S> {
                 spread: [[one, zero, zero], [zero; 3], [zero; 3]],
                 frames: 1,
                 memory: self.longest,
+                variances,
                 strain: one,
                 strains: [one; 2],
                 alarm: one,
@@ -233,6 +257,7 @@ impl<S: Scalar> FadingFilter<S> {
             return;
         };
         let mut next = state.advanced();
+        next.variances = variances;
         let [translation, rotation] = measured.displacement_from(&next.pose);
         let error = Displacement { translation, rotation };
         if next.frames > PARABOLA_FROM {
@@ -288,6 +313,11 @@ impl<S: Scalar> FadingFilter<S> {
             frames: state.frames,
         })
     }
+}
+
+/// Of translation and rotation, mean of the axes.
+fn mean_variances<S: Scalar>(covariance: &Matrix6<S>) -> [S; 2] {
+    [0, 3].map(|i| (covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2]) * S::of(1.0 / 3.0))
 }
 
 /// As others see it.

@@ -9,6 +9,9 @@
 //! frame confirm it, the motion before is forgotten. Three cells have no redundancy to confirm a pose with: there
 //! only a pose that the tool can have reached is accepted.
 //!
+//! A frame with cells missing may leave a pose of little worth. What a few of them say of the motion is passed over: the
+//! motion goes on as it was, also if it seems not to.
+//!
 //! Each frame has a budget of work. Following a tool takes a few evaluations, with or without an outlier. A tool that
 //! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the
 //! search on the currents of its own frame.
@@ -21,7 +24,7 @@ use super::cold_start::{COLD_WORK, Search};
 use super::compiled::Prior;
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
-use super::outcome::{DegradedReason, Estimate, Outcome, Solution};
+use super::outcome::{Cells, DegradedReason, Estimate, Outcome, Solution};
 use super::outlier::LeftOut;
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
@@ -36,6 +39,9 @@ const MAX_COAST: u32 = 8;
 /// Standard deviation per axis of an unknown twist: a fast hand.
 const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
 const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
+
+/// Weak poses of fewer cells in a row over which the motion is extrapolated: with more of them poses are what they are now.
+const MOST_WEAK: u32 = 2;
 
 /// Acceleration allowed for while only a straight line can be fitted: a fast hand reverses
 /// 0.5 m/s within some 2 ms.
@@ -107,8 +113,14 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     next_frame: u64,
     /// Twist before the tool was lost: the tool may still be as fast.
     last_twist: [S::Vec3; 2],
-    /// σ of the last pose, mean of the axes: metres and radians.
+    /// σ of the last pose that says something of the motion, mean of the axes: metres and radians.
     sigmas: [S; 2],
+    /// Its cells.
+    cells: Cells,
+    /// Weak poses since then.
+    weak: u32,
+    /// Whether the motion is to be forgotten, if this frame says enough.
+    forgets: bool,
     /// Frames since the last pose.
     coasted: u32,
     /// The cell that was left out of the last pose.
@@ -157,6 +169,9 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             next_frame: 0,
             last_twist: [S::Vec3::default(); 2],
             sigmas: [S::zero(); 2],
+            cells: Cells::default(),
+            weak: 0,
+            forgets: false,
             coasted: 0,
             left_out: None,
             last_look: 0,
@@ -179,6 +194,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.next_frame = 0;
         self.last_twist = [S::Vec3::default(); 2];
         self.sigmas = [S::zero(); 2];
+        self.cells = Cells::default();
+        self.weak = 0;
         self.coasted = 0;
         self.left_out = None;
         self.last_look = 0;
@@ -234,24 +251,33 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             _ => self.forget(),
         }
         self.next_frame = frame.wrapping_add(1);
+        self.forgets = false;
         let solution = self.solve(readings);
+        let cells = solution.cells_used;
+        let is_weak = cells != self.cells && self.says_little(&solution);
+        if self.forgets && !is_weak {
+            self.forget();
+        }
         let Some(estimate) = &solution.estimate else {
             self.coast();
             self.is_misfit = false;
             self.lost.wait = 0;
             return solution;
         };
-        let (pose, covariance) = (solution.rigid, &estimate.covariance);
-        let solver = &self.solver;
-        let squared_sigmas = |displacement| solver.compiled.squared_sigmas(&solution, displacement);
-        self.motion.update(&pose, covariance, squared_sigmas);
-        if let Some(filter) = &mut self.filter {
-            filter.update(&pose, covariance, squared_sigmas);
+        if is_weak {
+            self.weak += 1;
+            self.coast();
+        } else {
+            let (pose, covariance) = (solution.rigid, &estimate.covariance);
+            let solver = &self.solver;
+            let squared_sigmas = |displacement| solver.compiled.squared_sigmas(&solution, displacement);
+            self.motion.update(&pose, covariance, squared_sigmas);
+            if let Some(filter) = &mut self.filter {
+                filter.update(&pose, covariance, squared_sigmas);
+            }
+            (self.cells, self.weak) = (cells, 0);
+            self.sigmas = self.motion.sigmas();
         }
-        self.sigmas = [0, 3].map(|i| {
-            let sum = covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2];
-            (sum * S::of(1.0 / 3.0)).root()
-        });
         self.coasted = 0;
         self.left_out = solution.excluded.iter().next();
         self.is_misfit = is_misfit(&solution);
@@ -260,6 +286,17 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             self.lost = Lost::new(self.lost.saved_work.min(most_saved));
         }
         solution
+    }
+
+    /// Whether this pose, of fewer cells than the last, says too little of the motion to change it, or to know by that the tool
+    /// did not go on as before.
+    #[cold]
+    #[inline(never)]
+    fn says_little(&self, solution: &Solution<S>) -> bool {
+        let Some(estimate) = &solution.estimate else { return false };
+        solution.cells_used.count() < self.cells.count()
+            && self.weak < MOST_WEAK
+            && self.motion.is_weak(&estimate.covariance)
     }
 
     #[cold]
@@ -359,7 +396,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             // The tool did not go on as before: what it did within this frame is unknown.
             let time_s = S::of(self.period_s * f64::from(self.coasted + 1));
             let reach = [0, 1].map(|i| S::two() * unknown.sigmas[i] * time_s + S::of(REACH_SIGMAS) * self.sigmas[i]);
-            self.forget();
+            self.forgets = true;
             self.last_twist = expected.twist;
             let before = solution.iterations;
             let left_out = self.left_out();
@@ -386,7 +423,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             solution.iterations += found.iterations;
             return solution;
         }
-        self.forget();
+        self.forgets = true;
         found.iterations += solution.iterations;
         found
     }
