@@ -68,6 +68,19 @@ impl Page {
         report["report"]["recorder"]["file"].as_str().unwrap_or_default().to_owned()
     }
 
+    /// Begins a recording; its file. A daemon that has just sent its first frame may still be starting.
+    fn begins_recording(&mut self) -> String {
+        loop {
+            self.say(&json!({"kind": "record", "on": true}));
+            let answer = self
+                .until(|message| message["kind"] == "refused" || message["report"]["recorder"]["state"] == "recording");
+            if answer["kind"] != "refused" {
+                return answer["report"]["recorder"]["file"].as_str().unwrap_or_default().to_owned();
+            }
+            assert!(answer["reason"].as_str().expect("a text").contains("still starting"), "{answer}");
+        }
+    }
+
     fn end(mut self) {
         kill(Pid::from_raw(i32::try_from(self.program.id()).expect("an id")), Signal::SIGINT).expect("running");
         let ended = self.program.wait().expect("ends");
@@ -82,8 +95,7 @@ fn recordings_begin_and_end_while_a_daemon_runs_and_each_replays_whole() {
     page.until(|message| message["kind"] == "frame");
     let mut files = Vec::new();
     for _ in 0..2 {
-        page.say(&json!({"kind": "record", "on": true}));
-        files.push(page.recorder("recording"));
+        files.push(page.begins_recording());
         page.say(&json!({"kind": "record", "on": true}));
         let refused = page.until(|message| message["kind"] == "refused");
         assert!(refused["reason"].as_str().expect("a text").contains("already"), "{refused}");
