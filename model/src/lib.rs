@@ -98,8 +98,9 @@ pub use scene::{
     MAX_PROFILE_KNOTS, Noise, Place, Profile, Scene, SceneError, Slit, Uncertainty,
 };
 pub use solve::{
-    AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate, Filtered,
-    MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker, TwistEstimate, Verified,
+    AXES, BoardTracker, Cells, CompactError, CompactFrame, CompactPart, DegradedReason, Directions, Estimate,
+    FEWEST_CELLS, Filtered, MotionPrior, Outcome, Photocurrents, Reading, Solution, Solver, Start, Tracked, Tracker,
+    TwistEstimate, Verified,
 };
 #[cfg(feature = "batch")]
 pub use solve::{Batch, Starts};

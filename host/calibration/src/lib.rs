@@ -63,7 +63,6 @@ pub use plausibility::Implausible;
 pub use reading_noise::measured_noise;
 pub use residuals::Residual;
 pub use spectrum::Direction;
-pub use start::FEWEST_CELLS;
 pub use validity::{CellValidity, Validity, validity};
 
 use parameters::Parameters;

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_model::{MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start};
+use slitpose_model::{FEWEST_CELLS, MotionPrior, Pair, Photocurrents, Pose, Reading, Scene, SceneError, Solver, Start};
 
 use crate::constraint;
 use crate::data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, values_of};
@@ -12,9 +12,6 @@ use crate::{CalibrateError, Calibration, uncalibrated};
 
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
 const LEAST_WITH_POSE: f64 = 0.25;
-
-/// Cells whose currents, two each, tell six coordinates.
-pub const FEWEST_CELLS: usize = 3;
 
 /// Poses of all rows and unknowns of all groups. Rows without a pose stay at home.
 pub(crate) struct Beginning {

@@ -53,8 +53,8 @@ impl ToolOptions {
         let frame_s = front_end::configuration(file)?.schedule.frame_rate_hz().recip();
         let seed = self.seed(number);
         let trajectory = self.trajectory(file, number, duration_s)?;
-        if let Some((axis, times)) = file.workspace.farthest(trajectory.knots())
-            && number == 0
+        if number == 0
+            && let Some((axis, times)) = file.workspace.farthest(trajectory.knots())
             && times > FAR
         {
             let table = self.table().unwrap_or_default();

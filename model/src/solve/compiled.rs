@@ -16,6 +16,9 @@ use super::readings::{Limits, Photocurrents, Sorted};
 use super::twist::Motion;
 use super::weights::CellNoise;
 
+/// Cells whose currents, two each, tell the six coordinates of a pose.
+pub const FEWEST_CELLS: usize = 3;
+
 /// What is known beforehand of the tool's motion within a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionPrior {
@@ -125,7 +128,7 @@ impl<S: Scalar> Compiled<S> {
     /// The factor of the information of all cells with light at `pose`, the tool at rest.
     pub(super) fn factor_at(&self, pose: &Pose) -> Option<Factor<S>> {
         let sorted = self.seen_at(pose);
-        if sorted.usable.len() < 3 {
+        if sorted.usable.len() < FEWEST_CELLS {
             return None;
         }
         let problem = self.problem(&sorted, &Prior::at_rest());
@@ -180,12 +183,12 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         }
     }
 
-    /// Six unknowns need three cells.
+    /// Six unknowns need [`FEWEST_CELLS`].
     pub(super) fn too_few(&self, sorted: &Sorted<S>) -> Option<Solution<S>> {
-        if sorted.usable.len() >= 3 {
+        if sorted.usable.len() >= FEWEST_CELLS {
             return None;
         }
-        let outcome = if sorted.usable.len() + sorted.faint.count() >= 3 {
+        let outcome = if sorted.usable.len() + sorted.faint.count() >= FEWEST_CELLS {
             Outcome::TooDark
         } else {
             Outcome::Unobservable(Directions::all())

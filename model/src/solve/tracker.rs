@@ -113,9 +113,7 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     next_frame: u64,
     /// Twist before the tool was lost: the tool may still be as fast.
     last_twist: [S::Vec3; 2],
-    /// σ of the last pose that says something of the motion, mean of the axes: metres and radians.
-    sigmas: [S; 2],
-    /// Its cells.
+    /// Cells of the last pose that says something of the motion.
     cells: Cells,
     /// Weak poses since then.
     weak: u32,
@@ -168,7 +166,6 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             filter: None,
             next_frame: 0,
             last_twist: [S::Vec3::default(); 2],
-            sigmas: [S::zero(); 2],
             cells: Cells::default(),
             weak: 0,
             forgets: false,
@@ -193,7 +190,6 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.filter = None;
         self.next_frame = 0;
         self.last_twist = [S::Vec3::default(); 2];
-        self.sigmas = [S::zero(); 2];
         self.cells = Cells::default();
         self.weak = 0;
         self.coasted = 0;
@@ -253,8 +249,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         self.next_frame = frame.wrapping_add(1);
         self.forgets = false;
         let solution = self.solve(readings);
-        let cells = solution.cells_used;
-        let is_weak = cells != self.cells && self.says_little(&solution);
+        let is_weak = solution.cells_used != self.cells && self.says_little(&solution);
         if self.forgets && !is_weak {
             self.forget();
         }
@@ -275,8 +270,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             if let Some(filter) = &mut self.filter {
                 filter.update(&pose, covariance, squared_sigmas);
             }
-            (self.cells, self.weak) = (cells, 0);
-            self.sigmas = self.motion.sigmas();
+            (self.cells, self.weak) = (solution.cells_used, 0);
         }
         self.coasted = 0;
         self.left_out = solution.excluded.iter().next();
@@ -395,7 +389,8 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         if !(is_expected && self.is_misfit) {
             // The tool did not go on as before: what it did within this frame is unknown.
             let time_s = S::of(self.period_s * f64::from(self.coasted + 1));
-            let reach = [0, 1].map(|i| S::two() * unknown.sigmas[i] * time_s + S::of(REACH_SIGMAS) * self.sigmas[i]);
+            let sigmas = self.motion.sigmas();
+            let reach = [0, 1].map(|i| S::two() * unknown.sigmas[i] * time_s + S::of(REACH_SIGMAS) * sigmas[i]);
             self.forgets = true;
             self.last_twist = expected.twist;
             let before = solution.iterations;
@@ -465,7 +460,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
             return unknown_motion::<S>(&self.last_twist);
         }
         let per_second = expected.step_variance.root() * self.frame_rate_hz;
-        let mut sigmas = self.sigmas.map(|sigma| sigma * per_second);
+        let mut sigmas = self.motion.sigmas().map(|sigma| sigma * per_second);
         if expected.frames < BEND_FROM {
             // A line through n frames lags half of them behind a bend.
             let behind_s = 0.5 * (f64::from(expected.frames) + 1.0) * self.period_s;

@@ -3,15 +3,13 @@
 use slitpose::inputs::{Captured, capture as read};
 use slitpose_head::table::CAPTURE_MAGIC;
 
-/// Damage is counted, never an error; what is whole and what is lost are parts of the file. A second time the same is read;
-/// from a later instant on, and of a whole file that is cut off, no more than of the whole.
+/// Damage is counted, never an error; what is whole and what is lost are parts of the file. From a later instant on, and of
+/// a whole file that is cut off, no more is read than of the whole, and a second time the same.
 pub(crate) fn capture(bytes: &[u8]) {
     let (&cut, bytes) = bytes.split_first().unwrap_or((&0, &[]));
     let whole = captured(bytes, 0);
+    assert_eq!(captured(bytes, 0), whole);
     let later = captured(bytes, u64::from(cut) << 56);
-    if cut == 0 {
-        assert_eq!(later, whole);
-    }
     assert!(later.link_bytes <= whole.link_bytes, "{later:?} after {whole:?}");
     // Of a damaged file a part may show more: a wrong length that swallows what follows is noticed only where that is
     // missing.

@@ -2,11 +2,10 @@
 
 use std::error::Error;
 
-use slitpose_calibration::FEWEST_CELLS;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::board_configuration;
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
-use slitpose_model::{Pose, Status};
+use slitpose_model::{FEWEST_CELLS, Pose, Status};
 
 use super::cost::CellCost;
 use super::coverage::CellCoverage;
