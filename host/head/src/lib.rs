@@ -52,6 +52,7 @@
 #![forbid(unsafe_code)]
 
 pub mod board_head;
+pub mod causes;
 pub mod faults;
 pub mod finding;
 pub mod foreign;

@@ -8,12 +8,15 @@ use super::{CommandError, Outcome, names, talk};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map};
 use slitpose_design::report::{Folder, comparison};
+use slitpose_head::causes::with_causes;
+use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::SceneFile;
 
 /// Compares the accuracy of several heads: one table and one picture.
 ///
 /// Of single frames, each over its own workspace and with its own noise; see `slitpose scene map`. Where one has no front
-/// end, all are compared by their measuring channels. Without a folder the table is printed.
+/// end, or one whose slots do not fit into its frame, all are compared by their measuring channels. Without a folder the table
+/// is printed.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  slitpose compare wide base\n  slitpose compare wide mine.toml --output comparison"
@@ -35,10 +38,10 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
     let mut files: Vec<SceneFile> = args.scenes.iter().map(|scene| SceneFile::open(scene)).collect::<Result<_, _>>()?;
-    if files.iter().any(|file| file.front_end.is_none()) && files.iter().any(|file| file.front_end.is_some()) {
-        talk(format_args!(
-            "not every scene has a [front_end]; all are compared by the measuring channel of their [noise]"
-        ));
+    let frames: Vec<_> = files.iter().map(configuration).collect();
+    if let Some(Err(error)) = frames.iter().find(|frame| frame.is_err()).filter(|_| frames.iter().any(Result::is_ok)) {
+        let reason = with_causes(error);
+        talk(format_args!("{reason}; all are compared by the measuring channel of their [noise]"));
         files.iter_mut().for_each(|file| file.front_end = None);
     }
     let folder = args.output.as_deref().map(Folder::create).transpose()?;

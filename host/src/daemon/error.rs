@@ -75,18 +75,3 @@ impl BoardError {
         matches!(error, DeviceError::Missing { .. } | DeviceError::Gone { .. } | DeviceError::Busy { .. })
     }
 }
-
-/// An error with all its causes.
-pub(super) fn with_causes(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(source) = cause {
-        let source_text = source.to_string();
-        // Transparent errors already contain the text of their cause.
-        if !text.ends_with(&source_text) {
-            text = format!("{text}: {source_text}");
-        }
-        cause = source.source();
-    }
-    text
-}

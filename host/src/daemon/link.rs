@@ -4,11 +4,12 @@ use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use super::error::{BoardError, with_causes};
+use super::error::BoardError;
 use crate::clock::HostInstant;
 use crate::device::DeviceError;
 use crate::link::DeviceId;
 use crate::telemetry::{LinkReport, LinkState};
+use slitpose_head::causes::with_causes;
 use slitpose_head::threads::lock;
 
 /// A repeated reason is reported again after this time, then after twice this time, and so on: some twenty times a

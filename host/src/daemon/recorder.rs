@@ -10,13 +10,14 @@ use slitpose_calibration::Head;
 
 use super::board::BoardPlan;
 use super::buffer_pool::{Consumer, Empty, buffer_pool};
-use super::error::{BoardError, with_causes};
+use super::error::BoardError;
 use super::tap::{TapChunk, TapEnds};
 use super::{Talk, spawn};
 use crate::capture::{CaptureError, CaptureSeries, Settings, Setup};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
 use crate::telemetry::{DaemonReport, RecorderReport, RecorderState};
+use slitpose_head::causes::with_causes;
 use slitpose_head::threads::{join, lock};
 
 /// Time of a chunk.

@@ -1,6 +1,5 @@
 //! Ports, permissions, and whether a board answers.
 
-use std::error::Error;
 use std::os::unix::fs::MetadataExt;
 use std::time::Duration;
 
@@ -12,6 +11,7 @@ use crate::device::{
     ports,
 };
 use crate::link::Versions;
+use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 
 /// Time that a board needs to answer if its other port was asked just before.
@@ -34,7 +34,7 @@ pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<
             understood.then_some((board, info))
         }
         Err(error) => {
-            checks.push(Finding::failed("hello", in_full(&error), "reset the board, or flash it again"));
+            checks.push(Finding::failed("hello", with_causes(&error), "reset the board, or flash it again"));
             None
         }
     }
@@ -46,7 +46,7 @@ fn simulated(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn
     match SimulatedDevice::live(&scene) {
         Ok(device) => Some(Box::new(device)),
         Err(error) => {
-            checks.push(Finding::failed("scene", in_full(&error), "correct the scene, or take a shipped one"));
+            checks.push(Finding::failed("scene", with_causes(&error), "correct the scene, or take a shipped one"));
             None
         }
     }
@@ -57,7 +57,7 @@ fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Devi
     let found = match find(subject.device, subject.search) {
         Ok(found) => found,
         Err(error) => {
-            checks.push(Finding::failed("board", in_full(&error), "`slitpose device list` shows what there is"));
+            checks.push(Finding::failed("board", with_causes(&error), "`slitpose device list` shows what there is"));
             return None;
         }
     };
@@ -68,7 +68,7 @@ fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Devi
             Some(Box::new(device))
         }
         Err(error) => {
-            let mut finding = in_full(&error);
+            let mut finding = with_causes(&error);
             for holder in holders(&found.port) {
                 finding += &format!("; {holder} has it open");
             }
@@ -88,7 +88,7 @@ fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
             let count = ports.len();
             Finding::ok("ports", format!("{count} serial, {boards} of boards, {debuggers} of debuggers"))
         }
-        Err(error) => Finding::warning("ports", in_full(&error), "give the path of the port with --device"),
+        Err(error) => Finding::warning("ports", with_causes(&error), "give the path of the port with --device"),
     }
 }
 
@@ -127,17 +127,6 @@ pub(super) fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
         _ => Finding::ok("last start", cause),
     });
     (checks, info.mismatch.is_none())
-}
-
-/// An error with its causes, as one line.
-pub(super) fn in_full(error: &dyn Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text += &format!(": {error}");
-        cause = error.source();
-    }
-    text
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ pub(crate) use bring_up::{BringUp, Step, scene as scene_of_bring_up};
 pub(crate) use bundle::Bundle;
 
 use crate::device::{BoardInfo, Search, Selector};
+use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, WIDE};
 
@@ -91,7 +92,7 @@ fn board(subject: &Subject<'_>, examination: &mut Examination) -> Option<f64> {
             measurement.bytes_per_s()
         }
         Err(error) => {
-            let finding = link::in_full(&error);
+            let finding = with_causes(&error);
             checks.push(Finding::failed("measurement", finding, "reset the board and try again"));
             None
         }

@@ -28,8 +28,25 @@ fn what_cannot_be_is_told_before_anything_is_searched() {
     refused(&["scene", "map", "wide", "--tolerance-study", "0"], &["--tolerance-study"]);
     let study = ["scene", "map", "bench", "--samples", "10", "--tolerance-study", "1"];
     refused(&study, &["no pose anywhere in its workspace", "`wide`"]);
+    refused(&["scene", "map", "base", "--samples", "10", "--output", "no/m.svg"], &["no/m.svg is to be a folder"]);
     refused(&["compare"], &["SCENE"]);
     refused(&["compare", "wide", "no.toml"], &["cannot read scene `no.toml`"]);
+}
+
+/// Heads whose frames are not told alike are compared by what all have, and the reason is told.
+#[test]
+fn heads_are_compared_by_one_kind_of_noise() {
+    let folder = TempDir::new().expect("a folder");
+    let late = folder.path().join("late.toml");
+    let text = slitpose!().run(["scene", "show", "wide"]).done();
+    fs::write(&late, text.replace("frame_rate_hz = 4000", "frame_rate_hz = 20000")).expect("a scene");
+    for (other, reason) in [(late.to_str().expect("UTF-8"), "a frame has 8500"), ("base", "no [front_end]")] {
+        let finished = slitpose!().run(["compare", "wide", other, "--samples", "50"]);
+        let said = finished.stderr.clone();
+        assert!(said.contains(reason) && said.contains("all are compared"), "{said}");
+        let table = finished.done();
+        assert!(!table.contains("front end"), "{table}");
+    }
 }
 
 /// One cell gives no pose: the map says so, in words and without an infinite number.

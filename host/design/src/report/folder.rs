@@ -7,6 +7,9 @@ use super::section::{Report, Table, Value};
 use super::{markdown, page};
 use slitpose_head::table::{Output, OutputError, TableWriter};
 
+/// Endings of names that are those of a page, a table or a picture.
+const FILES: [&str; 7] = ["csv", "htm", "html", "md", "pdf", "png", "svg"];
+
 /// The folder of a report. Made before anything is measured: an impossible place is refused at once.
 #[derive(Debug)]
 pub struct Folder {
@@ -17,9 +20,12 @@ impl Folder {
     /// Makes the folder if it is not there.
     ///
     /// # Errors
-    /// If it cannot be made.
+    /// If it cannot be made, or is named as a file.
     pub fn create(path: &Path) -> Result<Self, OutputError> {
         let path = path.to_owned();
+        if !path.is_dir() && path.extension().is_some_and(|ending| FILES.iter().any(|file| ending == *file)) {
+            return Err(OutputError::Folder { path });
+        }
         match fs::create_dir_all(&path) {
             Ok(()) => Ok(Self { path }),
             Err(source) => Err(OutputError::Create { path, source }),

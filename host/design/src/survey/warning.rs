@@ -1,7 +1,6 @@
 //! Warnings for the designer, each with its number and a remedy.
 
-use std::error::Error;
-
+use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::board_configuration;
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
@@ -96,8 +95,11 @@ fn of_front_end(file: &SceneFile) -> Option<Finding> {
         return Some(Finding::new(Grade::Warning, "front end", error.to_string()));
     }
     if let Err(error) = board_configuration(file) {
-        let reason = error.source().map_or_else(String::new, |source| format!(": {source}"));
-        return Some(Finding::new(Grade::Warning, "front end", format!("no board can run it: {error}{reason}")));
+        return Some(Finding::new(
+            Grade::Warning,
+            "front end",
+            format!("no board can run it: {}", with_causes(&error)),
+        ));
     }
     None
 }

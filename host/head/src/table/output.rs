@@ -62,6 +62,12 @@ pub enum OutputError {
         /// The system's error.
         source: io::Error,
     },
+    /// A folder that is named as a file.
+    #[error("{} is to be a folder, of a page with its tables and pictures; give a name that is not a file's", path.display())]
+    Folder {
+        /// The folder asked for.
+        path: PathBuf,
+    },
     /// Writing failed on the way.
     #[error("writing to {target} failed; make room there, or choose another --output")]
     Write {

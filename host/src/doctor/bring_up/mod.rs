@@ -38,8 +38,9 @@ use slitpose_protocol::{Level, Schedule};
 use thiserror::Error;
 
 use self::bench::{Bench, BenchError};
-use super::{default_scene, head, link::in_full};
+use super::{default_scene, head};
 use crate::device::{Search, Selector};
+use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::SceneFile;
 
@@ -215,7 +216,7 @@ pub(crate) fn scene(
 }
 
 fn unreachable_board(error: &BenchError) -> Finding {
-    Finding::failed("link", in_full(error), "slitpose doctor checks ports and permissions; reset the board")
+    Finding::failed("link", with_causes(error), "slitpose doctor checks ports and permissions; reset the board")
 }
 
 impl<'a> BringUp<'a> {
@@ -248,7 +249,7 @@ impl<'a> BringUp<'a> {
             Step::Storage => storage::take(bench, cut_power),
         };
         done.unwrap_or_else(|error| {
-            vec![Finding::failed(step.name(), in_full(&error), "reset the board and take this step again")]
+            vec![Finding::failed(step.name(), with_causes(&error), "reset the board and take this step again")]
         })
     }
 
@@ -260,7 +261,11 @@ impl<'a> BringUp<'a> {
         let configuration = lighting::at(self.schedule.clone(), Level::NOMINAL);
         let restored = self.bench.connect().and_then(|(mut board, _)| Ok(board.configure(configuration)?));
         restored.map_err(|error| {
-            Finding::warning("configuration", in_full(&error), "reset the board: it starts with its own configuration")
+            Finding::warning(
+                "configuration",
+                with_causes(&error),
+                "reset the board: it starts with its own configuration",
+            )
         })
     }
 }

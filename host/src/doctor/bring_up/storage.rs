@@ -9,7 +9,7 @@ use slitpose_protocol::{BootTarget, Hashes, Level, Schedule, SettingsSource};
 use super::bench::{Bench, BenchError};
 use super::lighting;
 use crate::device::{BoardInfo, Conversation, DeviceError};
-use crate::doctor::link::in_full;
+use slitpose_head::causes::with_causes;
 use slitpose_head::finding::Finding;
 
 /// Time for the board to disconnect after Reboot, and for it to be there again.
@@ -69,7 +69,7 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
         findings.push(match board.forget_stored() {
             Ok(()) => Finding::ok("forget", "the settings of this trial are erased again"),
             Err(error) => {
-                Finding::failed("forget", in_full(&error), "store the settings of the head: device set --scene")
+                Finding::failed("forget", with_causes(&error), "store the settings of the head: device set --scene")
             }
         });
     }
@@ -98,7 +98,7 @@ fn reconnect(bench: &mut Bench<'_>) -> Result<(Conversation, BoardInfo), BenchEr
 fn refused(error: &DeviceError) -> Finding {
     let next_step = "option byte DBANK must be 1, and the image must have the feature storage; if both are so, change the \
                      MCU: its flash is worn out";
-    Finding::failed("storage", format!("the board does not store its settings: {}", in_full(error)), next_step)
+    Finding::failed("storage", format!("the board does not store its settings: {}", with_causes(error)), next_step)
 }
 
 fn judge(before: &Stored, after: &Stored, is_cut: bool) -> Finding {

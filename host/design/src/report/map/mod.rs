@@ -8,6 +8,7 @@ mod schedules;
 mod tolerances;
 
 use slitpose_calibration::Head;
+use slitpose_head::causes::with_causes;
 use slitpose_head::front_end::configuration;
 
 pub(super) use accuracy::distribution;
@@ -61,7 +62,7 @@ pub fn map_report(head: &Head, map: &Map, studied: Option<&Tolerances>, proposed
     if let (NoiseOf::Channel | NoiseOf::Nothing, true, Err(error)) =
         (map.noise, file.front_end.is_some(), configuration(file))
     {
-        warnings.push(format!("The noise is not that of the front end: {error}."));
+        warnings.push(format!("The noise is not that of the front end: {}.", with_causes(&error)));
     }
     Report {
         title: "Accuracy over the workspace",
