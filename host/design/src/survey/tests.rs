@@ -136,7 +136,9 @@ fn cells_that_are_alike_share_a_warning_that_names_the_worst() {
         (warning.place.into_owned(), warning.text)
     };
     let (cells, text) = of_scale(WIDE.text);
-    assert!(cells == "all cells" && text.contains("on one electrode of cell ") && text.contains("(up to "), "{text}");
+    let most = survey_of(WIDE.text).coverage.cells.iter().map(|cell| cell.most_electrode_a).fold(0.0, f64::max);
+    let worst = format!("{:.2} µA on one electrode of cell ", most * 1e6);
+    assert!(cells == "all cells" && text.starts_with(&worst) && text.contains("(up to "), "{text}");
     // A fifth of the intensity, a third of the full scale at most; then in all cells but one.
     let dim = "emitter = { radiant_intensity_w_per_sr = 0.6e-3 }\nnormal =";
     let (cells, _) = of_scale(&WIDE.text.replacen("normal =", dim, 1));
