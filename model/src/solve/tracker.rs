@@ -40,7 +40,7 @@ const MAX_COAST: u32 = 8;
 const UNKNOWN_LINEAR_M_PER_S: f64 = 0.5;
 const UNKNOWN_ANGULAR_RAD_PER_S: f64 = 5.0;
 
-/// Weak poses of fewer cells in a row over which the motion is extrapolated: with more of them poses are what they are now.
+/// Weak poses of other cells in a row over which the motion is extrapolated: with more of them poses are what they are now.
 const MOST_WEAK: u32 = 2;
 
 /// Acceleration allowed for while only a straight line can be fitted: a fast hand reverses
@@ -282,15 +282,13 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         solution
     }
 
-    /// Whether this pose, of fewer cells than the last, says too little of the motion to change it, or to know by that the tool
-    /// did not go on as before.
+    /// Whether a frame without pose, or with one of other cells than the last, says too little of the motion to change it, or to
+    /// know by that the tool did not go on as before.
     #[cold]
     #[inline(never)]
     fn says_little(&self, solution: &Solution<S>) -> bool {
-        let Some(estimate) = &solution.estimate else { return false };
-        solution.cells_used.count() < self.cells.count()
-            && self.weak < MOST_WEAK
-            && self.motion.is_weak(&estimate.covariance)
+        let is_weak = |estimate: &Estimate<S>| self.weak < MOST_WEAK && self.motion.is_weak(&estimate.covariance);
+        solution.estimate.as_ref().is_none_or(is_weak)
     }
 
     #[cold]
