@@ -33,19 +33,29 @@ fn what_cannot_be_is_told_before_anything_is_searched() {
     refused(&["compare", "wide", "no.toml"], &["cannot read scene `no.toml`"]);
 }
 
-/// Heads whose frames are not told alike are compared by what all have, and the reason is told.
+/// Heads of which one cannot be run are compared by what all have, and the reason is told; those of other rates at equal
+/// bandwidth, too.
 #[test]
-fn heads_are_compared_by_one_kind_of_noise() {
+fn heads_are_compared_by_one_kind_of_noise_and_at_equal_bandwidth() {
     let folder = TempDir::new().expect("a folder");
-    let late = folder.path().join("late.toml");
     let text = slitpose!().run(["scene", "show", "wide"]).done();
-    fs::write(&late, text.replace("frame_rate_hz = 4000", "frame_rate_hz = 20000")).expect("a scene");
-    for (other, reason) in [(late.to_str().expect("UTF-8"), "a frame has 8500"), ("base", "no [front_end]")] {
-        let finished = slitpose!().run(["compare", "wide", other, "--samples", "50"]);
+    let at_rate = |rate_hz: &str| {
+        let path = folder.path().join(format!("{rate_hz}.toml"));
+        fs::write(&path, text.replace("frame_rate_hz = 4000", &format!("frame_rate_hz = {rate_hz}"))).expect("a scene");
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let compared = |other: &str| slitpose!().run(["compare", "wide", other, "--samples", "50"]);
+    for (other, reason) in [(at_rate("20000").as_str(), "a frame has 8500"), ("base", "no [front_end]")] {
+        let finished = compared(other);
         let said = finished.stderr.clone();
         assert!(said.contains(reason) && said.contains("all are compared"), "{said}");
         let table = finished.done();
         assert!(!table.contains("front end"), "{table}");
+    }
+    for (other, summaries) in [("fine", 2), (at_rate("1000").as_str(), 4)] {
+        let table = compared(other).done();
+        assert_eq!(table.matches("Best in ").count(), summaries, "{table}");
+        assert_eq!(table.contains("µm/√Hz."), summaries == 4, "{table}");
     }
 }
 

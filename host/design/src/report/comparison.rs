@@ -35,12 +35,19 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
     };
     let names: Vec<(&str, &Map)> = maps.iter().map(|(file, map)| (file.origin.as_str(), map)).collect();
     let workspace = |file: &SceneFile| format!("{}: {}", file.origin, WorkspaceFacts::from(file.workspace));
-    let best = |kind: &Kind| {
-        let medians = maps.iter().map(|(file, map)| (file, map.quantile(0.5, kind.of)));
+    let best = |kind: &Kind, is_by_rate: bool| {
+        let Kind { name, unit, scale, of, .. } = kind;
+        let medians = maps.iter().filter_map(|(file, map)| {
+            Some((file, map.quantile(0.5, of) * if is_by_rate { map.per_root_hz()? } else { 1.0 }))
+        });
         let (file, median) = medians.filter(|(_, median)| median.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let Kind { name, unit, scale, .. } = kind;
-        Some(format!("Best in {name} by the median: {}, {:.3} {unit}.", file.origin, median * scale))
+        let per = if is_by_rate { "/√Hz" } else { "" };
+        Some(format!("Best in {name} by the median: {}, {:.3} {unit}{per}.", file.origin, median * scale))
     };
+    // Frames of heads that have more of them count less.
+    let is_of_one_rate = maps.windows(2).all(|pair| pair[0].1.frame_rate_hz == pair[1].1.frame_rate_hz);
+    let ways = if is_of_one_rate { &[false][..] } else { &[false, true] };
+    let bests = ways.iter().flat_map(|by_rate| KINDS.iter().filter_map(|kind| best(kind, *by_rate)));
     Report {
         title: "Heads compared",
         scene: maps.iter().map(|(file, _)| file.origin.as_str()).collect::<Vec<_>>().join(", "),
@@ -58,7 +65,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         sections: vec![Section {
             name: "heads",
             title: "Accuracy",
-            summary: KINDS.iter().filter_map(best).collect(),
+            summary: bests.collect(),
             paragraphs: vec![
                 "Each head over its own workspace. σ is that of a single frame, three axes together; unnoticed is what a fault of \
                  one cell can do to the pose, see `slitpose scene map`."
