@@ -13,7 +13,9 @@
 //!   the least round trip between its two directions is unknown, so the uncertainty is never less than
 //!   about half the least round trip.
 //! * A time is never after the arrival of its scan, and never before the previous time: not when the
-//!   fit is renewed, nor when the board restarts or the host is suspended.
+//!   fit is renewed, nor when the board restarts or the host is suspended. While the fit lies before the
+//!   previous time, as it may after the first pongs of a busy host, times advance at half the pace, and by
+//!   half of what is left to the arrival, so that no two scans share one.
 //! * Times approach a new fit within about a second; only a time outside the bounds is corrected at
 //!   once.
 //! * UTC is the monotonic time plus the difference of the clocks when the last bytes arrived. If the
@@ -70,6 +72,8 @@ pub(crate) struct ClockFit {
     utc: UtcOffset,
     /// The last time given.
     given: Option<HostTime>,
+    /// Device time of it; `None` before the first since a restart.
+    given_x_ns: Option<i64>,
 }
 
 /// Origin of device time and host time.
@@ -132,6 +136,7 @@ impl ClockFit {
             newest_ns: 0,
             utc: UtcOffset::default(),
             given: None,
+            given_x_ns: None,
         }
     }
 
@@ -149,6 +154,7 @@ impl ClockFit {
         self.trust = Trust::New;
         self.last_arrived = None;
         self.last_answered = None;
+        self.given_x_ns = None;
     }
 
     /// Sets the source of the board's clock. The first report since a restart narrows the bounds for all points so far.
@@ -201,7 +207,14 @@ impl ClockFit {
             }
         };
         let given_ns = self.given.map_or(0, |given| given.monotonic_ns);
-        let monotonic_ns = host_ns(steered.at(x_ns)).min(self.newest_ns).max(given_ns);
+        let passed_ns =
+            self.given_x_ns.replace(x_ns).map_or(0, |given_x_ns| (x_ns - given_x_ns).max(0).cast_unsigned());
+        let wanted_ns = host_ns(steered.at(x_ns)).max(given_ns.saturating_add(passed_ns / 2));
+        let monotonic_ns = match self.given {
+            _ if wanted_ns <= self.newest_ns => wanted_ns,
+            Some(_) => given_ns.midpoint(self.newest_ns),
+            None => self.newest_ns,
+        };
         let utc_ns = self.utc.utc_ns(monotonic_ns);
         let utc_ns = self
             .given

@@ -81,7 +81,7 @@ impl Trial {
         assert!(time.monotonic_ns <= at.monotonic_ns, "{context}, {at:?}");
         let is_settled = truth_ns > FILLED_S * 1e9;
         if let Some((before, before_ns)) = last.replace((time, truth_ns)) {
-            assert!(time.monotonic_ns >= before.monotonic_ns && time.utc_ns >= before.utc_ns, "{context}, {before:?}");
+            assert!(time.monotonic_ns > before.monotonic_ns && time.utc_ns >= before.utc_ns, "{context}, {before:?}");
             if is_settled {
                 let step_ns = (time.monotonic_ns - before.monotonic_ns) as f64;
                 self.unsteady_ns = self.unsteady_ns.max((step_ns - (truth_ns - before_ns)).abs());
@@ -264,6 +264,35 @@ fn without_a_pong_there_is_no_time_and_after_the_first_no_rate_is_relied_on() {
     fit.arrived(502_000, instant(503_000_000));
     let time = fit.time_of(502_000, 0.0).unwrap();
     assert!(time.uncertainty_ns < 1_000_000, "{time:?}");
+}
+
+#[test]
+fn no_two_scans_share_a_time_while_a_better_fit_lies_before_the_last() {
+    // Ticks of a microsecond, scans 5 ms apart. For a busy second answers and scans take 30 ms, then 0.2.
+    let mut fit = ClockFit::new(1_000_000);
+    let (mut steps_ns, mut last, mut slow_error_ns, mut error_ns, mut arrival_ns) = (Vec::new(), None, 0, 0, 0);
+    for scan in 1..800 {
+        let tick = 5_000 * scan;
+        let truth_ns = 1_000 * tick;
+        let delay_ns = if scan < 300 { 30_000_000 } else { 200_000 };
+        arrival_ns = (truth_ns + delay_ns).max(arrival_ns);
+        if scan % 100 == 1 {
+            fit.answered(instant(truth_ns - delay_ns / 100), tick, instant(arrival_ns));
+        }
+        fit.arrived(tick, instant(arrival_ns));
+        let Some(time) = fit.time_of(tick, 0.0) else { continue };
+        error_ns = time.monotonic_ns.abs_diff(truth_ns);
+        assert!(error_ns <= time.uncertainty_ns && time.monotonic_ns <= arrival_ns, "{scan}: {time:?}");
+        if scan < 300 {
+            slow_error_ns = error_ns;
+        }
+        steps_ns.extend(last.replace(time.monotonic_ns).map(|last_ns| time.monotonic_ns - last_ns));
+    }
+    let least_ns = steps_ns.iter().min().expect("times");
+    assert!(slow_error_ns > 10_000_000 && error_ns < 300_000, "{slow_error_ns} and {error_ns} ns");
+    // Half the pace, and less where five scans arrive at once with a time close to their arrival.
+    assert!((10_000..2_500_000).contains(least_ns), "{least_ns} ns");
+    assert!(steps_ns.iter().filter(|step_ns| **step_ns < 2_500_000).count() <= 5, "{steps_ns:?}");
 }
 
 #[test]
