@@ -5,12 +5,13 @@ use std::error::Error;
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::{PyErr, create_exception};
 use slitpose::solving::{TierName, TierOptions, is_tolerance};
+use slitpose_head::causes::with_causes;
 
 create_exception!(slitpose, SlitposeError, PyException, "What cannot be done, why, and the next step.");
 
 /// The exception of an error, with the errors behind it.
-pub(crate) fn raised(error: impl Error + Send + Sync + 'static) -> PyErr {
-    SlitposeError::new_err(format!("{:#}", anyhow::Error::new(error)))
+pub(crate) fn raised(error: impl Error) -> PyErr {
+    SlitposeError::new_err(with_causes(&error))
 }
 
 /// The tier by its name and tolerance.

@@ -14,8 +14,9 @@
 //!   about half the least round trip.
 //! * A time is never after the arrival of its scan, and never before the previous time: not when the
 //!   fit is renewed, nor when the board restarts or the host is suspended. While the fit lies before the
-//!   previous time, as it may after the first pongs of a busy host, times advance at half the pace, and by
-//!   half of what is left to the arrival, so that no two scans share one.
+//!   previous time, as it may after the first pongs of a busy host, times advance at half the pace; where
+//!   that would pass the arrival, to the middle between the two. Scans share a time only across a restart,
+//!   and where none is left to the arrival.
 //! * Times approach a new fit within about a second; only a time outside the bounds is corrected at
 //!   once.
 //! * UTC is the monotonic time plus the difference of the clocks when the last bytes arrived. If the
@@ -207,13 +208,12 @@ impl ClockFit {
             }
         };
         let given_ns = self.given.map_or(0, |given| given.monotonic_ns);
-        let passed_ns =
-            self.given_x_ns.replace(x_ns).map_or(0, |given_x_ns| (x_ns - given_x_ns).max(0).cast_unsigned());
+        let passed_ns = self.given_x_ns.map_or(0, |given_x_ns| (x_ns - given_x_ns).max(0).cast_unsigned());
         let wanted_ns = host_ns(steered.at(x_ns)).max(given_ns.saturating_add(passed_ns / 2));
-        let monotonic_ns = match self.given {
-            _ if wanted_ns <= self.newest_ns => wanted_ns,
-            Some(_) => given_ns.midpoint(self.newest_ns),
-            None => self.newest_ns,
+        let monotonic_ns = if wanted_ns <= self.newest_ns {
+            wanted_ns
+        } else {
+            self.given.map_or(self.newest_ns, |given| given.monotonic_ns.midpoint(self.newest_ns))
         };
         let utc_ns = self.utc.utc_ns(monotonic_ns);
         let utc_ns = self
@@ -221,6 +221,7 @@ impl ClockFit {
             .map_or(utc_ns, |given| utc_ns.max(given.utc_ns.saturating_add((monotonic_ns - given.monotonic_ns) / 2)));
         let uncertainty_ns = latest_ns.saturating_sub(monotonic_ns).max(monotonic_ns.saturating_sub(earliest_ns));
         self.given = Some(HostTime { monotonic_ns, utc_ns, uncertainty_ns });
+        self.given_x_ns = Some(x_ns);
         self.given
     }
 

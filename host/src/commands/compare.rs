@@ -38,8 +38,8 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
     let mut files: Vec<SceneFile> = args.scenes.iter().map(|scene| SceneFile::open(scene)).collect::<Result<_, _>>()?;
-    let frames: Vec<_> = files.iter().map(configuration).collect();
-    if let Some(Err(error)) = frames.iter().find(|frame| frame.is_err()).filter(|_| frames.iter().any(Result::is_ok)) {
+    let (framed, others): (Vec<_>, Vec<_>) = files.iter().map(configuration).partition(Result::is_ok);
+    if let (Some(_), Some(Err(error))) = (framed.first(), others.first()) {
         let reason = with_causes(error);
         talk(format_args!("{reason}; all are compared by the measuring channel of their [noise]"));
         files.iter_mut().for_each(|file| file.front_end = None);

@@ -68,6 +68,7 @@ use slitpose_calibration::{CalibrateError, CalibrationFileError};
 use slitpose_design::optimise::OptimiseError;
 use slitpose_design::plot::PlotError;
 use slitpose_design::report::ReportError;
+use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
 use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFileError;
@@ -369,7 +370,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Err(error) if error.is_broken_pipe() => ExitCode::SUCCESS,
         Err(error) => {
             let code = error.exit_code();
-            complain(format_args!("{:#}", anyhow::Error::new(error)));
+            complain(format_args!("{}", with_causes(&error)));
             code
         }
     }

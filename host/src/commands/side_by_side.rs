@@ -4,6 +4,7 @@ use std::fs;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
+use slitpose_head::causes::with_causes;
 use slitpose_head::faults::Fault;
 use slitpose_head::pace::Speed;
 use slitpose_head::table::{Output, OutputError, TableWriter, refuse_twice};
@@ -77,7 +78,7 @@ impl SideBySide {
             |(job, result)| {
                 let name = job.capture.display().to_string();
                 let (outcome, account) = result.unwrap_or_else(|error| {
-                    complain(format_args!("{name}: {:#}", anyhow::Error::new(error)));
+                    complain(format_args!("{name}: {}", with_causes(&error)));
                     (Outcome::Failed, Account::default())
                 });
                 ended = ended.max(outcome);

@@ -9,8 +9,8 @@
 //! frame confirm it, the motion before is forgotten. Three cells have no redundancy to confirm a pose with: there
 //! only a pose that the tool can have reached is accepted.
 //!
-//! A frame with cells missing may leave a pose of little worth. What a few of them say of the motion is passed over: the
-//! motion goes on as it was, also if it seems not to.
+//! A frame with cells missing may leave no pose, or one of little worth. What these frames, and a few of those, say of the
+//! motion is passed over: it goes on as it was, also if it seems not to.
 //!
 //! Each frame has a budget of work. Following a tool takes a few evaluations, with or without an outlier. A tool that
 //! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the

@@ -5,6 +5,8 @@ use std::fmt;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
+use slitpose_head::causes::with_causes;
+
 /// Says something on standard error, if that is open.
 pub fn talk(program: &str, text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{program}: {text}");
@@ -15,12 +17,6 @@ pub fn ended(program: &str, result: Result<(), impl Error>) -> ExitCode {
     let Err(failure) = result else {
         return ExitCode::SUCCESS;
     };
-    let mut text = failure.to_string();
-    let mut source = failure.source();
-    while let Some(cause) = source {
-        text = format!("{text}: {cause}");
-        source = cause.source();
-    }
-    talk(program, format_args!("{text}"));
+    talk(program, format_args!("{}", with_causes(&failure)));
     ExitCode::FAILURE
 }

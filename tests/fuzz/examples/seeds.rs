@@ -245,8 +245,8 @@ fn usb() -> Result<(), Failure> {
     }
     // In changing order: each round of them steps on by another odd number.
     let of = |i: usize| &steps[i * (i / steps.len() * 2 + 1) % steps.len()].1;
-    let storm: Vec<u8> = (0..400).flat_map(of).copied().collect();
-    write("usb", "storm", &storm[..4096.min(storm.len())])?;
+    let storm: Vec<u8> = (0..400).flat_map(of).copied().take(4096).collect();
+    write("usb", "storm", storm)?;
     let whole: Vec<u8> = steps.into_iter().flat_map(|(_, step)| step).collect();
     write("usb", "whole", [&whole[..], &[3, 1, 200]].concat())?;
     write("usb", "reset", [&whole[..], &[4, 0], &whole[..30]].concat())?;

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::{Reset, Stop};
+use slitpose_emulator::peripherals::usb::{READ_WHILE_RECEIVING, WRITTEN_WHILE_SENDING};
 use slitpose_emulator::peripherals::{ResetCause, TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::rig::{Rig, open_image};
 use slitpose_emulator::silicon::Silicon;
@@ -26,10 +27,7 @@ const STEPS_TOLD: u64 = 1_000_000;
 /// What embassy-stm32's driver does if a SETUP comes just before it makes ready for the next stage of the transfer that this
 /// SETUP breaks off: the controller has taken readiness back, the driver gives it once more. The new request is read from a
 /// buffer that may receive, its answer written to one that may be sent; a host that goes on at once can garble either.
-const RACES: [&str; 2] = [
-    "USB: a buffer is read while its endpoint may receive into it",
-    "USB: a buffer is written while its endpoint may send it",
-];
+const RACES: [&str; 2] = [READ_WHILE_RECEIVING[0], WRITTEN_WHILE_SENDING[0]];
 
 /// Until a host of good will hears a hello: debouncing, reset and recovery take 160 ms (USB 2.0, 7.1.7), what the driver has
 /// missed is seen within 100, requests and the board's answers take the rest.

@@ -64,8 +64,7 @@ impl Page {
 
     /// Waits for the recorder to be in this state; its file.
     fn recorder(&mut self, state: &str) -> String {
-        let report = self.until(|message| message["report"]["recorder"]["state"] == state);
-        report["report"]["recorder"]["file"].as_str().unwrap_or_default().to_owned()
+        file_of(&self.until(|message| message["report"]["recorder"]["state"] == state))
     }
 
     /// Begins a recording; its file. A daemon that has just sent its first frame may still be starting.
@@ -75,7 +74,7 @@ impl Page {
             let answer = self
                 .until(|message| message["kind"] == "refused" || message["report"]["recorder"]["state"] == "recording");
             if answer["kind"] != "refused" {
-                return answer["report"]["recorder"]["file"].as_str().unwrap_or_default().to_owned();
+                return file_of(&answer);
             }
             assert!(answer["reason"].as_str().expect("a text").contains("still starting"), "{answer}");
         }
@@ -86,6 +85,11 @@ impl Page {
         let ended = self.program.wait().expect("ends");
         assert_eq!(ended.code(), Some(0));
     }
+}
+
+/// The file that a report's recorder writes.
+fn file_of(report: &Value) -> String {
+    report["report"]["recorder"]["file"].as_str().unwrap_or_default().to_owned()
 }
 
 #[test]

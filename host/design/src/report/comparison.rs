@@ -44,7 +44,7 @@ pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
         let per = if is_by_rate { "/√Hz" } else { "" };
         Some(format!("Best in {name} by the median: {}, {:.3} {unit}{per}.", file.origin, median * scale))
     };
-    // Frames of heads that have more of them count less.
+    // Of a head with more frames a second, each counts for less.
     let is_of_one_rate = maps.windows(2).all(|pair| pair[0].1.frame_rate_hz == pair[1].1.frame_rate_hz);
     let ways = if is_of_one_rate { &[false][..] } else { &[false, true] };
     let bests = ways.iter().flat_map(|by_rate| KINDS.iter().filter_map(|kind| best(kind, *by_rate)));

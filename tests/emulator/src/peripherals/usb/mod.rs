@@ -55,6 +55,18 @@ const FNR_RXDP: u32 = 1 << 15;
 const DADDR_EF: u32 = 1 << 7;
 const BCDR_DPPU: u32 = 1 << 15;
 
+/// Broken by a program that reads what the next packet may overwrite: of endpoint 0, of another.
+pub const READ_WHILE_RECEIVING: [&str; 2] = [
+    "USB: the buffer of endpoint 0 is read while it may receive into it",
+    "USB: a buffer is read while its endpoint may receive into it",
+];
+
+/// Broken by a program that writes what may be sent at any moment: of endpoint 0, of another.
+pub const WRITTEN_WHILE_SENDING: [&str; 2] = [
+    "USB: the buffer of endpoint 0 is written while it may send it",
+    "USB: a buffer is written while its endpoint may send it",
+];
+
 /// From powering the transceiver to ending the reset (data sheet DS12288, "USB startup time").
 const STARTUP_TICKS: Ticks = TICKS_PER_SECOND / 1_000_000;
 
@@ -176,13 +188,11 @@ impl Usb {
     pub fn read_memory(&mut self, offset: u32, width: usize, effects: &mut Effects) -> u32 {
         let range = offset as usize..offset as usize + width;
         let receives = |endpoint: &Endpoint| endpoint.rx() == Stat::Valid;
-        if self
-            .endpoints
-            .iter()
-            .enumerate()
-            .any(|(index, endpoint)| receives(endpoint) && overlaps(&range, &self.memory.rx_buffer(self.entry(index))))
-        {
-            effects.violation(0, "USB: a buffer is read while its endpoint may receive into it");
+        let mut endpoints = self.endpoints.iter().enumerate();
+        if let Some((index, _)) = endpoints.find(|(index, endpoint)| {
+            receives(endpoint) && overlaps(&range, &self.memory.rx_buffer(self.entry(*index)))
+        }) {
+            effects.violation(0, READ_WHILE_RECEIVING[index.min(1)]);
         }
         self.memory.read(range)
     }
@@ -196,7 +206,7 @@ impl Usb {
             if endpoint.tx() == Stat::Valid
                 && (overlaps(&range, &self.memory.tx_buffer(entry)) || overlaps(&range, &(entry..entry + 4)))
             {
-                effects.violation(value, "USB: a buffer is written while its endpoint may send it");
+                effects.violation(value, WRITTEN_WHILE_SENDING[index.min(1)]);
             }
             if endpoint.rx() == Stat::Valid
                 && (overlaps(&range, &self.memory.rx_buffer(entry)) || overlaps(&range, &(entry + 4..entry + 8)))
