@@ -16,11 +16,12 @@
 //! is lost, or followed where no pose explains the currents, is searched for over several frames, each part of the
 //! search on the currents of its own frame.
 
+mod lost;
+
 use crate::plan::{Optics, Plan};
-use crate::pose::{Pose, Rigid, Transform};
+use crate::pose::{Pose, Rigid};
 use crate::scalar::{Linear3, Scalar};
 
-use super::cold_start::{COLD_WORK, Search};
 use super::compiled::Prior;
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
@@ -28,6 +29,9 @@ use super::outcome::{Cells, DegradedReason, Estimate, Outcome, Solution};
 use super::outlier::LeftOut;
 use super::readings::{Photocurrents, Sorted};
 use super::solver::Solver;
+use lost::Lost;
+
+pub(super) use lost::Budget;
 
 /// Memory of the polynomial that predicts exposures, in frames: long enough that the noise of the twist
 /// adds next to nothing to that of a pose, short enough for the accelerations of a fast hand.
@@ -61,28 +65,6 @@ const MOST_STRAIN: f64 = 10.0;
 /// Noise that is allowed for beyond the distance that a tool can have moved, in σ. A tool that hits something may
 /// turn back as fast as it came.
 const REACH_SIGMAS: f64 = 6.0;
-
-/// Evaluations of all cells that frames may take.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Budget {
-    /// Each of them.
-    pub(super) frame: usize,
-    /// That each leaves to a later search, and the most that are left.
-    pub(super) saved_a_frame: usize,
-    pub(super) most_saved: usize,
-    /// That the first search may take besides.
-    pub(super) first: usize,
-}
-
-impl Budget {
-    /// Of a host: at some 2.4 µs each, exact tier and twist unknown, a frame takes half of the 100 µs that it may cost at
-    /// 4 kHz, because minimisations under way are completed; with what others have left, no longer than the 250 µs to
-    /// the next. The first search may take as much as a cold solve, so that the first frame has a pose.
-    const HOST: Self = Self { frame: 20, saved_a_frame: 2, most_saved: 56, first: COLD_WORK };
-}
-
-/// Frames between two searches while a misfit is followed.
-const PAUSE: u32 = 256;
 
 /// A misfit elsewhere must have less than this share of the χ² of the one that is followed.
 const BETTER: f64 = 0.5;
@@ -128,29 +110,6 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     /// Whether the last pose was a misfit.
     is_misfit: bool,
     lost: Lost<S>,
-}
-
-/// A tool that is not where it was expected.
-#[derive(Clone, Debug)]
-struct Lost<S: Scalar> {
-    search: Search<S>,
-    /// Where it may as well be, if it may be in two places.
-    images: Option<[Transform<S>; 2]>,
-    /// Frames until the next search.
-    wait: u32,
-    /// Evaluations that a search may take besides those of its frame.
-    saved_work: usize,
-}
-
-impl<S: Scalar> Lost<S> {
-    fn new(saved_work: usize) -> Self {
-        Self { search: Search::in_pieces(), images: None, wait: 0, saved_work }
-    }
-
-    /// Whether anything is to be forgotten when the tool has been found.
-    fn is_under_way(&self, most_saved: usize) -> bool {
-        self.search.has_begun() || self.images.is_some() || self.wait > 0 || self.saved_work > most_saved
-    }
 }
 
 impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
@@ -426,30 +385,6 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         let displacement = pose.displacement_from(&expected.pose);
         let squared = self.solver.compiled.squared_sigmas(solution, displacement) / (S::one() + expected.pose_variance);
         squared <= S::of(MANOEUVRE) * expected.strain.min(S::of(MOST_STRAIN))
-    }
-
-    /// Looks for the tool everywhere, a piece of the search a frame.
-    fn find(&mut self, sorted: &Sorted<S>, motion: &Prior<S>, workspace: &mut Workspace<S>) -> Solution<S> {
-        let lost = &mut self.lost;
-        if let Some(images) = lost.images.take() {
-            lost.images = self.solver.compiled.still_images(sorted, motion, images, workspace);
-            if lost.images.is_some() {
-                return Solution::without_pose(Outcome::Ambiguous, sorted.used);
-            }
-        }
-        if lost.wait > 0 {
-            lost.wait -= 1;
-            return Solution::without_pose(Outcome::Diverged, sorted.used);
-        }
-        workspace.work += lost.saved_work;
-        let solution = self.solver.compiled.search(sorted, motion, &mut lost.search, workspace);
-        lost.saved_work = lost.saved_work.min(workspace.work).min(self.budget.most_saved);
-        if lost.search.is_over() {
-            lost.images = lost.search.images();
-            lost.search = Search::in_pieces();
-            lost.wait = if self.is_misfit { PAUSE } else { 0 };
-        }
-        solution
     }
 
     /// How the tool is expected to move within the next frame.
