@@ -52,6 +52,9 @@ fn heads_are_compared_by_one_kind_of_noise_and_at_equal_bandwidth() {
         let table = finished.done();
         assert!(!table.contains("front end"), "{table}");
     }
+    // All by the channel, as they are: nothing to tell.
+    let unframed = slitpose!().run(["compare", "base", "bench", "--samples", "50"]);
+    assert!(unframed.code == 0 && !unframed.stderr.contains("all are compared"), "{}", unframed.stderr);
     for (other, summaries) in [("fine", 2), (at_rate("1000").as_str(), 4)] {
         let table = compared(other).done();
         assert_eq!(table.matches("Best in ").count(), summaries, "{table}");
