@@ -102,7 +102,7 @@ fn schedules_fit_and_more_conversions_tell_more() {
     assert_eq!(found.at_rate[0].slots, [vec![0, 2, 4], vec![1, 3, 5], vec![]]);
     // All in one slot would be faster yet, and each would see its neighbours' light.
     assert!(found.at_rate.iter().all(|candidate| candidate.slots.iter().all(|slot| slot.len() <= 3)));
-    assert!(Schedules::of(&file, 30e3).unwrap_err().to_string().contains("cannot be run"));
+    assert!(Schedules::of(&file, 30e3).unwrap_err().to_string().contains("the frame period is 33.3 µs"));
     let single = SceneFile { front_end: None, ..file };
     assert!(Schedules::of(&single, 4000.0).unwrap_err().to_string().contains("[front_end]"));
 }

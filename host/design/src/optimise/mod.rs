@@ -4,6 +4,7 @@
 //! what is printed. [`Search::run`] looks at candidates spread over the bounds, and goes on from the best of them by
 //! Nelder and Mead's simplex (1965): limits make kinks, where derivatives lead nowhere.
 
+mod limits;
 mod quantity;
 mod score;
 mod search;
@@ -13,8 +14,9 @@ use slitpose_head::scene_file::SceneFileError;
 use slitpose_model::SceneError;
 use thiserror::Error;
 
+pub use limits::{Excess, Excesses, Limit, Limits};
 pub use quantity::{Free, Quantity};
-pub use score::{Demand, Goal, Judge, Limits, Score};
+pub use score::{Demand, Goal, Judge, Score};
 pub use search::{Found, Search};
 
 /// Why there is nothing to optimise.

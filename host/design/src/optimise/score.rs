@@ -9,6 +9,8 @@ use crate::map::{Outlook, View, quantiles_of};
 use crate::mask_frame::MaskFrame;
 use crate::survey::share_of_others;
 
+use super::limits::{Excesses, Limit, Limits};
+
 /// Which σ is to be least.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Demand {
@@ -27,40 +29,6 @@ pub struct Goal {
     pub lever_m: f64,
 }
 
-/// What a head has to keep.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// Share of the workspace in which all spots lie on their detectors.
-    pub lit: f64,
-    /// Between the tool's emitters and the slits, over the workspace, metres.
-    pub clearance_m: f64,
-    /// Between detectors, and between emitters, from centre line to centre line: metres.
-    pub detector_pitch_m: f64,
-    /// See [`Self::detector_pitch_m`].
-    pub emitter_pitch_m: f64,
-    /// Light of other emitters of a slot, as a share of a cell's own.
-    pub crosstalk: f64,
-    /// Share of the workspace in which all electrodes stay below full scale.
-    pub in_scale: f64,
-    /// Farthest point of a detector from the z axis, metres.
-    pub radius_m: f64,
-}
-
-impl Default for Limits {
-    /// Of the parts of the shipped scenes: an S3932 is 13 mm long and 5 mm wide in its housing, a CQY36N 3 mm.
-    fn default() -> Self {
-        Self {
-            lit: 0.999,
-            clearance_m: 1e-3,
-            detector_pitch_m: 6e-3,
-            emitter_pitch_m: 4e-3,
-            crosstalk: 1e-3,
-            in_scale: 0.995,
-            radius_m: f64::INFINITY,
-        }
-    }
-}
-
 /// How far a housing reaches beyond the active area at each end, metres.
 const HOUSING_M: f64 = 1e-3;
 
@@ -77,18 +45,18 @@ const SIGMA_POSES: usize = 256;
 const CROSSTALK_POSES: usize = 32;
 
 /// What a candidate is worth.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Score {
     /// Standard deviation of the position of the point that counts, a single frame, metres.
     pub sigma_m: f64,
-    /// By how much limits are passed: millimetres, and logarithms of ratios; zero if all are kept.
-    pub violation: f64,
+    /// The limits that are not kept.
+    pub excesses: Excesses,
 }
 
 impl Score {
     /// What a search makes least.
     pub(super) fn cost(&self) -> f64 {
-        let kept = if self.violation > 0.0 { NOT_KEPT + PENALTY * self.violation } else { 0.0 };
+        let kept = if self.excesses.is_empty() { 0.0 } else { NOT_KEPT + PENALTY * self.excesses.violation() };
         kept + if self.sigma_m.is_finite() { self.sigma_m.ln() } else { 0.0 }
     }
 }
@@ -117,24 +85,30 @@ impl Judge {
         let outlook = Outlook::of(file.clone().into())?;
         let views: Vec<View> = poses.iter().take(SIGMA_POSES).map(|pose| outlook.at(pose)).collect();
         let sigma_m = sigma(&views, goal);
-        let mut violation = distances(file, poses, limits) + spots(file, poses, limits);
+        let mut excesses = Excesses::default();
+        distances(file, poses, limits, &mut excesses);
+        let missed_mm = missed_mm(file, poses, limits);
+        excesses.note(Limit::Lit, missed_mm, missed_mm);
         if !sigma_m.is_finite() {
-            violation += 10.0 + views.iter().filter(|view| view.sigma.is_none()).count() as f64 / SIGMA_POSES as f64;
+            let without = views.iter().filter(|view| view.sigma.is_none()).count() as f64 / SIGMA_POSES as f64;
+            excesses.note(Limit::Pose, 10.0 + without, without);
         }
         if file.front_end.is_some() {
-            violation += f64::from(u8::from(configuration(file).is_err()));
+            excesses.note(Limit::Board, f64::from(u8::from(configuration(file).is_err())), 1.0);
             let mut margins: Vec<f64> = views.iter().map(|view| view.full_scale).collect();
             margins.sort_by(f64::total_cmp);
-            violation += (1.0 - margins[index(SIGMA_POSES, 1.0 - limits.in_scale)]).max(0.0);
+            let margin = margins[index(SIGMA_POSES, 1.0 - limits.in_scale)];
+            excesses.note(Limit::InScale, 1.0 - margin, 1.0 / margin);
         }
         for slot in file.lighting.slots.iter().filter(|slot| slot.len() > 1) {
             for &cell in slot {
                 let share = |pose: &Pose| share_of_others(outlook.plan(), cell, slot, pose);
                 let most = poses.iter().take(CROSSTALK_POSES).chain(corners).map(share).fold(0.0, f64::max);
-                violation += (most / limits.crosstalk).max(1.0).ln();
+                let by = most / limits.crosstalk;
+                excesses.note(Limit::Crosstalk, by.ln(), by);
             }
         }
-        Ok(Score { sigma_m, violation })
+        Ok(Score { sigma_m, excesses })
     }
 }
 
@@ -159,7 +133,7 @@ fn sigma(views: &[View], goal: &Goal) -> f64 {
 ///
 /// Of the central projection of the opening's edges along x (thin mask), drawn together by a lens, so that it is a smooth
 /// function of all dimensions.
-fn spots(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
+fn missed_mm(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
     let masks: Vec<(&Cell, MaskFrame)> = file.scene.cells.iter().map(|cell| (cell, MaskFrame::at_home(cell))).collect();
     let least = |pose| masks.iter().map(|(cell, home)| margin_m(cell, home, pose)).fold(f64::INFINITY, f64::min);
     let mut margins: Vec<f64> = poses.iter().map(least).collect();
@@ -194,10 +168,13 @@ fn margin_m(cell: &Cell, home: &MaskFrame, pose: &Pose) -> f64 {
     0.5 * (detector.length_m - (low_m + high_m).abs() - (high_m - low_m).abs() * shrunk.abs())
 }
 
-/// By how much parts are too near each other, or too far out: millimetres.
-fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
+/// Notes parts that are too near to each other, or too far out.
+fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits, excesses: &mut Excesses) {
     let cells = &file.scene.cells;
-    let lacking = |found_m: f64, wanted_m: f64| ((wanted_m - found_m) * 1e3).clamp(0.0, 100.0);
+    let mut lacking = |limit, found_m: f64, wanted_m: f64| {
+        let by_mm = ((wanted_m - found_m) * 1e3).clamp(0.0, 100.0);
+        excesses.note(limit, by_mm, by_mm);
+    };
     // From what rides on the tool to what stands before it.
     let above = |cell: &Cell, pose: &Pose| {
         let height = |place: DVec3| (place - cell.detector.centre_base_m).dot(cell.detector.normal_base);
@@ -208,19 +185,20 @@ fn distances(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
     };
     let nearest =
         poses.iter().flat_map(|pose| cells.iter().map(move |cell| above(cell, pose))).fold(f64::INFINITY, f64::min);
-    let mut violation = lacking(nearest, limits.clearance_m);
+    lacking(Limit::Clearance, nearest, limits.clearance_m);
     for (number, cell) in cells.iter().enumerate() {
-        violation += ends(cell).iter().map(|end| lacking(limits.radius_m, end.truncate().length())).sum::<f64>();
+        for end in ends(cell) {
+            lacking(Limit::Radius, limits.radius_m, end.truncate().length());
+        }
         for (of_other, other) in cells[..number].iter().enumerate() {
             if cell.other_axis() == Some(of_other) {
                 continue;
             }
-            violation += lacking(apart_m(ends(cell), ends(other)), limits.detector_pitch_m);
+            lacking(Limit::DetectorPitch, apart_m(ends(cell), ends(other)), limits.detector_pitch_m);
             let emitters = cell.emitter.position_tool_m.distance(other.emitter.position_tool_m);
-            violation += lacking(emitters, limits.emitter_pitch_m);
+            lacking(Limit::EmitterPitch, emitters, limits.emitter_pitch_m);
         }
     }
-    violation
 }
 
 /// Both ends of a detector's housing.
@@ -289,7 +267,7 @@ mod tests {
             let file = shipped.read().expect("a scene");
             let goal = Goal { demand: Demand::Median, lever_m: 10e-3 };
             let score = Judge::new(&file.workspace, goal, Limits::default()).score(&file).expect("a score");
-            assert_eq!(score.violation, 0.0, "{}", shipped.name);
+            assert!(score.excesses.is_empty(), "{}: {:?}", shipped.name, score.excesses);
         }
     }
 

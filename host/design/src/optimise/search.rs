@@ -74,7 +74,14 @@ struct Work<'a> {
     evaluations: AtomicUsize,
     progress: Mutex<&'a mut (dyn FnMut(usize, f64) + Send)>,
     stop: &'a AtomicBool,
-    best: Mutex<(f64, Shares)>,
+    best: Mutex<Best>,
+}
+
+/// The best candidate so far.
+struct Best {
+    cost: f64,
+    sigma_m: f64,
+    shares: Shares,
 }
 
 impl Search {
@@ -116,7 +123,7 @@ impl Search {
             evaluations: AtomicUsize::new(0),
             progress: Mutex::new(progress),
             stop,
-            best: Mutex::new((f64::INFINITY, own.clone())),
+            best: Mutex::new(Best { cost: f64::INFINITY, sigma_m: f64::INFINITY, shares: own.clone() }),
         };
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let mut candidates = vec![own];
@@ -139,7 +146,7 @@ impl Search {
             }
         }
         on_all_cores(&starts, |start| work.descend(start));
-        let best = lock(&work.best).1.clone();
+        let best = lock(&work.best).shares.clone();
         let file = SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&best))?)?;
         let after = work.judge.score(&file)?;
         let values = self.values(&best).into_iter();
@@ -180,14 +187,14 @@ impl Work<'_> {
         let text = with_values(file, &self.search.values(shares));
         let candidate = text.ok().and_then(|text| SceneFile::parse(&file.origin, &text).ok());
         let score = candidate.and_then(|candidate| self.judge.score(&candidate).ok());
-        let cost = score.map_or(IMPOSSIBLE, |score| score.cost());
+        let (cost, sigma_m) = score.map_or((IMPOSSIBLE, f64::INFINITY), |score| (score.cost(), score.sigma_m));
         let done = self.evaluations.fetch_add(1, Ordering::Relaxed) + 1;
         let mut best = lock(&self.best);
         // Equal costs: the first in the order of the quantities, whichever thread came first.
-        if cost < best.0 || (cost == best.0 && shares < &best.1) {
-            *best = (cost, shares.clone());
+        if cost < best.cost || (cost == best.cost && shares < &best.shares) {
+            *best = Best { cost, sigma_m, shares: shares.clone() };
         }
-        lock(&self.progress)(done, best.0.exp());
+        lock(&self.progress)(done, best.sigma_m);
         cost + 10.0 * beyond
     }
 

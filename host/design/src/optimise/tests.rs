@@ -113,21 +113,43 @@ fn quantities_are_where_the_drawing_has_them() {
 
 #[test]
 fn limits_are_told_by_how_much_they_are_passed() {
-    let violation = |values: &[(Quantity, f64)], limits: Limits| score(&set(&wide(), values), limits).violation;
+    let excesses = |values: &[(Quantity, f64)], limits: Limits| score(&set(&wide(), values), limits).excesses;
     let limits = Limits { lit: 0.99, in_scale: 0.99, ..Limits::default() };
-    assert!(violation(&[], limits) < 1e-12);
-    // Emitters 10 mm before the detector, slits at 5 mm, motions of 4 mm and more towards them.
-    let near = [(Quantity::EmitterDistance, 10.0)];
-    assert!(violation(&near, limits) > 1.0);
+    assert!(excesses(&[], limits).is_empty());
+    // The only limit that is not kept, by how much at worst and in all.
+    let only = |values: &[(Quantity, f64)], limits: Limits, limit: Limit| {
+        let found = excesses(values, limits);
+        let [excess] = found.iter().collect::<Vec<_>>()[..] else { panic!("{found:?}") };
+        assert_eq!(excess.limit, limit, "{found:?}");
+        (excess.worst, found.violation())
+    };
+    // Emitters 10 mm before the detector, slits at 5 mm: motions of up to 4 mm along each axis, which the corners of a
+    // cube reach, and rotations of 10 mm come nearer than 1 mm.
+    let near = excesses(&[(Quantity::EmitterDistance, 10.0)], limits);
+    let clearance = near.iter().find(|excess| excess.limit == Limit::Clearance).expect("too near");
+    assert!((0.5..3.0).contains(&clearance.worst), "{clearance:?}");
     // The ends of the detectors: 25 mm out, 6 mm and a housing of 1 mm along, half of it across.
     let radius_m = (25.0_f64.powi(2) + (7.0 * 0.5_f64.sqrt()).powi(2)).sqrt() * 1e-3;
-    assert!(violation(&[], Limits { radius_m: radius_m + 1e-6, ..limits }) < 1e-12);
-    let out = violation(&[], Limits { radius_m: radius_m - 0.1e-3, ..limits });
-    assert!((out / (12.0 * 0.1) - 1.0).abs() < 1e-6, "twelve ends, 0.1 mm each: {out}");
-    // Half the full scale is passed by more than half of the electrodes.
-    assert!(violation(&[(Quantity::FullScale, 3.0)], limits) > 0.3);
+    assert!(excesses(&[], Limits { radius_m: radius_m + 1e-6, ..limits }).is_empty());
+    let (worst, all) = only(&[], Limits { radius_m: radius_m - 0.1e-3, ..limits }, Limit::Radius);
+    assert!((worst / 0.1 - 1.0).abs() < 1e-6, "{worst}");
+    assert!((all / (12.0 * 0.1) - 1.0).abs() < 1e-6, "twelve ends, 0.1 mm each: {all}");
+    // What a tenth of the poses pass at 10 µA, they pass by so much more at a scale that is so much less.
+    let scale = |full_scale_ua| {
+        only(&[(Quantity::FullScale, full_scale_ua)], Limits { in_scale: 0.9, ..limits }, Limit::InScale).0
+    };
+    assert!((scale(3.0) / scale(4.5) - 1.5).abs() < 1e-9, "{} {}", scale(3.0), scale(4.5));
     // Lower slits, larger spots: they leave the detector.
-    assert!(violation(&[(Quantity::SlitDistance, 9.0)], limits) > 0.5);
+    let (worst, all) = only(&[(Quantity::SlitDistance, 7.5)], Limits { in_scale: 0.0, ..limits }, Limit::Lit);
+    assert!(worst > 0.5 && all == worst, "{worst} {all}");
+    // All emitters at once.
+    let mut together = wide();
+    together.lighting.slots = vec![(0..6).collect(), Vec::new()];
+    let found = score(&together, limits).excesses;
+    let crosstalk = found.iter().find(|excess| excess.limit == Limit::Crosstalk).expect("cross-talk");
+    let limit = limits.crosstalk * crosstalk.worst;
+    let loose = Limits { crosstalk: limit * 1.000_001, ..limits };
+    assert!(score(&together, loose).excesses.iter().all(|excess| excess.limit != Limit::Crosstalk), "{found:?}");
 }
 
 /// A search of two dimensions, twice; what is found is what is printed, and a search that begins there stays.
@@ -143,7 +165,7 @@ fn a_search_finds_better_heads_and_the_same_for_a_seed() {
     let run = |search: &Search| search.run(&mut |_, _| (), &AtomicBool::new(false)).expect("a head");
     let found = run(&search);
     println!("{:?}, {:.3} µm of {:.3} µm", found.values, found.after.sigma_m * 1e6, found.before.sigma_m * 1e6);
-    assert_eq!(found.after.violation, 0.0);
+    assert!(found.after.excesses.is_empty(), "{:?}", found.after.excesses);
     assert_eq!(run(&search).file.source, found.file.source);
     assert_eq!(score(&found.file, search.limits), found.after);
     let again = run(&Search { file: found.file.clone(), ..search.clone() });
@@ -157,7 +179,7 @@ fn a_search_finds_better_heads_and_the_same_for_a_seed() {
                 (Quantity::FullScale, 5.0 + 0.5 * f64::from(scale)),
             ];
             let score = score(&set(&search.file, &values), search.limits);
-            if score.violation == 0.0 {
+            if score.excesses.is_empty() {
                 best = best.min(score.sigma_m);
             }
         }

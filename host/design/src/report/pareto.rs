@@ -13,7 +13,7 @@ pub fn pareto(search: &Search, found: &[(f64, Found)]) -> Report {
         Demand::Worst => "at worst in the workspace",
     };
     let point = format!("{} mm from the tool's centre", search.goal.lever_m * 1e3);
-    let kept = |found: &Found| found.after.violation == 0.0;
+    let kept = |found: &Found| found.after.excesses.is_empty();
     let points = |of: &dyn Fn(&Found) -> bool| -> Vec<[f64; 2]> {
         let wanted = found.iter().filter(|(_, found)| of(found));
         wanted.map(|(radius_m, found)| [radius_m * 1e3, found.after.sigma_m * 1e6]).collect()
@@ -21,7 +21,7 @@ pub fn pareto(search: &Search, found: &[(f64, Found)]) -> Report {
     let all = || points(&|_| true).into_iter();
     let mut curves = vec![curve("all limits kept", 0, CurveStyle::Joined, points(&kept))];
     if found.iter().any(|(_, found)| !kept(found)) {
-        curves.push(curve("limits passed", 1, CurveStyle::Rings, points(&|found| !kept(found))));
+        curves.push(curve("not all limits kept", 1, CurveStyle::Rings, points(&|found| !kept(found))));
     }
     let chart = Chart {
         x: Axis::around("largest radius of the head / mm", all().map(|point| point[0])),
@@ -34,7 +34,8 @@ pub fn pareto(search: &Search, found: &[(f64, Found)]) -> Report {
     columns.extend(names.iter().map(|(quantity, _)| column(quantity.name(), quantity.name())));
     columns.push(column("scene", "scene"));
     let row = |(radius_m, found): &(f64, Found)| {
-        let limits = if kept(found) { Value::from("kept") } else { Value::Alert("passed".to_owned()) };
+        let excesses = found.after.excesses.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+        let limits = if kept(found) { Value::from("kept") } else { Value::Alert(excesses) };
         let mut row = vec![(radius_m * 1e3).into(), (found.after.sigma_m * 1e6).into(), limits];
         row.extend(found.values.iter().map(|(_, [_, value])| Value::from(*value)));
         row.push(scene_name(*radius_m).into());

@@ -5,7 +5,7 @@ use slitpose_protocol::{
 };
 use thiserror::Error;
 
-use crate::scene_file::{FrontEnd, SceneFile};
+use crate::scene_file::{FrontEnd, SceneFile, SceneFileError};
 
 /// Device ticks per second of schedules from scenes. A board whose timers count at another rate rejects
 /// them, and names both rates.
@@ -54,6 +54,9 @@ pub enum TimingError {
         /// Its value.
         value: f64,
     },
+    /// Slots that take longer than a frame.
+    #[error(transparent)]
+    Slots(#[from] SceneFileError),
     /// A schedule that no board can run.
     #[error("scene `{scene}`: the schedule cannot be run; change [lighting] or [front_end]")]
     Schedule {
@@ -98,6 +101,7 @@ pub fn configuration(file: &SceneFile) -> Result<Configuration, TimingError> {
             Err(TimingError::Ticks { scene: scene(), key, value })
         }
     };
+    file.require_slots_fit()?;
     let settling_ticks = ticks("settling_s", front_end.settling_s, front_end.settling_s)?;
     let conversion_ticks = ticks("conversion_s", front_end.conversion_s, front_end.conversion_s)?.max(1);
     let frame_ticks = ticks("frame_rate_hz", front_end.frame_rate_hz, front_end.frame_period_s())?;
@@ -157,7 +161,8 @@ mod tests {
     fn a_schedule_that_does_not_fit_is_refused() {
         let mut file = wide();
         file.front_end.as_mut().unwrap().frame_rate_hz = 8000.0;
-        assert!(matches!(configuration(&file), Err(TimingError::Schedule { .. })));
+        let refused = configuration(&file).unwrap_err().to_string();
+        assert!(refused.contains("4 slots of ") && refused.contains("the frame period is 125.0 µs"), "{refused}");
         file.front_end.as_mut().unwrap().oversampling = 32;
         assert!(configuration(&file).unwrap_err().to_string().contains("32"));
         file.front_end = None;

@@ -10,8 +10,10 @@ use crate::commands::options::{Jobs, parse_number};
 use crate::commands::publish::store;
 use crate::commands::{interrupt, names, talk};
 use crate::terminal::{Amount, Progress};
-use slitpose_design::optimise::{Demand, Free, Goal, Limits, Search};
+use slitpose_design::optimise::{Demand, Excess, Free, Goal, Limit, Limits, Score, Search};
 use slitpose_design::report::{Folder, pareto, scene_name};
+use slitpose_head::causes::with_causes;
+use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
 
@@ -148,20 +150,22 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     }
     let total = search.evaluations() as u64;
     let mut progress = Progress::new("optimise", total, Amount::Of("heads"));
-    let found = search.run(
-        &mut |done, sigma_m| progress.step((done as u64).min(total), &format!("{:.2} µm", sigma_m * 1e6)),
-        &stop,
-    )?;
+    let found =
+        search.run(&mut |done, sigma_m| progress.step((done as u64).min(total), &sigma_text(sigma_m)), &stop)?;
     drop(progress);
     for (quantity, [before, after]) in &found.values {
         talk(format_args!("{quantity}: {before:.2} -> {after:.2} {}", quantity.unit()));
     }
-    let said = |name: &str, score: &slitpose_design::optimise::Score| {
-        let kept = if score.violation > 0.0 { "limits passed" } else { "all limits kept" };
-        talk(format_args!("{name}: {:.3} µm, {kept}", score.sigma_m * 1e6));
+    let said = |name: &str, file: &SceneFile, score: &Score| {
+        let excesses: Vec<String> = score.excesses.iter().map(|excess| in_words(excess, file)).collect();
+        let limits = match excesses.join("; ") {
+            none if none.is_empty() => "all limits kept".to_owned(),
+            excesses => format!("limits not kept: {excesses}"),
+        };
+        talk(format_args!("{name}: {}, {limits}", sigma_text(score.sigma_m)));
     };
-    said("before", &found.before);
-    said("after", &found.after);
+    said("before", &search.file, &found.before);
+    said("after", &found.file, &found.after);
     talk(format_args!("{} heads looked at", found.evaluations));
     if found.is_interrupted {
         talk(format_args!("interrupted: this is the best so far; a search that is given it goes on from there"));
@@ -169,7 +173,26 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     if let Some(output) = output {
         output.write_text(&found.file.source)?;
     }
-    Ok(if found.after.violation > 0.0 { Outcome::Failed } else { Outcome::Done })
+    Ok(if found.after.excesses.is_empty() { Outcome::Done } else { Outcome::Failed })
+}
+
+fn sigma_text(sigma_m: f64) -> String {
+    if sigma_m.is_finite() { format!("{:.3} µm", sigma_m * 1e6) } else { "no σ".to_owned() }
+}
+
+/// An excess of the head in `file`, with the option that sets the limit, or with what the board cannot do.
+fn in_words(excess: &Excess, file: &SceneFile) -> String {
+    let option = match excess.limit {
+        Limit::Lit => "--lit",
+        Limit::Clearance => "--clearance",
+        Limit::Radius => "--radius",
+        Limit::InScale => "--in-scale",
+        Limit::Board => {
+            return configuration(file).err().map_or_else(|| excess.to_string(), |error| with_causes(&error));
+        }
+        Limit::Pose | Limit::DetectorPitch | Limit::EmitterPitch | Limit::Crosstalk => return excess.to_string(),
+    };
+    format!("{excess} ({option})")
 }
 
 fn parse_percent(text: &str) -> Result<f64, &'static str> {
