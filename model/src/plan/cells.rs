@@ -182,7 +182,10 @@ impl<const SLOPES: bool> AtOnce<'_, SLOPES> {
 fn moved<R: Real<Element = f64>>(instant: &Instant<'_, f64>, like: R, first: usize) -> Transform<R> {
     let pose = instant.pose.in_all_lanes(like);
     match instant.offsets_in_lanes(like, first) {
-        Some(offset_s) => pose.moved(like.all3(instant.linear) * offset_s, like.all3(instant.angular) * offset_s),
+        Some(offset_s) => {
+            let [shift, turn] = instant.displacement(offset_s);
+            pose.moved(shift, turn)
+        }
         None => pose,
     }
 }

@@ -52,19 +52,21 @@ pub(super) struct Seen<R: Real> {
 pub struct Instant<'a, S: Scalar> {
     /// Pose at the reference instant.
     pub(crate) pose: &'a Transform<S>,
-    /// Twist, m/s and rad/s.
-    pub(crate) linear: S::Vec3,
-    pub(crate) angular: S::Vec3,
+    /// Linear and angular: m/s and rad/s.
+    pub(crate) twist: [S::Vec3; 2],
+    /// Half the change of the twist per second, m/s² and rad/s²; `None`: zero, as always where
+    /// [`super::Optics::KNOWS_BENDS`] is not set.
+    pub(crate) bend: Option<[S::Vec3; 2]>,
     /// Exposure of each cell relative to the reference instant, seconds; empty: all zero.
     pub(crate) offsets_s: &'a [S],
 }
 
 impl<S: Scalar> Instant<'_, S> {
-    /// Where the tool's origin is at the exposure of one cell.
+    /// Where the tool's origin is at the exposure of one cell, at a constant twist.
     #[inline(always)]
     pub(super) fn translation_of(&self, cell: usize) -> S::Vec3 {
         let offset_s = self.offsets_s.get(cell).copied().unwrap_or_default();
-        self.pose.translation() + self.linear * offset_s
+        self.pose.translation() + self.twist[0] * offset_s
     }
 
     /// The exposures of as many cells as `like` has lanes, from number `first` on; `None`: all zero.
@@ -77,9 +79,23 @@ impl<S: Scalar> Instant<'_, S> {
     /// The pose at the exposure of one cell.
     pub(super) fn pose_of(&self, cell: usize) -> Transform<S> {
         match self.offsets_s.get(cell) {
-            Some(&offset_s) => self.pose.moved(self.linear * offset_s, self.angular * offset_s),
+            Some(&offset_s) => {
+                let [shift, turn] = self.displacement(offset_s);
+                self.pose.moved(shift, turn)
+            }
             None => *self.pose,
         }
+    }
+
+    /// How far the tool moves and turns until `offset_s` seconds after the reference instant.
+    #[inline(always)]
+    pub(super) fn displacement<R: Real<Element = S>>(&self, offset_s: R) -> [R::Vec3; 2] {
+        let twist = self.twist.map(|rate| offset_s.all3(rate));
+        let mean = match &self.bend {
+            Some(bend) => [0, 1].map(|i| twist[i] + offset_s.all3(bend[i]) * offset_s),
+            None => twist,
+        };
+        mean.map(|rate| rate * offset_s)
     }
 }
 
@@ -126,18 +142,12 @@ impl<R: Real> Receiver<R> {
         self.seen(pose.translation() + arm, arm, axis)
     }
 
-    /// The emitter `offset_s` seconds after the tool was at `pose`, at a constant twist.
+    /// The emitter after the tool was at `pose` and has shifted and turned a little.
     #[inline(always)]
-    pub(super) fn see_moved(
-        &self,
-        source: &Source<R>,
-        pose: &Transform<R>,
-        [linear, angular]: [R::Vec3; 2],
-        offset_s: R,
-    ) -> Seen<R> {
-        let step = Transform::<R>::small_turn(angular * offset_s);
+    pub(super) fn see_moved(&self, source: &Source<R>, pose: &Transform<R>, [shift, turn]: [R::Vec3; 2]) -> Seen<R> {
+        let step = Transform::<R>::small_turn(turn);
         let (arm, axis) = (step(pose.rotate(source.position)), step(pose.rotate(source.axis)));
-        self.seen(pose.translation() + linear * offset_s + arm, arm, axis)
+        self.seen(pose.translation() + shift + arm, arm, axis)
     }
 
     #[inline(always)]

@@ -174,8 +174,7 @@ impl<R: Real, E> Pack<R, E> {
         let Some(offset_s) = instant.offsets_in_lanes(like, first) else {
             return self.receiver.see(&self.source, pose);
         };
-        let twist = [like.all3(instant.linear), like.all3(instant.angular)];
-        self.receiver.see_moved(&self.source, pose, twist, offset_s)
+        self.receiver.see_moved(&self.source, pose, instant.displacement(offset_s))
     }
 
     #[inline(always)]

@@ -77,10 +77,12 @@ fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
     // The tool in motion: every cell at its own instant, or all at one.
     let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();
     let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)].map(<S::Vec3 as crate::Vector3<S>>::of);
+    let bend = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
+    let bend = bend.map(<S::Vec3 as crate::Vector3<S>>::of);
     for pose in poses() {
         let pose = Transform::of(&pose);
         for offsets_s in [&offsets[..0], &offsets[..]] {
-            let instant = Instant { pose: &pose, linear: twist[0], angular: twist[1], offsets_s };
+            let instant = Instant { pose: &pose, twist, bend: Some(bend), offsets_s };
             let mut seen = 0;
             plan.linearise_all(
                 &instant,
@@ -146,6 +148,7 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
     let emitter = cell(0).emitter.position_tool_m;
     turned.translation_m = emitter - turned.rotation * emitter;
     let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
+    let bend = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
     let (mut lit, mut clipped, mut dark, mut divided) = (0, 0, 0, 0);
     for (count, thickness_m) in
         [(1, 0.0), (2, 0.3e-3), (3, 0.0), (4, 0.0), (5, 0.3e-3), (6, 0.0), (8, 0.0), (13, 0.3e-3)]
@@ -159,7 +162,7 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
         for pose in poses().into_iter().chain([turned]) {
             let pose = Transform::of(&pose);
             for offsets_s in [&offsets[..0], &offsets[..]] {
-                let instant = Instant { pose: &pose, linear: twist[0], angular: twist[1], offsets_s };
+                let instant = Instant { pose: &pose, twist, bend: Some(bend), offsets_s };
                 for width in Width::all() {
                     plan.wide = Some(WideCells::with_width(&plan, width).expect("cells of one kind"));
                     for wanted in [u16::MAX, 0b0101_0110_1101_1011, 0b1000] {

@@ -243,7 +243,7 @@ mod tests {
         for index in 0..40 {
             let pose = starts::spread::<f64>(index).to_pose();
             let here = Transform::of(&pose);
-            let instant = Instant { pose: &here, linear: DVec3::ZERO, angular: DVec3::ZERO, offsets_s: &[] };
+            let instant = Instant { pose: &here, twist: [DVec3::ZERO; 2], bend: None, offsets_s: &[] };
             compact.linearise_all(
                 &instant,
                 |_| true,

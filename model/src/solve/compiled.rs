@@ -44,7 +44,18 @@ impl MotionPrior {
 pub(super) struct Prior<S: Scalar> {
     /// The twist's linear and angular part.
     pub(super) twist: [S::Vec3; 2],
-    /// Their standard deviations per axis, m/s and rad/s.
+    /// Standard deviations of the twist per axis, m/s and rad/s.
+    pub(super) sigmas: [S; 2],
+    /// How the twist changes; `None`: not at all.
+    pub(super) bend: Option<Bend<S>>,
+}
+
+/// What is known beforehand of the tool's acceleration within a frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bend<S: Scalar> {
+    /// Half the acceleration, linear and angular: m/s² and rad/s².
+    pub(super) half_acceleration: [S::Vec3; 2],
+    /// Standard deviations of that per axis.
     pub(super) sigmas: [S; 2],
 }
 
@@ -53,11 +64,12 @@ impl<S: Scalar> Prior<S> {
         Self {
             twist: [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(|v| S::Vec3::of(v)),
             sigmas: [motion.linear_sigma_m_per_s, motion.angular_sigma_rad_per_s].map(S::of),
+            bend: None,
         }
     }
 
     pub(super) fn at_rest() -> Self {
-        Self { twist: [S::Vec3::default(); 2], sigmas: [S::zero(); 2] }
+        Self { twist: [S::Vec3::default(); 2], sigmas: [S::zero(); 2], bend: None }
     }
 }
 
@@ -177,7 +189,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             noise: &self.noise,
             offsets_s: &self.offsets_s,
             readings: &sorted.usable,
-            motion: Motion::new(motion, self.duration_s(), self.length_scale_m),
+            motion: Motion::new(motion, self.duration_s(), self.length_scale_m, P::KNOWS_BENDS),
             length_scale_m: self.length_scale_m,
             jacobian_change_rate: self.jacobian_change_rate,
         }

@@ -228,6 +228,11 @@ impl<S: Scalar> FadingFilter<S> {
         })
     }
 
+    /// Half the acceleration, linear and angular: m/s² and rad/s².
+    pub(super) fn predicted_bend(&self) -> Option<[S::Vec3; 2]> {
+        self.state.as_ref().map(|state| state.bend.rates(self.period_s * self.period_s))
+    }
+
     /// Takes the pose of the next frame and its covariance. `squared_sigmas` gives the squared length of a
     /// displacement (metres, radians) in σ of that pose.
     pub(super) fn update(

@@ -202,7 +202,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         let crosses = |&index: &usize| self.crosses_wall(index, step, start, workspace);
         let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(crosses).collect();
         // What the other cells say of a motion that is not known, and of a cell without a spot, would have to be found anew.
-        if crossing.is_empty() || workspace.elimination.is_some() || !workspace.plane_rows.is_empty() {
+        if crossing.is_empty() || workspace.elimination.is_under_way() || !workspace.plane_rows.is_empty() {
             return minimum;
         }
         for row in workspace.rows.iter_mut().flatten() {

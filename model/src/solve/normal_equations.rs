@@ -20,7 +20,7 @@ use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
 use super::planes::PlaneCell;
 use super::readings::Usable;
 use super::residuals::{ResidualSums, Row};
-use super::twist::{Elimination, Motion, add_moments};
+use super::twist::{Elimination, Motion};
 use super::weights::{CellNoise, Whitener};
 
 /// Distance from a guiding plane that counts as one σ.
@@ -60,9 +60,7 @@ pub(super) struct Workspace<S: Scalar> {
     pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
     /// The readings' distances from walls, if steps cross them: on a board.
     pub(super) walls_m: ArrayVec<S, BOARD_CELLS>,
-    /// M₁ and M₂ of [`super::twist`], if the twist is not known.
-    twist_moments: [Matrix6<S>; 2],
-    pub(super) elimination: Option<Elimination<S>>,
+    pub(super) elimination: Elimination<S>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
     pub(super) work: usize,
     /// Whether there is time for [`Optics::NEAR_UNHURRIED`].
@@ -92,8 +90,7 @@ impl<S: Scalar> Workspace<S> {
             displaced: ArrayVec::new(),
             slacks_m: ArrayVec::new(),
             walls_m: ArrayVec::new(),
-            twist_moments: [[[S::zero(); 6]; 6]; 2],
-            elimination: None,
+            elimination: Elimination::new(),
         }
     }
 
@@ -139,7 +136,7 @@ impl<S: Scalar> NormalEquations<S> {
 
 impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     pub(super) fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
-        Instant { pose, linear: self.motion.linear, angular: self.motion.angular, offsets_s: self.offsets_s }
+        Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: self.offsets_s }
     }
 
     fn wants(&self, cell: usize) -> bool {
@@ -150,6 +147,12 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     #[inline(always)]
     pub(super) fn share(&self, reading: &Usable<S>) -> S {
         self.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
+    }
+
+    /// Whether the bend is to be eliminated.
+    #[inline(always)]
+    pub(super) fn has_bend(&self) -> bool {
+        P::KNOWS_BENDS && self.motion.bend_prior.is_some()
     }
 
     /// The currents above dark that all cells deliver with the tool at `pose` at the reference
@@ -191,7 +194,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         workspace: &mut Workspace<S>,
     ) -> NormalEquations<S> {
         workspace.count();
-        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, twist_moments, .. } = workspace;
+        let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, elimination, .. } = workspace;
         slacks_m.clear();
         walls_m.clear();
         displaced.clear();
@@ -199,8 +202,10 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         plane_rows.clear();
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
-        if !is_twist_known {
-            *twist_moments = [information; 2];
+        if is_twist_known {
+            elimination.end();
+        } else {
+            *elimination = Elimination::new();
         }
         self.plan.linearise_all(
             &self.instant(pose),
@@ -228,12 +233,12 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
                 if !is_twist_known {
-                    add_moments(twist_moments, self.share(reading), &rows);
+                    elimination.add(self.share(reading), &rows, self.has_bend());
                 }
                 if !terms.status.has_spot() {
                     let guide = self.guide_into(&mut information, reading, pose);
                     if !is_twist_known {
-                        add_moments(twist_moments, self.share(reading), &[guide]);
+                        elimination.add(self.share(reading), &[guide], self.has_bend());
                     }
                     // A plane beyond the most that guide is not missed.
                     let _ = plane_rows.try_push((index, guide));
@@ -245,12 +250,10 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         mirror(&mut information);
         let sums = self.residual_sums(workspace);
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        workspace.elimination = None;
         if !is_twist_known {
-            workspace.elimination = Elimination::of(&self.motion, &mut workspace.twist_moments);
-            if let Some(elimination) = &workspace.elimination {
-                (normal.chi2, normal.gradient) = elimination.reduce(&mut normal.information, &sums);
-            }
+            let Workspace { elimination, .. } = workspace;
+            (normal.chi2, normal.gradient) =
+                elimination.eliminate(&self.motion, &mut normal.information, &sums, P::KNOWS_BENDS);
         }
         normal
     }
@@ -296,7 +299,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     pub(super) fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
         let mut sums = ResidualSums::zero(S::zero());
         for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
-            sums.add(rows, self.share(reading));
+            sums.add(rows, self.share(reading), self.has_bend());
         }
         if !workspace.plane_rows.is_empty() {
             self.add_planes(&mut sums, workspace);
@@ -309,7 +312,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     #[inline(never)]
     fn add_planes(&self, sums: &mut ResidualSums<S>, workspace: &Workspace<S>) {
         for (index, row) in &workspace.plane_rows {
-            sums.add(core::slice::from_ref(row), self.share(&self.readings[*index]));
+            sums.add(core::slice::from_ref(row), self.share(&self.readings[*index]), self.has_bend());
         }
     }
 
@@ -357,9 +360,6 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             row.residual = self.guide(&self.readings[*index], pose).residual;
         }
         let sums = self.residual_sums(workspace);
-        match &workspace.elimination {
-            Some(elimination) => elimination.apply(&sums),
-            None => (sums.chi2, sums.by_pose),
-        }
+        workspace.elimination.apply(&sums, P::KNOWS_BENDS)
     }
 }

@@ -11,24 +11,25 @@ pub(super) struct Row<S> {
     pub(super) residual: S,
 }
 
-/// Sums over residuals r: χ² = rᵀr, Jᵀr by the pose, and Jᵀr by the twist.
+/// Sums over residuals r: χ² = rᵀr, and Jᵀr by the pose, by the twist and by the bend.
 #[derive(Clone, Copy)]
 pub(super) struct ResidualSums<S> {
     pub(super) chi2: S,
     pub(super) by_pose: Vector6<S>,
     pub(super) by_twist: Vector6<S>,
+    pub(super) by_bend: Vector6<S>,
 }
 
 impl<R: Real> ResidualSums<R> {
     #[inline(always)]
     pub(super) fn zero(like: R) -> Self {
         let zero = like.constant(0.0);
-        Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6] }
+        Self { chi2: zero, by_pose: [zero; 6], by_twist: [zero; 6], by_bend: [zero; 6] }
     }
 
-    /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
+    /// Adds the `rows` of one reading, exposed at `share` of the motion's duration; to `by_bend` only if that is asked for.
     #[inline(always)]
-    pub(super) fn add(&mut self, rows: &[Row<R>], share: R) {
+    pub(super) fn add(&mut self, rows: &[Row<R>], share: R, has_bend: bool) {
         let mut own = [share.constant(0.0); 6];
         for row in rows {
             self.chi2 += row.residual * row.residual;
@@ -39,6 +40,11 @@ impl<R: Real> ResidualSums<R> {
         for i in 0..6 {
             self.by_pose[i] += own[i];
             self.by_twist[i] += share * own[i];
+        }
+        if has_bend {
+            for i in 0..6 {
+                self.by_bend[i] += share * share * own[i];
+            }
         }
     }
 }

@@ -13,7 +13,7 @@ use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
 use super::residuals::{ResidualSums, Row};
-use super::twist::{Elimination, add_moments};
+use super::twist::Elimination;
 
 /// Least ratio of a pivot to its diagonal element, in units of rounding, at which normal equations
 /// are trusted: they then keep more than half of the digits.
@@ -43,28 +43,31 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 Some(Step { step, predicted_reduction: square(&half_way), factor, is_by_qr: false })
             }
             None if damping > S::zero() => None,
-            None => Some(self.qr_step(workspace)),
+            None if self.has_bend() => Some(self.qr_step::<18>(workspace)),
+            None => Some(self.qr_step::<12>(workspace)),
         }
     }
 
     /// The undamped step by QR factorisation of the rows in `workspace`: slow, but right for any condition
-    /// number that the number type resolves.
+    /// number that the number type resolves. Of `N` unknowns the last six are the pose, those before the twist, and the
+    /// bend those before that.
     #[cold]
-    fn qr_step(&self, workspace: &Workspace<S>) -> Step<S> {
-        let mut triangle = Triangle::<S, 12>::new();
-        if let Some(prior) = self.motion.prior {
+    fn qr_step<const N: usize>(&self, workspace: &Workspace<S>) -> Step<S> {
+        let mut triangle = Triangle::<S, N>::new();
+        let priors = [self.motion.bend_prior, self.motion.prior];
+        for (first, prior) in (0..N - 6).step_by(6).zip(&priors[3 - N / 6..]) {
+            let Some(prior) = prior else { continue };
             for i in 0..6 {
-                let mut row = [S::zero(); 12];
-                row[i] = prior[i / 3].root();
+                let mut row = [S::zero(); N];
+                row[first + i] = prior[i / 3].root();
                 triangle.add(row, S::zero());
             }
         }
         let mut add = |row: &Row<S>, share: S| {
-            let twist = if self.motion.prior.is_some() { share } else { S::zero() };
-            triangle.add(
-                core::array::from_fn(|i| if i < 6 { row.by_pose[i] * twist } else { row.by_pose[i - 6] }),
-                row.residual,
-            );
+            let share = if self.motion.prior.is_some() { share } else { S::zero() };
+            let powers = [share * share, share, S::one()];
+            let powers = &powers[3 - N / 6..];
+            triangle.add(core::array::from_fn(|i| row.by_pose[i % 6] * powers[i / 6]), row.residual);
         };
         for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
             rows.iter().for_each(|row| add(row, self.share(reading)));
@@ -141,8 +144,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// free.
     #[inline(never)]
     pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
-        let zero = [[S::zero(); 6]; 6];
-        let (mut information, mut moments) = (zero, [zero; 2]);
+        let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         let mut sums = ResidualSums::zero(S::zero());
         let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
@@ -150,17 +152,125 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             let reading = &self.readings[reading];
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
-                add_moments(&mut moments, self.share(reading), &[*row]);
+                elimination.add(self.share(reading), &[*row], self.has_bend());
             }
-            sums.add(rows, self.share(reading));
+            sums.add(rows, self.share(reading), self.has_bend());
         }
         mirror(&mut information);
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        if let Some(elimination) = Elimination::of(&self.motion, &mut moments) {
-            (normal.chi2, normal.gradient) = elimination.reduce(&mut normal.information, &sums);
-        }
+        (normal.chi2, normal.gradient) =
+            elimination.eliminate(&self.motion, &mut normal.information, &sums, P::KNOWS_BENDS);
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
         let factor = Factor::of_matrix(&normal.information, S::zero(), safe)?;
         Some(normal.chi2 - square(&factor.forward(&normal.gradient)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::super::compiled::{Bend, Prior};
+    use super::super::fixture::{compiled, currents, pose};
+    use super::super::readings::Sorted;
+    use super::*;
+    use crate::pose::Pose;
+
+    /// An unknown motion is noise that the cells share: with whitened rows A, exposed at shares τ of the motion's duration,
+    /// the residuals have the covariance Σ = 1 + P·ττᵀ∘AAᵀ + Q·τ²τ²ᵀ∘AAᵀ, and generalised least squares (Aitken 1935)
+    /// the information Aᵀ·Σ⁻¹·A. Both the elimination and the factorisation by QR agree with it.
+    #[test]
+    fn an_unknown_motion_is_noise_that_the_cells_share() {
+        let (mut head, truth) = (compiled(), pose());
+        let offsets_s = [-400e-6, -250e-6, -100e-6, 50e-6, 200e-6, 350e-6];
+        head.offsets_s.extend_from_slice(&offsets_s).expect("six cells");
+        let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
+        let [linear, angular] = [DVec3::new(0.2, -0.1, 0.3), DVec3::new(3.0, 1.0, -2.0)];
+        let half_acceleration = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
+        for (sigmas, bend_sigmas) in [([0.5, 5.0], [150.0, 1500.0]), ([0.01, 0.0], [0.0, 40.0]), ([0.2, 2.0], [0.0; 2])]
+        {
+            let bend = Some(Bend { half_acceleration, sigmas: bend_sigmas });
+            let problem = head.problem(&sorted, &Prior { twist: [linear, angular], sigmas, bend });
+            let workspace = &mut Workspace::new();
+            let start = Transform::of(&truth);
+            let at = problem.linearise(&start, &problem.whiteners(), workspace);
+            let reach = |sigmas: [f64; 2], time_s: f64| [sigmas[0] * time_s / head.length_scale_m, sigmas[1] * time_s];
+            let (duration, mut sigma) = (400e-6, [[0.0; 12]; 12]);
+            let (p, q) = (reach(sigmas, duration), reach(bend_sigmas, duration * duration));
+            for (i, a) in workspace.rows.iter().flatten().enumerate() {
+                for (j, b) in workspace.rows.iter().flatten().enumerate() {
+                    let both = offsets_s[i / 2] * offsets_s[j / 2] / (duration * duration);
+                    for k in 0..6 {
+                        let variance = p[k / 3].powi(2) * both + q[k / 3].powi(2) * both * both;
+                        sigma[i][j] += variance * a.by_pose[k] * b.by_pose[k];
+                    }
+                }
+                sigma[i][i] += 1.0;
+            }
+            let column = |k: usize| core::array::from_fn(|i| workspace.rows[i / 2][i % 2].by_pose[k]);
+            let residuals = core::array::from_fn(|i| workspace.rows[i / 2][i % 2].residual);
+            let product = |a: &[f64; 12], b: &[f64; 12]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            let by_qr = if problem.has_bend() {
+                problem.qr_step::<18>(workspace).factor
+            } else {
+                problem.qr_step::<12>(workspace).factor
+            };
+            let of_residuals = solved(sigma, residuals);
+            assert!((product(&residuals, &of_residuals) - at.chi2).abs() < 1e-6 * at.chi2, "{}", at.chi2);
+            // Rounding times the square of what the motion adds to the noise, a thousandfold.
+            let tolerance = 1e-8;
+            for j in 0..6 {
+                let of_column = solved(sigma, column(j));
+                let expected: Vector6<f64> = core::array::from_fn(|i| product(&column(i), &of_column));
+                let unit = by_qr.solve(&expected);
+                for i in 0..6 {
+                    let scale = (at.information[i][i] * at.information[j][j]).sqrt();
+                    assert!((at.information[i][j] - expected[i]).abs() < tolerance * scale, "{i} {j}");
+                    let scale = (at.information[j][j] / at.information[i][i]).sqrt();
+                    let kept = if i == j { 1.0 } else { 0.0 };
+                    assert!((unit[i] - kept).abs() < 100.0 * tolerance * scale, "{i} {j}, by QR: {}", unit[i]);
+                }
+                let gradient = product(&column(j), &of_residuals);
+                let scale = (at.information[j][j] * at.chi2).sqrt();
+                assert!((at.gradient[j] - gradient).abs() < tolerance * scale, "{j}");
+            }
+        }
+    }
+
+    /// M⁻¹·v, by Gauss and Jordan.
+    fn solved(mut m: [[f64; 12]; 12], mut v: [f64; 12]) -> [f64; 12] {
+        for i in 0..12 {
+            for k in 0..12 {
+                if k == i {
+                    continue;
+                }
+                let factor = m[k][i] / m[i][i];
+                for j in 0..12 {
+                    m[k][j] -= factor * m[i][j];
+                }
+                v[k] -= factor * v[i];
+            }
+        }
+        core::array::from_fn(|i| v[i] / m[i][i])
+    }
+
+    /// Where the tool is at each exposure: the currents of a tool that accelerates fit a prior that says so.
+    #[test]
+    fn a_known_acceleration_leaves_no_residuals() {
+        let (mut head, truth) = (compiled(), pose());
+        let offsets_s = [-400e-6, -250e-6, -100e-6, 50e-6, 200e-6, 350e-6];
+        head.offsets_s.extend_from_slice(&offsets_s).expect("six cells");
+        let [v, w] = [DVec3::new(0.2, -0.1, 0.3), DVec3::new(3.0, 1.0, -2.0)];
+        let half = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
+        let at = |t: f64| -> Pose { truth.perturbed((v + half[0] * t) * t, (w + half[1] * t) * t) };
+        let seen = offsets_s.iter().enumerate().map(|(cell, &t)| head.plan.photocurrents(cell, &at(t)));
+        let sorted = Sorted::of(&crate::Photocurrents::of_pairs(seen), &head.limits);
+        let chi2 = |bend| {
+            let problem = head.problem(&sorted, &Prior { twist: [v, w], sigmas: [0.0; 2], bend });
+            problem.linearise(&Transform::of(&truth), &problem.whiteners(), &mut Workspace::new()).chi2
+        };
+        let known = chi2(Some(Bend { half_acceleration: half, sigmas: [0.0; 2] }));
+        // Turns are small ones: the third power of 1.3 mrad.
+        assert!(known < 1e-3 && chi2(None) > 100.0, "{known} {}", chi2(None));
     }
 }

@@ -1,9 +1,10 @@
 //! Poses frame after frame.
 //!
 //! The cells of a frame are exposed one after another; a pose belongs to one instant. A cell exposed τ after it sees
-//! the pose (t + τ·v, exp(τ·ω)·R). The tracker takes the twist (v, ω) from the frames before, by a fading-memory
-//! polynomial ([`super::filter`]), and its uncertainty enters the covariance ([`super::twist`]). Poses are not
-//! filtered: each is solved from the currents of its own frame. A filtered pose can be had beside it.
+//! the pose (t + τ·v + τ²·a, exp(τ·ω + τ²·α)·R). The tracker takes the twist (v, ω) and the bend (a, α), half the acceleration,
+//! from the frames before, by a fading-memory polynomial ([`super::filter`]). The uncertainty of the twist enters the
+//! covariance ([`super::twist`]), that of the bend as long as it is not fitted. Poses are not filtered: each is solved from the
+//! currents of its own frame. A filtered pose can be had beside it.
 //!
 //! A pose is accepted although it is far from the prediction: a tool may hit a wall. If the currents of its own
 //! frame confirm it, the motion before is forgotten. Three cells have no redundancy to confirm a pose with: there
@@ -22,7 +23,7 @@ use crate::plan::{Optics, Plan};
 use crate::pose::{Pose, Rigid};
 use crate::scalar::{Linear3, Scalar};
 
-use super::compiled::Prior;
+use super::compiled::{Bend, Prior};
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
 use super::normal_equations::Workspace;
 use super::outcome::{Cells, DegradedReason, Estimate, Outcome, Solution};
@@ -51,6 +52,9 @@ const MOST_WEAK: u32 = 2;
 /// 0.5 m/s within some 2 ms.
 const ACCELERATION_M_PER_S2: f64 = 300.0;
 const ANGULAR_ACCELERATION_RAD_PER_S2: f64 = 3000.0;
+
+/// Standard deviation per axis of half the acceleration while that is not fitted.
+const UNKNOWN_BENDS: [f64; 2] = [0.5 * ACCELERATION_M_PER_S2, 0.5 * ANGULAR_ACCELERATION_RAD_PER_S2];
 
 /// Frames from which on acceleration is fitted.
 const BEND_FROM: u32 = 5;
@@ -282,7 +286,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         workspace.is_unhurried = self.period_s >= P::UNHURRIED_S;
         let mut solution = match self.motion.predict() {
             Some(expected) => self.follow(&sorted, &expected, workspace),
-            None => self.find(&sorted, &unknown_motion::<S>(&self.last_twist), workspace),
+            None => self.find(&sorted, &unknown_motion::<S>(&self.last_twist, P::KNOWS_BENDS), workspace),
         };
         if self.lost.saved_work < self.budget.most_saved {
             self.lost.saved_work += self.budget.saved_a_frame;
@@ -342,7 +346,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let start = expected.pose.to_transform();
-        let unknown = unknown_motion::<S>(&expected.twist);
+        let unknown = unknown_motion::<S>(&expected.twist, P::KNOWS_BENDS);
         if !(is_expected && self.is_misfit) {
             // The tool did not go on as before: what it did within this frame is unknown.
             let time_s = S::of(self.period_s * f64::from(self.coasted + 1));
@@ -390,7 +394,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     /// How the tool is expected to move within the next frame.
     fn motion_prior(&self, expected: &Prediction<S>) -> Prior<S> {
         if expected.frames < 2 {
-            return unknown_motion::<S>(&self.last_twist);
+            return unknown_motion::<S>(&self.last_twist, P::KNOWS_BENDS);
         }
         let per_second = expected.step_variance.root() * self.frame_rate_hz;
         let mut sigmas = self.motion.sigmas().map(|sigma| sigma * per_second);
@@ -402,19 +406,34 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         } else if per_second * self.solver.compiled.duration_s() <= self.negligible {
             sigmas = [S::zero(); 2];
         }
-        Prior { twist: expected.twist, sigmas }
+        let bend = P::KNOWS_BENDS.then(|| self.bend(expected.frames));
+        Prior { twist: expected.twist, sigmas, bend }
+    }
+
+    /// The bend of a motion over so many frames. Once it is fitted it is taken for known: where it is far off, poses are not
+    /// where they are expected either, and the motion is unknown.
+    fn bend(&self, frames: u32) -> Bend<S> {
+        match self.motion.predicted_bend() {
+            Some(half_acceleration) if frames >= BEND_FROM => Bend { half_acceleration, sigmas: [S::zero(); 2] },
+            _ => unknown_bend(),
+        }
     }
 }
 
 /// Of a tool that moved with this twist and may do anything now.
-fn unknown_motion<S: Scalar>([linear, angular]: &[S::Vec3; 2]) -> Prior<S> {
+fn unknown_motion<S: Scalar>([linear, angular]: &[S::Vec3; 2], knows_bends: bool) -> Prior<S> {
     Prior {
         twist: [S::Vec3::default(); 2],
         sigmas: [
             S::of(UNKNOWN_LINEAR_M_PER_S).max(linear.length()),
             S::of(UNKNOWN_ANGULAR_RAD_PER_S).max(angular.length()),
         ],
+        bend: knows_bends.then(unknown_bend),
     }
+}
+
+fn unknown_bend<S: Scalar>() -> Bend<S> {
+    Bend { half_acceleration: [S::Vec3::default(); 2], sigmas: UNKNOWN_BENDS.map(S::of) }
 }
 
 fn is_misfit<S: Scalar>(solution: &Solution<S>) -> bool {

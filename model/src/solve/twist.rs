@@ -1,13 +1,14 @@
 //! The tool's motion within a frame, eliminated from the normal equations.
 //!
-//! A cell exposed τ after the reference instant sees the pose advanced by τ·twist. Of a twist that is known
-//! only with a covariance P the deviation w is six more unknowns with a prior. With A the whitened rows of one
-//! cell,
+//! A cell exposed τ after the reference instant sees the pose advanced by τ·twist + τ²·bend; the bend is half the
+//! acceleration. Of a twist that is known only with a covariance P the deviation w is six more unknowns with a prior,
+//! of a bend that is known with Q the deviation b another six. With A the whitened rows of one cell and
+//! Mₙ = Στⁿ·AᵀA, the Schur complements
 //!
-//! M₀ = ΣAᵀA, M₁ = Στ·AᵀA, M₂ = Στ²·AᵀA, K = M₂ + P⁻¹, information = M₀ − M₁·K⁻¹·M₁,
+//! K = M₂ + P⁻¹, information = M₀ − M₁·K⁻¹·M₁, then
+//! K′ = M₄ + Q⁻¹ − M₃·K⁻¹·M₃, N = M₂ − M₃·K⁻¹·M₁, information − Nᵀ·K′⁻¹·N,
 //!
-//! the Schur complement of K, and likewise for the gradient and χ²: the twist is marginalised exactly, with the
-//! correlation between cells that it brings.
+//! and likewise for the gradient and χ², marginalise both exactly, with the correlation between cells that they bring.
 
 use crate::scalar::Scalar;
 
@@ -15,93 +16,182 @@ use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
 use super::compiled::Prior;
 use super::residuals::{ResidualSums, Row};
 
-/// Largest information a prior on the twist can have: it is then known.
+/// Largest information a prior on the motion can have: it is then known.
 const KNOWN: f64 = 1e30;
 
 /// Motion of the tool within a frame, and how well it is known.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion<S: Scalar> {
-    pub(super) linear: S::Vec3,
-    pub(super) angular: S::Vec3,
+    /// Linear and angular.
+    pub(super) twist: [S::Vec3; 2],
+    /// See [`Bend`]; `None`: zero.
+    pub(super) bend: Option<[S::Vec3; 2]>,
     /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
     pub(super) duration: S,
     /// P⁻¹ of (linear, angular) in units of length scale/duration and 1/duration; `None`: the twist is known.
     pub(super) prior: Option<[S; 2]>,
+    /// Q⁻¹ in those units per duration; `None`: the bend is known, as with a known twist.
+    pub(super) bend_prior: Option<[S; 2]>,
 }
 
 impl<S: Scalar> Motion<S> {
-    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
-        let Prior { twist: [linear, angular], sigmas: [sigma_linear, sigma_angular] } = *prior;
-        let information = |sigma: S, unit: S| {
-            let share = sigma * duration / unit;
-            (share * share).recip().min(S::of(KNOWN))
+    #[inline(always)]
+    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S, knows_bends: bool) -> Self {
+        let Prior { twist, bend, sigmas } = *prior;
+        // σ by the end of the motion, in units of the scaled pose.
+        let prior = |[linear, angular]: [S; 2]| {
+            let is_unknown = duration > S::zero() && (linear > S::zero() || angular > S::zero());
+            is_unknown.then(|| {
+                [linear / length_scale_m, angular].map(|sigma| {
+                    let share = sigma * duration;
+                    (share * share).recip().min(S::of(KNOWN))
+                })
+            })
         };
-        let unknown = duration > S::zero() && (sigma_linear > S::zero() || sigma_angular > S::zero());
-        let prior = unknown.then(|| [information(sigma_linear, length_scale_m), information(sigma_angular, S::one())]);
-        Self { linear, angular, duration, prior }
+        let twist_prior = prior(sigmas);
+        let bend = bend.filter(|_| knows_bends);
+        let bend_prior = match (twist_prior, &bend) {
+            (Some(_), Some(bend)) => prior(bend.sigmas.map(|sigma| sigma * duration)),
+            _ => None,
+        };
+        Self { twist, bend: bend.map(|bend| bend.half_acceleration), duration, prior: twist_prior, bend_prior }
     }
 }
 
-/// Eliminates the twist from normal equations.
+/// Eliminates the motion from normal equations.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Elimination<S> {
-    /// L of K = L·Lᵀ.
-    factor: Factor<S>,
-    /// Columns of L⁻¹·M₁.
-    mixed: Matrix6<S>,
+    /// M₁ to M₄, the last two only if the bend is not known; then, in their places, the columns of L⁻¹·M₁, of L′⁻¹·N and of L⁻¹·M₃.
+    blocks: [Matrix6<S>; 4],
+    /// L of K = L·Lᵀ; `None`: the twist is known.
+    twist: Option<Factor<S>>,
+    /// L′ of K′ = L′·L′ᵀ; `None`: the bend is known.
+    bend: Option<Factor<S>>,
 }
 
 impl<S: Scalar> Elimination<S> {
-    /// For M₁ and M₂; `None` if the twist of `motion` is known.
-    #[inline(never)]
-    pub(super) fn of(motion: &Motion<S>, [mixed, twist]: &mut [Matrix6<S>; 2]) -> Option<Self> {
-        let prior = motion.prior?;
-        mirror(mixed);
-        // The factorisation of a symmetric matrix reads the lower half.
-        for (i, row) in twist.iter_mut().enumerate() {
-            row[i] += prior[i / 3];
-        }
-        // Positive definite, by the prior.
-        let factor = Factor::of_matrix(twist, S::zero(), S::zero())?;
-        Some(Self { mixed: mixed.map(|column| factor.forward(&column)), factor })
+    /// Without rows.
+    #[inline(always)]
+    pub(super) fn new() -> Self {
+        Self { blocks: [[[S::zero(); 6]; 6]; 4], twist: None, bend: None }
     }
 
-    /// Takes its part from the information M₀; χ² and gradient of the pose alone.
+    /// The motion is known from now on.
+    #[inline(always)]
+    pub(super) fn end(&mut self) {
+        (self.twist, self.bend) = (None, None);
+    }
+
+    /// Whether there is a motion that is not known.
+    pub(super) fn is_under_way(&self) -> bool {
+        self.twist.is_some()
+    }
+
+    /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
     #[inline(never)]
-    pub(super) fn reduce(&self, information: &mut Matrix6<S>, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
-        for i in 0..6 {
-            for j in 0..6 {
-                for k in 0..6 {
-                    let known = self.mixed[i][k] * self.mixed[j][k];
-                    information[i][j] -= known;
-                }
+    pub(super) fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N], has_bend: bool) {
+        let own = rows.each_ref().map(|row| &row.by_pose);
+        let mut weight = share;
+        for moment in &mut self.blocks[..if has_bend { 4 } else { 2 }] {
+            let weighted = own.map(|row| row.map(|value| weight * value));
+            add_outer(moment, weighted.each_ref(), own);
+            weight *= share;
+        }
+    }
+
+    /// Eliminates the motion of the rows that were added, unless it is known. Takes its part from the information M₀; χ² and
+    /// gradient of the pose alone.
+    #[inline(never)]
+    pub(super) fn eliminate(
+        &mut self,
+        motion: &Motion<S>,
+        information: &mut Matrix6<S>,
+        sums: &ResidualSums<S>,
+        knows_bends: bool,
+    ) -> (S, Vector6<S>) {
+        let [mixed, twist, with_bend, bend] = &mut self.blocks;
+        let Some(prior) = motion.prior else {
+            return (sums.chi2, sums.by_pose);
+        };
+        mirror(mixed);
+        // The factorisation of a symmetric matrix reads the lower half.
+        let mut with_prior = *twist;
+        add_prior(&mut with_prior, prior);
+        // Positive definite, by the prior.
+        let Some(factor) = Factor::of_matrix(&with_prior, S::zero(), S::zero()) else {
+            return (sums.chi2, sums.by_pose);
+        };
+        columns(mixed, &factor);
+        take(information, mixed, mixed);
+        if let Some(prior) = motion.bend_prior.filter(|_| knows_bends) {
+            mirror(twist);
+            mirror(with_bend);
+            columns(with_bend, &factor);
+            add_prior(bend, prior);
+            take(bend, with_bend, with_bend);
+            take(twist, mixed, with_bend);
+            self.bend = Factor::of_matrix(bend, S::zero(), S::zero());
+            if let Some(factor) = &self.bend {
+                columns(twist, factor);
+                take(information, twist, twist);
             }
         }
-        self.apply(sums)
+        self.twist = Some(factor);
+        self.apply(sums, knows_bends)
     }
 
     /// χ² and gradient of the pose alone.
-    pub(super) fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
-        let twist = self.factor.forward(&sums.by_twist);
-        let mut gradient = sums.by_pose;
-        for i in 0..6 {
-            for k in 0..6 {
-                let known = self.mixed[i][k] * twist[k];
-                gradient[i] -= known;
-            }
+    pub(super) fn apply(&self, sums: &ResidualSums<S>, knows_bends: bool) -> (S, Vector6<S>) {
+        let (mut chi2, mut gradient) = (sums.chi2, sums.by_pose);
+        let [mixed, bend_mixed, by_twist, _] = &self.blocks;
+        let Some(factor) = &self.twist else { return (chi2, gradient) };
+        let twist = factor.forward(&sums.by_twist);
+        take_vector(&mut gradient, mixed, &twist);
+        chi2 = twist.iter().fold(chi2, |chi2, &value| chi2 - value * value);
+        if let Some(factor) = self.bend.as_ref().filter(|_| knows_bends) {
+            let mut bend = sums.by_bend;
+            take_vector(&mut bend, by_twist, &twist);
+            let bend = factor.forward(&bend);
+            take_vector(&mut gradient, bend_mixed, &bend);
+            chi2 = bend.iter().fold(chi2, |chi2, &value| chi2 - value * value);
         }
-        (twist.iter().fold(sums.chi2, |chi2, &value| chi2 - value * value).max(S::zero()), gradient)
+        (chi2.max(S::zero()), gradient)
     }
 }
 
-/// Adds the `rows` of one reading, exposed at `share` of the motion's duration, to M₁ and M₂.
-#[inline(never)]
-pub(super) fn add_moments<S: Scalar, const N: usize>(moments: &mut [Matrix6<S>; 2], share: S, rows: &[Row<S>; N]) {
-    let own = rows.each_ref().map(|row| &row.by_pose);
-    let mut weight = share;
-    for moment in moments {
-        let weighted = own.map(|row| row.map(|value| weight * value));
-        add_outer(moment, weighted.each_ref(), own);
-        weight *= share;
+/// The columns of L⁻¹ times a matrix, in its place.
+#[inline(always)]
+fn columns<S: Scalar>(matrix: &mut Matrix6<S>, factor: &Factor<S>) {
+    *matrix = matrix.map(|column| factor.forward(&column));
+}
+
+#[inline(always)]
+fn add_prior<S: Scalar>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
+    for (i, row) in matrix.iter_mut().enumerate() {
+        row[i] += prior[i / 3];
+    }
+}
+
+/// Takes the products of the columns of `left` and `right` from `matrix`.
+#[inline(always)]
+fn take<S: Scalar>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S>) {
+    for i in 0..6 {
+        for j in 0..6 {
+            for k in 0..6 {
+                let known = left[i][k] * right[j][k];
+                matrix[i][j] -= known;
+            }
+        }
+    }
+}
+
+/// Takes the products of the `columns` and of `unknowns` from `vector`.
+#[inline(always)]
+fn take_vector<S: Scalar>(vector: &mut Vector6<S>, columns: &Matrix6<S>, unknowns: &Vector6<S>) {
+    for i in 0..6 {
+        for k in 0..6 {
+            let known = columns[i][k] * unknowns[k];
+            vector[i] -= known;
+        }
     }
 }

@@ -104,7 +104,7 @@ fn warnings_carry_the_number_and_a_remedy() {
                 .replace("oversampling = 4", "oversampling = 16")
                 .replace("settling_s = 13e-6", "settling_s = 20e-6")
                 .replace("frame_rate_hz = 4000", "frame_rate_hz = 1000"),
-            "shifts its pose by 2.0 µm, where noise leaves 1.4 µm",
+            "bends the motion by 2.0 µm, where noise leaves 1.4 µm",
             "light more emitters together",
         ),
         (wide.replace("adc_bits = 12", "adc_bits = 16"), "sums 4 conversions of 16 bits", "lower front_end"),

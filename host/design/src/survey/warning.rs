@@ -248,7 +248,8 @@ fn of_carried(survey: &Survey, front_end: &FrontEnd) -> Option<Finding> {
 }
 
 /// Exposures so far apart that the tool does not move steadily over them. The instant of a frame is their mean: a constant
-/// velocity leaves the pose of it alone, an acceleration a shifts it by a/2 times their mean square.
+/// velocity leaves the pose of it alone, an acceleration a shifts it by a/2 times their mean square. A tracker that can predict the
+/// tool allows for it, one that cannot has to find it in the currents, too.
 fn of_exposures(file: &SceneFile, sigma_at_home: Option<[f64; 6]>) -> Option<Finding> {
     let schedule = board_configuration(file).ok()?.schedule;
     let from_instant = |ticks: f64| (ticks - schedule.reference_ticks()) / f64::from(schedule.tick_hz);
@@ -261,7 +262,7 @@ fn of_exposures(file: &SceneFile, sigma_at_home: Option<[f64; 6]>) -> Option<Fin
         let [first, last] = [f64::min, f64::max].map(|most| exposures_s.iter().copied().fold(0.0, most));
         let text = format!(
             "the cells of a frame are exposed within {:.0} µs: an acceleration of {FAST_HAND_M_PER_S2} m/s², that of a fast \
-             hand, shifts its pose by {:.1} µm, where noise leaves {:.1} µm (1 σ); σ does not know of it",
+             hand, bends the motion by {:.1} µm, where noise leaves {:.1} µm (1 σ): σ of a tool that moves fast is larger",
             1e6 * (last - first),
             1e6 * shift_m,
             1e6 * sigma_m

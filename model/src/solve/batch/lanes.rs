@@ -317,7 +317,7 @@ fn linearise<R: Real<Element = f64>, const EXACT: bool>(
         }
         let own = [&rows[0].by_pose, &rows[1].by_pose];
         add_outer(&mut linearised.information, own, own);
-        linearised.sums.add(&rows, zero);
+        linearised.sums.add(&rows, zero, false);
         linearised.lit = both(linearised.lit, currents.lit);
         linearised.slacks_m.push(terms.slack_m);
         linearised.rows.push(rows);
@@ -339,7 +339,7 @@ fn reevaluate<R: Real<Element = f64>, const EXACT: bool>(
         let residual = whitener.apply([pair[0] - currents.pair[0], pair[1] - currents.pair[1]]);
         let [first, second] = rows;
         let rows = [Row { residual: residual[0], ..*first }, Row { residual: residual[1], ..*second }];
-        sums.add(&rows, zero);
+        sums.add(&rows, zero, false);
     }
     sums
 }

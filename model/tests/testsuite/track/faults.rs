@@ -202,7 +202,7 @@ fn three_cells_are_followed_no_further_than_a_fold() {
         let mut cells: Vec<usize> = (0..6).collect();
         let missing: Vec<usize> = (0..3).map(|_| cells.swap_remove(rng.random_range(0..cells.len()))).collect();
         let tracker = Tracker::new(solver.clone(), PERIOD_S);
-        let mut rig = Rig { tracker, solver: solver.clone(), offsets_s: OFFSETS_S, rng, frame: 0 };
+        let mut rig = Rig { tracker, solver: solver.clone(), offsets_s: OFFSETS_S, period_s: PERIOD_S, rng, frame: 0 };
         (0..20).for_each(|_| _ = rig.step(motion));
         for frame in 20..300 {
             let (tracked, truth) = faulty(&mut rig, motion, &mut |readings| {

@@ -26,6 +26,7 @@ struct Rig {
     tracker: Tracker<f64>,
     solver: Solver<f64>,
     offsets_s: [f64; 6],
+    period_s: f64,
     rng: ChaCha8Rng,
     frame: u64,
 }
@@ -36,8 +37,19 @@ impl Rig {
     }
 
     fn exposed(offsets_s: [f64; 6]) -> Self {
+        Self::scheduled(offsets_s, PERIOD_S)
+    }
+
+    fn scheduled(offsets_s: [f64; 6], period_s: f64) -> Self {
         let solver = Solver::<f64>::new(&scene(), Tier::Paper).expect("scene").with_exposures(&offsets_s);
-        Self { tracker: Tracker::new(solver.clone(), PERIOD_S), solver, offsets_s, rng: generator(), frame: 0 }
+        Self {
+            tracker: Tracker::new(solver.clone(), period_s),
+            solver,
+            offsets_s,
+            period_s,
+            rng: generator(),
+            frame: 0,
+        }
     }
 
     fn filtered(memory_s: f64) -> Self {
@@ -46,7 +58,7 @@ impl Rig {
     }
 
     fn readings(&mut self, pose: impl Fn(f64) -> Pose) -> Photocurrents {
-        let time_s = self.frame as f64 * PERIOD_S;
+        let time_s = self.frame as f64 * self.period_s;
         Photocurrents::of_pairs((0..6).map(|cell| {
             let pair = self.solver.plan().photocurrents(cell, &pose(time_s + self.offsets_s[cell]));
             let mut noise = || NOISE_A * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut self.rng);
@@ -58,7 +70,7 @@ impl Rig {
     fn step(&mut self, pose: impl Fn(f64) -> Pose) -> (Tracked, Pose) {
         let readings = self.readings(&pose);
         let tracked = self.tracker.track(self.frame, &readings);
-        let truth = pose(self.frame as f64 * PERIOD_S);
+        let truth = pose(self.frame as f64 * self.period_s);
         self.frame += 1;
         (tracked, truth)
     }
@@ -86,7 +98,7 @@ fn faulty(rig: &mut Rig, motion: impl Fn(f64) -> Pose, fault: &mut dyn FnMut(&mu
     let mut readings = rig.readings(&motion);
     fault(&mut readings);
     let tracked = rig.tracker.track(rig.frame, &readings);
-    let truth = motion(rig.frame as f64 * PERIOD_S);
+    let truth = motion(rig.frame as f64 * rig.period_s);
     rig.frame += 1;
     (tracked, truth)
 }
