@@ -202,11 +202,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         plane_rows.clear();
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
-        if is_twist_known {
-            elimination.end();
-        } else {
-            *elimination = Elimination::new();
-        }
+        elimination.begin(&self.motion, P::KNOWS_BENDS);
         self.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
@@ -233,12 +229,12 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
                 add_outer(&mut information, own, own);
                 if !is_twist_known {
-                    elimination.add(self.share(reading), &rows, self.has_bend());
+                    elimination.add(self.share(reading), &rows);
                 }
                 if !terms.status.has_spot() {
                     let guide = self.guide_into(&mut information, reading, pose);
                     if !is_twist_known {
-                        elimination.add(self.share(reading), &[guide], self.has_bend());
+                        elimination.add(self.share(reading), &[guide]);
                     }
                     // A plane beyond the most that guide is not missed.
                     let _ = plane_rows.try_push((index, guide));

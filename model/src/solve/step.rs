@@ -145,6 +145,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     #[inline(never)]
     pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
+        elimination.begin(&self.motion, P::KNOWS_BENDS);
         let mut sums = ResidualSums::zero(S::zero());
         let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
@@ -152,7 +153,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             let reading = &self.readings[reading];
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
-                elimination.add(self.share(reading), &[*row], self.has_bend());
+                elimination.add(self.share(reading), &[*row]);
             }
             sums.add(rows, self.share(reading), self.has_bend());
         }

@@ -10,6 +10,8 @@
 //!
 //! and likewise for the gradient and χ², marginalise both exactly, with the correlation between cells that they bring.
 
+use arrayvec::ArrayVec;
+
 use crate::scalar::Scalar;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
@@ -59,10 +61,10 @@ impl<S: Scalar> Motion<S> {
 }
 
 /// Eliminates the motion from normal equations.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub(super) struct Elimination<S> {
-    /// M₁ to M₄, the last two only if the bend is not known; then, in their places, the columns of L⁻¹·M₁, of L′⁻¹·N and of L⁻¹·M₃.
-    blocks: [Matrix6<S>; 4],
+    /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of L′⁻¹·N and of L⁻¹·M₃.
+    blocks: ArrayVec<Matrix6<S>, 4>,
     /// L of K = L·Lᵀ; `None`: the twist is known.
     twist: Option<Factor<S>>,
     /// L′ of K′ = L′·L′ᵀ; `None`: the bend is known.
@@ -70,16 +72,21 @@ pub(super) struct Elimination<S> {
 }
 
 impl<S: Scalar> Elimination<S> {
-    /// Without rows.
+    /// Of a known motion.
     #[inline(always)]
     pub(super) fn new() -> Self {
-        Self { blocks: [[[S::zero(); 6]; 6]; 4], twist: None, bend: None }
+        Self { blocks: ArrayVec::new(), twist: None, bend: None }
     }
 
-    /// The motion is known from now on.
+    /// Begins with no rows of a motion.
     #[inline(always)]
-    pub(super) fn end(&mut self) {
+    pub(super) fn begin(&mut self, motion: &Motion<S>, knows_bends: bool) {
         (self.twist, self.bend) = (None, None);
+        self.blocks.clear();
+        if motion.prior.is_some() {
+            let has_bend = knows_bends && motion.bend_prior.is_some();
+            self.blocks.extend(core::iter::repeat_n([[S::zero(); 6]; 6], if has_bend { 4 } else { 2 }));
+        }
     }
 
     /// Whether there is a motion that is not known.
@@ -89,10 +96,10 @@ impl<S: Scalar> Elimination<S> {
 
     /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
     #[inline(never)]
-    pub(super) fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N], has_bend: bool) {
+    pub(super) fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N]) {
         let own = rows.each_ref().map(|row| &row.by_pose);
         let mut weight = share;
-        for moment in &mut self.blocks[..if has_bend { 4 } else { 2 }] {
+        for moment in &mut self.blocks {
             let weighted = own.map(|row| row.map(|value| weight * value));
             add_outer(moment, weighted.each_ref(), own);
             weight *= share;
@@ -109,8 +116,7 @@ impl<S: Scalar> Elimination<S> {
         sums: &ResidualSums<S>,
         knows_bends: bool,
     ) -> (S, Vector6<S>) {
-        let [mixed, twist, with_bend, bend] = &mut self.blocks;
-        let Some(prior) = motion.prior else {
+        let (Some(prior), [mixed, twist, of_bend @ ..]) = (motion.prior, self.blocks.as_mut_slice()) else {
             return (sums.chi2, sums.by_pose);
         };
         mirror(mixed);
@@ -123,7 +129,7 @@ impl<S: Scalar> Elimination<S> {
         };
         columns(mixed, &factor);
         take(information, mixed, mixed);
-        if let Some(prior) = motion.bend_prior.filter(|_| knows_bends) {
+        if let (Some(prior), [with_bend, bend], true) = (motion.bend_prior, of_bend, knows_bends) {
             mirror(twist);
             mirror(with_bend);
             columns(with_bend, &factor);
@@ -143,12 +149,13 @@ impl<S: Scalar> Elimination<S> {
     /// χ² and gradient of the pose alone.
     pub(super) fn apply(&self, sums: &ResidualSums<S>, knows_bends: bool) -> (S, Vector6<S>) {
         let (mut chi2, mut gradient) = (sums.chi2, sums.by_pose);
-        let [mixed, bend_mixed, by_twist, _] = &self.blocks;
-        let Some(factor) = &self.twist else { return (chi2, gradient) };
+        let (Some(factor), [mixed, bend_mixed, of_bend @ ..]) = (&self.twist, self.blocks.as_slice()) else {
+            return (chi2, gradient);
+        };
         let twist = factor.forward(&sums.by_twist);
         take_vector(&mut gradient, mixed, &twist);
         chi2 = twist.iter().fold(chi2, |chi2, &value| chi2 - value * value);
-        if let Some(factor) = self.bend.as_ref().filter(|_| knows_bends) {
+        if let (Some(factor), [by_twist, _], true) = (&self.bend, of_bend, knows_bends) {
             let mut bend = sums.by_bend;
             take_vector(&mut bend, by_twist, &twist);
             let bend = factor.forward(&bend);

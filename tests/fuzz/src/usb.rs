@@ -33,6 +33,9 @@ const RACES: [&str; 2] = [READ_WHILE_RECEIVING[0], WRITTEN_WHILE_SENDING[0]];
 /// missed is seen within 100, requests and the board's answers take the rest.
 const RECOVERED: Ticks = TICKS_PER_SECOND / 2;
 
+/// Operations from this number on send SETUP packets of any length.
+const ANY_LENGTH: u8 = 0xf8;
+
 /// Packets and tokens that one stage of a transfer takes at most: a device that is not ready answers NAK some dozen times.
 const MAX_TRIES: usize = 64;
 
@@ -151,12 +154,22 @@ impl Hostile {
     }
 
     fn act(&mut self, operation: u8, bytes: &[u8]) {
+        // Eight bytes, for nearly all operations: one SETUP of another length costs the time of a thousand packets, until the
+        // watchdog ends the loop of the driver.
+        let request = |bytes: &[u8]| {
+            let mut request = bytes.to_vec();
+            if operation < ANY_LENGTH {
+                request.resize(8, 0);
+            }
+            request
+        };
         let (first, rest) = bytes.split_first().map_or((0, bytes), |(&first, rest)| (first, rest));
         let endpoint = first & 0x0f;
         match operation % 8 {
-            0 => drop(self.put(0, true, false, bytes)),
+            0 => drop(self.put(0, true, false, &request(bytes))),
             1 => drop(self.get(endpoint, first & 0x10 == 0)),
-            2 => drop(self.put(endpoint, first & 0x20 != 0, first & 0x10 != 0, rest)),
+            2 if first & 0x20 != 0 => drop(self.put(endpoint, true, first & 0x10 != 0, &request(rest))),
+            2 => drop(self.put(endpoint, false, first & 0x10 != 0, rest)),
             3 => self.wait(Ticks::from(first) * (FRAME_TICKS / 32)),
             4 => self.reset_bus(),
             5 => {
