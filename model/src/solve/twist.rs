@@ -26,7 +26,7 @@ const KNOWN: f64 = 1e30;
 pub(super) struct Motion<S: Scalar> {
     /// Linear and angular.
     pub(super) twist: [S::Vec3; 2],
-    /// See [`Bend`]; `None`: zero.
+    /// Half the acceleration, as in [`super::compiled::Bend`]; `None`: zero.
     pub(super) bend: Option<[S::Vec3; 2]>,
     /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
     pub(super) duration: S,
@@ -63,7 +63,8 @@ impl<S: Scalar> Motion<S> {
 /// Eliminates the motion from normal equations.
 #[derive(Debug)]
 pub(super) struct Elimination<S> {
-    /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of L′⁻¹·N and of L⁻¹·M₃.
+    /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of
+    /// L′⁻¹·N and of L⁻¹·M₃.
     blocks: ArrayVec<Matrix6<S>, 4>,
     /// L of K = L·Lᵀ; `None`: the twist is known.
     twist: Option<Factor<S>>,
@@ -78,7 +79,7 @@ impl<S: Scalar> Elimination<S> {
         Self { blocks: ArrayVec::new(), twist: None, bend: None }
     }
 
-    /// Begins with no rows of a motion.
+    /// Without rows yet, of this motion.
     #[inline(always)]
     pub(super) fn begin(&mut self, motion: &Motion<S>, knows_bends: bool) {
         (self.twist, self.bend) = (None, None);
