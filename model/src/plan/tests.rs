@@ -71,14 +71,16 @@ fn assert_equal<S: Scalar, const N: usize>(a: [S; N], b: [S; N], scale: S, cell:
     assert!(a.iter().zip(b).all(|(&a, b)| (a - b).abs() <= allowed), "cell {cell}: {a:?} {b:?}");
 }
 
+/// A tool in motion, m/s and rad/s, and half its acceleration.
+const TWIST: [DVec3; 2] = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
+const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
+
 /// Asserts that all cells at once give the same as each cell alone.
 fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
     let plan = Plan::<S>::compile(scene, tier).expect("scene");
     // The tool in motion: every cell at its own instant, or all at one.
     let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();
-    let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)].map(<S::Vec3 as crate::Vector3<S>>::of);
-    let bend = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
-    let bend = bend.map(<S::Vec3 as crate::Vector3<S>>::of);
+    let [twist, bend] = [TWIST, BEND].map(|rates| rates.map(<S::Vec3 as crate::Vector3<S>>::of));
     for pose in poses() {
         let pose = Transform::of(&pose);
         for offsets_s in [&offsets[..0], &offsets[..]] {
@@ -147,8 +149,6 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
     let mut turned = Pose::from_vectors(DVec3::ZERO, DVec3::new(1.56, 0.0, 0.0));
     let emitter = cell(0).emitter.position_tool_m;
     turned.translation_m = emitter - turned.rotation * emitter;
-    let twist = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0)];
-    let bend = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
     let (mut lit, mut clipped, mut dark, mut divided) = (0, 0, 0, 0);
     for (count, thickness_m) in
         [(1, 0.0), (2, 0.3e-3), (3, 0.0), (4, 0.0), (5, 0.3e-3), (6, 0.0), (8, 0.0), (13, 0.3e-3)]
@@ -162,7 +162,7 @@ fn cells_in_wide_lanes_have_the_bits_of_cells_alone() {
         for pose in poses().into_iter().chain([turned]) {
             let pose = Transform::of(&pose);
             for offsets_s in [&offsets[..0], &offsets[..]] {
-                let instant = Instant { pose: &pose, twist, bend: Some(bend), offsets_s };
+                let instant = Instant { pose: &pose, twist: TWIST, bend: Some(BEND), offsets_s };
                 for width in Width::all() {
                     plan.wide = Some(WideCells::with_width(&plan, width).expect("cells of one kind"));
                     for wanted in [u16::MAX, 0b0101_0110_1101_1011, 0b1000] {

@@ -177,21 +177,22 @@ mod tests {
     use super::*;
     use crate::pose::Pose;
 
+    const OFFSETS_S: [f64; 6] = [-400e-6, -250e-6, -100e-6, 50e-6, 200e-6, 350e-6];
+    const TWIST: [DVec3; 2] = [DVec3::new(0.2, -0.1, 0.3), DVec3::new(3.0, 1.0, -2.0)];
+    const HALF_ACCELERATION: [DVec3; 2] = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
+
     /// An unknown motion is noise that the cells share: with whitened rows A, exposed at shares τ of the motion's duration,
     /// the residuals have the covariance Σ = 1 + P·ττᵀ∘AAᵀ + Q·τ²τ²ᵀ∘AAᵀ, and generalised least squares (Aitken 1935)
     /// the information Aᵀ·Σ⁻¹·A. Both the elimination and the factorisation by QR agree with it.
     #[test]
     fn an_unknown_motion_is_noise_that_the_cells_share() {
         let (mut head, truth) = (compiled(), pose());
-        let offsets_s = [-400e-6, -250e-6, -100e-6, 50e-6, 200e-6, 350e-6];
-        head.offsets_s.extend_from_slice(&offsets_s).expect("six cells");
+        head.offsets_s.extend_from_slice(&OFFSETS_S).expect("six cells");
         let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
-        let [linear, angular] = [DVec3::new(0.2, -0.1, 0.3), DVec3::new(3.0, 1.0, -2.0)];
-        let half_acceleration = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
         for (sigmas, bend_sigmas) in [([0.5, 5.0], [150.0, 1500.0]), ([0.01, 0.0], [0.0, 40.0]), ([0.2, 2.0], [0.0; 2])]
         {
-            let bend = Some(Bend { half_acceleration, sigmas: bend_sigmas });
-            let problem = head.problem(&sorted, &Prior { twist: [linear, angular], sigmas, bend });
+            let bend = Some(Bend { half_acceleration: HALF_ACCELERATION, sigmas: bend_sigmas });
+            let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas, bend });
             let workspace = &mut Workspace::new();
             let start = Transform::of(&truth);
             let at = problem.linearise(&start, &problem.whiteners(), workspace);
@@ -200,7 +201,7 @@ mod tests {
             let (p, q) = (reach(sigmas, duration), reach(bend_sigmas, duration * duration));
             for (i, a) in workspace.rows.iter().flatten().enumerate() {
                 for (j, b) in workspace.rows.iter().flatten().enumerate() {
-                    let both = offsets_s[i / 2] * offsets_s[j / 2] / (duration * duration);
+                    let both = OFFSETS_S[i / 2] * OFFSETS_S[j / 2] / (duration * duration);
                     for k in 0..6 {
                         let variance = p[k / 3].powi(2) * both + q[k / 3].powi(2) * both * both;
                         sigma[i][j] += variance * a.by_pose[k] * b.by_pose[k];
@@ -259,18 +260,16 @@ mod tests {
     #[test]
     fn a_known_acceleration_leaves_no_residuals() {
         let (mut head, truth) = (compiled(), pose());
-        let offsets_s = [-400e-6, -250e-6, -100e-6, 50e-6, 200e-6, 350e-6];
-        head.offsets_s.extend_from_slice(&offsets_s).expect("six cells");
-        let [v, w] = [DVec3::new(0.2, -0.1, 0.3), DVec3::new(3.0, 1.0, -2.0)];
-        let half = [DVec3::new(40.0, 90.0, -70.0), DVec3::new(-300.0, 500.0, 200.0)];
-        let at = |t: f64| -> Pose { truth.perturbed((v + half[0] * t) * t, (w + half[1] * t) * t) };
-        let seen = offsets_s.iter().enumerate().map(|(cell, &t)| head.plan.photocurrents(cell, &at(t)));
+        head.offsets_s.extend_from_slice(&OFFSETS_S).expect("six cells");
+        let moved = |i: usize, t: f64| (TWIST[i] + HALF_ACCELERATION[i] * t) * t;
+        let at = |t: f64| -> Pose { truth.perturbed(moved(0, t), moved(1, t)) };
+        let seen = OFFSETS_S.iter().enumerate().map(|(cell, &t)| head.plan.photocurrents(cell, &at(t)));
         let sorted = Sorted::of(&crate::Photocurrents::of_pairs(seen), &head.limits);
         let chi2 = |bend| {
-            let problem = head.problem(&sorted, &Prior { twist: [v, w], sigmas: [0.0; 2], bend });
+            let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas: [0.0; 2], bend });
             problem.linearise(&Transform::of(&truth), &problem.whiteners(), &mut Workspace::new()).chi2
         };
-        let known = chi2(Some(Bend { half_acceleration: half, sigmas: [0.0; 2] }));
+        let known = chi2(Some(Bend { half_acceleration: HALF_ACCELERATION, sigmas: [0.0; 2] }));
         // Turns are small ones: the third power of 1.3 mrad.
         assert!(known < 1e-3 && chi2(None) > 100.0, "{known} {}", chi2(None));
     }

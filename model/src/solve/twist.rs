@@ -61,6 +61,8 @@ impl<S: Scalar> Motion<S> {
 }
 
 /// Eliminates the motion from normal equations.
+///
+/// `knows_bends` is [`crate::plan::Optics::KNOWS_BENDS`]: the image of a board then has no code for the bend.
 #[derive(Debug)]
 pub(super) struct Elimination<S> {
     /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of

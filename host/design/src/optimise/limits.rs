@@ -77,7 +77,7 @@ impl fmt::Display for Excess {
         match self.limit {
             Limit::Pose => write!(f, "{:.1} % of the workspace without a pose", 100.0 * worst),
             Limit::Lit => write!(f, "spots {worst:.2} mm beyond their detectors"),
-            Limit::Clearance => write!(f, "emitters {worst:.2} mm too near to openings"),
+            Limit::Clearance => write!(f, "tool and head {worst:.2} mm too near to each other"),
             Limit::Radius => write!(f, "detectors {worst:.2} mm too far out"),
             Limit::DetectorPitch => write!(f, "detectors {worst:.2} mm too near to each other"),
             Limit::EmitterPitch => write!(f, "emitters {worst:.2} mm too near to each other"),

@@ -94,7 +94,9 @@ impl Judge {
             excesses.note(Limit::Pose, 10.0 + without, without);
         }
         if file.front_end.is_some() {
-            excesses.note(Limit::Board, f64::from(u8::from(configuration(file).is_err())), 1.0);
+            if configuration(file).is_err() {
+                excesses.note(Limit::Board, 1.0, 1.0);
+            }
             let mut margins: Vec<f64> = views.iter().map(|view| view.full_scale).collect();
             margins.sort_by(f64::total_cmp);
             let margin = margins[index(SIGMA_POSES, 1.0 - limits.in_scale)];

@@ -2,7 +2,7 @@
 
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
-use slitpose_head::front_end::board_configuration;
+use slitpose_head::front_end::{TimingError, board_configuration};
 use slitpose_head::scene_file::{FrontEnd, SceneFile};
 use slitpose_model::{FEWEST_CELLS, Pose, Status};
 
@@ -91,17 +91,11 @@ pub(super) fn find(file: &SceneFile, survey: &Survey) -> Vec<Finding> {
 /// What no board can run.
 fn of_front_end(file: &SceneFile) -> Option<Finding> {
     file.front_end?;
-    if let Err(error) = file.require_slots_fit() {
-        return Some(Finding::new(Grade::Warning, "front end", error.to_string()));
-    }
-    if let Err(error) = board_configuration(file) {
-        return Some(Finding::new(
-            Grade::Warning,
-            "front end",
-            format!("no board can run it: {}", with_causes(&error)),
-        ));
-    }
-    None
+    let text = match board_configuration(file).err()? {
+        TimingError::Slots(error) => error.to_string(),
+        error => format!("no board can run it: {}", with_causes(&error)),
+    };
+    Some(Finding::new(Grade::Warning, "front end", text))
 }
 
 /// The axis that noise leaves open most, if it leaves more than a tenth of the workspace.
