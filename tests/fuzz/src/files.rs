@@ -16,7 +16,7 @@ pub(crate) fn scene(bytes: &[u8]) {
     assert_eq!(file.hash, fnv1a_64(bytes));
     let again = SceneFile::parse("stranger.toml", &file.source).expect("its own source");
     assert_eq!((again.hash, &again.scene), (file.hash, &file.scene));
-    let _ = file.require_slots_fit();
+    let _ = slitpose_head::front_end::configuration(&file);
     let paper = Plan::<f64>::compile(&file.scene, Tier::Paper).expect("what parses compiles");
     let currents = |cell| paper.photocurrents(cell, &Pose::HOME);
     let is_number = |cell| currents(cell).i_x1_a.is_finite() && currents(cell).i_x2_a.is_finite();

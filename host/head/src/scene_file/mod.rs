@@ -120,7 +120,7 @@ impl SceneFile {
     /// Refuses a schedule that takes longer than the frame period of the front end.
     ///
     /// The model and the solver can use such a scene; a board cannot.
-    pub fn require_slots_fit(&self) -> Result<(), SceneFileError> {
+    pub(crate) fn require_slots_fit(&self) -> Result<(), SceneFileError> {
         let Some(front_end) = &self.front_end else {
             return Ok(());
         };

@@ -69,7 +69,8 @@ fn summary(cases: &[Case]) -> String {
     let slow = match cases.iter().filter_map(Case::slow_s).reduce(f64::max) {
         Some(slow_s) => {
             let count = cases.iter().filter(|case| case.slow_s().is_some()).count();
-            format!(" {count} cases are slow: up to {} ms a solve.", Value::from(slow_s * 1e3).shown())
+            let cases = if count == 1 { "case is" } else { "cases are" };
+            format!(" {count} {cases} slow: up to {} ms a solve.", Value::from(slow_s * 1e3).shown())
         }
         None => String::new(),
     };
