@@ -189,8 +189,9 @@ pub trait Optics<S: Scalar>: Sized {
     const LOOKS_AGAIN_AFTER: u64;
     /// Whether steps cross the walls of thick masks: see [`CellTerms`].
     const CROSSES_WALLS: bool;
-    /// Whether the tool's acceleration within a frame is allowed for.
-    const KNOWS_BENDS: bool;
+    /// The tool's acceleration within a frame is allowed for where a cell is exposed so long before or after the reference
+    /// instant, seconds.
+    const BENDS_FROM_S: f64;
 
     /// [`Solver::solve`].
     #[inline(always)]
@@ -373,7 +374,7 @@ impl<S: Scalar> Optics<S> for Plan<S> {
     const DOUBTS_MOTION_FIRST: bool = false;
     const LOOKS_AGAIN_AFTER: u64 = 1;
     const CROSSES_WALLS: bool = false;
-    const KNOWS_BENDS: bool = true;
+    const BENDS_FROM_S: f64 = 0.0;
 
     #[inline(always)]
     fn solve(solver: &Solver<S>, readings: &Photocurrents<S>, start: Start<'_>, motion: &MotionPrior) -> Solution<S> {

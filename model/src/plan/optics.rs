@@ -54,8 +54,7 @@ pub struct Instant<'a, S: Scalar> {
     pub(crate) pose: &'a Transform<S>,
     /// Linear and angular: m/s and rad/s.
     pub(crate) twist: [S::Vec3; 2],
-    /// Half the change of the twist per second, m/s² and rad/s²; `None`: zero, as always where
-    /// [`super::Optics::KNOWS_BENDS`] is not set.
+    /// Half the change of the twist per second, m/s² and rad/s²; `None`: zero.
     pub(crate) bend: Option<[S::Vec3; 2]>,
     /// Exposure of each cell relative to the reference instant, seconds; empty: all zero.
     pub(crate) offsets_s: &'a [S],

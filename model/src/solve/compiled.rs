@@ -182,6 +182,11 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
         self.offsets_s.iter().fold(S::zero(), |longest, offset| longest.max(offset.abs()))
     }
 
+    /// Whether the tool's acceleration within a frame matters: see [`Optics::BENDS_FROM_S`].
+    pub(super) fn allows_for_bends(&self) -> bool {
+        self.duration_s() >= S::of(P::BENDS_FROM_S)
+    }
+
     pub(super) fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
         Problem {
             plan: &self.plan,
@@ -189,7 +194,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
             noise: &self.noise,
             offsets_s: &self.offsets_s,
             readings: &sorted.usable,
-            motion: Motion::new(motion, self.duration_s(), self.length_scale_m, P::KNOWS_BENDS),
+            motion: Motion::new(motion, self.duration_s(), self.length_scale_m),
             length_scale_m: self.length_scale_m,
             jacobian_change_rate: self.jacobian_change_rate,
         }

@@ -106,14 +106,14 @@ impl<S: Scalar> Compiled<S> {
 
 /// Three of the `readings` whose emitters are not in `taken` and span the largest triangle.
 fn widest<S: Scalar>(cells: &[PlaneCell<S>], readings: &[Usable<S>], taken: &[usize]) -> Option<[usize; 3]> {
-    let free: ArrayVec<usize, MAX_CELLS> =
-        readings.iter().map(|reading| reading.cell).filter(|cell| !taken.contains(cell)).collect();
+    let numbers = readings.iter().map(|reading| reading.cell).filter(|cell| !taken.contains(cell));
+    let free: ArrayVec<(usize, S::Vec3), MAX_CELLS> =
+        numbers.filter_map(|cell| Some((cell, cells.get(cell)?.emitter_tool()))).collect();
     let mut best = None;
     let mut most = S::zero();
-    for (n, &i) in free.iter().enumerate() {
-        for (m, &j) in free.iter().enumerate().skip(n + 1) {
-            for &k in &free[m + 1..] {
-                let [a, b, c] = [i, j, k].map(|cell| cells[cell].emitter_tool());
+    for (n, &(i, a)) in free.iter().enumerate() {
+        for (m, &(j, b)) in free.iter().enumerate().skip(n + 1) {
+            for &(k, c) in free.iter().skip(m + 1) {
                 let area = (b - a).cross(c - a).length();
                 if area > most {
                     (best, most) = (Some([i, j, k]), area);

@@ -152,7 +152,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     /// Whether the bend is to be eliminated.
     #[inline(always)]
     pub(super) fn has_bend(&self) -> bool {
-        P::KNOWS_BENDS && self.motion.bend_prior.is_some()
+        self.motion.bend_prior.is_some()
     }
 
     /// The currents above dark that all cells deliver with the tool at `pose` at the reference
@@ -202,7 +202,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         plane_rows.clear();
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
-        elimination.begin(&self.motion, P::KNOWS_BENDS);
+        elimination.begin(&self.motion);
         self.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
@@ -248,8 +248,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
         if !is_twist_known {
             let Workspace { elimination, .. } = workspace;
-            (normal.chi2, normal.gradient) =
-                elimination.eliminate(&self.motion, &mut normal.information, &sums, P::KNOWS_BENDS);
+            (normal.chi2, normal.gradient) = elimination.eliminate(&self.motion, &mut normal.information, &sums);
         }
         normal
     }
@@ -356,6 +355,6 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
             row.residual = self.guide(&self.readings[*index], pose).residual;
         }
         let sums = self.residual_sums(workspace);
-        workspace.elimination.apply(&sums, P::KNOWS_BENDS)
+        workspace.elimination.apply(&sums)
     }
 }

@@ -145,7 +145,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     #[inline(never)]
     pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
-        elimination.begin(&self.motion, P::KNOWS_BENDS);
+        elimination.begin(&self.motion);
         let mut sums = ResidualSums::zero(S::zero());
         let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
@@ -159,8 +159,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
         }
         mirror(&mut information);
         let mut normal = NormalEquations { chi2: sums.chi2, information, gradient: sums.by_pose };
-        (normal.chi2, normal.gradient) =
-            elimination.eliminate(&self.motion, &mut normal.information, &sums, P::KNOWS_BENDS);
+        (normal.chi2, normal.gradient) = elimination.eliminate(&self.motion, &mut normal.information, &sums);
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
         let factor = Factor::of_matrix(&normal.information, S::zero(), safe)?;
         Some(normal.chi2 - square(&factor.forward(&normal.gradient)))

@@ -286,7 +286,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         workspace.is_unhurried = self.period_s >= P::UNHURRIED_S;
         let mut solution = match self.motion.predict() {
             Some(expected) => self.follow(&sorted, &expected, workspace),
-            None => self.find(&sorted, &Self::unknown_motion(&self.last_twist), workspace),
+            None => self.find(&sorted, &self.unknown_motion(&self.last_twist), workspace),
         };
         if self.lost.saved_work < self.budget.most_saved {
             self.lost.saved_work += self.budget.saved_a_frame;
@@ -346,7 +346,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let start = expected.pose.to_transform();
-        let unknown = Self::unknown_motion(&expected.twist);
+        let unknown = self.unknown_motion(&expected.twist);
         if !(is_expected && self.is_misfit) {
             // The tool did not go on as before: what it did within this frame is unknown.
             let time_s = S::of(self.period_s * f64::from(self.coasted + 1));
@@ -394,7 +394,7 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     /// How the tool is expected to move within the next frame.
     fn motion_prior(&self, expected: &Prediction<S>) -> Prior<S> {
         if expected.frames < 2 {
-            return Self::unknown_motion(&self.last_twist);
+            return self.unknown_motion(&self.last_twist);
         }
         let per_second = expected.step_variance.root() * self.frame_rate_hz;
         let mut sigmas = self.motion.sigmas().map(|sigma| sigma * per_second);
@@ -406,34 +406,37 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
         } else if per_second * self.solver.compiled.duration_s() <= self.negligible {
             sigmas = [S::zero(); 2];
         }
-        let bend = P::KNOWS_BENDS.then(|| self.bend(expected.frames));
-        Prior { twist: expected.twist, sigmas, bend }
+        Prior { twist: expected.twist, sigmas, bend: self.bend(expected.frames) }
     }
 
     /// Of a tool that moved with this twist and may do anything now.
-    fn unknown_motion([linear, angular]: &[S::Vec3; 2]) -> Prior<S> {
+    fn unknown_motion(&self, [linear, angular]: &[S::Vec3; 2]) -> Prior<S> {
         Prior {
             twist: [S::Vec3::default(); 2],
             sigmas: [
                 S::of(UNKNOWN_LINEAR_M_PER_S).max(linear.length()),
                 S::of(UNKNOWN_ANGULAR_RAD_PER_S).max(angular.length()),
             ],
-            bend: P::KNOWS_BENDS.then(unknown_bend),
+            bend: self.bend(0),
         }
     }
 
-    /// The bend of a motion over so many frames. Once it is fitted it is taken for known: where it is far off, poses are not
+    /// The bend of a motion over so many frames, where it matters. Once it is fitted it is taken for known: where it is far off, poses are not
     /// where they are expected either, and the motion is unknown.
-    fn bend(&self, frames: u32) -> Bend<S> {
-        match self.motion.predicted_bend() {
-            Some(half_acceleration) if frames >= BEND_FROM => Bend { half_acceleration, sigmas: [S::zero(); 2] },
-            _ => unknown_bend(),
+    #[inline(never)]
+    fn bend(&self, frames: u32) -> Option<Bend<S>> {
+        if !self.solver.compiled.allows_for_bends() {
+            return None;
         }
+        let predicted = self.motion.predicted_bend().filter(|_| frames >= BEND_FROM);
+        let known = predicted.map(|half_acceleration| Bend { half_acceleration, sigmas: [S::zero(); 2] });
+        Some(
+            known.unwrap_or_else(|| Bend {
+                half_acceleration: [S::Vec3::default(); 2],
+                sigmas: UNKNOWN_BENDS.map(S::of),
+            }),
+        )
     }
-}
-
-fn unknown_bend<S: Scalar>() -> Bend<S> {
-    Bend { half_acceleration: [S::Vec3::default(); 2], sigmas: UNKNOWN_BENDS.map(S::of) }
 }
 
 fn is_misfit<S: Scalar>(solution: &Solution<S>) -> bool {

@@ -38,7 +38,7 @@ pub(super) struct Motion<S: Scalar> {
 
 impl<S: Scalar> Motion<S> {
     #[inline(always)]
-    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S, knows_bends: bool) -> Self {
+    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
         let Prior { twist, bend, sigmas } = *prior;
         // σ by the end of the motion, in units of the scaled pose.
         let prior = |[linear, angular]: [S; 2]| {
@@ -51,7 +51,6 @@ impl<S: Scalar> Motion<S> {
             })
         };
         let twist_prior = prior(sigmas);
-        let bend = bend.filter(|_| knows_bends);
         let bend_prior = match (twist_prior, &bend) {
             (Some(_), Some(bend)) => prior(bend.sigmas.map(|sigma| sigma * duration)),
             _ => None,
@@ -61,8 +60,6 @@ impl<S: Scalar> Motion<S> {
 }
 
 /// Eliminates the motion from normal equations.
-///
-/// `knows_bends` is [`crate::plan::Optics::KNOWS_BENDS`]: the image of a board then has no code for the bend.
 #[derive(Debug)]
 pub(super) struct Elimination<S> {
     /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of
@@ -83,12 +80,12 @@ impl<S: Scalar> Elimination<S> {
 
     /// Without rows yet, of this motion.
     #[inline(always)]
-    pub(super) fn begin(&mut self, motion: &Motion<S>, knows_bends: bool) {
+    pub(super) fn begin(&mut self, motion: &Motion<S>) {
         (self.twist, self.bend) = (None, None);
         self.blocks.clear();
         if motion.prior.is_some() {
-            let has_bend = knows_bends && motion.bend_prior.is_some();
-            self.blocks.extend(core::iter::repeat_n([[S::zero(); 6]; 6], if has_bend { 4 } else { 2 }));
+            let blocks = if motion.bend_prior.is_some() { 4 } else { 2 };
+            self.blocks.extend(core::iter::repeat_n([[S::zero(); 6]; 6], blocks));
         }
     }
 
@@ -117,7 +114,6 @@ impl<S: Scalar> Elimination<S> {
         motion: &Motion<S>,
         information: &mut Matrix6<S>,
         sums: &ResidualSums<S>,
-        knows_bends: bool,
     ) -> (S, Vector6<S>) {
         let (Some(prior), [mixed, twist, of_bend @ ..]) = (motion.prior, self.blocks.as_mut_slice()) else {
             return (sums.chi2, sums.by_pose);
@@ -132,7 +128,7 @@ impl<S: Scalar> Elimination<S> {
         };
         columns(mixed, &factor);
         take(information, mixed, mixed);
-        if let (Some(prior), [with_bend, bend], true) = (motion.bend_prior, of_bend, knows_bends) {
+        if let (Some(prior), [with_bend, bend]) = (motion.bend_prior, of_bend) {
             mirror(twist);
             mirror(with_bend);
             columns(with_bend, &factor);
@@ -146,11 +142,11 @@ impl<S: Scalar> Elimination<S> {
             }
         }
         self.twist = Some(factor);
-        self.apply(sums, knows_bends)
+        self.apply(sums)
     }
 
     /// χ² and gradient of the pose alone.
-    pub(super) fn apply(&self, sums: &ResidualSums<S>, knows_bends: bool) -> (S, Vector6<S>) {
+    pub(super) fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
         let (mut chi2, mut gradient) = (sums.chi2, sums.by_pose);
         let (Some(factor), [mixed, bend_mixed, of_bend @ ..]) = (&self.twist, self.blocks.as_slice()) else {
             return (chi2, gradient);
@@ -158,7 +154,7 @@ impl<S: Scalar> Elimination<S> {
         let twist = factor.forward(&sums.by_twist);
         take_vector(&mut gradient, mixed, &twist);
         chi2 = twist.iter().fold(chi2, |chi2, &value| chi2 - value * value);
-        if let (Some(factor), [by_twist, _], true) = (&self.bend, of_bend, knows_bends) {
+        if let (Some(factor), [by_twist, _]) = (&self.bend, of_bend) {
             let mut bend = sums.by_bend;
             take_vector(&mut bend, by_twist, &twist);
             let bend = factor.forward(&bend);

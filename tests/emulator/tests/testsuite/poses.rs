@@ -9,7 +9,7 @@ use slitpose_emulator::rig::open_pose_image;
 use slitpose_emulator::world::{Flaw, NoiseSource};
 use slitpose_firmware::pcb::default_configuration;
 use slitpose_firmware::pose::{HEAD_BYTES, Head, PoseSolver};
-use slitpose_head::front_end::Stage;
+use slitpose_head::front_end::{Stage, board_configuration};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Estimate, Pose, Solver, Tier, Tracker};
 use slitpose_protocol::poses::{PoseRecord, PoseStatus, READY_TICKS};
@@ -48,31 +48,49 @@ fn pose(record: &PoseRecord) -> Pose {
 #[test]
 fn poses_are_those_of_a_host_bit_for_bit() {
     // Simulated, the worst of 24,950 poses at this rate is 0.055 σ off.
-    agree(&scene(), 2_500, 0.1);
+    agree(&scene(), &at(2_500), 0.1);
 }
 
 /// The same of a head whose parts are as calibration finds them.
 #[test]
 fn poses_of_a_calibrated_head_are_those_of_a_host_bit_for_bit() {
     // At 2.5 kHz USB does not carry both beside so much work.
-    agree(&calibrated(), 2_000, 0.3);
+    agree(&calibrated(), &at(2_000), 0.3);
 }
 
-fn agree(file: &SceneFile, frame_rate_hz: u32, most_sigmas: f64) {
-    let mut chain = chain(file, NoiseSource::Seeded(SEED));
+/// The same of emitters that take turns for half a millisecond, in which acceleration moves the tool by some σ.
+#[test]
+fn poses_of_long_frames_are_those_of_a_host_bit_for_bit() {
+    let source = scene()
+        .source
+        .replace("slots = [[0, 3], [1, 4], [2, 5], []]", "slots = [[0], [1], [2], [3], [4], [5], []]")
+        .replace("oversampling = 4", "oversampling = 16")
+        .replace("frame_rate_hz = 4000", "frame_rate_hz = 1000");
+    let file = SceneFile::parse("long frames", &source).expect("a scene");
+    agree(&file, &board_configuration(&file).expect("fits"), 0.1);
+}
+
+fn at(frame_rate_hz: u32) -> Configuration {
     let mut configuration = default_configuration();
     configuration.schedule.frame_ticks = TICKS_PER_SECOND as u32 / frame_rate_hz;
-    chain.rig.send(Command::Configure(configuration));
+    configuration
+}
+
+fn agree(file: &SceneFile, configuration: &Configuration, most_sigmas: f64) {
+    let mut chain = chain(file, NoiseSource::Seeded(SEED));
+    chain.rig.send(Command::Configure(configuration.clone()));
+    chain.run_for(2e-3);
+    let schedule = chain.schedule.clone().expect("a hello");
+    let head = head_of(&chain, file);
+    chain.rig.send_head(&head);
     chain.rig.send(Command::Stream(Stream::BOTH));
     chain.run_for(2e-3);
     chain.rig.send(Command::Start);
     chain.run_for(1.2);
     let status = chain.status.expect("twice a second");
     assert_eq!((chain.damaged, chain.missed, status.scans_lost, status.scans_dropped), (0, 0, 0, 0));
-    let schedule = chain.schedule.clone().expect("a hello");
-    let head = head_of(&chain, file);
     let count = chain.poses.len().min(chain.scans.len());
-    assert!(count as u32 > frame_rate_hz * 29 / 25, "{count}");
+    assert!(count as u64 > TICKS_PER_SECOND * 29 / 25 / u64::from(schedule.frame_ticks), "{count}");
     let scans: Vec<RawScan> = chain.scans[..count].iter().map(|(_, scan)| *scan).collect();
     let on_host = replayed(&head, &schedule, scans.iter());
     for ((_, (sequence, tick, record)), (scan, on_host)) in chain.poses.iter().zip(scans.iter().zip(&on_host)) {
@@ -98,7 +116,12 @@ fn agree(file: &SceneFile, frame_rate_hz: u32, most_sigmas: f64) {
         worst = worst.max(off);
         squares += off * off;
     }
-    println!("from f64: {worst:.4} σ at worst, {:.4} rms, {count} poses", (squares / count as f64).sqrt());
+    println!(
+        "from f64: {worst:.4} σ at worst, {:.4} rms, {count} poses; load {} per mille, stack {} bytes",
+        (squares / count as f64).sqrt(),
+        status.cpu_load_permille,
+        chain.rig.stack_bytes()
+    );
     assert!(worst < most_sigmas, "{worst}");
     assert!((squares / count as f64).sqrt() < 0.06);
 }
