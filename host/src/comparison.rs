@@ -81,9 +81,19 @@ pub(crate) struct Comparison {
 
 enum Reference {
     /// By the number of the scan, in order.
-    Scans { table: Box<TableReader>, sequence: Column, poses: PoseColumns, next: Option<(u64, Pose)> },
+    Scans(Box<Scans>),
     /// By device time, interpolated between poses.
     Path(Trajectory),
+}
+
+/// The rows of a table by the number of the scan.
+struct Scans {
+    table: TableReader,
+    sequence: Column,
+    poses: PoseColumns,
+    next: Option<(u64, Pose)>,
+    /// Read ahead, so that rows in another order are refused before anything is missed.
+    following: Option<(u64, Pose)>,
 }
 
 /// The error along one axis.
@@ -105,7 +115,10 @@ impl Comparison {
         let reference = match table.optional_column("seq")? {
             Some(sequence) => {
                 let poses = PoseColumns::keyed(&table, "seq")?;
-                Reference::Scans { table: Box::new(table), sequence, poses, next: None }
+                let mut scans = Scans { table, sequence, poses, next: None, following: None };
+                scans.advance()?;
+                scans.advance()?;
+                Reference::Scans(Box::new(scans))
             }
             None => Reference::Path(Trajectory::from_table(file)?),
         };
@@ -124,15 +137,7 @@ impl Comparison {
     /// If the table cannot be read further.
     pub(crate) fn add(&mut self, record: &Record) -> Result<(), TableError> {
         let reference = match &mut self.reference {
-            Reference::Scans { table, sequence, poses, next } => {
-                while next.is_none_or(|(number, _)| number < record.sequence) {
-                    match read_scan(table, *sequence, *poses)? {
-                        Some(read) => *next = Some(read),
-                        None => break,
-                    }
-                }
-                next.filter(|(number, _)| *number == record.sequence).map(|(_, pose)| pose)
-            }
+            Reference::Scans(scans) => scans.pose(record.sequence)?,
             Reference::Path(path) => path.covers(record.device_time_s).then(|| path.pose(record.device_time_s)),
         };
         let (Some(estimate), Some(reference)) = (record.solution.estimate, reference) else {
@@ -172,15 +177,32 @@ impl Comparison {
     }
 }
 
-/// The next scan of the table that has a pose.
-fn read_scan(table: &mut TableReader, sequence: Column, poses: PoseColumns) -> Result<Option<(u64, Pose)>, TableError> {
-    while let Some(row) = table.next_row()? {
-        let number = row.number(sequence)?;
-        if row.text(poses.first()).is_empty() {
-            continue;
+impl Scans {
+    /// The pose of scan `wanted`, which is no earlier one than before.
+    fn pose(&mut self, wanted: u64) -> Result<Option<Pose>, TableError> {
+        while self.next.is_some_and(|(number, _)| number < wanted) {
+            self.advance()?;
         }
-        // Scan numbers are integers; a fractional one is truncated.
-        return Ok(Some((number as u64, poses.pose(&row)?)));
+        Ok(self.next.filter(|(number, _)| *number == wanted).map(|(_, pose)| pose))
     }
-    Ok(None)
+
+    /// Goes on to the next scan that has a pose.
+    fn advance(&mut self) -> Result<(), TableError> {
+        self.next = self.following.take();
+        while let Some(row) = self.table.next_row()? {
+            if row.text(self.poses.first()).is_empty() {
+                continue;
+            }
+            // Scan numbers are integers; a fractional one is truncated.
+            let (value, pose) = (row.number(self.sequence)?, self.poses.pose(&row)?);
+            let number = value as u64;
+            if self.next.is_some_and(|(before, _)| number <= before) {
+                let allowed = "scan numbers that ascend, of one session of a board: sort the rows";
+                return Err(row.out_of_range(self.sequence, value, allowed));
+            }
+            self.following = Some((number, pose));
+            break;
+        }
+        Ok(())
+    }
 }

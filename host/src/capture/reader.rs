@@ -36,6 +36,8 @@ pub(crate) struct End {
     pub checksum_failed: bool,
     /// Whether the index after the records is damaged.
     pub index_damaged: bool,
+    /// Bytes behind the end of the capture, which are not read.
+    pub trailing_bytes: u64,
     /// The first settings of a board that are undamaged but cannot be used.
     pub refused: Option<SetupError>,
 }
@@ -48,7 +50,7 @@ impl End {
 
     /// Whether the file is damaged.
     pub(crate) fn is_damaged(&self) -> bool {
-        self.damaged_records > 0 || self.checksum_failed || self.index_damaged
+        self.damaged_records > 0 || self.checksum_failed || self.index_damaged || self.trailing_bytes > 0
     }
 }
 
@@ -225,9 +227,9 @@ impl<R: Read + Seek> McapInput<R> {
                     index.count_damage(bytes);
                     index.misses_settings = true;
                 }
-                Next::Finished { checksum_failed, index_damaged } => {
+                Next::Finished { checksum_failed, index_damaged, trailing_bytes } => {
                     self.is_over = true;
-                    *end = End { finished: true, checksum_failed, index_damaged, ..End::default() };
+                    *end = End { finished: true, checksum_failed, index_damaged, trailing_bytes, ..End::default() };
                 }
                 Next::Cut(bytes) => {
                     self.is_over = true;

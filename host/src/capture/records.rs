@@ -34,6 +34,9 @@ const SEARCHED_BYTES: usize = 1 << 20;
 /// Checksum and magic at the end of a file.
 const END_BYTES: usize = 4 + mcap::MAGIC.len();
 
+/// The last record of the index: two offsets and a checksum.
+const FOOTER_BYTES: usize = FRAME_BYTES + 8 + 8 + 4;
+
 /// Reads records from `input`; chunks are not unpacked.
 pub(super) struct Records<R> {
     window: Window<R>,
@@ -60,6 +63,8 @@ pub(super) enum Next<'a> {
         checksum_failed: bool,
         /// Whether the index is damaged.
         index_damaged: bool,
+        /// Bytes behind the end of the file's format, such as another capture's.
+        trailing_bytes: u64,
     },
     /// The file ends without its last record, this many bytes after the last whole one, or after what was damaged.
     Cut(u64),
@@ -104,10 +109,11 @@ impl<R: Read> Records<R> {
                 self.window.advance(end);
                 self.whole_bytes = self.window.offset();
                 let checksum_failed = self.has_gap || (stated != 0 && stated != sum);
-                Ok(Next::Finished { checksum_failed, index_damaged: self.is_index_damaged()? })
+                let (index_damaged, trailing_bytes) = self.pass_index()?;
+                Ok(Next::Finished { checksum_failed, index_damaged, trailing_bytes })
             }
             Found::Record { opcode: op::FOOTER, .. } => {
-                Ok(Next::Finished { checksum_failed: true, index_damaged: true })
+                Ok(Next::Finished { checksum_failed: true, index_damaged: true, trailing_bytes: 0 })
             }
             Found::Record { opcode, body, end } => {
                 self.given = end;
@@ -255,20 +261,42 @@ impl<R: Read> Records<R> {
         }
     }
 
-    /// Reads to the end of the file; returns whether its index is damaged.
-    fn is_index_damaged(&mut self) -> io::Result<bool> {
+    /// Reads to the end of the file; returns whether its index is damaged, and how many bytes follow the end.
+    fn pass_index(&mut self) -> io::Result<(bool, u64)> {
         self.window.take_checksum();
         loop {
-            let length = self.window.fill(SEARCHED_BYTES)?.len();
-            self.window.advance(length.saturating_sub(END_BYTES));
-            if length < SEARCHED_BYTES {
-                break;
+            let bytes = self.window.fill(FOOTER_BYTES + mcap::MAGIC.len())?;
+            let end = match frame(bytes) {
+                Some((op::FOOTER, Some(length))) if FRAME_BYTES + length == FOOTER_BYTES => break,
+                Some((op::SCHEMA..=op::SUMMARY_OFFSET, Some(length))) => FRAME_BYTES + length,
+                Some((0x80.., Some(length))) => FRAME_BYTES + length,
+                _ => return Ok((true, 0)),
+            };
+            if self.window.fill(end)?.len() < end {
+                return Ok((true, 0));
             }
+            self.window.advance(end);
         }
+        if self.window.fill(FOOTER_BYTES)?.len() < FOOTER_BYTES {
+            return Ok((true, 0));
+        }
+        self.window.advance(FOOTER_BYTES - size_of::<u32>());
         let sum = self.window.take_checksum();
-        let Some((stated, magic)) = self.window.bytes().split_first_chunk() else { return Ok(true) };
+        let bytes = self.window.fill(END_BYTES)?;
+        let Some((stated, magic)) = bytes.split_first_chunk() else { return Ok((true, 0)) };
         let stated = u32::from_le_bytes(*stated);
-        Ok(*magic != *mcap::MAGIC || (stated != 0 && stated != sum))
+        let is_damaged = !magic.starts_with(mcap::MAGIC) || (stated != 0 && stated != sum);
+        let end = END_BYTES.min(bytes.len());
+        self.window.advance(end);
+        let mut trailing_bytes = 0;
+        loop {
+            let length = self.window.fill(SEARCHED_BYTES)?.len();
+            if length == 0 {
+                return Ok((is_damaged, trailing_bytes));
+            }
+            self.window.advance(length);
+            trailing_bytes += length as u64;
+        }
     }
 }
 

@@ -127,6 +127,10 @@ impl Solver {
 
     fn end(&mut self) -> Counts {
         self.outputs.hand_over_taps();
+        // What a board took while it was missed is told otherwise, and not counted.
+        if !self.stop.load(Ordering::Relaxed) && self.state.connection <= 1 {
+            self.pipeline.end();
+        }
         self.account();
         self.pipeline.counts()
     }

@@ -11,7 +11,8 @@ use super::buffer_pool::Producer;
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::Record;
 
-/// A chunk holds the bytes read within the tap's time, or this many, if they come sooner.
+/// A chunk holds the bytes read within the tap's time, by the host's clock or by the board's, or this many, if they come
+/// sooner.
 const CHUNK_BYTES: usize = 1 << 15;
 
 /// Ordinary length of a chunk of a board at 4 kHz, including true poses of a simulated board.
@@ -173,6 +174,9 @@ impl Tap {
         let time_s = record.device_time_s;
         // Saturates.
         self.device_ns = (time_s * 1e9) as u64;
+        // Of a simulated board that does not keep time.
+        let chunk_ns = self.under_way.as_ref().map_or(0, |chunk| self.device_ns.abs_diff(chunk.device_ns));
+        self.is_full |= u128::from(chunk_ns) >= self.ends.span.as_nanos();
         if let Some(chunk) = &mut self.under_way
             && self.due.is_due(time_s, self.ends.pose_every_s)
         {

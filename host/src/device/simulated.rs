@@ -20,7 +20,7 @@ const NAME: &str = "sim";
 const WAIT_EVERY_S: f64 = 2e-3;
 
 /// Most device time caught up at once. On a host that is too slow the device lags permanently, and does not keep time.
-const CATCH_UP_S: f64 = 20e-3;
+const CATCH_UP_S: f64 = 0.5;
 
 /// Duration of the tool's motion in front of a board for trials, seconds.
 const MOTION_S: f64 = 60.0;
@@ -123,8 +123,9 @@ impl SimulatedDevice {
     /// A frame has passed. A board that a fault has stopped is to be started again, however late its host notices.
     fn pass_frame(&mut self) {
         self.frames_passed += 1;
-        if self.wire.is_some() && !self.board.is_acquiring() {
+        if let Some(wire) = self.wire.as_mut().filter(|_| !self.board.is_acquiring()) {
             self.frames = self.frames.saturating_add(1);
+            wire.injector.idle(self.frame_s);
         }
     }
 
@@ -157,7 +158,7 @@ impl Device for SimulatedDevice {
         }
         if self.pace.is_real_time() && self.frames_passed > 0 {
             let due = (self.pace.elapsed_s() / self.frame_s).ceil() as u64;
-            let within = self.frames_passed + (CATCH_UP_S / self.frame_s) as u64;
+            let within = self.frames_passed + (CATCH_UP_S / self.frame_s).ceil() as u64;
             while self.frames_passed < due.min(within).min(self.frames) {
                 self.board.step(&mut self.said);
                 self.frames_passed += 1;

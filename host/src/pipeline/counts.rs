@@ -67,6 +67,13 @@ impl Counts {
         self.is_greeted = false;
     }
 
+    /// Counts the scans that are missing before scan `sequence`, the first behind the end, as far as they were due before
+    /// it: `due`.
+    pub(super) fn count_lost_before_end(&mut self, sequence: u64, due: u64) {
+        self.scans_lost += self.missing_before(sequence).min(due);
+        self.next_sequence = Some(sequence.wrapping_add(1));
+    }
+
     /// Begins a new numbering: another board, or another session of the same board.
     pub(super) fn begin_numbering(&mut self) {
         self.next_sequence = None;

@@ -213,13 +213,15 @@ impl Flow {
         sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
     ) -> Result<bool, E> {
         let Some(session) = &mut self.session else { return Ok(false) };
-        let device_time_s = session.time_s(tick);
-        if !self.span.admits(device_time_s, session.frame_s()) {
-            return Ok(false);
-        }
-        // Scans are solved in the order of their numbers.
+        // Scans are solved in the order of their numbers, and take device time once.
         if self.counts.count_repeat(sequence) {
             return Ok(true);
+        }
+        let (device_time_s, frame_s) = (session.time_s(tick), session.frame_s());
+        let left = self.span.left(frame_s);
+        if !self.span.admits(device_time_s, frame_s) {
+            self.counts.count_lost_before_end(sequence, left);
+            return Ok(false);
         }
         let unsolved = match content {
             Content::Words(_) => 0,
@@ -243,6 +245,13 @@ impl Flow {
         self.waiting.push(scan);
         sink(Item::Scan(&scan))?;
         Ok(true)
+    }
+
+    /// The stream has ended, and what it has not brought of the span is lost.
+    pub(super) fn end(&mut self) {
+        if let Some(session) = &self.session {
+            self.counts.scans_lost += self.span.left(session.frame_s());
+        }
     }
 
     pub(super) fn solve_next(&mut self) -> Option<Record> {

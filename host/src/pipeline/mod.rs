@@ -235,6 +235,11 @@ impl Pipeline {
         Ok(length - bytes.len())
     }
 
+    /// Counts scans as lost that the stream, which has ended by itself, did not bring before [`until`](Self::until).
+    pub(crate) fn end(&mut self) {
+        self.flow.end();
+    }
+
     /// The photocurrents of the scan that was solved last; `None` before the first hello.
     pub(crate) fn last_photocurrents(&self) -> Option<&Photocurrents> {
         self.flow.session.as_ref().map(|session| session.last_photocurrents())

@@ -37,6 +37,14 @@ impl Span {
         admitted
     }
 
+    /// How many scans of the span, `period_s` apart, are still to come; none of a span without end.
+    pub(super) fn left(&self, period_s: f64) -> u64 {
+        let Some(until_s) = self.until_s.filter(|_| !self.complete) else { return 0 };
+        let next_s = if self.first_s.is_some() { self.elapsed_s + period_s } else { 0.0 };
+        // Saturates.
+        ((until_s - ROUNDING_S - next_s) / period_s).ceil().max(0.0) as u64
+    }
+
     /// Device time between the first scan and the last, seconds.
     pub(super) fn elapsed_s(&self) -> f64 {
         self.elapsed_s
@@ -51,6 +59,17 @@ impl Span {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_left_of_a_span_ends_before_its_end() {
+        let mut span = Span::until(Some(1.0));
+        assert_eq!(span.left(0.25), 4);
+        for (device_time_s, left) in [(7.0, 3), (7.5, 1), (7.75, 0), (8.0, 0)] {
+            span.admits(device_time_s, 0.25);
+            assert_eq!(span.left(0.25), left, "{device_time_s}");
+        }
+        assert_eq!(Span::until(None).left(0.25), 0);
+    }
 
     #[test]
     fn the_last_scan_completes_a_span_and_so_does_a_later_one() {

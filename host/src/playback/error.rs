@@ -32,6 +32,18 @@ pub enum PlaybackError {
     /// A board that does not suit the scene.
     #[error(transparent)]
     Board(#[from] PipelineError),
+    /// Captures are read more than once.
+    #[error("{} is no regular file, as a pipe is none, and a capture is read more than once; write it to a file first", path.display())]
+    NotAFile {
+        /// What was given.
+        path: PathBuf,
+    },
+    /// Its scans would count twice.
+    #[error("{} is given twice; name each capture once", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+    },
     /// A capture without a single scan.
     #[error(
         "{} holds no scan: {bytes} bytes of links, {packets} readable packets; \

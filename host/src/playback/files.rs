@@ -39,6 +39,13 @@ pub(super) fn losses(path: &Path, end: &End) -> Vec<String> {
              `mcap recover` writes another"
         ));
     }
+    if end.trailing_bytes > 0 {
+        losses.push(format!(
+            "{path}: {} bytes behind the end of the capture are not read; if they are another capture, take both apart, and \
+             replay them as a series: `slitpose replay a.mcap b.mcap`",
+            end.trailing_bytes
+        ));
+    }
     if let Some(refused) = &end.refused {
         losses.push(format!("{path}: {refused}"));
     }

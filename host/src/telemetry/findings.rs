@@ -130,7 +130,7 @@ impl BoardReport {
         {
             let text =
                 format!("the board's own differ from those found here by {recent_rms_sigmas:.2} standard deviations");
-            let next_step = "build firmware and program from the same source, and use --stream raw until then";
+            let next_step = "build firmware and program from the same source, and use --stream raw until then; in frames of a millisecond fast motions do that, too";
             findings.push(Finding::failed("poses", text, next_step));
         }
         let LinkLosses { unreadable, .. } = self.recent_link_losses;

@@ -97,10 +97,11 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
         return lines;
     }
     let device = rates.device_hz.map_or("-".to_owned(), |rate_hz| format!("{rate_hz:.1}"));
+    let host = if rates.interval_s > 0.0 { format!("{:.1}", rates.host_hz) } else { "-".to_owned() };
     put(
         &mut lines,
         "rate",
-        &format!("{device} scans/s by the board's clock, {:.1} by the host's; {} scans", rates.host_hz, report.scans),
+        &format!("{device} scans/s by the board's clock, {host} by the host's; {} scans", report.scans),
     )
     .rank(2);
     put(

@@ -89,6 +89,31 @@ fn damage_is_told_and_ends_with_three() {
     capture.replay(cut, 200..SCANS, &["0 scans missing", "50 bytes of a packet that was cut off"]);
 }
 
+/// Joined by `cat`: what is behind the first capture is not read, and said to be there.
+#[test]
+fn captures_joined_into_one_file_are_no_series() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = |name: &str| text(&folder.path().join(name)).to_owned();
+    let simulate = |name| {
+        let arguments = ["simulate", "--duration", "50ms", "--tier", "paper", "--output"].map(str::to_owned);
+        assert_eq!(slitpose!().run(arguments.into_iter().chain([path(name)])).code, 0);
+        std::fs::read(path(name)).expect("a capture")
+    };
+    let (first, second) = (simulate("a.mcap"), simulate("b.mcap"));
+    std::fs::write(path("joined.mcap"), [&first[..], &second].concat()).expect("a file");
+    let lines =
+        |finished: &slitpose_tests::process::Finished| finished.stdout.iter().filter(|byte| **byte == b'\n').count();
+    let joined = slitpose!().run(["replay", &path("joined.mcap")]);
+    let parts = [format!("{} bytes behind the end", second.len()), "as a series".to_owned()];
+    assert!(joined.code == 3 && parts.iter().all(|part| joined.stderr.contains(part)), "{}", joined.stderr);
+    assert!(!joined.stderr.contains("nothing is missing"), "{}", joined.stderr);
+    let series = slitpose!().run(["replay", &path("a.mcap"), &path("b.mcap")]);
+    assert_eq!((lines(&joined), lines(&series)), (200, 400));
+    let first = path("a.mcap");
+    slitpose!().run(["replay", &first, &first]).assert_refused(1, &[&first, "given twice"]);
+    slitpose!().run(["replay", "/dev/null"]).assert_refused(1, &["/dev/null", "no regular file"]);
+}
+
 #[test]
 fn what_holds_no_scan_is_no_capture() {
     let folder = tempfile::tempdir().expect("temporary folder");

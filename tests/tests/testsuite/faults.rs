@@ -114,6 +114,27 @@ fn a_faulty_capture_is_that_of_a_sound_one_with_the_fault_and_says_so() {
     assert!(fs::read(&sound).expect("written") != fs::read(&faulty).expect("written"));
 }
 
+/// Device time passes once, however often and in whichever order its scans come, and what is missing at its end is told.
+#[test]
+fn a_run_has_all_scans_of_its_duration_or_says_how_many_are_missing() {
+    let run = |duration: &str, faults: &[&str]| {
+        let mut arguments = vec!["run", "--device", "sim", "--speed", "max", "--duration", duration, "--tier", "paper"];
+        arguments.extend(["--format", "csv", "--patience", "20s"]);
+        arguments.extend(faults.iter().flat_map(|fault| ["--fault", fault]));
+        let finished = slitpose!().run(arguments);
+        (finished.stdout.iter().filter(|byte| **byte == b'\n').count() - 1, finished.code, finished.stderr)
+    };
+    for (fault, expected) in [("duplicate:rate=0.5", 3), ("stall:from=100ms,for=100ms", 0)] {
+        let (found, code, said) = run("300ms", &[fault]);
+        assert_eq!((found, code), (1200, expected), "{fault}: {said}");
+    }
+    let (found, code, said) = run("300ms", &["overrun:scans=8,from=299ms"]);
+    assert!(code == 3 && found < 1200 && said.contains(&format!("{} scans missing", 1200 - found)), "{found}: {said}");
+    // What is held back when the board stops is delivered when that time is over.
+    let (found, code, said) = run("2s", &["stop:from=150ms", "stall:from=100ms,for=100ms"]);
+    assert!(code == 3 && found > 600 && said.contains("the board on sim runs"), "{code}, {found}: {said}");
+}
+
 #[test]
 fn what_cannot_be_injected_is_refused_as_wrong_usage() {
     for (arguments, parts) in [

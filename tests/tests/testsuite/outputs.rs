@@ -204,3 +204,21 @@ fn a_file_that_may_not_grow_is_an_error_of_writing() {
         assert_eq!(names(folder.path()), ["d.mcap"], "{command:?}");
     }
 }
+
+/// Poses are compared scan by scan; a table in another order would leave most of them out.
+#[test]
+fn a_reference_of_another_order_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let (capture, truth, reversed) = (path("a.mcap"), path("truth.csv"), path("reversed.csv"));
+    let simulate = ["simulate", "--duration", "50ms", "--tier", "paper", "--output", &capture, "--truth", &truth];
+    assert_eq!(slitpose!().run(simulate).code, 0);
+    let compare = |table: &str| slitpose!().run(["replay", &capture, "--format", "none", "--compare", table]);
+    let compared = compare(&truth);
+    assert!(compared.code == 0 && compared.stderr.contains("200 poses compared"), "{}", compared.stderr);
+    let text = fs::read_to_string(&truth).expect("a table");
+    let (header, rows) = text.split_once('\n').expect("rows");
+    let rows: Vec<&str> = rows.lines().rev().collect();
+    fs::write(&reversed, format!("{header}\n{}\n", rows.join("\n"))).expect("a file");
+    compare(&reversed).assert_refused(1, &["row 2", "column `seq`", "ascend"]);
+}

@@ -42,6 +42,8 @@ pub struct Injector {
     clock: FaultClock,
     /// Device time of the latest batch, seconds; `None` before the first: until then nothing happens.
     time_s: Option<f64>,
+    /// Device time since then in which the board has taken no scans, seconds.
+    idle_s: f64,
     /// By how much the board's clock is ahead, ticks.
     ahead_ticks: f64,
     sampled: Option<(Schedule, WordScale)>,
@@ -73,6 +75,7 @@ impl Injector {
             words,
             clock: FaultClock::default(),
             time_s: None,
+            idle_s: 0.0,
             ahead_ticks: 0.0,
             sampled: None,
             decoder: Box::new(Decoder::new()),
@@ -97,6 +100,11 @@ impl Injector {
             }
         }
         Link::Open
+    }
+
+    /// Lets `seconds` of device time pass in which a board takes no scans: faults that have begun end meanwhile.
+    pub fn idle(&mut self, seconds: f64) {
+        self.idle_s += seconds;
     }
 
     /// Appends what was held back to `out`: the stream has ended.
@@ -125,7 +133,7 @@ impl Injector {
             packet = edited;
         }
         out.append(&mut announcements);
-        let Some(time_s) = self.time_s.filter(|_| !is_truth) else {
+        let Some(time_s) = self.time_s.filter(|_| !is_truth).map(|time_s| time_s + self.idle_s) else {
             out.append(&mut packet);
             return Link::Open;
         };
@@ -204,6 +212,7 @@ impl Injector {
         let Some((schedule, _)) = &self.sampled else { return };
         let tick_hz = schedule.tick_hz;
         let time_s = self.clock.take(tick, tick_hz);
+        self.idle_s = 0.0;
         let before_s = self.time_s.replace(time_s).unwrap_or(time_s);
         for fault in &mut self.wire {
             let begun = fault.fault.window.begun(time_s);
@@ -212,7 +221,9 @@ impl Injector {
                     self.ahead_ticks += (time_s - before_s) * f64::from(tick_hz) * ppm * 1e-6;
                 }
                 Effect::Step { by_s } if begun > fault.begun => {
-                    self.ahead_ticks += by_s * f64::from(tick_hz) * (begun - fault.begun) as f64;
+                    // A clock that steps back beyond its beginning goes on from there.
+                    let ahead_ticks = by_s * f64::from(tick_hz) * (begun - fault.begun) as f64 + self.ahead_ticks;
+                    self.ahead_ticks = ahead_ticks.max(-(tick as f64));
                     fault.begun = begun;
                 }
                 _ => {}
