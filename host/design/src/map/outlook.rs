@@ -23,6 +23,17 @@ pub enum NoiseOf {
     Nothing,
 }
 
+impl NoiseOf {
+    /// What has that noise, at the beginning of a sentence.
+    pub(crate) fn reading(self) -> &'static str {
+        match self {
+            Self::FrontEnd => "A single frame",
+            Self::Channel => "A reading of the measuring channel (`[noise]`)",
+            Self::Nothing => "A reading without noise",
+        }
+    }
+}
+
 /// What to expect of single frames of a head.
 #[derive(Debug)]
 pub struct Outlook {

@@ -39,10 +39,22 @@ const PENALTY: f64 = 3.0;
 /// What passing limits at all costs: of two heads that are worth the same, the one that keeps them is better.
 const NOT_KEPT: f64 = 0.01;
 
-/// Poses at which spots and distances are looked at, and σ; cross-talk, which takes long, at fewer.
+/// Poses at which spots and distances are looked at, and what a search has found; σ and currents of each candidate, and
+/// cross-talk, which takes long, at fewer.
 const POSES: usize = 4000;
 const SIGMA_POSES: usize = 256;
 const CROSSTALK_POSES: usize = 32;
+
+/// What is learnt of currents is kept with a little to spare, so that rounding to the digits of a drawing does not pass it.
+const LEARNT_MARGIN: f64 = 0.999;
+
+/// The worst pose is climbed to from so many of those that are looked at, of a candidate and of what was found, in so many
+/// rounds: between them a head may be singular.
+const CLIMBS: [usize; 2] = [3, 16];
+const CLIMB_ROUNDS: usize = 8;
+
+/// Its first step, as a share of the workspace's half extents.
+const CLIMB_STEP: f64 = 0.2;
 
 /// What a candidate is worth.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,40 +78,134 @@ impl Score {
 pub struct Judge {
     goal: Goal,
     limits: Limits,
+    workspace: Workspace,
     poses: Vec<Pose>,
     corners: Vec<Pose>,
+    /// Poses at which heads that were found were worse than at the first [`SIGMA_POSES`].
+    learnt: Vec<Pose>,
+    /// Full scale that is to be kept at the first poses, as a share, for it to be kept at all.
+    full_scale: f64,
 }
 
 impl Judge {
     /// By `goal`, within `limits`, over `workspace`.
     pub fn new(workspace: &Workspace, goal: Goal, limits: Limits) -> Self {
-        Self { goal, limits, poses: workspace.poses(POSES).collect(), corners: workspace.corners().collect() }
+        let (poses, corners) = (workspace.poses(POSES).collect(), workspace.corners().collect());
+        Self { goal, limits, workspace: *workspace, poses, corners, learnt: Vec::new(), full_scale: 1.0 }
     }
 
-    /// What `file` is worth.
+    /// What `file` is worth, at all poses.
     ///
     /// # Errors
     /// A scene that cannot be computed.
     pub fn score(&self, file: &SceneFile) -> Result<Score, SceneError> {
-        let Self { goal, limits, poses, corners } = self;
+        self.score_at(file, &self.poses, &self.learnt, CLIMBS[1], 1.0)
+    }
+
+    /// The same of a candidate, at few poses.
+    pub(super) fn estimate(&self, file: &SceneFile) -> Result<Score, SceneError> {
+        self.score_at(file, &self.poses[..SIGMA_POSES], &self.learnt, CLIMBS[0], self.full_scale)
+    }
+
+    /// Lets further estimates see what is wrong with `file` at poses they would not have looked at.
+    ///
+    /// # Errors
+    /// A scene that cannot be computed.
+    pub(super) fn learn(&mut self, file: &SceneFile) -> Result<(), SceneError> {
         let outlook = Outlook::of(file.clone().into())?;
-        let views: Vec<View> = poses.iter().take(SIGMA_POSES).map(|pose| outlook.at(pose)).collect();
-        let sigma_m = sigma(&views, goal);
+        let views: Vec<View> = self.poses.iter().map(|pose| outlook.at(pose)).collect();
+        let [all, few] = [&views[..], &views[..SIGMA_POSES]].map(|views| self.margin(views));
+        self.full_scale *= LEARNT_MARGIN * (all / few).min(1.0);
+        if self.goal.demand == Demand::Worst {
+            let worst: Vec<_> = self.worst(&outlook, self.poses.iter().zip(&views), CLIMBS[1]).collect();
+            self.learnt.extend(worst.into_iter().map(|(_, pose)| pose));
+        }
+        Ok(())
+    }
+
+    /// The greatest σ near the worst `starts` of these poses, metres, and where it is.
+    fn worst<'a>(
+        &'a self,
+        outlook: &'a Outlook,
+        views: impl Iterator<Item = (&'a Pose, &'a View)>,
+        starts: usize,
+    ) -> impl Iterator<Item = (f64, Pose)> + 'a {
+        let of = |view: &View| sigma_m(view, &self.goal).unwrap_or(f64::INFINITY);
+        let mut order: Vec<(f64, Pose)> = views.map(|(pose, view)| (of(view), *pose)).collect();
+        order.sort_by(|a, b| b.0.total_cmp(&a.0));
+        order.truncate(starts);
+        order.into_iter().map(move |start| self.climb(outlook, start))
+    }
+
+    /// Uphill within the workspace, one coordinate at a time.
+    fn climb(&self, outlook: &Outlook, (mut sigma, pose): (f64, Pose)) -> (f64, Pose) {
+        let extents =
+            self.workspace.half_extent_m.to_array().into_iter().chain(self.workspace.half_extent_rad.to_array());
+        let coordinates = pose.translation_m.to_array().into_iter().chain(pose.rotation_rad().to_array());
+        let mut axes: Vec<[f64; 2]> = coordinates.zip(extents).map(|(at, extent)| [at, extent]).collect();
+        let at = |axes: &[[f64; 2]]| {
+            let of = |k: usize| DVec3::new(axes[k][0], axes[k + 1][0], axes[k + 2][0]);
+            Pose::from_vectors(of(0), of(3))
+        };
+        let mut step = CLIMB_STEP;
+        for _ in 0..CLIMB_ROUNDS {
+            let before = sigma;
+            for (k, sign) in (0..6).flat_map(|k| [(k, 1.0), (k, -1.0)]) {
+                let [from, extent] = axes[k];
+                axes[k][0] = (from + sign * step * extent).clamp(-extent, extent);
+                let found = sigma_m(&outlook.at(&at(&axes)), &self.goal).unwrap_or(f64::INFINITY);
+                if found > sigma {
+                    sigma = found;
+                } else {
+                    axes[k][0] = from;
+                }
+            }
+            if sigma == before {
+                step *= 0.5;
+            }
+        }
+        (sigma, at(&axes))
+    }
+
+    /// Full scale over the largest current of the share of views that are to be within it.
+    fn margin(&self, views: &[View]) -> f64 {
+        let mut margins: Vec<f64> = views.iter().map(|view| view.full_scale).collect();
+        margins.sort_by(f64::total_cmp);
+        margins[index(margins.len(), 1.0 - self.limits.in_scale)]
+    }
+
+    /// By σ and currents at `near` and σ also at `further`, the worst by so many climbs from there.
+    fn score_at(
+        &self,
+        file: &SceneFile,
+        near: &[Pose],
+        further: &[Pose],
+        climbs: usize,
+        full_scale: f64,
+    ) -> Result<Score, SceneError> {
+        let Self { goal, limits, poses, corners, .. } = self;
+        let outlook = Outlook::of(file.clone().into())?;
+        let views: Vec<View> = near.iter().chain(further).map(|pose| outlook.at(pose)).collect();
+        let sigma_m = match goal.demand {
+            Demand::Median => quantiles_of(views.iter(), [0.5], |view| sigma_m(view, goal))[0],
+            Demand::Worst => {
+                let worst = self.worst(&outlook, near.iter().chain(further).zip(&views), climbs);
+                worst.map(|(sigma_m, _)| sigma_m).fold(0.0, f64::max)
+            }
+        };
         let mut excesses = Excesses::default();
         distances(file, poses, limits, &mut excesses);
         let missed_mm = missed_mm(file, poses, limits);
         excesses.note(Limit::Lit, missed_mm, missed_mm);
         if !sigma_m.is_finite() {
-            let without = views.iter().filter(|view| view.sigma.is_none()).count() as f64 / SIGMA_POSES as f64;
+            let without = views.iter().filter(|view| view.sigma.is_none()).count() as f64 / views.len() as f64;
             excesses.note(Limit::Pose, 10.0 + without, without);
         }
         if file.front_end.is_some() {
             if configuration(file).is_err() {
                 excesses.note(Limit::Board, 1.0, 1.0);
             }
-            let mut margins: Vec<f64> = views.iter().map(|view| view.full_scale).collect();
-            margins.sort_by(f64::total_cmp);
-            let margin = margins[index(SIGMA_POSES, 1.0 - limits.in_scale)];
+            let margin = self.margin(&views[..near.len()]) * full_scale;
             excesses.note(Limit::InScale, 1.0 - margin, 1.0 / margin);
         }
         for slot in file.lighting.slots.iter().filter(|slot| slot.len() > 1) {
@@ -119,16 +225,11 @@ fn index(count: usize, share: f64) -> usize {
     ((count as f64 * share) as usize).min(count - 1)
 }
 
-fn sigma(views: &[View], goal: &Goal) -> f64 {
-    let of = |view: &View| {
-        let (m, rad) = view.sigma_m().zip(view.sigma_rad())?;
-        Some(m.hypot(goal.lever_m * rad))
-    };
-    let share = match goal.demand {
-        Demand::Median => 0.5,
-        Demand::Worst => 1.0,
-    };
-    quantiles_of(views.iter(), [share], of)[0]
+/// σ of a point at the end of the lever, root mean square over all directions of it. A rotation about the lever does not
+/// move it, and what translation and rotation share averages out.
+fn sigma_m(view: &View, goal: &Goal) -> Option<f64> {
+    let (m, rad) = view.sigma_m().zip(view.sigma_rad())?;
+    Some(m.hypot((2.0_f64 / 3.0).sqrt() * goal.lever_m * rad))
 }
 
 /// By how far spots miss their detectors, in millimetres: that of the share of poses that may.

@@ -1,7 +1,7 @@
 //! The search itself.
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use argmin::core::{CostFunction, Error, Executor, State};
 use argmin::solver::neldermead::NelderMead;
@@ -28,6 +28,12 @@ const GAIN: f64 = 0.002;
 
 /// Steps of a simplex for each free quantity.
 const STEPS: usize = 30;
+
+/// What is found by few poses and is not as good at all of them is looked for anew so many times, having learnt from it.
+const ROUNDS: usize = 4;
+
+/// By so much, in ln σ, it may differ.
+const AS_ESTIMATED: f64 = 0.01;
 
 /// Cost of a candidate that is no scene.
 const IMPOSSIBLE: f64 = 1e6;
@@ -84,6 +90,12 @@ struct Best {
     shares: Shares,
 }
 
+impl Best {
+    fn none(shares: Shares) -> Mutex<Self> {
+        Mutex::new(Self { cost: f64::INFINITY, sigma_m: f64::INFINITY, shares })
+    }
+}
+
 impl Search {
     /// How many candidates are evaluated, about.
     pub fn evaluations(&self) -> usize {
@@ -116,17 +128,17 @@ impl Search {
         }
         let judge = Judge::new(&self.file.workspace, self.goal, self.limits);
         let before = judge.score(&self.file)?;
-        SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&own))?)?;
-        let work = Work {
+        let mut found = (judge.score(&self.candidate(&own)?)?, own.clone());
+        let mut work = Work {
             search: self,
             judge,
             evaluations: AtomicUsize::new(0),
             progress: Mutex::new(progress),
             stop,
-            best: Mutex::new(Best { cost: f64::INFINITY, sigma_m: f64::INFINITY, shares: own.clone() }),
+            best: Best::none(own.clone()),
         };
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        let mut candidates = vec![own];
+        let mut candidates = vec![own.clone()];
         let count = SPREAD * self.free.len();
         // A lattice (Korobov 1959) spreads them more evenly than chance does; chance shifts it.
         let shift: Shares = self.free.iter().map(|_| rng.random_range(0.0..1.0)).collect();
@@ -145,14 +157,35 @@ impl Search {
                 starts.push(candidate.clone());
             }
         }
-        on_all_cores(&starts, |start| work.descend(start));
-        let best = lock(&work.best).shares.clone();
-        let file = SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(&best))?)?;
-        let after = work.judge.score(&file)?;
+        for round in 1.. {
+            on_all_cores(&starts, |start| work.descend(start));
+            let Best { cost: estimate, sigma_m, shares } = std::mem::replace(&mut work.best, Best::none(own.clone()))
+                .into_inner()
+                .unwrap_or_else(PoisonError::into_inner);
+            let file = self.candidate(&shares)?;
+            let score = work.judge.score(&file)?;
+            // What no candidate keeps is not learnt either.
+            let is_kept = score.excesses.is_empty() || estimate > sigma_m.ln();
+            let is_as_estimated = is_kept && score.cost() <= estimate + AS_ESTIMATED;
+            if score.cost() < found.0.cost() {
+                found = (score, shares.clone());
+            }
+            if is_as_estimated || round == ROUNDS || stop.load(Ordering::Relaxed) {
+                break;
+            }
+            work.judge.learn(&file)?;
+            starts = vec![shares, found.1.clone()];
+        }
+        let (after, best) = found;
+        let file = self.candidate(&best)?;
         let values = self.values(&best).into_iter();
         let values = values.map(|(quantity, value)| (quantity, [current(&self.file, quantity), value])).collect();
         let evaluations = work.evaluations.load(Ordering::Relaxed);
         Ok(Found { file, before, after, values, evaluations, is_interrupted: stop.load(Ordering::Relaxed) })
+    }
+
+    fn candidate(&self, shares: &[f64]) -> Result<SceneFile, OptimiseError> {
+        Ok(SceneFile::parse(&self.file.origin, &with_values(&self.file, &self.values(shares))?)?)
     }
 
     /// The values of a candidate, in the order in which they act, as a drawing states them.
@@ -183,10 +216,8 @@ impl Work<'_> {
             return IMPOSSIBLE;
         }
         let beyond: f64 = shares.iter().map(|share| (share - share.clamp(0.0, 1.0)).abs()).sum();
-        let Search { file, .. } = self.search;
-        let text = with_values(file, &self.search.values(shares));
-        let candidate = text.ok().and_then(|text| SceneFile::parse(&file.origin, &text).ok());
-        let score = candidate.and_then(|candidate| self.judge.score(&candidate).ok());
+        let candidate = self.search.candidate(shares).ok();
+        let score = candidate.and_then(|candidate| self.judge.estimate(&candidate).ok());
         let (cost, sigma_m) = score.map_or((IMPOSSIBLE, f64::INFINITY), |score| (score.cost(), score.sigma_m));
         let done = self.evaluations.fetch_add(1, Ordering::Relaxed) + 1;
         let mut best = lock(&self.best);

@@ -22,7 +22,7 @@ use slitpose_model::{Plan, Pose, SceneError, Solver, Tier};
 use slitpose_head::finding::Finding;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
-use crate::map::Outlook;
+use crate::map::{NoiseOf, Outlook};
 pub(crate) use cost::CellCost;
 pub(crate) use coverage::Coverage;
 pub(crate) use crosstalk::{SlotCrosstalk, share_of_others};
@@ -50,6 +50,9 @@ pub struct Survey {
     pub(crate) workspace: WorkspaceFacts,
     /// Each cell with the tool at home.
     pub(crate) home: Vec<CellAtHome>,
+    /// Which noise that is by which a pose is told.
+    #[serde(skip)]
+    pub(crate) noise: NoiseOf,
     /// Standard deviations that one frame gives the pose at home, metres and radians; `None` if it gives none.
     pub(crate) sigma_at_home: Option<[f64; 6]>,
     /// The sampled workspace.
@@ -93,13 +96,15 @@ impl Survey {
         let solver = Solver::<f64>::new(&file.scene, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
         let (crosstalk, carried) = crosstalk::of_slots(file, &plan, samples, &mut progress);
         let full_scale_a = file.front_end.map(|front_end| front_end.full_scale_a);
+        let outlook = Outlook::of(file.clone().into())?;
         let mut survey = Self {
             name: file.name.clone(),
             origin: file.origin.clone(),
             hash: format!("{:016x}", file.hash),
             workspace: file.workspace.into(),
             home: home::at_home(&file.scene, &plan),
-            sigma_at_home: Outlook::of(file.clone().into())?.at(&Pose::HOME).sigma,
+            noise: outlook.noise,
+            sigma_at_home: outlook.at(&Pose::HOME).sigma,
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
             travel: travel::along_axes(&plan),
             cost: cost::of_cells(file, samples, &mut progress)?,

@@ -38,11 +38,12 @@ fn home(survey: &Survey, text: &mut String) -> fmt::Result {
             cell.flags
         )?;
     }
-    let Some(sigma) = survey.sigma_at_home else { return writeln!(text, "  a single frame gives no pose") };
+    let reading = survey.noise.reading();
+    let Some(sigma) = survey.sigma_at_home else { return writeln!(text, "  {reading} gives no pose") };
     let [x, y, z, rx, ry, rz] = sigma.map(|sigma| sigma * 1e6);
     writeln!(
         text,
-        "  a single frame gives the pose within ({x:.3}, {y:.3}, {z:.3}) µm, ({rx:.1}, {ry:.1}, {rz:.1}) µrad (1 σ)"
+        "  {reading} gives the pose within ({x:.3}, {y:.3}, {z:.3}) µm, ({rx:.1}, {ry:.1}, {rz:.1}) µrad (1 σ)"
     )
 }
 

@@ -36,8 +36,9 @@ pub(super) fn section(map: &Map) -> Section {
     if median_m.is_finite() {
         let worst = format!("; {worst_m:.2} µm and {worst_rad:.3} mrad at worst");
         summary.push(format!(
-            "A single frame gives the position to {median_m:.2} µm and the rotation to {median_rad:.3} mrad in the median of \
+            "{} gives the position to {median_m:.2} µm and the rotation to {median_rad:.3} mrad in the median of \
              the workspace (σ, all three axes together){}.",
+            map.noise.reading(),
             if worst_m.is_finite() { &worst } else { "" }
         ));
     }

@@ -17,24 +17,33 @@ pub(super) fn redundancy(map: &Map) -> Section {
     let all = map.share(|view| view.lit == map.cells());
     let unnoticed: Of = |view| Some(view.unnoticed_sigmas);
     let [median, most] = map.quantiles([0.5, 0.95], unnoticed);
+    let with_pose =
+        |views: &Vec<View>| views.iter().filter(|view| view.sigma.is_some()).count() as f64 / views.len() as f64;
     let dark = |cell: usize, views: &Vec<View>| {
         let median = |of: Of| quantiles_of(views.iter(), [0.5], of)[0];
-        let with_pose = views.iter().filter(|view| view.sigma.is_some()).count() as f64 / views.len() as f64;
         vec![
             cell.into(),
             micro(median(View::sigma_m)),
             Value::from(median(View::sigma_rad) * 1e3),
-            (100.0 * with_pose).into(),
+            (100.0 * with_pose(views)).into(),
         ]
     };
+    let least_with_pose = map.one_dark.iter().map(with_pose).fold(1.0, f64::min);
+    // As many numbers as unknowns.
+    let unchecked = map.share(|view| view.sigma.is_some() && !view.unnoticed_sigmas.is_finite());
     let while_dark = match map.worst_dark(View::sigma_m) {
         Some((cell, worst)) if worst.is_finite() => {
             let usual = map.quantile(0.5, View::sigma_m);
             format!("With one cell dark, σ of the position is up to {:.2} times as great (cell {cell}).", worst / usual)
         }
-        _ => "With one cell dark, a frame gives no pose in half of the workspace.".to_owned(),
+        _ => {
+            format!(
+                "With one cell dark, a frame gives no pose in {:.2} % of the workspace.",
+                100.0 - 100.0 * least_with_pose
+            )
+        }
     };
-    let summary = vec![
+    let mut summary = vec![
         while_dark,
         format!("Every cell is lit in {:.2} % of the workspace.", 100.0 * all),
         if median.is_finite() {
@@ -46,6 +55,13 @@ pub(super) fn redundancy(map: &Map) -> Section {
             "The cells do not check each other: a fault in one of them goes unnoticed.".to_owned()
         },
     ];
+    if unchecked > 0.0 {
+        summary.push(format!(
+            "In {:.2} % of the workspace three cells alone see light. There a frame has mirror images: σ is that of a tool that is \
+             followed, and one that is found anew is `ambiguous`.",
+            100.0 * unchecked
+        ));
+    }
     Section {
         name: "redundancy",
         title: "How well it is conditioned and checked",
