@@ -29,7 +29,7 @@ const ROUNDS: usize = 12;
 const BLOCKS: usize = 4;
 
 /// Fewest known poses for which errors of poses left out mean something.
-const LEAST_HELD_OUT: usize = 20;
+pub const LEAST_HELD_OUT: usize = 20;
 
 /// Most adjustments for the clocks of instruments alone, and the change of a clock below which none follows, seconds.
 const CLOCK_ROUNDS: usize = 3;

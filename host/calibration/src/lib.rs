@@ -51,7 +51,7 @@ use slitpose_model::{ModelError, Plan, Pose, Scene, Tier};
 pub use clock::{Clock, ClockError, read_tracked};
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
 pub use draw::draw;
-pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
+pub use engine::{CalibrateError, Calibrated, LEAST_HELD_OUT, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use first_light::uncalibrated;
 pub use frames::align;
@@ -105,7 +105,8 @@ pub struct Statistics {
     pub chi2: f64,
     /// Its expectation.
     pub redundancy: f64,
-    /// Root-mean-square distance from the instrument's translations, of rows left out in turn, metres.
+    /// Root-mean-square distance from the instrument's translations, of rows left out in turn, metres; `None`: too few
+    /// rows, or none of them gave a pose.
     pub held_out_m: Option<f64>,
     /// The same of the rotation angle, radians.
     pub held_out_rad: Option<f64>,

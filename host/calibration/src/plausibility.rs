@@ -41,16 +41,16 @@ pub enum Implausible {
     /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A cell without light.
+    /// A cell without light, or with too much.
     #[error(
-        "{file}: cell {cell} sees no light in {dark} of {rows} rows; check its emitter and its detector, or take it out of the scene"
+        "{file}: cell {cell} sees no light, or more than its saturation_a, in {dark} of {rows} rows; check that currents are in amperes, its emitter and its detector, or take it out of the scene"
     )]
     Dark {
         /// The file.
         file: String,
         /// The cell.
         cell: usize,
-        /// Rows without light.
+        /// Rows without a reading.
         dark: usize,
         /// All rows.
         rows: usize,
@@ -149,6 +149,16 @@ pub enum Implausible {
         /// Cells of the scene.
         cells: usize,
     },
+    /// One measurement given twice.
+    #[error(
+        "{file}: row {row} repeats an earlier one, currents and pose, to the last digit; a measurement that stands twice counts twice: remove one"
+    )]
+    Repeated {
+        /// The file.
+        file: String,
+        /// The row, from 1.
+        row: usize,
+    },
     /// A tool that hardly moves.
     #[error(
         "{file}: the tool moves by {found_mm:.3} mm and turns by {found_deg:.3} degrees (rms) only, too little to tell parts apart; use the whole workspace, a third of it at least"
@@ -217,7 +227,8 @@ fn extent(poses: &[Pose]) -> [f64; 2] {
 
 fn little_motion(group: &Group, reports: &[Pose]) -> Result<(), Implausible> {
     let [metres, radians] = extent(reports);
-    if metres >= LITTLE_M && radians >= LITTLE_RAD {
+    // What only a translation or only a rotation leaves open is named by the calibration.
+    if metres >= LITTLE_M || radians >= LITTLE_RAD {
         return Ok(());
     }
     let (found_mm, found_deg) = (metres * 1e3, radians.to_degrees());

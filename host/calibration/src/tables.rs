@@ -1,5 +1,7 @@
 //! Rows from CSV tables.
 
+use std::collections::HashSet;
+
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Column, CurrentColumns, PoseColumns, Row as TableRow, TableError, TableReader};
 
@@ -38,9 +40,13 @@ pub fn read(
     match constraint {
         Constraint::Known | Constraint::KnownInOwnFrames => {
             let poses = PoseColumns::find(&reader)?;
+            let mut known: HashSet<Vec<u64>> = data.rows.iter().filter_map(digits).collect();
             while let Some(row) = reader.next_row()? {
                 let knowledge = Knowledge::Reported(poses.reported_pose(&row)?);
                 rows.push(row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?);
+                if !rows.last().and_then(digits).is_none_or(|digits| known.insert(digits)) {
+                    return Err(Implausible::Repeated { file: table.to_owned(), row: rows.len() }.into());
+                }
             }
         }
         Constraint::Stage => {
@@ -62,6 +68,14 @@ pub fn read(
     }
     data.add(table, constraint, sigmas, rows);
     Ok(())
+}
+
+/// All numbers of a reported pose and its readings.
+fn digits(row: &Row) -> Option<Vec<u64>> {
+    let Knowledge::Reported(pose) = row.knowledge else { return None };
+    let readings = row.readings.iter().flatten().flatten().copied();
+    let numbers = pose.translation_m.to_array().into_iter().chain(pose.rotation.to_array()).chain(readings);
+    Some(numbers.map(f64::to_bits).collect())
 }
 
 fn row_of(

@@ -7,7 +7,8 @@ use std::path::PathBuf;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose_model::{rotation_exp, rotation_log};
+use slitpose_head::scene_file::SceneFile;
+use slitpose_model::{Plan, Pose, Tier, rotation_exp, rotation_log};
 use slitpose_tests::slitpose;
 use tempfile::TempDir;
 
@@ -92,7 +93,11 @@ fn wrong_data_are_recognised_and_named() {
     let in_degrees = |row: &mut ([f64; 6], _)| row.0[3..].iter_mut().for_each(|angle| *angle = angle.to_degrees());
     let cases: [(&str, Known, &[&str]); 11] = [
         ("little motion", known.clone().spoilt(few_millimetres), &["too little to tell parts apart"]),
-        ("a dead cell", known.clone().spoilt(|row| row.1[3] = [1e-9; 2]), &["cell 3 sees no light in 100 of 100 rows"]),
+        (
+            "a dead cell",
+            known.clone().spoilt(|row| row.1[3] = [1e-9; 2]),
+            &["cell 3 sees no light", "in 100 of 100 rows"],
+        ),
         ("electrodes", known.clone().spoilt(|row| row.1[2].swap(0, 1)), &["electrodes of cell 2", "i_x1_2_a"]),
         ("cells", known.clone().spoilt(|row| row.1.swap(1, 2)), &["cell 1 look like those of cell 2"]),
         ("a shift", late, &["shifted against the currents by -1 rows"]),
@@ -110,6 +115,29 @@ fn wrong_data_are_recognised_and_named() {
             assert!(said.contains(part), "{case}: `{part}` is not in: {said}");
         }
     }
+}
+
+/// A stage that does not turn tells something, and the calibration says what it leaves open.
+#[test]
+fn translations_alone_calibrate_what_they_tell_and_a_row_counts_once() {
+    let file = SceneFile::open(&data("nominal.toml")).expect("a scene");
+    let plan = Plan::<f64>::compile(&file.scene, Tier::Paper).expect("a head");
+    let mut known = Known::read().spoilt(|row| {
+        row.0[3..].fill(0.0);
+        let pose = Pose::from_vectors(DVec3::new(row.0[0], row.0[1], row.0[2]) * 1e-3, DVec3::ZERO);
+        for (cell, pair) in row.1.iter_mut().enumerate() {
+            let currents = plan.photocurrents(cell, &pose);
+            *pair = [currents.i_x1_a, currents.i_x2_a];
+        }
+    });
+    let (code, said) = known.calibrate(&data("nominal.toml"), &[]);
+    assert!(code == 0 && said.contains("open: "), "{said}");
+
+    let first = known.rows[0];
+    known.rows.push(first);
+    let (code, said) = known.calibrate(&data("nominal.toml"), &[]);
+    let row = format!("row {} repeats an earlier one", known.rows.len());
+    assert!(code == 1 && said.contains(&row), "{said}");
 }
 
 /// Without an instrument nothing tells which cell is wrong, and the errors that are left could pass for those of the model.
