@@ -22,7 +22,8 @@ pub(super) fn markdown(report: &Report) -> String {
     for table in &report.data {
         text += &format!("\n{} (`{}.csv`)\n", table.caption, table.name);
     }
-    text
+    // Names of scenes come from strangers, and Markdown passes elements of HTML on.
+    text.replace('<', "&lt;")
 }
 
 fn of_section(section: &Section) -> String {

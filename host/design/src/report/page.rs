@@ -92,6 +92,7 @@ fn words(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::markdown::markdown;
     use super::*;
 
     #[test]
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_page_fetches_nothing() {
+    fn a_page_fetches_nothing_and_names_are_no_elements() {
         let section = Section {
             name: "a",
             title: "A",
@@ -111,7 +112,7 @@ mod tests {
         };
         let report = Report {
             title: "t",
-            scene: "s".into(),
+            scene: "<script>".into(),
             conditions: vec![("seed", "1".into())],
             warnings: vec![],
             sections: vec![section],
@@ -122,6 +123,7 @@ mod tests {
         for word in ["src=", "@import", "url(", "<script", "<link"] {
             assert!(!page.contains(word), "{word}");
         }
+        assert!(!markdown(&report).contains('<'));
         assert!(page.contains("prefers-color-scheme: dark") && page.contains("<dt>seed</dt>"));
         assert!(page.find("<li>Short.</li>") < page.find("<dt>"), "the summary comes first");
     }
