@@ -29,7 +29,7 @@ const ROUNDS: usize = 12;
 const BLOCKS: usize = 4;
 
 /// Fewest known poses for which errors of poses left out mean something.
-pub const LEAST_HELD_OUT: usize = 20;
+const LEAST_HELD_OUT: usize = 20;
 
 /// Most adjustments for the clocks of instruments alone, and the change of a clock below which none follows, seconds.
 const CLOCK_ROUNDS: usize = 3;
@@ -205,10 +205,10 @@ pub fn calibrate(
     if !is_interrupted {
         agreement::require_agreement(&by_tolerances, data, &state, &weights)?;
     }
-    let remarks = agreement::remarks(data, &state);
+    let mut remarks = agreement::remarks(data, &state);
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     if !is_interrupted {
-        is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, progress)?;
+        is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
     calibration.write();
     let residuals = residuals::of(&nominal, data, &state)?;
@@ -340,6 +340,7 @@ fn hold_out(
     state: &State,
     weights: &Weights,
     statistics: &mut Statistics,
+    remarks: &mut Vec<String>,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<bool, CalibrateError> {
     let data = adjustment.data;
@@ -374,6 +375,11 @@ fn hold_out(
     if count > 0.0 {
         statistics.held_out_m = Some((squares[0] / count).sqrt());
         statistics.held_out_rad = Some((squares[1] / count).sqrt());
+    } else {
+        remarks.push(
+            "of poses left out in turn none was found again: `slitpose scene map` tells where this head has none"
+                .to_owned(),
+        );
     }
     Ok(false)
 }

@@ -51,7 +51,7 @@ use slitpose_model::{ModelError, Plan, Pose, Scene, Tier};
 pub use clock::{Clock, ClockError, read_tracked};
 pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse};
 pub use draw::draw;
-pub use engine::{CalibrateError, Calibrated, LEAST_HELD_OUT, Progress, Request, calibrate};
+pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames};
 pub use first_light::uncalibrated;
 pub use frames::align;

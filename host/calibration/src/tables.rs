@@ -43,10 +43,11 @@ pub fn read(
             let mut known: HashSet<Vec<u64>> = data.rows.iter().filter_map(digits).collect();
             while let Some(row) = reader.next_row()? {
                 let knowledge = Knowledge::Reported(poses.reported_pose(&row)?);
-                rows.push(row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?);
-                if !rows.last().and_then(digits).is_none_or(|digits| known.insert(digits)) {
-                    return Err(Implausible::Repeated { file: table.to_owned(), row: rows.len() }.into());
+                let row = row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?;
+                if digits(&row).is_some_and(|digits| !known.insert(digits)) {
+                    return Err(Implausible::Repeated { file: table.to_owned(), row: rows.len() + 1 }.into());
                 }
+                rows.push(row);
             }
         }
         Constraint::Stage => {

@@ -5,9 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use clap::ValueEnum;
-use slitpose_calibration::{
-    Calibration, CellValidity, LEAST_HELD_OUT, Progress as Step, Request, Validity, calibrate, validity,
-};
+use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request, Validity, calibrate, validity};
 
 use super::options::{Jobs, parse_number};
 use super::{CommandError, Outcome, interrupt, names, talk};
@@ -182,7 +180,7 @@ fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
     drop(progress);
     let found = found?;
     output.write_text(found.calibration.source())?;
-    report(&found.calibration, path, !args.known.is_empty());
+    report(&found.calibration, path);
     if let (Some(folder), Some(directory)) = (&folder, &args.report) {
         folder.write(&calibration_report(&file, &found))?;
         talk(format_args!("wrote {}", directory.join("index.html").display()));
@@ -197,7 +195,7 @@ fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
 }
 
 /// What a user wants to know at once.
-fn report(calibration: &Calibration, path: &Path, has_known_poses: bool) {
+fn report(calibration: &Calibration, path: &Path) {
     let statistics = calibration.statistics();
     talk(format_args!(
         "calibration {} of {} parameters from {} rows; chi2 {:.2} of its expectation, {} readings and {} poses left out \
@@ -214,10 +212,6 @@ fn report(calibration: &Calibration, path: &Path, has_known_poses: bool) {
             "poses left out in turn miss the instrument's by {:.1} µm and {:.3} mrad rms, errors of the instrument included",
             metres * 1e6,
             radians * 1e3
-        ));
-    } else if has_known_poses && statistics.rows >= LEAST_HELD_OUT {
-        talk(format_args!(
-            "of poses left out in turn none was found again: `slitpose scene map` tells where this head has none"
         ));
     }
     for clock in calibration.clocks() {

@@ -1,6 +1,8 @@
 //! Facts on captures besides the data of boards.
 
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message};
 
@@ -8,6 +10,8 @@ use crate::capture::{CaptureError, CaptureReader, End, Entry};
 use crate::link::Segment;
 use crate::pipeline::SceneMatch;
 use slitpose_head::scene_file::SceneFile;
+
+use super::PlaybackError;
 
 /// That another scene is used than the capture was made with, if so.
 pub(super) fn other_scene(file: &SceneFile, hash: Option<u64>, scene_match: SceneMatch) -> Option<String> {
@@ -57,6 +61,21 @@ pub(super) fn losses(path: &Path, end: &End) -> Vec<String> {
         ));
     }
     losses
+}
+
+/// That captures can be read more than once, and each is given once.
+pub(super) fn check(files: &[PathBuf]) -> Result<(), PlaybackError> {
+    let mut known = BTreeSet::new();
+    for path in files {
+        // What is not there is told when it is read.
+        if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
+            return Err(PlaybackError::NotAFile { path: path.clone() });
+        }
+        if !known.insert(fs::canonicalize(path).unwrap_or_else(|_| path.clone())) {
+            return Err(PlaybackError::Twice { path: path.clone() });
+        }
+    }
+    Ok(())
 }
 
 /// When the first bytes of a capture came; 0 in bytes of a port.

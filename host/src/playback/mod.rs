@@ -100,16 +100,7 @@ impl Playback {
     /// A first file that cannot be read, what is no regular file, a file given twice, and a part that ends before it begins.
     pub fn open(files: Vec<PathBuf>, choice: Choice) -> Result<Self, PlaybackError> {
         choice.check()?;
-        let mut known = BTreeSet::new();
-        for path in &files {
-            // What is not there is told when it is read.
-            if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
-                return Err(PlaybackError::NotAFile { path: path.clone() });
-            }
-            if !known.insert(fs::canonicalize(path).unwrap_or_else(|_| path.clone())) {
-                return Err(PlaybackError::Twice { path: path.clone() });
-            }
-        }
+        files::check(&files)?;
         let start_ns = files.first().map(|file| files::first_log_ns(file)).transpose()?.unwrap_or(0);
         let at_ns = |offset_s: f64| start_ns.saturating_add((offset_s * 1e9) as u64);
         let warm_up_s = match choice.yields {

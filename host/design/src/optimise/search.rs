@@ -1,7 +1,7 @@
 //! The search itself.
 
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use argmin::core::{CostFunction, Error, Executor, State};
 use argmin::solver::neldermead::NelderMead;
@@ -91,8 +91,8 @@ struct Best {
 }
 
 impl Best {
-    fn none(shares: Shares) -> Mutex<Self> {
-        Mutex::new(Self { cost: f64::INFINITY, sigma_m: f64::INFINITY, shares })
+    fn none(shares: Shares) -> Self {
+        Self { cost: f64::INFINITY, sigma_m: f64::INFINITY, shares }
     }
 }
 
@@ -135,7 +135,7 @@ impl Search {
             evaluations: AtomicUsize::new(0),
             progress: Mutex::new(progress),
             stop,
-            best: Best::none(own.clone()),
+            best: Mutex::new(Best::none(own.clone())),
         };
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let mut candidates = vec![own.clone()];
@@ -159,9 +159,8 @@ impl Search {
         }
         for round in 1.. {
             on_all_cores(&starts, |start| work.descend(start));
-            let Best { cost: estimate, sigma_m, shares } = std::mem::replace(&mut work.best, Best::none(own.clone()))
-                .into_inner()
-                .unwrap_or_else(PoisonError::into_inner);
+            let Best { cost: estimate, sigma_m, shares } =
+                std::mem::replace(&mut *lock(&work.best), Best::none(own.clone()));
             let file = self.candidate(&shares)?;
             let score = work.judge.score(&file)?;
             // What no candidate keeps is not learnt either.
