@@ -7,10 +7,11 @@ fn main() {
     }
     // No page alignment between sections: flash addresses are file offsets of their own.
     println!("cargo:rustc-link-arg-bins=--nmagic");
-    if std::env::var_os("CARGO_FEATURE_POSE").is_some() {
-        // Ahead of the runtime's script: the first to name a part of the code has it.
-        println!("cargo:rerun-if-changed=ccm.x");
-        println!("cargo:rustc-link-arg-bins=-T{}/ccm.x", env!("CARGO_MANIFEST_DIR"));
+    let has_ccm = std::env::var_os("CARGO_FEATURE_POSE").is_some();
+    // Ahead of the runtime's script: the first to name a part of the code has it.
+    for script in has_ccm.then_some("ccm.x").into_iter().chain(["stack.x"]) {
+        println!("cargo:rerun-if-changed={script}");
+        println!("cargo:rustc-link-arg-bins=-T{}/{script}", env!("CARGO_MANIFEST_DIR"));
     }
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     if std::env::var_os("CARGO_FEATURE_DEFMT").is_some() {

@@ -60,6 +60,7 @@
 //! let identity = Identity {
 //!     device_id: *b"desk number1", kind: BoardKind::Simulated, board: "desk", reset_cause: ResetCause::PowerOn,
 //!     hashes: Hashes { scene: None, calibration: None }, scaling: default_scaling(),
+//!     full_scale_pa: None,
 //!     clock: ClockSource::Internal, settings: SettingsSource::Defaults,
 //! };
 //! let mut board = Board::new(Desk(0), identity, default_configuration(), vec![0; QUEUE_BYTES]).unwrap();

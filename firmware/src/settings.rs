@@ -13,6 +13,7 @@
 //! payload says that settings were forgotten.
 
 use core::mem::size_of;
+use core::num::NonZeroU32;
 
 use heapless::Vec;
 use slitpose_protocol::{Configuration, Hashes};
@@ -52,6 +53,8 @@ pub struct Settings {
     /// Which of the two [areas](head_offset) keeps the head that goes with them, if any: written first, so that one
     /// record puts both in force at once. Chosen by whoever writes them.
     pub head: Option<u8>,
+    /// The full scale of the board's front end in picoamperes, if it is not the firmware's.
+    pub full_scale_pa: Option<NonZeroU32>,
 }
 
 /// Place of an area for a head, in bytes from the start of the pages: behind them, one area behind the other.
@@ -94,10 +97,11 @@ pub fn stored(pages: &Pages) -> Option<Settings> {
     if newest.version != VERSION || newest.payload.is_empty() {
         return None;
     }
-    let ((configuration, hashes), rest) = postcard::take_from_bytes(newest.payload).ok()?;
-    // Records of boards that knew no heads end here.
-    let head = if rest.is_empty() { None } else { postcard::from_bytes(rest).ok()? };
-    Some(Settings { configuration, hashes, head })
+    // Records of boards that knew no head, or no full scale of their own, end before it: zeros behind them are none.
+    let mut payload = [0; RECORD_BYTES];
+    payload.get_mut(..newest.payload.len())?.copy_from_slice(newest.payload);
+    let (configuration, hashes, head, full_scale_pa) = postcard::from_bytes(&payload).ok()?;
+    Some(Settings { configuration, hashes, head, full_scale_pa })
 }
 
 /// Work that stores `settings` in `pages`; with `None` it marks the settings there as
@@ -120,8 +124,8 @@ fn record(number: u32, settings: Option<&Settings>) -> Vec<u8, RECORD_BYTES> {
     let mut payload = [0; RECORD_BYTES - HEADER_BYTES];
     let payload: &[u8] = match settings {
         // The largest settings fit; see the test below.
-        Some(Settings { configuration, hashes, head }) => {
-            postcard::to_slice(&(configuration, hashes, head), &mut payload).map_or(&[], |bytes| bytes)
+        Some(Settings { configuration, hashes, head, full_scale_pa }) => {
+            postcard::to_slice(&(configuration, hashes, head, full_scale_pa), &mut payload).map_or(&[], |bytes| bytes)
         }
         None => &[],
     };
@@ -221,6 +225,7 @@ mod tests {
             configuration: fixture::configuration(),
             hashes,
             head: (scene % 3).try_into().ok().filter(|&area| area < 2),
+            full_scale_pa: NonZeroU32::new(scene as u32),
         }
     }
 
@@ -300,19 +305,26 @@ mod tests {
     }
 
     #[test]
-    fn settings_of_boards_that_knew_no_heads_are_read() {
-        let kept = Settings { head: None, ..settings(5) };
-        let mut payload = [0; 128];
-        let payload = postcard::to_slice(&(&kept.configuration, &kept.hashes), &mut payload).expect("room");
-        let mut record = std::vec::Vec::from(MAGIC.to_le_bytes());
-        record.extend(VERSION.to_le_bytes());
-        record.extend((payload.len() as u16).to_le_bytes());
-        record.extend(3_u32.to_le_bytes());
-        record.extend(checksum(VERSION, 3, payload).to_le_bytes());
-        record.extend_from_slice(payload);
-        let mut pages = BLANK;
-        pages[0][..record.len()].copy_from_slice(&record);
-        assert_eq!(stored(&pages), Some(kept));
+    fn settings_of_boards_that_knew_no_heads_or_no_full_scale_are_read() {
+        for head in [None, Some(1)] {
+            let kept = Settings { head, full_scale_pa: None, ..settings(5) };
+            let old = (&kept.configuration, &kept.hashes);
+            let mut payload = [0; 128];
+            let payload = match head {
+                None => postcard::to_slice(&old, &mut payload),
+                head => postcard::to_slice(&(old, head), &mut payload),
+            };
+            let payload = payload.expect("room");
+            let mut record = std::vec::Vec::from(MAGIC.to_le_bytes());
+            record.extend(VERSION.to_le_bytes());
+            record.extend((payload.len() as u16).to_le_bytes());
+            record.extend(3_u32.to_le_bytes());
+            record.extend(checksum(VERSION, 3, payload).to_le_bytes());
+            record.extend_from_slice(payload);
+            let mut pages = BLANK;
+            pages[0][..record.len()].copy_from_slice(&record);
+            assert_eq!(stored(&pages), Some(kept));
+        }
     }
 
     /// The checksum covers the number too, by which the newest record is found.
@@ -372,6 +384,7 @@ mod tests {
             },
             hashes: Hashes { scene: Some(u64::MAX), calibration: Some(u64::MAX) },
             head: Some(1),
+            full_scale_pa: Some(NonZeroU32::MAX),
         };
         let mut pages = BLANK;
         let append = append(&pages, Some(&largest));

@@ -155,9 +155,11 @@ SLITPOSE_CHECK(pose_bytes, sizeof(struct slitpose_pose) == 544);
 SLITPOSE_CHECK(request_bytes, sizeof(struct slitpose_request) == 32);
 SLITPOSE_CHECK(answer_bytes, sizeof(struct slitpose_answer) == 24);
 
-/* A socket to the daemon. */
+/* Sockets to and from the daemon. */
 struct slitpose_link {
     int fd;               /* non-blocking; readable when a datagram waits: for poll() and its like */
+    int ask_fd;           /* requests leave here */
+    int far_fd;           /* the other end of fd, which the daemon gets with each request; -1 on UDP */
     uint64_t followed_ns; /* when datagrams were last asked for; 0: not yet */
     uint64_t cookie;      /* proves to the daemon that this socket receives */
     uint16_t mode;        /* what was asked for last */
@@ -184,8 +186,19 @@ static inline uint64_t slitpose_age_ns(const struct slitpose_pose *pose)
     return now > since ? now - since : 0;
 }
 
+static inline void slitpose_close(struct slitpose_link *link)
+{
+    if (link->ask_fd != link->fd)
+        close(link->ask_fd);
+    if (link->far_fd >= 0)
+        close(link->far_fd);
+    if (link->fd >= 0)
+        close(link->fd);
+    link->fd = link->ask_fd = link->far_fd = -1;
+}
+
 /* Connects to "unix:PATH" or "udp:127.0.0.1:PORT", for the board with this id or, if NULL, for all.
-   0, or -1 with errno. Where names of sockets are always files (not on Linux), only UDP. */
+   0, or -1 with errno. On other systems than Linux only UDP. */
 static inline int slitpose_open(struct slitpose_link *link, const char *address, const uint8_t device[12])
 {
     union {
@@ -194,12 +207,18 @@ static inline int slitpose_open(struct slitpose_link *link, const char *address,
         struct sockaddr_in internet;
     } daemon;
     socklen_t length;
-    int failed;
+    int failed = 0;
     memset(&daemon, 0, sizeof daemon);
     memset(link, 0, sizeof *link);
-    link->fd = -1;
+    link->fd = link->ask_fd = link->far_fd = -1;
     if (device)
         memcpy(link->device, device, sizeof link->device);
+#ifndef __linux__
+    if (strncmp(address, "unix:", 5) == 0) {
+        errno = ENOTSUP;
+        return -1;
+    }
+#endif
     if (strncmp(address, "unix:", 5) == 0 && strlen(address + 5) < sizeof daemon.local.sun_path) {
         daemon.local.sun_family = AF_UNIX;
         memcpy(daemon.local.sun_path, address + 5, strlen(address + 5));
@@ -222,44 +241,43 @@ static inline int slitpose_open(struct slitpose_link *link, const char *address,
         errno = EINVAL;
         return -1;
     }
-    link->fd = socket(daemon.any.sa_family, SOCK_DGRAM, 0);
-    if (link->fd < 0)
+    link->ask_fd = socket(daemon.any.sa_family, SOCK_DGRAM, 0);
+    if (link->ask_fd < 0)
         return -1;
-    failed = fcntl(link->fd, F_SETFL, O_NONBLOCK) != 0 || fcntl(link->fd, F_SETFD, FD_CLOEXEC) != 0;
-    if (failed == 0 && daemon.any.sa_family == AF_UNIX) {
-#ifdef __linux__
-        /* The system chooses a name, without which the daemon could not answer. */
-        struct sockaddr_un own;
-        memset(&own, 0, sizeof own);
-        own.sun_family = AF_UNIX;
-        failed = bind(link->fd, (const struct sockaddr *)&own, (socklen_t)sizeof own.sun_family);
-#else
-        errno = ENOTSUP;
-        failed = -1;
-#endif
+    link->fd = link->ask_fd;
+    if (daemon.any.sa_family == AF_UNIX) {
+        /* A queue of its own: from one socket for all clients, one that stops reading would silence the others. */
+        int pair[2] = {-1, -1};
+        failed = socketpair(AF_UNIX, SOCK_DGRAM, 0, pair);
+        link->fd = pair[0];
+        link->far_fd = pair[1];
+        failed = failed != 0 || fcntl(link->far_fd, F_SETFD, FD_CLOEXEC) != 0 ||
+                 fcntl(link->ask_fd, F_SETFL, O_NONBLOCK) != 0 || fcntl(link->ask_fd, F_SETFD, FD_CLOEXEC) != 0;
     }
-    if (failed != 0 || connect(link->fd, &daemon.any, length) != 0) {
+    failed = failed || fcntl(link->fd, F_SETFL, O_NONBLOCK) != 0 || fcntl(link->fd, F_SETFD, FD_CLOEXEC) != 0 ||
+             connect(link->ask_fd, &daemon.any, length) != 0;
+    if (failed) {
         int reason = errno;
-        close(link->fd);
-        link->fd = -1;
+        slitpose_close(link);
         errno = reason;
         return -1;
     }
     return 0;
 }
 
-static inline void slitpose_close(struct slitpose_link *link)
-{
-    if (link->fd >= 0)
-        close(link->fd);
-    link->fd = -1;
-}
-
 /* Asks for datagrams. 0, or -1 with errno: ECONNREFUSED if the daemon has gone. */
 static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mode)
 {
     struct slitpose_request request;
+    struct iovec bytes;
+    struct msghdr message;
+    union {
+        struct cmsghdr header; /* aligns the room */
+        char room[CMSG_SPACE(sizeof(int))];
+    } control;
     memset(&request, 0, sizeof request);
+    memset(&message, 0, sizeof message);
+    memset(&control, 0, sizeof control);
     request.magic = SLITPOSE_REQUEST_MAGIC;
     request.version = SLITPOSE_VERSION;
     request.size = (uint16_t)sizeof request;
@@ -267,7 +285,19 @@ static inline int slitpose_ask(struct slitpose_link *link, enum slitpose_mode mo
     request.cookie = link->cookie;
     link->mode = request.mode;
     memcpy(request.device, link->device, sizeof request.device);
-    return send(link->fd, &request, sizeof request, 0) == (ssize_t)sizeof request ? 0 : -1;
+    bytes.iov_base = &request;
+    bytes.iov_len = sizeof request;
+    message.msg_iov = &bytes;
+    message.msg_iovlen = 1;
+    if (link->far_fd >= 0) {
+        control.header.cmsg_level = SOL_SOCKET;
+        control.header.cmsg_type = SCM_RIGHTS;
+        control.header.cmsg_len = CMSG_LEN(sizeof(int));
+        message.msg_control = &control;
+        message.msg_controllen = CMSG_SPACE(sizeof(int));
+        memcpy(CMSG_DATA(&control.header), &link->far_fd, sizeof(int));
+    }
+    return sendmsg(link->ask_fd, &message, 0) == (ssize_t)sizeof request ? 0 : -1;
 }
 
 /* Takes the next pose that waits, and does what the daemon asks for besides. 1; 0 if none does; or -1 with errno:
@@ -343,7 +373,7 @@ static inline int slitpose_newest(struct slitpose_link *link, struct slitpose_po
 /* Waits for a pose, passes over older ones, and asks for the next ones in time, also while it waits:
    for ever if the timeout is negative. 1; 0 if none came in time; or -1 with errno: EUSERS if all places
    for followers are taken, after which it may be called again. A queue holds
-   about ten: whoever is so late that the newest were refused is given them at once. */
+   some hundred: whoever is so late that the newest were refused is given them at once. */
 static inline int slitpose_follow(struct slitpose_link *link, struct slitpose_pose *pose, int timeout_ms)
 {
     const uint64_t late_ns = 1000000, renewal_ns = 1000000000;

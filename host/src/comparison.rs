@@ -1,11 +1,16 @@
 //! Errors of poses against a reference, axis by axis.
 
+mod sample;
+
 use slitpose_model::{Estimate, Pose};
+use thiserror::Error;
 
 use crate::pipeline::Record;
 use crate::terminal::{Line, WIDTH, layout};
 use slitpose_head::simulator::{PathError, Trajectory};
 use slitpose_head::table::{Column, PoseColumns, TableError, TableReader};
+
+use sample::Sample;
 
 /// Errors of poses against a known truth.
 #[derive(Clone, Debug, Default)]
@@ -77,13 +82,49 @@ pub(crate) struct Comparison {
     axes: [Axis; 6],
     /// Scans without a pose, or without one in the reference.
     unmatched: u64,
+    /// Some of the poses, whether the reference has them or not.
+    sample: Sample,
+    /// First and last number of a scan, and instant, of all poses.
+    scans: Option<[(u64, f64); 2]>,
 }
+
+/// A table whose times are others.
+#[derive(Debug, Error)]
+#[error(
+    "{file}: nothing in it matches: its {column} runs from {:?} to {:?}, and that of {of} from {:?} to {:?}; {}",
+    theirs[0],
+    theirs[1],
+    ours[0],
+    ours[1],
+    if *column == "seq" {
+        "give the table of this session"
+    } else if theirs[0] > EPOCH_S {
+        "these look like stamps of an epoch: subtract the beginning, for the clock of a board begins at zero"
+    } else {
+        "give seconds by the clock of the board, which begins at zero"
+    }
+)]
+pub(crate) struct NothingMatches {
+    /// The table.
+    pub(crate) file: String,
+    /// First and last value of its column.
+    pub(crate) theirs: [f64; 2],
+    /// The column: `seq`, or `time_s`.
+    pub(crate) column: &'static str,
+    /// What it should match.
+    pub(crate) of: &'static str,
+    /// First and last value of that.
+    pub(crate) ours: [f64; 2],
+}
+
+/// No board has run for so long, three years, seconds.
+const EPOCH_S: f64 = 1e8;
 
 enum Reference {
     /// By the number of the scan, in order.
     Scans(Box<Scans>),
     /// By device time, interpolated between poses.
-    Path(Trajectory),
+    Path(Box<Trajectory>),
 }
 
 /// The rows of a table by the number of the scan.
@@ -94,6 +135,8 @@ struct Scans {
     next: Option<(u64, Pose)>,
     /// Read ahead, so that rows in another order are refused before anything is missed.
     following: Option<(u64, Pose)>,
+    /// The first and the last read so far.
+    span: Option<[u64; 2]>,
 }
 
 /// The error along one axis.
@@ -115,12 +158,12 @@ impl Comparison {
         let reference = match table.optional_column("seq")? {
             Some(sequence) => {
                 let poses = PoseColumns::keyed(&table, "seq")?;
-                let mut scans = Scans { table, sequence, poses, next: None, following: None };
+                let mut scans = Scans { table, sequence, poses, next: None, following: None, span: None };
                 scans.advance()?;
                 scans.advance()?;
                 Reference::Scans(Box::new(scans))
             }
-            None => Reference::Path(Trajectory::from_table(file)?),
+            None => Reference::Path(Box::new(Trajectory::through_rows(table)?)),
         };
         Ok(Self {
             name: file.to_owned(),
@@ -128,6 +171,8 @@ impl Comparison {
             accuracy: Accuracy::default(),
             axes: [Axis::default(); 6],
             unmatched: 0,
+            sample: Sample::default(),
+            scans: None,
         })
     }
 
@@ -140,6 +185,11 @@ impl Comparison {
             Reference::Scans(scans) => scans.pose(record.sequence)?,
             Reference::Path(path) => path.covers(record.device_time_s).then(|| path.pose(record.device_time_s)),
         };
+        if let Some(estimate) = record.solution.estimate {
+            let scan = (record.sequence, record.device_time_s);
+            self.scans = Some([self.scans.map_or(scan, |[first, _]| first), scan]);
+            self.sample.add(record.device_time_s, estimate, reference);
+        }
         let (Some(estimate), Some(reference)) = (record.solution.estimate, reference) else {
             self.unmatched += 1;
             return Ok(());
@@ -152,6 +202,32 @@ impl Comparison {
             axis.largest = axis.largest.max(error.abs());
         }
         Ok(())
+    }
+
+    /// Refuses a reference without any counterpart of the poses.
+    ///
+    /// # Errors
+    /// What is there instead.
+    pub(crate) fn require_match(&mut self) -> Result<(), NothingMatches> {
+        let Some([first, last]) = self.scans.filter(|_| self.accuracy.count() == 0) else { return Ok(()) };
+        let (column, theirs, ours) = match &mut self.reference {
+            Reference::Scans(scans) => {
+                // The rest counts only as far as it can be read.
+                while scans.following.is_some() && scans.advance().is_ok() {}
+                let theirs = scans.span.map_or([f64::NAN; 2], |span| span.map(|number| number as f64));
+                ("seq", theirs, [first.0 as f64, last.0 as f64])
+            }
+            Reference::Path(path) => ("time_s", path.span_s().unwrap_or([f64::NAN; 2]), [first.1, last.1]),
+        };
+        Err(NothingMatches { file: self.name.clone(), theirs, column, of: "the poses", ours })
+    }
+
+    /// What the reference looks like, if poses agree much better with another reading of it, in words.
+    pub(crate) fn suspicion(&self) -> Option<String> {
+        match &self.reference {
+            Reference::Path(path) => self.sample.suspicion(&self.name, Some(path)),
+            Reference::Scans(_) => self.sample.suspicion(&self.name, None),
+        }
     }
 
     /// The result, in lines for people.
@@ -200,6 +276,7 @@ impl Scans {
                 let allowed = "scan numbers that ascend, of one session of a board: sort the rows";
                 return Err(row.out_of_range(self.sequence, value, allowed));
             }
+            self.span = Some([self.span.map_or(number, |[first, _]| first), number]);
             self.following = Some((number, pose));
             break;
         }

@@ -1,7 +1,7 @@
 //! What strangers can send to this host, each kind read from bytes alone: the doors that are not public, for the fuzz
 //! targets of `tests/fuzz`.
 
-use std::io::{self, Cursor};
+use std::io::Cursor;
 use std::path::Path;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
@@ -30,11 +30,10 @@ pub struct Captured {
 /// Reads the bytes of a capture to their end, from `from_ns` on.
 ///
 /// # Errors
-/// None of bytes in memory: damage is counted.
+/// Another kind of file. Damage is counted.
 pub fn capture(bytes: &[u8], from_ns: u64) -> Result<Captured, CaptureError> {
     let path = Path::new("bytes");
-    let error = |source: io::Error| CaptureError::Open { path: path.to_owned(), source };
-    let mut reader = CaptureReader::new(path, Cursor::new(bytes)).map_err(error)?.starting_at(from_ns);
+    let mut reader = CaptureReader::new(path, Cursor::new(bytes))?.starting_at(from_ns);
     let (mut captured, mut segment) = (Captured::default(), Segment::default());
     while let Some(entry) = reader.next(&mut segment)? {
         match entry {

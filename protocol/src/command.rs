@@ -5,6 +5,8 @@
 //! variants is their number on the wire; a new one goes to the end, and a board that
 //! does not know it rejects it.
 
+use core::num::NonZeroU32;
+
 use heapless::Vec;
 use postcard::take_from_bytes;
 use serde::{Deserialize, Serialize};
@@ -56,6 +58,13 @@ pub enum Command {
     Head(HeadPart),
     /// Send these of the scans and poses from now on. After a reset and after each Stop: [`Stream::SCANS`].
     Stream(Stream),
+    /// Take this as the photocurrent of an electrode at the end of the converters' range, as their front end has it,
+    /// from now on; Store keeps it. It replaces the configuration by the same one, so that scans before and after are told
+    /// apart, and the board then has no head: its numbers hold for the full scale before.
+    FullScale {
+        /// The photocurrent in picoamperes.
+        full_scale_pa: NonZeroU32,
+    },
 }
 
 /// Bytes of a head in one command.

@@ -47,7 +47,7 @@
 //! `bytes` command keys (8 bytes little endian for each kind, see [`schema`]) ·
 //! `[u8; 12]` device id · enum kind (0 physical, 1 simulated) · `str` board ·
 //! `str` firmware · enum reset cause (0 unknown, 1 power on, 2 brown-out, 3 pin,
-//! 4 software, 5 watchdog, 6 panic) · `?u64` scene hash · `?u64` calibration hash ·
+//! 4 software, 5 watchdog, 6 panic, 7 stack overflow) · `?u64` scene hash · `?u64` calibration hash ·
 //! scaling (`f64` zero code, `f64` amperes per code, `u8` bits, `u16` saturation code:
 //! [`AdcScaling`]) · `u16` configuration · schedule.
 //! It is sent when the link is opened, on request, and whenever the schedule has changed,
@@ -98,7 +98,8 @@
 //! seconds · **6 Store**: `?u64` scene hash, `?u64` calibration hash · **7 Forget** ·
 //! **8 Reboot**: enum target (0 firmware, 1 boot loader) · **9 Head**: `u16` offset, `u16` bytes of
 //! the whole, `list u8` bytes (128 at most) · **10 Stream**: `u16` of how
-//! many scans the first 32 are sent, `u8` of how many poses one is sent, none if zero.
+//! many scans the first 32 are sent, `u8` of how many poses one is sent, none if zero · **11 FullScale**: `u32`
+//! picoamperes at the end of the converters' range, not zero.
 //!
 //! Every command with a readable number gets one Reply, after all other messages it
 //! causes; a command of unknown kind gets rejection 0 (unsupported).
@@ -110,8 +111,8 @@
 //!
 //! ```text
 //! Hello:protocol{major u8,minor u8},message_keys bytes,command_keys bytes,device_id [u8;12],kind(Physical|
-//!     Simulated),board str,firmware str,reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic),
-//!     hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,
+//!     Simulated),board str,firmware str,reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic|
+//!     StackOverflow),hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,
 //!     saturation_code u16},configuration u16,schedule{tick_hz u32,frame_ticks u32,slots [u16;..17],
 //!     slot_ticks u32,settling_ticks u32,conversion_ticks u32,oversampling u16,cells u8}
 //! Batch:configuration u16,sequence u64,tick u64,levels [u16;..16],samples bytes
@@ -147,6 +148,7 @@
 //! Reboot:target(Firmware|BootLoader)
 //! Head:offset u16,total u16,bytes [u8;..128]
 //! Stream:scans u16,poses u8
+//! FullScale:full_scale_pa u32
 //! ```
 //!
 //! # Example

@@ -135,6 +135,8 @@ pub enum ResetCause {
     Watchdog,
     /// A panic of the firmware, or an access to invalid memory.
     Panic,
+    /// The firmware's stack had no room left.
+    StackOverflow,
 }
 
 /// Counters since reset, health, and what the board started with. At every instant

@@ -1,5 +1,7 @@
 //! One scan: the converters' codes of one frame, before conversion to currents.
 
+use core::num::NonZeroU32;
+
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -158,8 +160,20 @@ impl AdcScaling {
     /// The current at the end of the converter's range, in amperes: the greatest that could
     /// be measured if the stage in front of it reached that far.
     pub fn full_scale_a(&self) -> f64 {
-        let end = if self.amperes_per_code < 0.0 { 0.0 } else { f64::from((1_u32 << self.bits.min(16)) - 1) };
-        (end - self.zero_code) * self.amperes_per_code
+        (f64::from(self.end_code()) - self.zero_code) * self.amperes_per_code
+    }
+
+    /// The same with `full_scale_pa` picoamperes at the end of the converter's range.
+    #[must_use]
+    pub fn with_full_scale(self, full_scale_pa: NonZeroU32) -> Self {
+        // In `f32`, which a board has: right to 1e-7.
+        let range = self.end_code() as f32 - self.zero_code as f32;
+        Self { amperes_per_code: f64::from(full_scale_pa.get() as f32 * 1e-12 / range), ..self }
+    }
+
+    /// The end of the converter's range that currents go to.
+    fn end_code(&self) -> u32 {
+        if self.amperes_per_code.is_sign_negative() { 0 } else { (1 << self.bits.min(16)) - 1 }
     }
 
     /// Whether a word of `oversampling` conversions reaches the saturation code on
@@ -219,6 +233,13 @@ mod tests {
         assert_eq!(FALLING.full_scale_a(), 3900.0 * 2.5e-9);
         let rising = AdcScaling { amperes_per_code: 2.5e-9, zero_code: 95.0, ..FALLING };
         assert_eq!(rising.full_scale_a(), 4000.0 * 2.5e-9);
+        for scaling in [FALLING, rising] {
+            for pa in [1, 9_100_000, u32::MAX] {
+                let other = scaling.with_full_scale(NonZeroU32::new(pa).unwrap());
+                assert!((other.full_scale_a() / (f64::from(pa) * 1e-12) - 1.0).abs() < 3e-7, "{other:?}");
+                assert_eq!(other.amperes_per_code.is_sign_negative(), scaling.amperes_per_code.is_sign_negative());
+            }
+        }
     }
 
     #[test]

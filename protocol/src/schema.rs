@@ -49,7 +49,7 @@ pub const MESSAGES: [Schema; 8] = [
         concat!(
             "protocol{major u8,minor u8},message_keys bytes,command_keys bytes,\
              device_id [u8;12],kind(Physical|Simulated),board str,firmware str,\
-             reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic),\
+             reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic|StackOverflow),\
              hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,\
              saturation_code u16},configuration u16,schedule",
             schedule!()
@@ -85,7 +85,7 @@ pub const MESSAGES: [Schema; 8] = [
 ];
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
-pub const COMMANDS: [Schema; 11] = [
+pub const COMMANDS: [Schema; 12] = [
     Schema::new("Hello", ""),
     Schema::new("Start", ""),
     Schema::new("Stop", ""),
@@ -97,6 +97,7 @@ pub const COMMANDS: [Schema; 11] = [
     Schema::new("Reboot", "target(Firmware|BootLoader)"),
     Schema::new("Head", "offset u16,total u16,bytes [u8;..128]"),
     Schema::new("Stream", "scans u16,poses u8"),
+    Schema::new("FullScale", "full_scale_pa u32"),
 ];
 
 const KEY_BYTES: usize = size_of::<u64>();

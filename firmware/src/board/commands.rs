@@ -13,13 +13,16 @@
 //! | Reboot | the reply, then a reset | idle, the reply, then a reset |
 //! | Head | a part taken; with the last one the head is in force | the same, poses from the next scan on |
 //! | Stream | in force until the next Stop | the same; what is under way goes out |
+//! | FullScale | as a Configure that changes nothing else; no head is in force | the same |
 //!
 //! A Configure changes nothing in either state if its schedule contradicts itself or is in
 //! other ticks than the board's, if its number of levels is wrong, or if the hardware
 //! cannot run it.
 
+use heapless::Vec;
 use slitpose_protocol::{
-    Command, Configuration, FrameError, Hashes, Message, PayloadError, Pong, Rejection, Reply, Request, SettingsSource,
+    Command, Configuration, FrameError, Hashes, HeadPart, Message, PayloadError, Pong, Rejection, Reply, Request,
+    SettingsSource,
 };
 
 use super::{Board, Emitters, Reboot, Storing};
@@ -99,6 +102,16 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
                 }
             }
             Command::Stream(stream) => self.set_stream(stream),
+            Command::FullScale { full_scale_pa } => {
+                let before = self.identity.full_scale_pa.replace(full_scale_pa);
+                if let Err(rejection) = self.configure(self.configuration.clone()) {
+                    self.identity.full_scale_pa = before;
+                    return Err(rejection);
+                }
+                // A board that solves no poses has none to forget.
+                let none = HeadPart { offset: 0, total: 0, bytes: Vec::new() };
+                let _ = self.poser.take_part(&none, &self.configuration.schedule);
+            }
         }
         Ok(Done::Now)
     }
@@ -107,7 +120,12 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
         if self.storing.is_some() {
             return Err(Rejection::Storing);
         }
-        let settings = hashes.map(|hashes| Settings { configuration: self.configuration.clone(), hashes, head: None });
+        let settings = hashes.map(|hashes| Settings {
+            configuration: self.configuration.clone(),
+            hashes,
+            head: None,
+            full_scale_pa: self.identity.full_scale_pa,
+        });
         self.hardware.store(settings.as_ref(), self.poser.bytes()?);
         self.storing = Some(Storing { number: Some(number), hashes });
         Ok(Done::Later)

@@ -7,6 +7,7 @@ mod commands;
 mod polling;
 
 use core::fmt::{self, Write};
+use core::num::NonZeroU32;
 
 use heapless::String;
 use slitpose_protocol::schema::SchemaKeys;
@@ -65,8 +66,10 @@ pub struct Identity {
     pub reset_cause: ResetCause,
     /// Hashes stored on the board.
     pub hashes: Hashes,
-    /// What a word is worth in amperes.
+    /// What a word is worth in amperes, unless a full scale is set.
     pub scaling: AdcScaling,
+    /// The full scale that is set, in picoamperes.
+    pub full_scale_pa: Option<NonZeroU32>,
     /// What the hardware's ticks are counted by.
     pub clock: ClockSource,
     /// Where the first configuration came from.
@@ -336,6 +339,7 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
 
     /// Queues a hello for the configuration in force.
     fn introduce(&mut self) {
+        let scaling = self.identity.scaling;
         self.outbox.push_answer(&Message::Hello(Hello {
             protocol: PROTOCOL,
             message_keys: SchemaKeys::messages(),
@@ -346,7 +350,10 @@ impl<H: Hardware, M: AsRef<[u8]> + AsMut<[u8]>> Board<H, M> {
             firmware: env!("CARGO_PKG_VERSION"),
             reset_cause: self.identity.reset_cause,
             hashes: self.identity.hashes,
-            scaling: self.identity.scaling,
+            scaling: self
+                .identity
+                .full_scale_pa
+                .map_or(scaling, |full_scale_pa| scaling.with_full_scale(full_scale_pa)),
             configuration: self.configuration_number,
             schedule: self.configuration.schedule.clone(),
         }));

@@ -45,9 +45,9 @@ pub fn default_configuration() -> Configuration {
     }
 }
 
-/// Scaling of the board's own front end: 10 µA from the code at zero current, 64 codes
-/// below the top, down to code 0. The last 32 codes, 26 mV, count as saturated: an
-/// amplifier does not swing to the very end of its supply.
+/// Scaling of the board's own front end, unless another full scale is stored on it: 10 µA
+/// from the code at zero current, 64 codes below the top, down to code 0. The last 32 codes,
+/// 26 mV, count as saturated: an amplifier does not swing to the very end of its supply.
 pub fn default_scaling() -> AdcScaling {
     let zero_code = 4095.0 - 64.0;
     AdcScaling { zero_code, amperes_per_code: -FULL_SCALE_A / zero_code, bits: 12, saturation_code: 32 }

@@ -1,5 +1,7 @@
 //! Behaviour of a board, one command sequence a test.
 
+use core::num::NonZeroU32;
+
 use crate::common::{
     Fake, Finished, Heard, Listener, TICK_HZ, board, configuration, identity, request, sequences, turn, without_dark,
     words,
@@ -463,6 +465,36 @@ fn a_store_is_answered_once_its_settings_are_kept() {
     let heard = turn(&mut board, &mut listener);
     assert!(matches!(heard[0], Heard::Hello { hashes: Hashes { scene: None, calibration: None }, .. }));
     assert_eq!(board.hardware_mut().kept, None);
+}
+
+#[test]
+fn a_full_scale_is_told_with_the_next_configuration_and_kept() {
+    let (mut board, mut listener) = opened();
+    board.receive(&request(1, Command::Start));
+    turn(&mut board, &mut listener);
+    let full_scale_pa = NonZeroU32::new(6_600_000).expect("not zero");
+    board.receive(&request(2, Command::FullScale { full_scale_pa }));
+    let mut sent = [0; TRANSMIT_BYTES];
+    board.poll(Link::Open);
+    let mut bytes = board.transmit(&mut sent);
+    let mut decoder = Decoder::<MAX_MESSAGE_BYTES>::new();
+    let Some(Ok(Message::Hello(hello))) = decoder.next::<Message>(&mut bytes) else { panic!("no hello") };
+    assert_eq!((hello.configuration, hello.scaling), (1, identity().scaling.with_full_scale(full_scale_pa)));
+    assert!((hello.scaling.full_scale_a() / 6.6e-6 - 1.0).abs() < 1e-6);
+    assert!(board.is_acquiring());
+    // Number 3, zero picoamperes.
+    board.receive(&[0x03, 0x03, 0x0b, 0x05, 0x80, 0xbe, 0xf3, 0x1e, 0x00]);
+    assert_eq!(turn(&mut board, &mut listener), [rejected(3, Rejection::Malformed { kind: 11 })]);
+    board.receive(&request(4, Command::Store(Hashes::default())));
+    turn(&mut board, &mut listener);
+    assert_eq!(board.hardware_mut().kept.as_ref().and_then(|kept| kept.full_scale_pa), Some(full_scale_pa));
+    // One that does not come into force is not told.
+    board.hardware_mut().refuse_light = Some(HardwareFault::Converters);
+    board.receive(&request(5, Command::FullScale { full_scale_pa: NonZeroU32::MIN }));
+    turn(&mut board, &mut listener);
+    board.receive(&request(6, Command::Store(Hashes::default())));
+    turn(&mut board, &mut listener);
+    assert_eq!(board.hardware_mut().kept.as_ref().and_then(|kept| kept.full_scale_pa), Some(full_scale_pa));
 }
 
 #[test]

@@ -302,10 +302,7 @@ impl<'a> Adjustment<'a> {
         if rows.is_empty() {
             return Ok(());
         }
-        let mut scene = state.parameters.scene(self.nominal);
-        for (cell, error) in scene.cells.iter_mut().zip(&state.model_errors) {
-            cell.effects.model_error = *error;
-        }
+        let scene = state.scene(self.nominal);
         let readings: Vec<_> = rows.iter().map(|&row| self.data.rows[row].clone()).collect();
         let mut candidate = state.clone();
         for (&row, pose) in rows.iter().zip(solved(&scene, &readings)?) {

@@ -1,11 +1,14 @@
 //! What is wrong with data that were adjusted: refused, or remarked.
 
-use slitpose_model::Scene;
+use slitpose_head::scene_file::Workspace;
+use slitpose_head::table::POSE_COLUMNS;
+use slitpose_model::{Plan, Scene, SceneError};
 
 use crate::CalibrateError;
 use crate::adjust::FIRST_ERROR;
-use crate::data::Data;
+use crate::data::{Data, values_of};
 use crate::parameters::Parameter;
+use crate::sensitivity::TIER;
 use crate::state::{State, Weights};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
@@ -36,8 +39,10 @@ pub(crate) fn require_agreement(
 }
 
 /// What a user should know of the adjustment, with the next step.
-pub(crate) fn remarks(data: &Data, state: &State) -> Vec<String> {
+pub(crate) fn remarks(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Vec<String> {
     let mut remarks = worse_instruments(data, state);
+    remarks.extend(poses_left_out(data, state, weights));
+    remarks.extend(uncovered(data, state, weights, workspace));
     remarks.extend(beyond_tolerances(&state.parameters.entries));
     remarks
 }
@@ -122,3 +127,91 @@ fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
         )
     })
 }
+
+/// Poses of instruments that were outliers, with how far they are from where the readings have the tool.
+fn poses_left_out(data: &Data, state: &State, weights: &Weights) -> Option<String> {
+    let mut left_out = Vec::new();
+    for row in (0..data.len()).filter(|&row| weights.poses[row] < 1.0) {
+        let Some(report) = state.reported(data, row) else { continue };
+        let (t, r) = state.poses[row].displacement_from(&state.expected(data, row, &report));
+        left_out.push(format!("{} by {:.0} µm and {:.1} mrad", data.rows[row].id, t.length() * 1e6, r.length() * 1e3));
+    }
+    let more = if left_out.len() > NAMED { ", and more" } else { "" };
+    let count = left_out.len();
+    left_out.truncate(NAMED);
+    (count > 0).then(|| {
+        format!(
+            "{count} poses left out, of the rows with id: {}{more}; the readings have the tool elsewhere",
+            left_out.join(", ")
+        )
+    })
+}
+
+/// Share of the workspace, along one of its axes, below which poses do not speak for the whole.
+const COVERED: f64 = 0.6;
+
+/// Axes of the workspace that known poses do not cover.
+fn uncovered(data: &Data, state: &State, weights: &Weights, workspace: &Workspace) -> Option<String> {
+    let is_known = |row: &usize| weights.poses[*row] == 1.0 && data.rows[*row].reported().is_some();
+    let values: Vec<[f64; 6]> = (0..data.len()).filter(is_known).map(|row| values_of(&state.poses[row])).collect();
+    let half = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
+    let covered = |k: usize| {
+        let of = |best: fn(f64, f64) -> f64| values.iter().map(|values| values[k]).reduce(best);
+        Some(0.5 * (of(f64::max)? - of(f64::min)?) / half[k])
+    };
+    let few = (0..6).filter_map(|k| Some((k, covered(k)?))).filter(|(_, share)| *share < COVERED);
+    let few: Vec<String> = few.map(|(k, share)| format!("{} {:.0} %", POSE_COLUMNS[k], 100.0 * share)).collect();
+    (!few.is_empty()).then(|| {
+        format!(
+            "the poses cover only a part of the workspace ({}): the error of poses left out holds within that part, outside \
+             it errors are greater; add poses farther out",
+            few.join(", ")
+        )
+    })
+}
+
+/// Trend of a cell's light over the rows of a file, relative, that is worth a word, and the least share of the variance of
+/// the cell's light that it explains.
+const DRIFT: f64 = 3e-3;
+const EXPLAINED: f64 = 0.5;
+
+/// The trend of the light over the rows of a file with known poses, if all cells have one in the same sense.
+///
+/// # Errors
+/// A scene that cannot be computed.
+pub(crate) fn light_drift(nominal: &Scene, data: &Data, state: &State) -> Result<Option<String>, SceneError> {
+    let plan = Plan::<f64>::compile(&state.parameters.scene(nominal), TIER)?;
+    for group in &data.groups {
+        let trend = |cell: usize| {
+            let rows = group.rows.clone().filter_map(|row| {
+                let ([a, b], pair) = (data.rows[row].readings[cell]?, plan.photocurrents(cell, &state.poses[row]));
+                data.rows[row].reported()?;
+                let ratio = ((a + b) / (pair.i_x1_a + pair.i_x2_a)).ln();
+                ratio.is_finite().then_some(((row - group.rows.start) as f64 / group.rows.len() as f64, ratio))
+            });
+            let rows: Vec<(f64, f64)> = rows.collect();
+            let mean = |of: &dyn Fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / rows.len() as f64;
+            let [x, y] = [mean(&|row| row.0), mean(&|row| row.1)];
+            let [xx, xy, yy] = [
+                mean(&|row| (row.0 - x).powi(2)),
+                mean(&|row| (row.0 - x) * (row.1 - y)),
+                mean(&|row| (row.1 - y).powi(2)),
+            ];
+            (rows.len() >= MIN_TREND && xy * xy > EXPLAINED * xx * yy && (xy / xx).abs() > DRIFT).then_some(xy / xx)
+        };
+        let trends: Option<Vec<f64>> = (0..nominal.cells.len()).map(trend).collect();
+        let Some(trends) = trends.filter(|of| of.iter().all(|by| by * of[0] > 0.0)) else { continue };
+        let percent = 100.0 * trends.iter().sum::<f64>() / trends.len() as f64;
+        return Ok(Some(format!(
+            "{}: the light of all cells {} by {:.1} % from the first row to the last: emitters or their supply drift; let \
+             them warm up, hold their current, and measure again, for a calibration takes the light to be constant",
+            group.file,
+            if percent < 0.0 { "falls" } else { "rises" },
+            percent.abs()
+        )));
+    }
+    Ok(None)
+}
+
+/// Fewest rows that show a trend.
+const MIN_TREND: usize = 20;

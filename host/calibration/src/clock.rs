@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use crate::data::{Constraint, Data, Row, compose, inverse};
 use crate::frames::align;
-use crate::plausibility::median;
+use crate::plausibility::{BETTER, UNITS, median};
 use crate::start::{first_poses, known_so_far};
 use crate::tables::thinned;
 use crate::track::{FoundClock, Track};
@@ -32,6 +32,9 @@ const CANDIDATES: usize = 6;
 
 /// Steps of the search, seconds: motions of a hand take tenths of seconds.
 const STEP_S: f64 = 0.01;
+
+/// Longest usual interval of an instrument that follows a motion: of camera systems it is 2 to 40 ms.
+const MAX_INTERVAL_S: f64 = 0.5;
 
 /// Longest search, in steps: three hours.
 const MOST_STEPS: f64 = 1.1e6;
@@ -83,6 +86,58 @@ pub enum ClockError {
         file: String,
         /// Its rows.
         rows: usize,
+    },
+    /// Rows without a pose.
+    #[error(
+        "{file}: in {rows} of {of} rows, from row {first} on, the pose stands still or is far from those around: the \
+         instrument had lost its marker; record again with the marker in view"
+    )]
+    Lost {
+        /// The table.
+        file: String,
+        /// Such rows.
+        rows: usize,
+        /// All rows.
+        of: usize,
+        /// Number of the first.
+        first: usize,
+    },
+    /// Times that are no seconds.
+    #[error("{file}: its rows are {usual_s:.3} s apart by time_s: {likely}? Give seconds")]
+    Unit {
+        /// The table.
+        file: String,
+        /// Usual interval.
+        usual_s: f64,
+        /// What they may be.
+        likely: &'static str,
+    },
+    /// Lengths in another unit.
+    #[error(
+        "{file}: tx_mm, ty_mm and tz_mm are millimetres, but are these {unit}? Then the motion is that of the capture"
+    )]
+    Lengths {
+        /// The table.
+        file: String,
+        /// What they look like.
+        unit: &'static str,
+    },
+    /// A clock that was set while it ran.
+    #[error(
+        "{file}: time_s jumps by {gap_s:.1} s to row {row}, and all of {capture} takes {capture_s:.1} s; correct the times \
+         from there on, or give the rows of one side alone"
+    )]
+    Jump {
+        /// The table.
+        file: String,
+        /// The interval.
+        gap_s: f64,
+        /// Number of the row that ends it.
+        row: usize,
+        /// The capture.
+        capture: String,
+        /// Its duration.
+        capture_s: f64,
     },
     /// A record much longer than any capture.
     #[error(
@@ -203,10 +258,24 @@ impl Motion<'_> {
         let (Some((first_s, _)), Some((last_s, _))) = (self.poses.first(), self.poses.last()) else {
             return Err(ClockError::Still { file });
         };
+        let capture_s = last_s - first_s;
+        if track.usual_s > MAX_INTERVAL_S {
+            let is_even = track.times_s.windows(2).all(|pair| pair[1] - pair[0] == 1.0);
+            let likely = match track.usual_s {
+                _ if is_even => "are these row numbers",
+                usual_s if usual_s > 1e3 * MAX_INTERVAL_S => "are these microseconds",
+                _ => "are these milliseconds",
+            };
+            return Err(ClockError::Unit { file, usual_s: track.usual_s, likely });
+        }
+        let (gap_s, row) = track.longest_gap();
+        if gap_s > capture_s {
+            return Err(ClockError::Jump { file, gap_s, row, capture, capture_s });
+        }
         let from_s = track_from_s - last_s;
         let steps = (track_to_s - first_s - from_s) / STEP_S;
         if steps > MOST_STEPS {
-            let [span_s, capture_s] = [track_to_s - track_from_s, last_s - first_s];
+            let span_s = track_to_s - track_from_s;
             return Err(ClockError::Long { file, span_s, capture, capture_s });
         }
         let pairs = self.poses.windows(APART + 1).map(|of| (of[0], of[APART]));
@@ -246,6 +315,15 @@ impl Motion<'_> {
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mean_m = poses.iter().map(|(_, pose)| pose.translation_m).sum::<DVec3>() / poses.len() as f64;
         let motion = median(poses.iter().map(|(_, pose)| pose.translation_m.distance_squared(mean_m)).collect());
+        for (scale, unit) in UNITS {
+            let longer = |pose: &Pose| Pose { translation_m: pose.translation_m * scale, ..*pose };
+            let poses_of = track.poses.iter().map(longer).collect();
+            let scaled =
+                Track { times_s: track.times_s.clone(), poses: poses_of, left_out: Vec::new(), usual_s: track.usual_s };
+            if found.iter().any(|(_, at_s)| BETTER * BETTER * self.misfit(&scaled, &poses, *at_s) < found[0].0) {
+                return Err(ClockError::Lengths { file, unit });
+            }
+        }
         if found[0].0 > MOST_APART * motion {
             return Err(ClockError::NoMatch { file, capture, left: (found[0].0 / motion).min(1.0) });
         }
@@ -309,6 +387,12 @@ pub fn read_tracked(
     let seen = rows.iter().zip(poses).filter_map(|(row, pose)| Some((middle(row), pose?)));
     let ahead_s = Motion { poses: seen.collect(), constraint, files: [table, capture] }.ahead_s(&track)?;
     let centre_s = rows.first().zip(rows.last()).map_or(0.0, |(first, last)| 0.5 * (middle(first) + middle(last)));
+    if let (Some(first), count) = (track.left_out.first(), track.left_out.len()) {
+        let rows = track.times_s.len() + count;
+        data.remarks.push(format!(
+            "{table}: {count} of {rows} rows left out, from row {first} on: the pose stands still or is far from those around"
+        ));
+    }
     let clock = FoundClock { ahead_s, faster: 0.0, centre_s, track: Arc::new(track) };
     let mut next_s = f64::NEG_INFINITY;
     rows.retain_mut(|row| {
@@ -347,7 +431,12 @@ pub(crate) mod tests {
         ];
         let times_s: Vec<f64> = (0..2400).map(|k| f64::from(k) * 5e-3).collect();
         let poses = times_s.iter().map(|time_s| compose(&compose(&inverse(&x), &of(*time_s)), &y)).collect();
-        Track { times_s: times_s.iter().map(|time_s| time_s + AHEAD_S).collect(), poses, usual_s: 5e-3 }
+        Track {
+            times_s: times_s.iter().map(|time_s| time_s + AHEAD_S).collect(),
+            poses,
+            usual_s: 5e-3,
+            left_out: Vec::new(),
+        }
     }
 
     fn seen(of: impl Fn(f64) -> Pose) -> Motion<'static> {
@@ -379,7 +468,18 @@ pub(crate) mod tests {
         let milliseconds =
             Track { times_s: (0..2400).map(|k| f64::from(k) * 5.0).collect(), usual_s: 5.0, ..track(uneven) };
         let long = seen(uneven).ahead_s(&milliseconds).unwrap_err().to_string();
-        assert!(long.contains("poses.csv is 11995 s long, and free.mcap 10 s: is its time_s in seconds?"), "{long}");
+        assert!(long.contains("poses.csv: its rows are 5.000 s apart by time_s: are these milliseconds?"), "{long}");
+        let jumps = |k: usize, time_s: f64| if k < 1000 { time_s } else { time_s + 3600.0 };
+        let mut set = track(uneven);
+        set.times_s = set.times_s.iter().enumerate().map(|(k, time_s)| jumps(k, *time_s)).collect();
+        let set = seen(uneven).ahead_s(&set).unwrap_err().to_string();
+        assert!(set.contains("time_s jumps by 3600.0 s to row 1001"), "{set}");
+        // Translations that no lever on the rotations explains.
+        let free = |time_s: f64| Pose { translation_m: uneven(1.7 * time_s).translation_m, ..uneven(time_s) };
+        let in_metres = |time_s: f64| Pose { translation_m: 1e-3 * free(time_s).translation_m, ..free(time_s) };
+        let metres = Track { poses: (0..2400).map(|k| in_metres(f64::from(k) * 5e-3)).collect(), ..track(uneven) };
+        let metres = seen(free).ahead_s(&metres).unwrap_err().to_string();
+        assert!(metres.contains("are these metres?"), "{metres}");
         assert!(error(&|_| Pose::HOME, &uneven).contains("the tool hardly turns"));
         // Another motion: the same backward.
         let backward = error(&uneven, &|time_s| motion(0.7 * (50.0 - time_s), false));

@@ -12,6 +12,8 @@ pub struct Data {
     pub(crate) groups: Vec<Group>,
     /// Noise of one frame; `None`: that of the scene.
     pub noise: Option<Noise>,
+    /// What was noticed when they were read.
+    pub(crate) remarks: Vec<String>,
 }
 
 /// The readings of all cells at one pose.
@@ -139,6 +141,16 @@ impl Data {
                 clock.tell(row);
             }
         }
+    }
+
+    /// All but the rows `left_out`, which ascend.
+    pub(crate) fn without(&self, left_out: &[usize]) -> Self {
+        let mut data = self.clone();
+        let mut row = 0..;
+        data.rows.retain(|_| row.next().is_some_and(|row| left_out.binary_search(&row).is_err()));
+        let kept = |row: usize| row - left_out.partition_point(|&out| out < row);
+        data.groups.iter_mut().for_each(|group| group.rows = kept(group.rows.start)..kept(group.rows.end));
+        data
     }
 
     /// All rows.

@@ -5,11 +5,11 @@ use std::ops::ControlFlow;
 use nalgebra::DMatrix;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::TableError;
-use slitpose_model::{ModelError, Pose, Scene, SceneError};
+use slitpose_model::{ModelError, Scene, SceneError};
 use thiserror::Error;
 
 use crate::adjust::Adjustment;
-use crate::data::{Constraint, Data, compose, inverse, pose_of};
+use crate::data::{Constraint, Data};
 use crate::normal::Normal;
 use crate::parameters::Parameters;
 use crate::plausibility::{self, Implausible};
@@ -99,6 +99,12 @@ pub enum CalibrateError {
         /// The same over what is stated.
         ratio: f64,
     },
+    /// Light that changes while the data are taken.
+    #[error("{what}")]
+    LightDrift {
+        /// Where, by how much, and what to do.
+        what: String,
+    },
     /// Poses that do not fix what they have in common.
     #[error(
         "{file}: the tool moves too little to tell anything from; turn it by 10 degrees about two axes, and move it through its workspace"
@@ -175,7 +181,13 @@ pub fn calibrate(
     }
     let _ = progress(Progress::Starting);
     let by_tolerances = uncalibrated(file)?;
-    plausibility::check(&by_tolerances, data)?;
+    let (outliers, gross) = plausibility::check(&by_tolerances, data)?;
+    let kept;
+    let mut data = data;
+    if !outliers.is_empty() {
+        kept = data.without(&outliers);
+        data = &kept;
+    }
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
     let errors = vec![ModelError::default(); file.scene.cells.len()];
     let started = start.map(|start| start.apply(file)).transpose()?;
@@ -183,7 +195,6 @@ pub fn calibrate(
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
     let on_time;
-    let mut data = data;
     if data.groups.iter().any(|group| group.clock.is_some()) {
         on_time = put_on_time(&nominal, data, &information, &mut state)?;
         data = &on_time;
@@ -202,10 +213,13 @@ pub fn calibrate(
             break;
         }
     }
-    if !is_interrupted {
-        agreement::require_agreement(&by_tolerances, data, &state, &weights)?;
+    let drift = agreement::light_drift(&nominal, data, &state)?;
+    if !is_interrupted && let Err(error) = agreement::require_agreement(&by_tolerances, data, &state, &weights) {
+        let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
+        return Err(likely.or(drift.map(|what| CalibrateError::LightDrift { what })).unwrap_or(error));
     }
-    let mut remarks = agreement::remarks(data, &state);
+    let mut remarks = [data.remarks.clone(), gross, drift.into_iter().collect()].concat();
+    remarks.extend(agreement::remarks(data, &state, &weights, &file.workspace));
     let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
     if !is_interrupted {
         is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
@@ -366,7 +380,7 @@ fn hold_out(
         let rows: Vec<_> = left_out.iter().map(|&row| data.rows[row].clone()).collect();
         for (&row, pose) in left_out.iter().zip(solved(&scene, &rows)?) {
             let (Some(pose), Some(report)) = (pose, found.reported(data, row)) else { continue };
-            let (t, r) = pose.displacement_from(&expected(&found, data, row, &report));
+            let (t, r) = pose.displacement_from(&found.expected(data, row, &report));
             squares[0] += t.length_squared();
             squares[1] += r.length_squared();
             count += 1.0;
@@ -382,14 +396,4 @@ fn hold_out(
         );
     }
     Ok(false)
-}
-
-/// The pose of the tool in the base that an instrument's report means.
-fn expected(state: &State, data: &Data, row: usize, report: &Pose) -> Pose {
-    let (number, group) = state.group_of(data, row);
-    if group.constraint != Constraint::KnownInOwnFrames {
-        return *report;
-    }
-    let [x, y] = [0, 6].map(|k| pose_of(&state.unknowns[number][k..k + 6]));
-    compose(&compose(&x, report), &inverse(&y))
 }

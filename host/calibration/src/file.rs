@@ -1,13 +1,12 @@
 //! The calibration file: TOML with a hash over everything below it.
 
 use std::fmt::Write as _;
-use std::fs;
-use std::io;
 use std::path::Path;
 
 use serde::Deserialize;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{SceneFile, fnv1a_64};
+use slitpose_head::text_file::{self, TextFileError};
 use slitpose_model::{ModelError, SceneError};
 use thiserror::Error;
 
@@ -19,9 +18,6 @@ use crate::{Calibration, Clock, Statistics};
 /// Version of the format.
 const FORMAT: u32 = 1;
 
-/// Largest file that is read, bytes: a head of 16 cells has 10 MB.
-const LARGEST_BYTES: u64 = 64 << 20;
-
 /// Why a calibration cannot be used.
 #[derive(Debug, Error)]
 pub enum CalibrationFileError {
@@ -30,19 +26,8 @@ pub enum CalibrationFileError {
     Read {
         /// The file.
         file: String,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// A file of another size than a calibration can have.
-    #[error(
-        "{} has {bytes} bytes, a calibration at most {LARGEST_BYTES}; give a file that `slitpose calibrate` wrote",
-        printable(file)
-    )]
-    TooLarge {
-        /// The file.
-        file: String,
-        /// Its size.
-        bytes: u64,
+        /// Why not.
+        source: TextFileError,
     },
     /// Not a calibration.
     #[error("{} is no calibration: {}; give a file that `slitpose calibrate` wrote", printable(file), printable(what))]
@@ -182,12 +167,8 @@ impl Calibration {
     /// A file that cannot be read, or is no calibration.
     pub fn open(path: &Path) -> Result<Self, CalibrationFileError> {
         let file = || path.display().to_string();
-        let read = |source| CalibrationFileError::Read { file: file(), source };
-        let bytes = fs::metadata(path).map_err(read)?.len();
-        if bytes > LARGEST_BYTES {
-            return Err(CalibrationFileError::TooLarge { file: file(), bytes });
-        }
-        Self::from_bytes(&file(), &fs::read(path).map_err(read)?)
+        let bytes = text_file::read(path).map_err(|source| CalibrationFileError::Read { file: file(), source })?;
+        Self::from_bytes(&file(), &bytes)
     }
 
     /// Reads a calibration from the bytes of a file; `origin` names it in messages.

@@ -59,7 +59,7 @@ pub use head::{Basis, Head};
 pub use parameter::Quantity;
 pub use parameters::Parameter;
 pub use part_costs::{KnownPoses, PartCost, PartCosts, PoseRms, part_costs};
-pub use plausibility::Implausible;
+pub use plausibility::{Implausible, Reports, check_poses, other_reading};
 pub use reading_noise::measured_noise;
 pub use residuals::Residual;
 pub use spectrum::Direction;

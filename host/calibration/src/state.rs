@@ -3,7 +3,7 @@
 use slitpose_model::{ModelError, Pose, Scene};
 
 use crate::constraint;
-use crate::data::{Constraint, Data, Group};
+use crate::data::{Constraint, Data, Group, compose, inverse, pose_of};
 use crate::parameters::Parameters;
 use crate::reading_noise::{Covariance, ReadingNoise};
 
@@ -65,6 +65,15 @@ impl State {
         }
     }
 
+    /// The head, with its model errors.
+    pub(crate) fn scene(&self, nominal: &Scene) -> Scene {
+        let mut scene = self.parameters.scene(nominal);
+        for (cell, error) in scene.cells.iter_mut().zip(&self.model_errors) {
+            cell.effects.model_error = *error;
+        }
+        scene
+    }
+
     pub(crate) fn covariance(&self, cell: usize, reading: [f64; 2], frames: f64) -> Covariance {
         self.noise[cell].covariance(reading, frames, &self.model_errors[cell])
     }
@@ -101,6 +110,16 @@ impl State {
     pub(crate) fn reported(&self, data: &Data, row: usize) -> Option<Pose> {
         let (number, _) = self.group_of(data, row);
         data.rows[row].reported_at(self.clock(data, number).unwrap_or_default())
+    }
+
+    /// The pose of the tool in the base that an instrument's report means.
+    pub(crate) fn expected(&self, data: &Data, row: usize, report: &Pose) -> Pose {
+        let (number, group) = self.group_of(data, row);
+        if group.constraint != Constraint::KnownInOwnFrames {
+            return *report;
+        }
+        let [x, y] = [0, 6].map(|k| pose_of(&self.unknowns[number][k..k + 6]));
+        compose(&compose(&x, report), &inverse(&y))
     }
 
     /// Whether an instrument knows the row's pose, in whatever frames.

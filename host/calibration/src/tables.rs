@@ -4,12 +4,16 @@ use std::collections::HashSet;
 
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{Column, CurrentColumns, PoseColumns, Row as TableRow, TableError, TableReader};
+use slitpose_model::{Detector, Pair};
 
 use crate::data::{Constraint, Data, Knowledge, Row};
 use crate::{CalibrateError, Implausible};
 
 /// Rows of a table without poses that are taken at most; more tell next to nothing new.
 pub const MOST_ROWS: usize = 1500;
+
+/// Rows of a table that are read at most: some 300 MB of memory for six cells.
+const MAX_READ_ROWS: u64 = 1 << 20;
 
 /// Change of a cell's currents, relative to its total, up to which neighbouring readings are averaged: curvature over
 /// such a way is below 2e-5.
@@ -29,7 +33,7 @@ pub fn read(
     sigmas: [f64; 2],
     data: &mut Data,
 ) -> Result<(), CalibrateError> {
-    let mut reader = TableReader::open(table)?;
+    let mut reader = TableReader::open(table)?.of_at_most(MAX_READ_ROWS);
     let cells = file.scene.cells.len();
     if reader.optional_column(&format!("i_x1_{cells}_a"))?.is_some() {
         return Err(Implausible::MoreCells { file: table.to_owned(), cells }.into());
@@ -42,7 +46,7 @@ pub fn read(
             let poses = PoseColumns::find(&reader)?;
             let mut known: HashSet<Vec<u64>> = data.rows.iter().filter_map(digits).collect();
             while let Some(row) = reader.next_row()? {
-                let knowledge = Knowledge::Reported(poses.reported_pose(&row)?);
+                let knowledge = Knowledge::Reported(poses.pose(&row)?);
                 let row = row_of(file, &currents, frames, &row, poses.id(&row), knowledge)?;
                 if digits(&row).is_some_and(|digits| !known.insert(digits)) {
                     return Err(Implausible::Repeated { file: table.to_owned(), row: rows.len() + 1 }.into());
@@ -94,15 +98,22 @@ fn row_of(
             frames => return Err(row.out_of_range(column, frames, "the number of frames averaged, at least 1")),
         },
     };
-    let readings = file.scene.cells.iter().enumerate().map(|(cell, description)| {
-        let (detector, pair) = (&description.detector, currents.pair(row, cell)?);
-        let half_dark = 0.5 * detector.dark_current_a;
-        let is_usable = pair.total_a() - detector.dark_current_a > detector.faint_a
-            && detector.saturation_a.is_none_or(|limit| pair.total_a() <= limit);
-        Ok(is_usable.then_some([pair.i_x1_a - half_dark, pair.i_x2_a - half_dark]))
-    });
+    let readings = file
+        .scene
+        .cells
+        .iter()
+        .enumerate()
+        .map(|(cell, description)| Ok(above_dark(&description.detector, &currents.pair(row, cell)?)));
     let readings = readings.collect::<Result<_, TableError>>()?;
     Ok(Row { id: id.to_owned(), readings, frames, time_s: None, knowledge })
+}
+
+/// The currents of a cell above dark, amperes; `None`: faint, or beyond saturation.
+pub fn above_dark(detector: &Detector, pair: &Pair<f64>) -> Option<[f64; 2]> {
+    let half_dark = 0.5 * detector.dark_current_a;
+    let is_usable = pair.total_a() - detector.dark_current_a > detector.faint_a
+        && detector.saturation_a.is_none_or(|limit| pair.total_a() <= limit);
+    is_usable.then_some([pair.i_x1_a - half_dark, pair.i_x2_a - half_dark])
 }
 
 /// Thins rows without poses: at most [`MOST_ROWS`] rows, spread evenly, each the mean of its neighbours as long as the tool hardly moves.

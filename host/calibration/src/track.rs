@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use glam::DVec3;
+use slitpose_head::simulator::MAX_KNOTS;
 use slitpose_head::table::{PoseColumns, TableReader};
 use slitpose_model::Pose;
 
 use crate::data::{Knowledge, Row};
+use crate::plausibility::middle;
 use crate::{CalibrateError, ClockError};
 
 /// Intervals of the instrument beyond which poses are not interpolated, in units of its usual one.
@@ -15,6 +17,13 @@ const LONGEST_GAP: f64 = 3.5;
 /// Instants at which the instrument's pose is averaged over the frames of a row.
 const INSTANTS: usize = 9;
 
+/// Equal poses in a row from which a moving instrument is frozen.
+const FROZEN_ROWS: usize = 3;
+
+/// Distance, in usual steps, of a pose from the middle of so many before and after it that no motion covers.
+const LOST_STEPS: f64 = 50.0;
+const AROUND: usize = 4;
+
 /// The poses of a marker over time.
 #[derive(Debug)]
 pub(crate) struct Track {
@@ -22,12 +31,14 @@ pub(crate) struct Track {
     pub(crate) poses: Vec<Pose>,
     /// Usual interval, seconds.
     pub(crate) usual_s: f64,
+    /// Numbers of the rows that were left out, from one: the instrument had no pose there.
+    pub(crate) left_out: Vec<usize>,
 }
 
 impl Track {
     /// Reads a table of time_s and poses.
     pub(crate) fn open(table: &str) -> Result<Self, CalibrateError> {
-        let mut reader = TableReader::open(table)?;
+        let mut reader = TableReader::open(table)?.of_at_most(MAX_KNOTS);
         let columns = PoseColumns::keyed(&reader, "time_s")?;
         let time = reader.column("time_s")?;
         let (mut times_s, mut poses): (Vec<f64>, Vec<Pose>) = (Vec::new(), Vec::new());
@@ -42,9 +53,26 @@ impl Track {
         let mut intervals: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         intervals.sort_by(f64::total_cmp);
         match intervals.get(intervals.len() / 2) {
-            Some(&usual_s) if times_s.len() >= 20 => Ok(Self { usual_s, times_s, poses }),
+            Some(&usual_s) if times_s.len() >= 20 => {
+                let left_out = lost(&poses);
+                if 2 * left_out.len() > poses.len() {
+                    let (rows, first) = (left_out.len(), left_out[0] + 1);
+                    return Err(ClockError::Lost { file: table.to_owned(), rows, of: poses.len(), first }.into());
+                }
+                let is_kept = |row: &usize| left_out.binary_search(row).is_err();
+                let (times_s, poses) = (0..poses.len()).filter(is_kept).map(|row| (times_s[row], poses[row])).unzip();
+                Ok(Self { usual_s, times_s, poses, left_out: left_out.into_iter().map(|row| row + 1).collect() })
+            }
             _ => Err(ClockError::Short { file: table.to_owned(), rows: times_s.len() }.into()),
         }
+    }
+
+    /// The longest interval, and the number of the row that ends it.
+    pub(crate) fn longest_gap(&self) -> (f64, usize) {
+        let gaps = self.times_s.windows(2).map(|pair| pair[1] - pair[0]).enumerate();
+        let (before, gap_s) = gaps.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
+        let ends = self.left_out.iter().fold(before + 2, |row, &out| if out <= row { row + 1 } else { row });
+        (gap_s, ends)
     }
 
     /// First and last instant.
@@ -101,6 +129,37 @@ impl Track {
     }
 }
 
+/// Rows, from zero, in which the instrument had lost its marker: poses that stand repeated while the tool moves on, and
+/// translations far from those around.
+fn lost(poses: &[Pose]) -> Vec<usize> {
+    let step = |a: &Pose, b: &Pose| a.translation_m.distance(b.translation_m);
+    let mut steps: Vec<f64> = poses.windows(2).filter(|of| of[0] != of[1]).map(|of| step(&of[0], &of[1])).collect();
+    steps.sort_by(f64::total_cmp);
+    let far_m = LOST_STEPS * steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+    let mut lost = Vec::new();
+    let mut first = 0;
+    for run in poses.chunk_by(|a, b| a == b) {
+        let next = first + run.len();
+        let jump_m = poses.get(next).map_or(f64::INFINITY, |after| step(&run[0], after));
+        // The first of them may be the last that was measured.
+        if run.len() >= FROZEN_ROWS && jump_m * LOST_STEPS > far_m {
+            lost.extend(first + 1..next);
+        }
+        first = next;
+    }
+    let kept: Vec<usize> = (0..poses.len()).filter(|row| lost.binary_search(row).is_err()).collect();
+    for (k, &row) in kept.iter().enumerate() {
+        let around = &kept[k.saturating_sub(AROUND)..(k + AROUND + 1).min(kept.len())];
+        let near: Vec<DVec3> = around.iter().map(|&row| poses[row].translation_m).collect();
+        let centre = middle(&near);
+        if poses[row].translation_m.distance(centre) > far_m {
+            lost.push(row);
+        }
+    }
+    lost.sort_unstable();
+    lost
+}
+
 /// An instrument's record by a clock of its own, and how that differs from the board's as far as it has been found.
 #[derive(Clone, Debug)]
 pub(crate) struct FoundClock {
@@ -137,6 +196,7 @@ mod tests {
             times_s: (0..200).map(|k| f64::from(k) * 5e-3).collect(),
             poses: (0..200).map(|k| of(f64::from(k) * 5e-3)).collect(),
             usual_s: 5e-3,
+            left_out: Vec::new(),
         };
         for k in 1..180 {
             let time_s = f64::from(k) * 5.4e-3;
@@ -148,5 +208,21 @@ mod tests {
             assert!((t / 2e-6 - linear).length() < 2e-5 && (r / 2e-6 - angular).length() < 1e-3, "{linear} {angular}");
         }
         assert!(track.at(-1e-9).is_none() && track.at(0.9951).is_none());
+    }
+
+    #[test]
+    fn rows_of_an_instrument_without_its_marker_are_found() {
+        let sound: Vec<Pose> = (0..400).map(|k| motion(f64::from(k) * 5e-3, false)).collect();
+        let far = |pose: Pose| Pose { translation_m: DVec3::new(-9.999, 0.0, 0.0), ..pose };
+        type Spoil<'a> = &'a dyn Fn(usize) -> Pose;
+        let cases: [(Spoil<'_>, Vec<usize>); 4] = [
+            (&|k| sound[k], vec![]),
+            (&|k| if k == 100 { far(sound[k]) } else { sound[k] }, vec![100]),
+            (&|k| if (200..210).contains(&k) { far(sound[0]) } else { sound[k] }, (200..210).collect()),
+            (&|k| sound[k.min(300)], (301..400).collect()),
+        ];
+        for (spoil, expected) in cases {
+            assert_eq!(lost(&(0..400).map(spoil).collect::<Vec<_>>()), expected);
+        }
     }
 }

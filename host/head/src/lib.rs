@@ -8,7 +8,7 @@
 //! * [`faults`] injects faults into boards, heads and links;
 //! * [`finding`] states a fault and its remedy;
 //! * [`foreign`] escapes text of others for a terminal;
-//! * [`special_file`] opens pipes and devices, [`replacement`] makes files that replace others when complete;
+//! * [`text_file`] opens texts, [`special_file`] pipes and devices for writing, [`replacement`] makes files that replace others when complete;
 //! * [`interrupt`] handles Ctrl-C, [`threads`] panics of other threads, and work on all cores.
 //!
 //! Internally all units are SI. Millimetres and degrees appear in scene files, with the unit in the name.
@@ -64,4 +64,5 @@ pub mod scene_file;
 pub mod simulator;
 pub mod special_file;
 pub mod table;
+pub mod text_file;
 pub mod threads;

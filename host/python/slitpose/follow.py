@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import array
+import contextlib
 import dataclasses
 import socket
 import struct
@@ -113,7 +115,7 @@ def follow(
 ) -> Iterator[LivePose]:
     """Each pose of a running daemon, as it comes, until the iteration is left.
 
-    The queue of a socket holds some ten poses, more on UDP: a loop that takes longer misses some, as the numbers of the
+    The queue of a socket holds some hundred poses: a loop that takes longer misses some, as the numbers of the
     datagrams show.
 
     :param address: as given to ``slitpose run --publish``: ``unix:PATH`` or ``udp:127.0.0.1:PORT``.
@@ -143,16 +145,19 @@ def _parsed(address: str) -> tuple[int, Union[str, tuple[str, int]]]:
 def _follow(
     address: str, family: int, target: Union[str, tuple[str, int]], board: bytes, timeout_s: Optional[float]
 ) -> Iterator[LivePose]:
-    with socket.socket(family, socket.SOCK_DGRAM) as link:
+    with contextlib.ExitStack() as sockets:
+        ask = link = sockets.enter_context(socket.socket(family, socket.SOCK_DGRAM))
+        rights = []
         cookie, asked_s, last_s = 0, -np.inf, time.monotonic()
         try:
             if family == socket.AF_UNIX:
-                # The system chooses a name, without which the daemon could not answer.
-                link.bind("")
-            link.connect(target)
+                # A queue of its own: the daemon sends from the far end, which it gets with each request.
+                link, far = map(sockets.enter_context, socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM))
+                rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [far.fileno()]))]
+            ask.connect(target)
             while timeout_s is None or time.monotonic() - last_s < timeout_s:
                 if time.monotonic() - asked_s >= _RENEWAL_S:
-                    link.send(_request(board, cookie))
+                    ask.sendmsg([_request(board, cookie)], rights)
                     asked_s = time.monotonic()
                 wait_s = _RENEWAL_S if timeout_s is None else min(_RENEWAL_S, timeout_s)
                 link.settimeout(max(wait_s, 1e-3))
@@ -165,7 +170,7 @@ def _follow(
                     if kind == _REFUSED:
                         raise SlitposeError(f"{address}: all places for followers are taken; end another one first")
                     if kind == _PROVE:
-                        link.send(_request(board, cookie))
+                        ask.sendmsg([_request(board, cookie)], rights)
                 elif len(received) >= DATAGRAM.itemsize and received.startswith(b"SLPP"):
                     yield LivePose.of(received)
                     last_s = time.monotonic()

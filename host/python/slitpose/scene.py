@@ -202,15 +202,15 @@ class Scene:
     ) -> Poses:
         """The pose behind each row of currents, each from a cold start, as ``slitpose solve``; on all cores.
 
-        :param currents_a: (N, K, 2) all taken at one instant, dark current included, A; NaN: not measured.
+        :param currents_a: (N, K, 2) all taken at one instant, dark current included, A; NaN, infinite or masked: not measured.
         :param frames: (N,) or a number: of how many frames a row is the mean; default 1.
         :param tolerance: relative error of the exact tier's integrals, 1e-6 unless given.
         """
-        currents = np.asarray(currents_a, dtype=np.float64)
+        currents = _floats(currents_a)
         if currents.ndim != 3:
             raise ValueError(f"currents_a has the shape {currents.shape}; give (N, {self.cells}, 2)")
         if frames is not None:
-            frames = np.ascontiguousarray(np.broadcast_to(np.asarray(frames, dtype=np.float64), len(currents)))
+            frames = np.ascontiguousarray(np.broadcast_to(_floats(frames), len(currents)))
         columns = self._native.solve(
             currents, frames, tier=tier, tolerance=tolerance, without_clipped=without_clipped
         )
@@ -244,9 +244,13 @@ def _restored(toml: str, origin: str, calibration: Optional[str]) -> Scene:
     return scene if calibration is None else scene.with_calibration(Calibration.from_toml(calibration))
 
 
+def _floats(values: ArrayLike) -> Float:
+    """As an array; NaN where it is masked."""
+    return np.ma.asarray(values, dtype=np.float64).filled(np.nan)
+
+
 def _poses(translation_m: ArrayLike, rotation: ArrayLike) -> tuple[Float, Float]:
-    translation = np.atleast_2d(np.asarray(translation_m, dtype=np.float64))
-    turned = np.atleast_2d(np.asarray(rotation, dtype=np.float64))
+    translation, turned = (np.atleast_2d(_floats(values)) for values in (translation_m, rotation))
     for name, array, widths in (("translation_m", translation, (3,)), ("rotation", turned, (3, 4))):
         if array.ndim != 2 or array.shape[1] not in widths:
             shapes = " or ".join(f"(N, {width})" for width in widths)

@@ -201,13 +201,6 @@ impl Scene {
             );
             return Err(PyValueError::new_err(text));
         }
-        if let Some((at, value)) = currents.indexed_iter().find(|(_, value)| value.is_infinite()) {
-            let (row, cell, electrode) = at;
-            let text = format!(
-                "currents_a[{row}, {cell}, {electrode}] = {value}; give amperes, or NaN for what was not measured"
-            );
-            return Err(PyValueError::new_err(text));
-        }
         let frames: Vec<f64> = match frames {
             Some(frames) => frames.as_array().iter().copied().collect(),
             None => vec![1.0; rows],
@@ -225,7 +218,7 @@ impl Scene {
         }
         let pair = |row: usize, cell: usize| {
             let [i_x1_a, i_x2_a] = [0, 1].map(|electrode| currents[[row, cell, electrode]]);
-            Some(Pair { i_x1_a, i_x2_a }).filter(|pair| !pair.total_a().is_nan())
+            Some(Pair { i_x1_a, i_x2_a }).filter(|pair| pair.i_x1_a.is_finite() && pair.i_x2_a.is_finite())
         };
         let tier = tier_options(tier, tolerance)?.tier(STREAM_TOLERANCE);
         let head = beside(py, |_| self.solving_head())??;

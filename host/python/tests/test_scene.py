@@ -91,10 +91,18 @@ def test_frames_and_missing_cells_count() -> None:
     missing = currents.copy()
     missing[0, 2] = np.nan
     fewer = WIDE.solve(missing)
+    masked = WIDE.solve(np.ma.masked_array(currents, np.isnan(missing)))
+    np.testing.assert_array_equal(masked.translation_m, fewer.translation_m)
+    with pytest.raises(ValueError, match="row 0 is not finite"):
+        WIDE.model(np.ma.masked_array(np.zeros((1, 3)), [[0, 1, 0]]), np.zeros((1, 3)))
     assert fewer.cells_used[0] == 5 and fewer.reasons[fewer.reason[0]] == "fewer_cells"
-    for wrong, text in [(currents[:, :5], r"\(1, 6, 2\)"), (currents * np.inf, r"currents_a\[0, 0, 0\] = inf")]:
-        with pytest.raises(ValueError, match=text):
-            WIDE.solve(wrong)
+    rows = np.repeat(currents, 3, axis=0)
+    rows[1, 2, 0] = np.inf
+    rows[2] = -np.inf
+    some = WIDE.solve(rows)
+    assert list(some.cells_used) == [6, 5, 0] and np.isnan(some.translation_m).any(axis=1).tolist() == [False, False, True]
+    with pytest.raises(ValueError, match=r"\(1, 6, 2\)"):
+        WIDE.solve(currents[:, :5])
     with pytest.raises(ValueError, match=r"frames\[0\] = 0"):
         WIDE.solve(currents, frames=0)
 

@@ -77,6 +77,16 @@ pub enum CaptureError {
         /// The system's error.
         source: io::Error,
     },
+    /// Another kind of file.
+    #[error("{} is not a capture but {what}; {next_step}", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Its kind.
+        what: &'static str,
+        /// How to go on.
+        next_step: &'static str,
+    },
     /// Reading failed before the end.
     #[error("reading {} failed after {bytes} bytes; copy it from that medium if you can, and read the copy", path.display())]
     Read {

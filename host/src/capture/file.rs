@@ -15,6 +15,7 @@ use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use serde::Serialize;
 
 use super::medium::{Medium, Sink};
+use super::records::PROGRAM;
 use super::schemas::{LINK_BYTES, REPORT_SCHEMA};
 use super::setup::{LinkChannels, METADATA, Setup};
 use super::{About, link_bytes};
@@ -69,7 +70,7 @@ pub(super) struct CaptureFile<M: Medium> {
     report: u16,
     transforms: u16,
     /// Texts of scenes by name of attachment.
-    scenes: BTreeMap<String, String>,
+    scenes: BTreeMap<String, Arc<str>>,
     /// Texts of calibrations likewise. They are long: only the end of the file has copies.
     calibrations: BTreeMap<String, Arc<str>>,
     boards: BTreeMap<DeviceId, Board>,
@@ -89,7 +90,7 @@ impl<M: Medium> CaptureFile<M> {
     pub(super) fn create(medium: M, about: &About) -> Result<Self, McapError> {
         let options = WriteOptions::new()
             .profile("ros2")
-            .library(format!("slitpose {}", env!("CARGO_PKG_VERSION")))
+            .library(format!("{PROGRAM}{}", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
             .compression_level(ZSTD_LEVEL)
             .compression_threads(0)
@@ -124,7 +125,7 @@ impl<M: Medium> CaptureFile<M> {
     pub(super) fn add_device(&mut self, setup: &Setup, hello: &[u8], log_ns: u64) -> Result<Channels, McapError> {
         let source = &setup.scene.source;
         let attachment = setup.attachment(|name| self.scenes.get(name).is_some_and(|taken| taken != source));
-        if self.scenes.insert(attachment.clone(), source.clone()).is_none() {
+        if self.scenes.insert(attachment.clone(), Arc::clone(source)).is_none() {
             attach_toml(&mut self.writer, &attachment, source, log_ns)?;
         }
         if let Some((name, source)) = setup.calibration()

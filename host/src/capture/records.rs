@@ -16,6 +16,14 @@ use super::window::Window;
 /// other MCAP writers stay far below.
 const MAX_RECORD_BYTES: usize = 64 << 20;
 
+/// Bytes that are unpacked or verified, at most: so many for each byte of the file, and some for its beginning. The
+/// recorder's chunks unpack to 4 times their length, with the noise of the simulated board.
+const MAX_WORK_PER_BYTE: u64 = 256;
+const MAX_WORK_AT_BEGIN: u64 = 16 << 20;
+
+/// The library that the header of each capture names begins so.
+pub(super) const PROGRAM: &str = "slitpose ";
+
 /// Opcode and length ahead of each record.
 const FRAME_BYTES: usize = 1 + 8;
 
@@ -48,6 +56,8 @@ pub(super) struct Records<R> {
     /// Whether bytes were skipped, so that the checksum over all records is meaningless.
     has_gap: bool,
     is_begun: bool,
+    /// Bytes that were unpacked or verified, here and by [`Self::look_ahead`].
+    work_bytes: [u64; 2],
 }
 
 /// The next element of a file.
@@ -86,11 +96,12 @@ enum Found {
 impl<R: Read> Records<R> {
     /// Reads from the beginning of the file; `begin` was taken from `input`.
     pub(super) fn new(begin: Vec<u8>, input: R) -> Self {
-        Self::within(Window::new(begin, input, 0), false)
+        Self::within(Window::new(begin, input, 0), false, 0)
     }
 
-    fn within(window: Window<R>, is_begun: bool) -> Self {
-        Self { whole_bytes: window.offset(), damaged_to: 0, window, given: 0, has_gap: false, is_begun }
+    fn within(window: Window<R>, is_begun: bool, work_bytes: u64) -> Self {
+        let (whole_bytes, work_bytes) = (window.offset(), [work_bytes, 0]);
+        Self { whole_bytes, damaged_to: 0, window, given: 0, has_gap: false, is_begun, work_bytes }
     }
 
     /// The next element.
@@ -118,10 +129,16 @@ impl<R: Read> Records<R> {
             Found::Record { opcode, body, end } => {
                 self.given = end;
                 self.whole_bytes = self.window.offset() + end as u64;
-                Ok(Next::Record(opcode, self.window.slice(body)))
+                let is_small = opcode != op::CHUNK || self.can_verify(opcode, &body);
+                Ok(if is_small { Next::Record(opcode, self.window.slice(body)) } else { Next::Damaged(end as u64) })
             }
             Found::None | Found::End => self.search(),
         }
+    }
+
+    /// Where the next record begins.
+    pub(super) fn position(&self) -> u64 {
+        self.window.offset() + self.given as u64
     }
 
     /// Bytes up to the end of the last whole record.
@@ -188,7 +205,8 @@ impl<R: Read> Records<R> {
             let found = self.found(at, opcode, length)?;
             let Found::Record { body, end, .. } = &found else { return Ok(found) };
             // Where bytes are missing in it, the next chunk may begin within its length.
-            let is_right = self.is_record_or_end(*end)? || ChunkRecords::is_whole(self.window.slice(body.clone()));
+            let is_right = self.is_record_or_end(*end)?
+                || (self.can_verify(opcode, body) && ChunkRecords::is_whole(self.window.slice(body.clone())));
             return Ok(if is_right { found } else { Found::None });
         }
         if chunk.is_some_and(|_| !is_uncompressed(bytes)) {
@@ -246,6 +264,19 @@ impl<R: Read> Records<R> {
         Ok(if is_there { Found::Record { opcode, body: begin..end, end } } else { Found::End })
     }
 
+    /// Whether the work of verifying or unpacking a record is in proportion to the file up to its end; counts it.
+    fn can_verify(&mut self, opcode: u8, body: &Range<usize>) -> bool {
+        let bytes = self.window.slice(body.clone());
+        let unpacked = bytes.get(16..).and_then(|bytes| bytes.first_chunk());
+        let unpacked = unpacked.filter(|_| opcode == op::CHUNK).map_or(0, |bytes| u64::from_le_bytes(*bytes));
+        let work_bytes = self.work_bytes[0].saturating_add(unpacked.max(bytes.len() as u64));
+        let is_fit = work_bytes <= MAX_WORK_AT_BEGIN + MAX_WORK_PER_BYTE * (self.window.offset() + body.end as u64);
+        if is_fit {
+            self.work_bytes[0] = work_bytes;
+        }
+        is_fit
+    }
+
     /// As [`Self::found`], if the record is also `sound`.
     fn checked(
         &mut self,
@@ -256,7 +287,11 @@ impl<R: Read> Records<R> {
     ) -> io::Result<Found> {
         let found = self.found(at, opcode, length)?;
         match &found {
-            Found::Record { body, .. } if !sound(opcode, self.window.slice(body.clone())) => Ok(Found::None),
+            Found::Record { body, .. }
+                if !self.can_verify(opcode, body) || !sound(opcode, self.window.slice(body.clone())) =>
+            {
+                Ok(Found::None)
+            }
             _ => Ok(found),
         }
     }
@@ -301,14 +336,17 @@ impl<R: Read> Records<R> {
 }
 
 impl<R: Read + Seek> Records<R> {
-    /// Passes the records after the one returned last to `look`, then restores the position; `None` if
-    /// the input, such as a pipe, cannot seek.
+    /// Passes the records from offset `from` on to `look`, then restores the position; `None` if the input, such as
+    /// a pipe, cannot seek.
     pub(super) fn look_ahead<T>(
         &mut self,
+        from: u64,
         look: impl FnOnce(&mut Records<&mut R>) -> io::Result<T>,
     ) -> io::Result<Option<T>> {
-        let Some(window) = self.window.look_ahead(self.given) else { return Ok(None) };
-        let seen = look(&mut Records::within(window, true));
+        let Some(window) = self.window.look_ahead(from) else { return Ok(None) };
+        let mut ahead = Records::within(window, true, self.work_bytes[1]);
+        let seen = look(&mut ahead);
+        self.work_bytes[1] = ahead.work_bytes[0];
         self.window.come_back()?;
         seen.map(Some)
     }
@@ -332,6 +370,14 @@ pub(super) fn is_capture(begin: &[u8]) -> bool {
         })
     };
     2 * agreeing >= magic.len() || has_metadata()
+}
+
+/// Whether the header at the `begin` of a file names another program.
+pub(super) fn is_rewritten(begin: &[u8]) -> bool {
+    let record = begin.strip_prefix(mcap::MAGIC).and_then(|record| record.strip_prefix(&[op::HEADER]));
+    let body = record.and_then(|record| record.get(8..));
+    let library = body.and_then(text).and_then(|(_, rest)| text(rest));
+    library.is_some_and(|(library, _)| !library.starts_with(PROGRAM))
 }
 
 /// Opcode and length of a record; no length if it is none.

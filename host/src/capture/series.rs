@@ -220,8 +220,9 @@ impl CaptureSeries {
     /// # Errors
     /// Those of the disk.
     pub(crate) fn flush(&mut self) -> Result<(), CaptureError> {
-        self.output.flushed = Instant::now();
         self.output.attempt(0, CaptureFile::flush)?;
+        // From its end on: a disk that takes longer than the interval would be flushed after every message.
+        self.output.flushed = Instant::now();
         self.output.check()?;
         self.output.flushes += 1;
         Ok(())

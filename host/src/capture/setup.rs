@@ -35,7 +35,7 @@ pub(crate) struct CapturedScene {
     /// [`SceneFile::hash`].
     pub hash: u64,
     /// The text of the file.
-    pub source: String,
+    pub source: Arc<str>,
 }
 
 impl CapturedScene {
@@ -119,7 +119,7 @@ impl Setup {
             name: file.name.clone(),
             origin: file.origin.clone(),
             hash: file.hash,
-            source: file.source.clone(),
+            source: file.source.as_str().into(),
         };
         Self { device, scene, basis, settings, program: env!("CARGO_PKG_VERSION").to_owned() }
     }
@@ -240,7 +240,7 @@ impl Setup {
             },
         };
         let hash = hash("scene_hash")?;
-        let source = texts.get(&hash).ok_or(SetupError::Scene { hash })?.to_string();
+        let source = texts.get(&hash).cloned().ok_or(SetupError::Scene { hash })?;
         let scene =
             CapturedScene { name: get("scene_name")?.clone(), origin: get("scene_origin")?.clone(), hash, source };
         let source = match map.get("poses").map(String::as_str) {

@@ -76,10 +76,9 @@ impl<R: Read> Window<R> {
 }
 
 impl<R: Read + Seek> Window<R> {
-    /// Another window, `offset` bytes after this one. `None` if the input, such as a pipe, cannot seek.
+    /// Another window, at `offset` of the file. `None` if the input, such as a pipe, cannot seek.
     /// [`Self::come_back`] must be called before this window is used again.
-    pub(super) fn look_ahead(&mut self, offset: usize) -> Option<Window<&mut R>> {
-        let offset = self.offset + offset as u64;
+    pub(super) fn look_ahead(&mut self, offset: u64) -> Option<Window<&mut R>> {
         self.input.seek(SeekFrom::Start(offset)).ok()?;
         Some(Window::new(Vec::new(), &mut self.input, offset))
     }

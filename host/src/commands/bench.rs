@@ -7,7 +7,7 @@ use slitpose_bench::{DrawnHead, Session, Settings, Within, write};
 use slitpose_calibration::Head;
 use slitpose_model::Tier;
 
-use super::options::{DEFAULT_TOLERANCE, parse_number};
+use super::options::{DEFAULT_TOLERANCE, open_scene, parse_number};
 use super::poses::parse_duration;
 use super::simulate::{Target, record};
 use super::{CommandError, Outcome, interrupt, names, talk};
@@ -15,7 +15,6 @@ use crate::device::SimulatedDevice;
 use crate::terminal::{Amount, Progress};
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::{SimulatedBoard, Trajectory};
 use slitpose_head::table::Replace;
 
@@ -76,7 +75,7 @@ fn parse_sigma(text: &str) -> Result<f64, &'static str> {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(&args.scene)?;
+    let file = open_scene(&args.scene)?;
     let settings = Settings {
         seed: args.seed,
         poses: args.poses as usize,

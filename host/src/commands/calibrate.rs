@@ -7,12 +7,11 @@ use std::sync::atomic::Ordering;
 use clap::ValueEnum;
 use slitpose_calibration::{Calibration, CellValidity, Progress as Step, Request, Validity, calibrate, validity};
 
-use super::options::{Jobs, parse_number};
+use super::options::{Jobs, open_scene, parse_number};
 use super::{CommandError, Outcome, interrupt, names, talk};
 use crate::measurements::Measurements;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, calibration_report};
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
 
 /// Finds the parameters of a real head from measurements on it.
@@ -155,7 +154,7 @@ fn still_holds(readings: &str, path: &Path) -> Result<Outcome, CommandError> {
 }
 
 fn adjust(args: &Args, path: &Path) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(&args.scene)?;
+    let file = open_scene(&args.scene)?;
     let start = args.start.as_deref().map(Calibration::open).transpose()?;
     let data = args.measurements().read(&file, start.as_ref(), &mut say)?;
     let output = Output::open(Some(path))?;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::options::Jobs;
+use super::options::{Jobs, open_scene};
 use super::publish::publish;
 use super::{CommandError, Outcome, names, talk};
 use crate::terminal::{Amount, Progress};
@@ -37,7 +37,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
-    let mut files: Vec<SceneFile> = args.scenes.iter().map(|scene| SceneFile::open(scene)).collect::<Result<_, _>>()?;
+    let mut files: Vec<SceneFile> = args.scenes.iter().map(|scene| open_scene(scene)).collect::<Result<_, _>>()?;
     let (framed, others): (Vec<_>, Vec<_>) = files.iter().map(configuration).partition(Result::is_ok);
     if let (Some(_), Some(Err(error))) = (framed.first(), others.first()) {
         let reason = with_causes(error);

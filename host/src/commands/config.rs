@@ -6,8 +6,6 @@
 use std::collections::HashMap;
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::parser::ValueSource;
@@ -19,6 +17,7 @@ use toml::de::{DeTable, DeValue};
 use super::defaults;
 use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{FilePlace, nearest};
+use slitpose_head::text_file::{self, TextFileError};
 
 /// The verb that is configured.
 const VERB: &str = "run";
@@ -40,8 +39,8 @@ pub(crate) enum ConfigError {
     Read {
         /// Its path.
         path: PathBuf,
-        /// The system's error.
-        source: io::Error,
+        /// Why not.
+        source: TextFileError,
     },
     /// Its text.
     #[error("{place}: not valid TOML here: {}; correct this line", printable(message))]
@@ -104,7 +103,9 @@ pub(super) fn configured(command: Command, matches: &ArgMatches) -> Result<Confi
     let (Some(path), Some(verb)) = (path, command.find_subcommand(VERB)) else {
         return Ok(Configured { command, path: None, keys: Vec::new() });
     };
-    let text = fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+    let bytes = text_file::read(&path);
+    let text = bytes.and_then(|bytes| String::from_utf8(bytes).map_err(|_| TextFileError::NotText));
+    let text = text.map_err(|source| ConfigError::Read { path: path.clone(), source })?;
     let values = read(&path, &text, verb)?;
     let keys = values.iter().map(|(key, _)| key.clone()).collect();
     let mut values: HashMap<_, _> = values.into_iter().collect();

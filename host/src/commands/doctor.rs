@@ -162,7 +162,7 @@ fn bring_up(args: &Args, given: Option<&SceneFile>) -> Result<Outcome, CommandEr
         }
     }
     let (failed, warnings) = report.finish()?;
-    talk(format_args!("{failed} findings failed, {warnings} with warnings"));
+    talk(format_args!("findings: {failed} failed, {warnings} with warnings"));
     if !failed_steps.is_empty() {
         talk(format_args!("put right what failed and take these steps again: {}", failed_steps.join(", ")));
     }

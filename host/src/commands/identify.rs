@@ -5,9 +5,13 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use slitpose_model::{Plan, Tier};
 
-use super::options::parse_number;
-use super::{CommandError, Outcome, names};
+use super::options::{open_scene, parse_number};
+use super::{CommandError, Outcome, names, talk};
+use slitpose_calibration::{
+    CalibrateError, Constraint, Data, Implausible, Knowledge, Row, check_poses, tables, uncalibrated,
+};
 use slitpose_design::identification::{Identified, ProfileError, identify, profile_table};
+use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{CurrentColumns, Output, PoseColumns, TableReader, TableWriter};
 
@@ -16,7 +20,8 @@ use slitpose_head::table::{CurrentColumns, Output, PoseColumns, TableReader, Tab
 /// I_rel(γ) = I_Om/(S·Ω·I_e), equation (6) of De La Cruz et al. 2018, for every lit cell of every row.
 /// Columns in: those of `model` for the pose, and i_x1_k_a, i_x2_k_a for every cell k. Out: a table
 /// of id, cell, gamma_deg, relative_intensity, solid_angle_sr, i_o_a; or, with --format profile, a
-/// `profile` line for each cell's emitter.
+/// `profile` line for each cell's emitter. Poses that the currents show to be in other units, axes or
+/// rows are refused.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose identify bench --currents measured.csv --format profile --step 5")]
 pub(super) struct Args {
@@ -43,6 +48,11 @@ enum Format {
     Profile,
 }
 
+/// Most rows of the table: all points are held in memory.
+const MAX_ROWS: u64 = 1 << 20;
+/// Greatest intensity relative to the axis that is no slip.
+const MAX_RELATIVE: f64 = 2.0;
+
 /// A point and where it came from.
 struct Found {
     id: String,
@@ -52,28 +62,62 @@ struct Found {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let scene = SceneFile::open(&args.scene)?.scene;
+    let file = open_scene(&args.scene)?;
+    let scene = &file.scene;
     // The solid angle and γ of the equations as printed: the profile is for use with them.
-    let plan = Plan::<f64>::compile(&scene, Tier::Paper)?;
-    let mut rows = TableReader::open(&args.currents)?;
+    let plan = Plan::<f64>::compile(scene, Tier::Paper)?;
+    let mut rows = TableReader::open(&args.currents)?.of_at_most(MAX_ROWS);
     let poses = PoseColumns::find(&rows)?;
     let currents = CurrentColumns::find(&rows, plan.cell_count())?;
     let output = Output::open(args.output.as_deref())?;
-    let mut found = Vec::new();
+    let (mut found, mut measured) = (Vec::new(), Vec::new());
     while let Some(row) = rows.next_row()? {
         let pose = poses.pose(&row)?;
+        let mut readings = Vec::new();
         for (cell, description) in scene.cells.iter().enumerate() {
-            let i_o_a = currents.pair(&row, cell)?.total_a();
+            let pair = currents.pair(&row, cell)?;
+            let i_o_a = pair.total_a();
+            readings.push(tables::above_dark(&description.detector, &pair));
             if let Some(point) = identify(description, &plan, cell, &pose, i_o_a) {
                 found.push(Found { id: poses.id(&row).to_owned(), cell, i_o_a, point });
             }
         }
+        let (id, knowledge) = (poses.id(&row).to_owned(), Knowledge::Reported(pose));
+        measured.push(Row { id, readings, frames: 1.0, time_s: None, knowledge });
+    }
+    check(&file, &args.currents, measured)?;
+    let brightest = found.iter().max_by(|a, b| a.point.relative_intensity.total_cmp(&b.point.relative_intensity));
+    if let Some(Found { id, cell, point, .. }) = brightest.filter(|found| found.point.relative_intensity > MAX_RELATIVE)
+    {
+        talk(format_args!(
+            "{}, id {}, cell {cell}: {:.3e} times the emitter's radiant_intensity_w_per_sr, at {:.1}° from its axis; check \
+             that currents are amperes, the pose, and the scene",
+            args.currents,
+            printable(id),
+            point.relative_intensity,
+            point.gamma_rad.to_degrees()
+        ));
     }
     match args.format {
         Format::Csv => write_points(&found, output)?,
         Format::Profile => output.write_text(&profile_lines(&found, plan.cell_count(), args.step)?)?,
     }
     Ok(Outcome::Done)
+}
+
+/// Refuses poses that the currents show to be of other units, axes or rows, and says what else they contradict.
+fn check(file: &SceneFile, table: &str, rows: Vec<Row>) -> Result<(), CommandError> {
+    let mut data = Data::default();
+    data.add(table, Constraint::Known, [0.0; 2], rows);
+    match check_poses(&uncalibrated(file)?, &data) {
+        // A profile takes no motion, and the sum of both electrodes.
+        Ok(()) | Err(Implausible::LittleMotion { .. }) => Ok(()),
+        Err(remark @ (Implausible::Electrodes { .. } | Implausible::OtherScene { .. } | Implausible::Dark { .. })) => {
+            talk(format_args!("{remark}"));
+            Ok(())
+        }
+        Err(error) => Err(CalibrateError::from(error).into()),
+    }
 }
 
 fn write_points(found: &[Found], output: Output) -> Result<(), CommandError> {

@@ -90,12 +90,14 @@ impl AccessOptions {
     /// Serves a page, and opens it if asked.
     pub(super) fn start(&self, plan: LivePlan) -> Result<LiveServer, CommandError> {
         let server = LiveServer::start(plan)?;
-        let url = server.url();
-        talk(format_args!("live page at {url}"));
+        // The token is a secret, and standard error may be a journal.
+        let (page, fragment) = server.url().split_once('#').unwrap_or((server.url(), ""));
+        let token = if fragment.is_empty() { "" } else { " (add #token= and the secret of --live-token)" };
+        talk(format_args!("live page at {page}{token}"));
         if self.open
-            && let Err(error) = open::that_detached(url)
+            && let Err(error) = open::that_detached(server.url())
         {
-            talk(format_args!("no browser could be opened ({error}); open {url} yourself"));
+            talk(format_args!("no browser could be opened ({error}); open {page} yourself{token}"));
         }
         Ok(server)
     }

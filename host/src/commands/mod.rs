@@ -53,6 +53,7 @@ pub(crate) use identify::CellProfileError;
 pub(crate) use playback::SeveralBoards;
 
 use crate::capture::CaptureError;
+use crate::comparison::NothingMatches;
 use crate::daemon::BoardError;
 use crate::datagram::DatagramError;
 use crate::device::DeviceError;
@@ -70,6 +71,7 @@ use slitpose_design::plot::PlotError;
 use slitpose_design::report::ReportError;
 use slitpose_head::causes::with_causes;
 use slitpose_head::faults::FaultError;
+use slitpose_head::foreign::printable;
 use slitpose_head::front_end::TimingError;
 use slitpose_head::scene_file::SceneFileError;
 use slitpose_head::simulator::{PathError, SimulatorError};
@@ -194,6 +196,25 @@ pub(crate) enum CommandError {
     /// A motion of the tool.
     #[error(transparent)]
     Path(#[from] PathError),
+    /// Neither a motion nor a table of one.
+    #[error(
+        "no motion is called {}{}; the motions are {known}, or give a table of one",
+        printable(name),
+        nearest.as_ref().map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
+    )]
+    NoMotion {
+        /// What was asked for.
+        name: String,
+        /// The motion that is spelt almost like it.
+        nearest: Option<String>,
+        /// All motions.
+        known: String,
+        /// Why it is no table.
+        source: Box<TableError>,
+    },
+    /// A table of other times.
+    #[error(transparent)]
+    NothingMatches(#[from] NothingMatches),
     /// A fault that cannot be injected.
     #[error(transparent)]
     Fault(#[from] FaultError),

@@ -5,19 +5,22 @@ use std::sync::Mutex;
 
 use slitpose_model::{Plan, Pose, Response, Tier};
 
-use super::options::{CalibrationOption, Jobs, TierOptions};
+use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::talk::talk;
 use super::{CommandError, Outcome, names};
 pub(super) use crate::solving::MODEL_TOLERANCE as DEFAULT_TOLERANCE;
-use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{Output, PoseColumns, TableReader, TableRows, TableWriter};
+use slitpose_head::table::{Output, PoseColumns, PoseSizes, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::lock;
+
+/// How many times as far out as the workspace poses may lead without a word: beyond, currents are of interest, too.
+const FAR: f64 = 100.0;
 
 /// Evaluates every cell of a scene at every pose of a table.
 ///
 /// Columns in: id, tx_mm, ty_mm, tz_mm, rx_rad, ry_rad, rz_rad (rotation vector), in any order.
 /// Columns out, for each cell k: status_k, flags_k, x_a_k_mm, solid_angle_k_sr, i_o_k_a,
-/// i_x1_k_a, i_x2_k_a. x_a is empty where there is no light.
+/// i_x1_k_a, i_x2_k_a. x_a is empty where there is no light. A row that holds no pose keeps its place, with the status
+/// unreadable; its fault is said, and the exit code is 3.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  slitpose model wide --poses poses.csv --output currents.csv")]
 pub(super) struct Args {
@@ -39,26 +42,40 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let scene = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file.scene.clone();
+    let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);
-    let plan = Plan::<f64>::compile(&scene, tier)?;
+    let plan = Plan::<f64>::compile(&file.scene, tier)?;
     let mut poses = TableReader::open(&args.poses)?;
     let columns = PoseColumns::find(&poses)?;
     let names: Vec<String> = (0..plan.cell_count()).flat_map(column_names).collect();
     let header = std::iter::once("id").chain(names.iter().map(String::as_str));
     let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
     let inexact = Mutex::new(Inexact { rows: 0, worst: 0.0 });
-    args.jobs.table("model", &mut poses, table, |rows, table| {
+    let all_sizes = Mutex::new(PoseSizes::default());
+    let outcome = args.jobs.table("model", &mut poses, table, |rows, table| {
+        let (mut sizes, mut faults) = (PoseSizes::default(), Vec::new());
         for row in rows.iter() {
-            let reached = evaluate(&plan, columns.id(&row), &columns.pose(&row)?, table);
+            let pose = match sizes.pose(&columns, &row) {
+                Ok(pose) => pose,
+                Err(fault @ TableError::NotANumber { .. }) => {
+                    faults.push(fault);
+                    write_unreadable(table, columns.id(&row), plan.cell_count());
+                    continue;
+                }
+                Err(fault) => return Err(fault.into()),
+            };
+            let reached = evaluate(&plan, columns.id(&row), &pose, table);
             if let Tier::Exact { tolerance } = tier
                 && reached > tolerance
             {
                 lock(&inexact).add(reached);
             }
         }
-        Ok(())
+        lock(&all_sizes).merge(&sizes);
+        Ok(faults)
     })?;
+    let finding = lock(&all_sizes).finding(&args.poses, &file.workspace, FAR);
+    finding.iter().for_each(|finding| talk(format_args!("{finding}")));
     let Inexact { rows: inexact_rows, worst } = *lock(&inexact);
     let most = Plan::<f64>::MAX_EVALUATIONS;
     if worst.is_infinite() {
@@ -73,7 +90,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
              profile for a cell, or of rounding; --tolerance {worst:.0e} takes less time"
         ));
     }
-    Ok(Outcome::Done)
+    Ok(outcome)
 }
 
 /// Rows that are not good to the tolerance, and the largest relative error of one.
@@ -102,6 +119,15 @@ fn evaluate(plan: &Plan<f64>, id: &str, pose: &Pose, table: &mut TableRows) -> f
     }
     table.end_row();
     reached
+}
+
+fn write_unreadable(table: &mut TableRows, id: &str, cells: usize) {
+    table.text(id);
+    for _ in 0..cells {
+        table.text(UNREADABLE);
+        (1..column_names(0).len()).for_each(|_| table.text(""));
+    }
+    table.end_row();
 }
 
 fn column_names(cell: usize) -> [String; 7] {

@@ -7,11 +7,12 @@ use clap::Args;
 use glam::DVec3;
 use slitpose_calibration::Head;
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{Rows, TableReader, TableRows, TableWriter};
+use slitpose_head::table::{Rows, TableError, TableReader, TableRows, TableWriter};
 use slitpose_head::threads::{cores, in_order, limit};
 use slitpose_model::Pose;
 
-use super::CommandError;
+use super::talk::talk;
+use super::{CommandError, Outcome};
 use crate::solving::{NOT_CALIBRATED, head_by};
 pub(super) use crate::solving::{STREAM_TOLERANCE as DEFAULT_TOLERANCE, TierOptions};
 use crate::terminal::{Amount, Progress};
@@ -21,6 +22,12 @@ const MOST: f64 = 1e9;
 
 /// Rows of a table that a core takes at a time.
 const ROWS: usize = 512;
+
+/// Unreadable rows of a table that are named one by one.
+const MAX_NAMED: u64 = 20;
+
+/// Status of a row of a table in which a field is no number, or none that its column can mean.
+pub(super) const UNREADABLE: &str = "unreadable";
 
 /// How much works at once.
 #[derive(Args, Clone, Copy, Debug)]
@@ -38,14 +45,15 @@ impl Jobs {
     }
 
     /// Finishes `table` with what `work` makes of the rows of `reader`, in their order. `name` is that of the progress line,
-    /// which is drawn unless the table goes to a terminal.
+    /// which is drawn unless the table goes to a terminal. `work` returns the faults of rows that are [`UNREADABLE`]; they
+    /// are written to standard error, and the data count as damaged.
     pub(super) fn table(
         self,
         name: &'static str,
         reader: &mut TableReader,
         table: TableWriter,
-        work: impl Fn(&Rows, &mut TableRows) -> Result<(), CommandError> + Sync,
-    ) -> Result<(), CommandError> {
+        work: impl Fn(&Rows, &mut TableRows) -> Result<Vec<TableError>, CommandError> + Sync,
+    ) -> Result<Outcome, CommandError> {
         let mut table = table.into_chunks();
         let length = reader.length().filter(|_| !table.is_terminal());
         let mut progress = length.map(|length| Progress::new(name, length, Amount::Bytes));
@@ -59,11 +67,23 @@ impl Jobs {
             let end = work(&rows, &mut done);
             (done, end)
         };
-        in_order(self.apply(), next, work, |(done, end)| {
+        let mut unreadable = 0;
+        in_order(self.apply(), next, work, |(done, faults)| {
             table.append(&done)?;
-            end
+            for fault in faults? {
+                unreadable += 1;
+                if unreadable <= MAX_NAMED {
+                    talk(format_args!("{fault}"));
+                }
+            }
+            Ok::<_, CommandError>(())
         })?;
-        Ok(table.finish()?)
+        table.finish()?;
+        if unreadable == 0 {
+            return Ok(Outcome::Done);
+        }
+        talk(format_args!("rows without values, with the status `{UNREADABLE}`: {unreadable}"));
+        Ok(Outcome::DataLost)
     }
 }
 
@@ -95,6 +115,13 @@ impl CalibrationOption {
     pub(super) fn head_as_drawn(&self, file: SceneFile) -> Result<Head, CommandError> {
         head_by(self.given(), file, |file| Ok(file.into()))
     }
+}
+
+/// Reads the scene of the file `argument`, or the shipped one of that name, and says what is doubtful in it.
+pub(super) fn open_scene(argument: &str) -> Result<SceneFile, CommandError> {
+    let file = SceneFile::open(argument)?;
+    file.findings().iter().for_each(|finding| talk(format_args!("{finding}")));
+    Ok(file)
 }
 
 /// A number that `is_possible`, else `hint`.

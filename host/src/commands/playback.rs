@@ -41,7 +41,7 @@ pub(super) struct PlayOptions {
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     to: Option<f64>,
     /// Report on standard error how far poses are from those of this CSV table, which has the columns of a
-    /// pose and seq, or time_s
+    /// pose and seq, or time_s; and by which other clock, units or axes they agree, if by the given they do not
     #[arg(long, value_name = "CSV")]
     compare: Option<String>,
 }
@@ -184,9 +184,10 @@ impl<'a> Playback<'a> {
         drop(progress);
         output.finish(&captures)?;
         let ended = captures.end(|event| output.hear(event));
-        if let Some(comparison) = &output.comparison {
-            comparison.lines().iter().for_each(|line| talk(format_args!("{line}")));
-        }
+        let matched = output.comparison.as_mut().map_or(Ok(()), |comparison| {
+            comparison.lines().iter().chain(&comparison.suspicion()).for_each(|line| talk(format_args!("{line}")));
+            comparison.require_match()
+        });
         match ended {
             // Interrupted where the page had led it.
             Err(CommandError::Playback(PlaybackError::NoScan { .. } | PlaybackError::Beyond { .. }))
@@ -194,7 +195,11 @@ impl<'a> Playback<'a> {
             {
                 Ok((output.outcome, account(&captures, &output.statistics)))
             }
-            ended => ended.map(|()| (output.outcome, account(&captures, &output.statistics))),
+            ended => {
+                ended?;
+                matched?;
+                Ok((output.outcome, account(&captures, &output.statistics)))
+            }
         }
     }
 

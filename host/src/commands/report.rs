@@ -2,20 +2,20 @@
 
 use std::path::PathBuf;
 
-use super::options::Jobs;
+use super::options::{Jobs, open_scene};
 use super::publish::store;
 use super::{CommandError, Outcome, names};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::report::{Folder, POSES, QUICK_POSES, SECTIONS, Settings, study};
-use slitpose_head::scene_file::{SceneFile, WIDE};
+use slitpose_head::scene_file::WIDE;
 
 /// Measures how exact and how fast everything is, for one scene, and makes a page of it.
 ///
 /// The folder gets one page (index.html, needs nothing else), the same tables as Markdown
 /// (report.md) and as CSV, and the pictures as SVG. Sections: the forward model, the solver against
-/// the Cramér–Rao bound, cycles on the board's processor, what effects cost that a scene does not
-/// need, moving tools, and stiff and extreme cases. Errors follow from the seed; times are those of
-/// this machine, one thread, least and median of interleaved rounds. Nothing is measured on hardware.
+/// the Cramér–Rao bound, what each optional effect costs, and stiff and extreme cases. Errors follow
+/// from the seed; times are those of this machine, one thread, least and median of interleaved
+/// rounds. Nothing is measured on hardware.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  slitpose report --output report\n  slitpose report head.toml --output report --quick"
@@ -36,23 +36,15 @@ pub(super) struct Args {
     /// Fewer poses and rounds: a quarter of the time
     #[arg(long)]
     quick: bool,
-    /// Table of cycles on the board, as `slitpose-cycles` prints it; without it that program is run
-    /// if it lies beside this one
-    #[arg(long, value_name = "FILE")]
-    cycles: Option<PathBuf>,
     #[command(flatten)]
     jobs: Jobs,
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = SceneFile::open(&args.scene)?;
+    let file = open_scene(&args.scene)?;
     let default = if args.quick { QUICK_POSES } else { POSES };
-    let settings = Settings {
-        poses: args.poses.map_or(default, |poses| poses as usize),
-        seed: args.seed,
-        quick: args.quick,
-        cycles: args.cycles.clone(),
-    };
+    let settings =
+        Settings { poses: args.poses.map_or(default, |poses| poses as usize), seed: args.seed, quick: args.quick };
     let folder = Folder::create(&args.output)?;
     args.jobs.apply();
     let mut progress = Progress::new("report", SECTIONS, Amount::Of("sections"));

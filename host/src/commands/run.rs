@@ -12,6 +12,7 @@ use slitpose_protocol::{Hello, Stream};
 
 use super::live::{Changes, FoxgloveOptions, LiveOptions};
 use super::mouse::MouseOptions;
+use super::options::open_scene;
 use super::poses::{PoseOptions, parse_duration};
 use super::record::RecordOptions;
 use super::tool::ToolOptions;
@@ -46,6 +47,9 @@ const ACCOUNT_EVERY: Duration = Duration::from_secs(1);
 /// Finds the board, starts it with the schedule of the scene and prints a pose for each scan: a
 /// summary on a terminal, one JSON object a line otherwise. A board that is unplugged is looked for until
 /// it is back. Simulated poses are marked and come with the true ones.
+///
+/// Ends with exit code 3 if data were damaged or lost on the way, or scans were not solved because the solver was behind
+/// (neither those that waited at an interrupt nor a packet that was under way count).
 ///
 /// Each option may also stand in the environment (SLITPOSE_DEVICE, SLITPOSE_SCENE, …) or in a
 /// configuration file (device = "auto"). Flags override environment variables, which override the file.
@@ -266,17 +270,16 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
         }
         let wanted = interrupted || (bounded && followed.is_ok());
         outcome = outcome.max(losses::tell(&name, &counts, wanted));
-        if counts.scans_skipped > 0 && printed.is_ok() {
-            talk(format_args!(
-                "{name}: {} of {} scans were not solved: {}",
-                counts.scans_skipped,
-                counts.scans,
-                if interrupted {
-                    "they still waited at the interrupt, or the solver was behind"
-                } else {
-                    "the solver was behind"
-                },
-            ));
+        let behind = counts.scans_skipped - counts.scans_given_up;
+        for (count, reason) in
+            [(behind, "the solver was behind"), (counts.scans_given_up, "they waited at the interrupt")]
+        {
+            if count > 0 && printed.is_ok() {
+                talk(format_args!("{name}: {count} of {} scans were not solved: {reason}", counts.scans));
+            }
+        }
+        if behind > 0 {
+            outcome = Outcome::DataLost;
         }
         failed = failed.and(followed);
     }
@@ -303,7 +306,7 @@ fn outcome_of(ended: Ended, reconnects: &[u64], interrupted: bool, bounded: bool
 impl Args {
     /// The boards to follow.
     fn boards(&self, zenoh: Option<&ZenohSession>) -> Result<Vec<BoardPlan>, CommandError> {
-        let scenes = self.scene.iter().map(|scene| SceneFile::open(scene)).collect::<Result<Vec<_>, _>>()?;
+        let scenes = self.scene.iter().map(|scene| open_scene(scene)).collect::<Result<Vec<_>, _>>()?;
         if scenes.len() != 1 && scenes.len() != self.device.len() {
             return Err(CommandError::Scenes { scenes: scenes.len(), devices: self.device.len() });
         }
@@ -347,8 +350,13 @@ impl Args {
                 let speed = self.speed.unwrap_or(Speed::Times(1.0));
                 // More boards than numbers share the last one.
                 let number_of_board = u8::try_from(number).unwrap_or(u8::MAX);
-                let device = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
-                (Box::new(SimulatedOpener::new(device)), speed == Speed::Times(1.0))
+                let simulated = self.tool.device(number_of_board, head.simulated(), tier, duration_s, speed)?;
+                let is_simulated = |device: &&String| *device == "sim";
+                let name = match self.device.iter().filter(is_simulated).count() {
+                    0 | 1 => device.to_owned(),
+                    _ => format!("sim {}", self.device[..=number].iter().filter(is_simulated).count()),
+                };
+                (Box::new(SimulatedOpener::new(simulated, name)), speed == Speed::Times(1.0))
             }
             Some(opener) => {
                 if let Some(option) = self.tool.given().or(self.speed.map(|_| "--speed")) {
@@ -407,7 +415,8 @@ impl Admission {
         {
             talk(format_args!(
                 "the board on {name} measures up to {:.3} uA, the front end of `{scene}` up to {:.3} uA: the \
-                 board's is taken; correct front_end.full_scale_a, or flash the firmware of this front end",
+                 board's is taken; correct front_end.full_scale_a, or tell the board what its feedback resistors make: \
+                 slitpose device set --scene FILE --full-scale UA",
                 board_a * 1e6,
                 front_end.full_scale_a * 1e6
             ));

@@ -8,7 +8,7 @@ use slitpose_calibration::Head;
 use slitpose_model::Tier;
 use slitpose_protocol::{Decoder, MAX_MESSAGE_BYTES, Message, Schedule};
 
-use super::options::{CalibrationOption, DEFAULT_TOLERANCE, TierOptions};
+use super::options::{CalibrationOption, DEFAULT_TOLERANCE, TierOptions, open_scene};
 use super::poses::parse_duration;
 use super::tool::ToolOptions;
 use super::{CommandError, Outcome, interrupt, names};
@@ -20,7 +20,6 @@ use crate::telemetry::report_schema;
 use slitpose_head::faults::Faults;
 use slitpose_head::front_end;
 use slitpose_head::pace::Speed;
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::simulator::Trajectory;
 use slitpose_head::table::{Output, OutputError, POSE_COLUMNS, Replace, TableWriter, refuse_twice};
 
@@ -60,7 +59,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     Faults::check_simulate(&args.tool.faults.fault)?;
-    let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
+    let head = args.calibration.head(open_scene(&args.scene)?)?;
     let schedule = front_end::configuration(&head.file)?.schedule;
     let frames = (args.duration * schedule.frame_rate_hz() - 1e-6).ceil() as u64;
     let tier = args.tier.tier(DEFAULT_TOLERANCE);

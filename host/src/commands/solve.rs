@@ -2,11 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::options::{CalibrationOption, Jobs, TierOptions};
+use super::options::{CalibrationOption, Jobs, TierOptions, UNREADABLE, open_scene};
 use super::{CommandError, Outcome, names};
 use crate::solving::RowSolver;
 pub(super) use crate::solving::STREAM_TOLERANCE as DEFAULT_TOLERANCE;
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::{
     Column, CurrentColumns, Output, Row, Rows, SOLUTION_COLUMNS, SolutionRow, TableError, TableReader, TableRows,
     TableWriter,
@@ -23,7 +22,8 @@ const AT_ONCE: usize = 64;
 /// cells_used, free_directions, which names what an unobservable pose leaves open, excluded_cells,
 /// which contradict all others, and verified: how well redundancy checked the pose (well: no single
 /// faulty cell can have moved it by 30 sigma unnoticed; weakly: by 300; not); reason, why a pose is
-/// degraded. A row without a pose keeps its place, with a status.
+/// degraded. A row without a pose keeps its place, with a status. A row with a field that is no number has the status
+/// unreadable; its fault is said, and the exit code is 3.
 ///
 /// A scene with [tolerance] is solved by these, unless a calibration is given: every pose is degraded, as
 /// uncalibrated, and its standard deviations are those of parts within their tolerances.
@@ -51,7 +51,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let head = args.calibration.head(SceneFile::open(&args.scene)?)?;
+    let head = args.calibration.head(open_scene(&args.scene)?)?;
     let solver = RowSolver::new(head, args.tier.tier(DEFAULT_TOLERANCE), args.without_clipped)?;
     let mut currents = TableReader::open(&args.currents)?;
     let columns = Columns {
@@ -61,8 +61,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     };
     let header = std::iter::once("id").chain(SOLUTION_COLUMNS);
     let table = TableWriter::new(Output::open(args.output.as_deref())?, header)?;
-    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, &columns, rows, table))?;
-    Ok(Outcome::Done)
+    args.jobs.table("solve", &mut currents, table, |rows, table| solve(&solver, &columns, rows, table))
 }
 
 /// Where the table of currents keeps what is read of it.
@@ -75,12 +74,13 @@ struct Columns {
 /// A row as it was read.
 struct Read<'a> {
     id: &'a str,
+    /// Of every cell; of none, if the row is unreadable.
     currents: Vec<Pair<f64>>,
     frames: f64,
 }
 
 impl Columns {
-    fn read<'a>(&self, row: &Row<'a>, cells: usize) -> Result<Read<'a>, TableError> {
+    fn read(&self, row: &Row<'_>, cells: usize) -> Result<(Vec<Pair<f64>>, f64), TableError> {
         let currents = (0..cells).map(|cell| self.currents.pair(row, cell)).collect::<Result<_, _>>()?;
         let frames = match self.frames {
             Some(column) => match row.number(column)? {
@@ -89,39 +89,51 @@ impl Columns {
             },
             None => 1.0,
         };
-        Ok(Read { id: row.text(self.id), currents, frames })
+        Ok((currents, frames))
     }
 }
 
-/// Solves `rows` into `table`, up to the first that cannot be read.
-fn solve(solver: &RowSolver, columns: &Columns, rows: &Rows, table: &mut TableRows) -> Result<(), CommandError> {
+/// Solves `rows` into `table`; returns the faults of those that cannot be read.
+fn solve(
+    solver: &RowSolver,
+    columns: &Columns,
+    rows: &Rows,
+    table: &mut TableRows,
+) -> Result<Vec<TableError>, CommandError> {
+    let cells = solver.cells();
     let mut read = Vec::with_capacity(rows.len());
-    let mut end = Ok(());
+    let mut faults = Vec::new();
     for row in rows.iter() {
-        match columns.read(&row, solver.cells()) {
-            Ok(row) => read.push(row),
-            Err(error) => {
-                end = Err(error.into());
-                break;
+        let (currents, frames) = match columns.read(&row, cells) {
+            Err(fault @ TableError::NotANumber { .. }) => {
+                faults.push(fault);
+                (Vec::new(), 1.0)
             }
-        }
+            read => read?,
+        };
+        read.push(Read { id: row.text(columns.id), currents, frames });
     }
     // Those that are means of as many frames are solved at once.
     for run in read.chunk_by(|a, b| a.frames.to_bits() == b.frames.to_bits()) {
         let ready = solver.with_frames(run[0].frames)?;
-        let readings: Vec<_> = run.iter().map(|row| ready.readings(row.currents.iter().copied().map(Some))).collect();
+        let readings: Vec<_> =
+            run.iter().map(|row| ready.readings((0..cells).map(|cell| row.currents.get(cell).copied()))).collect();
         for (run, readings) in run.chunks(AT_ONCE).zip(readings.chunks(AT_ONCE)) {
             let mut solutions = Vec::with_capacity(run.len());
             ready.solve(readings, |solution| solutions.push(solution));
             let mut rows = run.iter().zip(&solutions);
             ready.conditions(&solutions, |condition| {
                 if let Some((row, solution)) = rows.next() {
-                    write(table, row.id, &SolutionRow::with_condition(solution, condition));
+                    let mut solution = SolutionRow::with_condition(solution, condition);
+                    if row.currents.is_empty() {
+                        solution.status = UNREADABLE;
+                    }
+                    write(table, row.id, &solution);
                 }
             });
         }
     }
-    end
+    Ok(faults)
 }
 
 fn write(table: &mut TableRows, id: &str, solution: &SolutionRow) {

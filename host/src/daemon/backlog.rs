@@ -183,7 +183,7 @@ mod tests {
             while self.now_ns < end_ns || (drain && !self.waiting.is_empty()) {
                 self.arrive(end_ns);
                 let oldest_ns = self.waiting.front().map(|(_, at_ns)| *at_ns);
-                let queue = Queue { waiting: self.waiting.len(), passed: self.passed, oldest_ns };
+                let queue = Queue { waiting: self.waiting.len(), passed: self.passed, oldest_ns, sessions: 0 };
                 let next = self.backlog.next(&queue, can_print, self.now_ns);
                 self.was_behind |= self.backlog.is_behind();
                 match next {
@@ -337,7 +337,7 @@ mod tests {
     #[test]
     fn without_times_everything_waits_for_its_turn() {
         let mut backlog = Backlog::new(false);
-        let queue = Queue { waiting: 1000, passed: 0, oldest_ns: None };
+        let queue = Queue { waiting: 1000, ..Queue::default() };
         for now_ns in [0, SECOND_NS, 100 * SECOND_NS] {
             assert_eq!(backlog.next(&queue, true, now_ns), Next::Oldest);
             assert_eq!(backlog.next(&queue, false, now_ns), Next::Wait);

@@ -15,6 +15,9 @@ pub(super) trait Worker {
     /// The unit of work.
     type Chunk;
 
+    /// Whether it takes another chunk before the work that it has left to the solving thread is done.
+    fn has_room(&self) -> bool;
+
     /// Processes `chunk`; `false` if long work is left to the solving thread.
     fn process(&mut self, chunk: &mut Self::Chunk) -> bool;
 }
@@ -63,6 +66,7 @@ impl<W: Worker> ReaderEnd<W> {
         if self.processes
             && let Ok(mut worker) = self.worker.try_lock()
             && self.chunks.is_empty()
+            && worker.has_room()
         {
             let is_done = worker.process(&mut chunk);
             drop(worker);
@@ -107,6 +111,10 @@ mod tests {
 
     impl Worker for Clerk {
         type Chunk = u64;
+
+        fn has_room(&self) -> bool {
+            true
+        }
 
         fn process(&mut self, chunk: &mut u64) -> bool {
             self.do_rest();

@@ -6,7 +6,8 @@ use slitpose_protocol::{Configuration, Hello, Stream};
 
 use super::error::BoardError;
 use crate::device::{
-    Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find, locate,
+    Conversation, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, SimulatedPort, find,
+    locate,
 };
 use crate::link::{DeviceId, Segment};
 use crate::pipeline::PipelineError;
@@ -152,26 +153,26 @@ impl Opener for PortOpener {
 
 /// Opens a simulated board: once, or again after faults on its link.
 pub(crate) struct SimulatedOpener {
-    device: Arc<Mutex<SimulatedDevice>>,
+    port: SimulatedPort,
     is_opened: bool,
 }
 
 impl SimulatedOpener {
-    /// For `device`.
-    pub(crate) fn new(device: SimulatedDevice) -> Self {
-        Self { device: Arc::new(Mutex::new(device)), is_opened: false }
+    /// For `device`, which its user calls `name`.
+    pub(crate) fn new(device: SimulatedDevice, name: String) -> Self {
+        Self { port: SimulatedPort { name, device: Arc::new(Mutex::new(device)) }, is_opened: false }
     }
 }
 
 impl Opener for SimulatedOpener {
     fn name(&self) -> String {
-        Selector::Sim.to_string()
+        self.port.name.clone()
     }
 
     fn open(&mut self) -> Result<Box<dyn Feed>, DeviceError> {
-        let is_there = !std::mem::replace(&mut self.is_opened, true) || lock(&self.device).reopen();
+        let is_there = !std::mem::replace(&mut self.is_opened, true) || lock(&self.port.device).reopen();
         match is_there {
-            true => Ok(Box::new(Conversation::open(Box::new(Arc::clone(&self.device)))?)),
+            true => Ok(Box::new(Conversation::open(Box::new(self.port.clone()))?)),
             false => Err(DeviceError::Missing { name: self.name() }),
         }
     }

@@ -37,9 +37,6 @@ const ACCOUNT_EVERY_NS: u64 = 200_000_000;
 /// A solver that was behind counts as keeping up again after this many reports without a scan out of turn: 3 s.
 const CALM: u32 = 15;
 
-/// Most scans that may wait: a minute of a board at 4 kHz, 80 MB. Then reading waits, and finally the board.
-const MOST_WAITING: usize = 1 << 18;
-
 /// After an interrupt, waiting scans are solved for at most this long.
 const GIVES_UP_AFTER_NS: u64 = 500_000_000;
 
@@ -84,6 +81,10 @@ pub(super) struct State {
 
 impl Worker for Solver {
     type Chunk = Segment;
+
+    fn has_room(&self) -> bool {
+        self.pipeline.queue().has_room()
+    }
 
     fn process(&mut self, segment: &mut Segment) -> bool {
         self.state.now = HostInstant::now();
@@ -138,10 +139,7 @@ impl Solver {
     /// Receives the chunks in the queue as long as scans have room to wait.
     fn receive_queued(&mut self, handoff: &SolverEnd<Self>) {
         loop {
-            let queue = self.pipeline.queue();
-            // Without read times no pose can be late, and chunks are received one at a time.
-            let has_room = queue.waiting == 0 || (queue.oldest_ns.is_some() && queue.waiting < MOST_WAITING);
-            if !has_room {
+            if !self.has_room() {
                 return;
             }
             match handoff.chunks.next_now() {
@@ -278,7 +276,8 @@ impl Solver {
         let now_ns = self.state.now.monotonic_ns;
         let gives_up_at_ns = *self.state.gives_up_at_ns.get_or_insert(now_ns + GIVES_UP_AFTER_NS);
         if now_ns >= gives_up_at_ns {
-            self.skip(self.pipeline.queue().waiting);
+            let count = self.pipeline.give_up();
+            self.outputs.skip(count);
         }
     }
 

@@ -88,12 +88,11 @@ impl Leases {
     /// The subscriptions of a board.
     pub(super) fn of(&self, device: DeviceId, now_ns: u64) -> impl Iterator<Item = &Subscription> {
         let is_meant = move |lease: &&Lease| lease.device.is_none_or(|wanted| wanted == device);
-        let wanted = self.0.iter().filter(is_meant).map(|lease| &lease.subscription);
-        wanted.filter(move |subscription| subscription.until_ns >= now_ns)
+        self.valid(now_ns).filter(is_meant).map(|lease| &lease.subscription)
     }
 
-    /// Places that are taken.
-    pub(super) fn count(&self, now_ns: u64) -> usize {
-        self.0.iter().filter(|lease| lease.subscription.until_ns >= now_ns).count()
+    /// Leases that have not ended.
+    pub(super) fn valid(&self, now_ns: u64) -> impl Iterator<Item = &Lease> {
+        self.0.iter().filter(move |lease| lease.subscription.until_ns >= now_ns)
     }
 }

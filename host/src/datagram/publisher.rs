@@ -12,19 +12,13 @@ use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, Subscription};
 use crate::clock::HostInstant;
 use crate::pipeline::Record;
 
-#[derive(Debug)]
-struct Follower {
-    subscription: Subscription,
-    missed: u64,
-}
-
 /// Sends the poses of one board. Never waits, takes no lock, allocates nothing.
 #[derive(Debug)]
 pub struct Publisher {
     shared: Arc<Shared>,
     slot: Arc<Slot>,
     subscriptions: Receiver<Subscription>,
-    followers: Vec<Follower>,
+    followers: Vec<Subscription>,
     number: u64,
     missed: u64,
     is_behind: bool,
@@ -64,15 +58,15 @@ impl Publisher {
         for subscription in self.subscriptions.try_iter().take(MAX_NEWS) {
             admit(&mut self.followers, subscription, &self.shared.counters);
         }
-        self.followers.retain(|follower| now.monotonic_ns <= follower.subscription.until_ns);
+        self.followers.retain(|follower| now.monotonic_ns <= follower.until_ns);
         let Shared { sockets, counters } = &*self.shared;
         let missed_by_all = &mut self.missed;
-        self.followers.retain_mut(|Follower { subscription, missed }| {
-            datagram.set_missed(*missed);
-            match sockets[subscription.socket].send(datagram.as_bytes(), &subscription.peer) {
+        self.followers.retain(|Subscription { socket, peer, misses, .. }| {
+            datagram.set_missed(misses.count());
+            match sockets[*socket].send(datagram.as_bytes(), peer) {
                 Delivery::Sent => Counters::count(&counters.sent),
                 Delivery::Full => {
-                    *missed += 1;
+                    misses.add(now.monotonic_ns);
                     *missed_by_all += 1;
                     Counters::count(&counters.missed);
                 }
@@ -84,13 +78,13 @@ impl Publisher {
 }
 
 /// Adds a client, or renews the lease of a known one.
-fn admit(followers: &mut Vec<Follower>, new: Subscription, counters: &Counters) {
+fn admit(followers: &mut Vec<Subscription>, new: Subscription, counters: &Counters) {
     if new.until_ns == 0 {
-        followers.retain(|known| !known.subscription.is_of(&new));
-    } else if let Some(known) = followers.iter_mut().find(|known| known.subscription.is_of(&new)) {
-        known.subscription.until_ns = new.until_ns;
+        followers.retain(|known| !known.is_of(&new));
+    } else if let Some(known) = followers.iter_mut().find(|known| known.is_of(&new)) {
+        known.until_ns = new.until_ns;
     } else if followers.len() < MAX_FOLLOWERS {
-        followers.push(Follower { subscription: new, missed: 0 });
+        followers.push(new);
     } else {
         Counters::count(&counters.refused);
     }

@@ -19,7 +19,7 @@ use super::publisher::Publisher;
 use super::shared::{Counters, Shared};
 use super::slot::Slot;
 use super::socket::{Delivery, Peer, Socket, SocketFile};
-use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, Subscription};
+use super::subscription::{MAX_FOLLOWERS, MAX_NEWS, SlowClient, Subscription};
 use super::{Address, Answer, Mode, Request};
 use crate::clock::HostInstant;
 use crate::link::DeviceId;
@@ -29,7 +29,7 @@ use slitpose_head::threads::lock;
 pub(super) const LEASE: Duration = Duration::from_secs(3);
 
 /// Counts of datagrams sent and refused since the server started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct DatagramCounts {
     /// Places taken by clients now.
     pub places_taken: u64,
@@ -47,6 +47,8 @@ pub struct DatagramCounts {
     pub sent: u64,
     /// Datagrams for which a client's queue had no room. Not known for UDP.
     pub missed: u64,
+    /// Clients that do not read fast enough. Not known for UDP.
+    pub slow_clients: Vec<SlowClient>,
 }
 
 /// The server's side of a board; its publisher holds the other ends.
@@ -129,9 +131,11 @@ impl DatagramServer {
         let Counters { requests, places_refused, unproven, refused, sent, missed } = &self.shared.counters;
         let [requests, places_refused, unproven, refused, sent, missed] =
             [requests, places_refused, unproven, refused, sent, missed].map(|counter| counter.load(Ordering::Relaxed));
-        let places_taken = lock(&self.directory).leases.count(HostInstant::now().monotonic_ns) as u64;
+        let (directory, now_ns) = (lock(&self.directory), HostInstant::now().monotonic_ns);
+        let places_taken = directory.leases.valid(now_ns).count() as u64;
+        let slow_clients = directory.leases.valid(now_ns).filter_map(|lease| lease.subscription.slow(now_ns)).collect();
         let places = MAX_FOLLOWERS as u64;
-        DatagramCounts { places_taken, places, places_refused, requests, refused, unproven, sent, missed }
+        DatagramCounts { places_taken, places, places_refused, requests, refused, unproven, sent, missed, slow_clients }
     }
 }
 
@@ -201,7 +205,7 @@ fn answer(shared: &Shared, directory: &mut Directory, request: Request, socket: 
         }
         Mode::Follow => {
             let until_ns = now_ns.saturating_add(LEASE.as_nanos() as u64);
-            let subscription = Subscription { socket, peer: peer.clone(), until_ns };
+            let subscription = Subscription { socket, peer: peer.clone(), until_ns, misses: Arc::default() };
             let (subscription, lost) = match directory.leases.renew(request.device, &subscription, now_ns) {
                 Admission::Kept(subscription) => (subscription, Vec::new()),
                 Admission::Instead(subscription, lost) => (subscription, lost),

@@ -1,13 +1,11 @@
 //! Non-blocking sockets of both kinds.
 
 use std::fs::{self, File, Permissions};
-#[cfg(target_os = "linux")]
-use std::io::IoSliceMut;
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, UdpSocket};
 #[cfg(target_os = "linux")]
-use std::os::fd::AsRawFd;
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 #[cfg(target_os = "linux")]
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
@@ -17,6 +15,7 @@ use std::sync::Arc;
 
 #[cfg(target_os = "linux")]
 use nix::fcntl::OFlag;
+use nix::sys::socket::{MsgFlags, send};
 #[cfg(target_os = "linux")]
 use nix::sys::socket::{setsockopt, sockopt::PassCred};
 
@@ -32,11 +31,45 @@ pub(super) enum Socket {
 /// The sender of a datagram to a [`Socket`], to which the socket can answer.
 #[derive(Clone, Debug)]
 pub(super) enum Peer {
+    Passed(Arc<PassedSocket>),
     Unix(Arc<UnixPeer>),
     Udp(SocketAddr),
 }
 
-/// A client on a Unix socket.
+/// The end of a socket pair that a client has passed with its request. Datagrams wait in the send buffer of this end,
+/// which no other client fills.
+#[derive(Debug)]
+pub(super) struct PassedSocket {
+    socket: UnixDatagram,
+    identity: (u64, u64),
+    /// The process that made the pair, and its user.
+    process: Option<i32>,
+    user: Option<u32>,
+}
+
+#[cfg(target_os = "linux")]
+impl PassedSocket {
+    /// `None` if `passed` is no end of a pair: datagrams could reach a socket that is not the client's.
+    fn new(passed: OwnedFd) -> Option<Self> {
+        use nix::sys::socket::{SockType, getsockopt, sockopt};
+
+        let credentials = getsockopt(&passed, sockopt::PeerCredentials).ok()?;
+        let kind = getsockopt(&passed, sockopt::SockType).ok()?;
+        let found = nix::sys::stat::fstat(&passed).ok()?;
+        let socket = UnixDatagram::from(passed);
+        let is_pair = kind == SockType::Datagram && socket.peer_addr().is_ok_and(|peer| peer.is_unnamed());
+        is_pair.then(|| Self {
+            socket,
+            identity: (found.st_dev, found.st_ino),
+            // Zero for a process that this one cannot see.
+            process: Some(credentials.pid()).filter(|&process| process > 0),
+            user: Some(credentials.uid()),
+        })
+    }
+}
+
+/// A client on a Unix socket that passed none of its own. All of these share the send buffer of the daemon's socket:
+/// one that does not read can fill it for the others.
 #[derive(Debug)]
 pub(super) struct UnixPeer {
     /// The name chosen by the client.
@@ -58,8 +91,17 @@ pub(super) enum Party {
 }
 
 impl Peer {
+    /// The client's process, if known.
+    pub(super) fn process(&self) -> Option<i32> {
+        match self {
+            Self::Passed(peer) => peer.process,
+            Self::Unix(_) | Self::Udp(_) => None,
+        }
+    }
+
     pub(super) fn party(&self) -> Party {
         match self {
+            Self::Passed(peer) => Party::User(peer.user),
             Self::Unix(peer) => Party::User(peer.user),
             Self::Udp(_) => Party::Udp,
         }
@@ -69,6 +111,7 @@ impl Peer {
 impl PartialEq for Peer {
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {
+            (Self::Passed(a), Self::Passed(b)) => a.identity == b.identity,
             (Self::Unix(a), Self::Unix(b)) => {
                 a.name.as_pathname() == b.name.as_pathname()
                     && abstract_name(&a.name) == abstract_name(&b.name)
@@ -136,19 +179,23 @@ fn abstract_name(_: &net::SocketAddr) -> Option<&[u8]> {
     None
 }
 
-/// The next datagram of a Unix socket: its length, its sender's name, and the user of the sender's process.
+/// The next datagram of a Unix socket, and its sender.
 #[cfg(target_os = "linux")]
-fn receive_with_user(
-    socket: &UnixDatagram,
-    buffer: &mut [u8],
-) -> io::Result<(usize, Option<net::SocketAddr>, Option<u32>)> {
+fn receive_unix(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
+    use std::io::IoSliceMut;
     use std::os::linux::net::SocketAddrExt;
 
-    use nix::sys::socket::{ControlMessageOwned, MsgFlags, SockaddrLike, UnixAddr, UnixCredentials, recvmsg};
+    use nix::sys::socket::{ControlMessageOwned, SockaddrLike, UnixAddr, UnixCredentials, recvmsg};
 
     let mut control = nix::cmsg_space!(UnixCredentials);
     let mut parts = [IoSliceMut::new(buffer)];
-    let message = recvmsg::<UnixAddr>(socket.as_raw_fd(), &mut parts, Some(&mut control), MsgFlags::MSG_DONTWAIT)?;
+    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_PEEK;
+    let message = recvmsg::<UnixAddr>(socket.as_raw_fd(), &mut parts, Some(&mut control), flags)?;
+    // There is room for credentials only: what is cut off is a passed socket.
+    if message.flags.contains(MsgFlags::MSG_CTRUNC) {
+        let (count, passed) = receive_passed(socket, buffer)?;
+        return Ok((count, passed.and_then(PassedSocket::new).map(|peer| Peer::Passed(Arc::new(peer)))));
+    }
     let user = message.cmsgs()?.find_map(|control| match control {
         ControlMessageOwned::ScmCredentials(credentials) => Some(credentials.uid()),
         _ => None,
@@ -160,16 +207,38 @@ fn receive_with_user(
         (_, Some(name)) => net::SocketAddr::from_abstract_name(name).ok(),
         _ => None,
     });
-    // A datagram that was longer than the buffer fills it, as with `recv`.
-    Ok((message.bytes, name, user))
+    // A datagram that was longer than the buffer fills it.
+    let count = socket.recv(buffer)?;
+    Ok((count, name.and_then(|name| UnixPeer::new(name, user)).map(|peer| Peer::Unix(Arc::new(peer)))))
+}
+
+/// The next datagram, with the socket that its sender has passed.
+#[cfg(target_os = "linux")]
+fn receive_passed(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<OwnedFd>)> {
+    use std::io::IoSliceMut;
+    use std::mem::MaybeUninit;
+
+    use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
+
+    let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];
+    let mut control = RecvAncillaryBuffer::new(&mut space);
+    let flags = RecvFlags::DONTWAIT | RecvFlags::CMSG_CLOEXEC;
+    // Credentials would take the room. A request that another client sends meanwhile lacks them, and is refused if its
+    // name is a file: the client asks again.
+    setsockopt(socket, PassCred, &false)?;
+    let received = recvmsg(socket, &mut [IoSliceMut::new(buffer)], &mut control, flags);
+    setsockopt(socket, PassCred, &true)?;
+    let passed = control.drain().find_map(|message| match message {
+        RecvAncillaryMessage::ScmRights(mut passed) => passed.next(),
+        _ => None,
+    });
+    Ok((received?.bytes, passed))
 }
 
 #[cfg(not(target_os = "linux"))]
-fn receive_with_user(
-    socket: &UnixDatagram,
-    buffer: &mut [u8],
-) -> io::Result<(usize, Option<net::SocketAddr>, Option<u32>)> {
-    socket.recv_from(buffer).map(|(count, name)| (count, Some(name), None))
+fn receive_unix(socket: &UnixDatagram, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
+    let (count, name) = socket.recv_from(buffer)?;
+    Ok((count, UnixPeer::new(name, None).map(|peer| Peer::Unix(Arc::new(peer)))))
 }
 
 impl Socket {
@@ -205,16 +274,18 @@ impl Socket {
     /// The next datagram, if there is one, and its sender, if it can be answered.
     pub(super) fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Option<Peer>)> {
         match self {
-            Self::Unix(socket) => {
-                let (count, name, user) = receive_with_user(socket, buffer)?;
-                Ok((count, name.and_then(|name| UnixPeer::new(name, user)).map(|peer| Peer::Unix(Arc::new(peer)))))
-            }
+            Self::Unix(socket) => receive_unix(socket, buffer),
             Self::Udp(socket) => socket.recv_from(buffer).map(|(count, peer)| (count, Some(Peer::Udp(peer)))),
         }
     }
 
     pub(super) fn send(&self, bytes: &[u8], peer: &Peer) -> Delivery {
         let sent = match (self, peer) {
+            // The client may have made its end a blocking one.
+            (Self::Unix(_), Peer::Passed(peer)) => {
+                let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
+                send(peer.socket.as_raw_fd(), bytes, flags).map_err(io::Error::from)
+            }
             (Self::Unix(socket), Peer::Unix(peer)) => socket.send_to_addr(bytes, &peer.address),
             (Self::Udp(socket), Peer::Udp(peer)) => socket.send_to(bytes, peer),
             _ => return Delivery::Gone,

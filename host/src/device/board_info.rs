@@ -70,6 +70,7 @@ impl BoardInfo {
             ResetCause::Software => "software",
             ResetCause::Watchdog => "watchdog",
             ResetCause::Panic => "panic",
+            ResetCause::StackOverflow => "stack_overflow",
         }
     }
 }

@@ -390,6 +390,7 @@ fn name_of(command: &Command) -> &'static str {
         Command::Reboot(_) => "Reboot",
         Command::Head(_) => HEAD,
         Command::Stream(_) => "Stream",
+        Command::FullScale { .. } => "FullScale",
     }
 }
 

@@ -36,7 +36,7 @@ pub(crate) use ports::{Port, Search, UsbId, ports};
 pub(crate) use probe::{Listed, PortState};
 pub(crate) use selector::Selector;
 pub use serial::SerialDevice;
-pub(crate) use simulated::SimulatedDevice;
+pub(crate) use simulated::{SimulatedDevice, SimulatedPort};
 
 /// A byte stream to and from a board.
 pub trait Device: Send {

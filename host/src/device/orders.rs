@@ -1,5 +1,6 @@
 //! Commands other than measurement: introduce, store, identify, reboot.
 
+use std::num::NonZeroU32;
 use std::time::{Duration, Instant};
 
 use slitpose_protocol::{BootTarget, Command, Hashes, HeadPart, Message, Rejection, Status};
@@ -67,6 +68,14 @@ impl Conversation {
             Err(DeviceError::Refused { source: Rejection::Unsupported { .. }, .. }) => Ok(false),
             outcome => outcome.map(|()| true),
         }
+    }
+
+    /// Tells the board the full scale of its front end, in picoamperes. The board has no head then.
+    ///
+    /// # Errors
+    /// If the board does not know the command, or does not reply.
+    pub(crate) fn set_full_scale(&mut self, full_scale_pa: NonZeroU32) -> Result<(), DeviceError> {
+        self.order(Command::FullScale { full_scale_pa })
     }
 
     /// Erases the board's stored configuration and hashes.

@@ -197,21 +197,27 @@ impl Device for SimulatedDevice {
     }
 }
 
-/// A port that may be opened again.
-impl Device for Arc<Mutex<SimulatedDevice>> {
+/// A port that may be opened again, and its name: one of several boards has a number.
+#[derive(Clone, Debug)]
+pub(crate) struct SimulatedPort {
+    pub(crate) name: String,
+    pub(crate) device: Arc<Mutex<SimulatedDevice>>,
+}
+
+impl Device for SimulatedPort {
     fn name(&self) -> &str {
-        NAME
+        &self.name
     }
 
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        lock(self).send(bytes)
+        lock(&self.device).send(bytes)
     }
 
     fn keeps_time(&self) -> bool {
-        lock(self).keeps_time()
+        lock(&self.device).keeps_time()
     }
 
     fn receive(&mut self, bytes: &mut Vec<u8>) -> io::Result<bool> {
-        lock(self).receive(bytes)
+        lock(&self.device).receive(bytes)
     }
 }

@@ -41,8 +41,7 @@ pub(super) fn checks(folder: &Path, bytes_per_s: f64) -> [Finding; 2] {
 
 fn of_room(free: f64, needed: f64) -> Finding {
     let seconds = free / needed;
-    let finding =
-        format!("{:.1} GB free where recordings go: {:.1} hours of four boards", free / 1e9, seconds / 3600.0);
+    let finding = format!("{:.1} GB free for recordings: {:.1} hours of four boards", free / 1e9, seconds / 3600.0);
     if seconds >= LITTLE_S {
         Finding::ok("disk space", finding)
     } else if seconds >= NOTHING_S {

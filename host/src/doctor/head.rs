@@ -52,7 +52,8 @@ pub(super) fn full_scale(scene: &SceneFile, info: &BoardInfo) -> Finding {
     if is_full_scale_of(board_a, scene_a) {
         Finding::ok("full scale", finding)
     } else {
-        let next_step = "correct front_end.full_scale_a, or flash the firmware of this front end";
+        let next_step = "correct front_end.full_scale_a, or tell the board what its feedback resistors make: \
+                         slitpose device set --scene FILE --full-scale UA";
         Finding::warning("full scale", finding, next_step)
     }
 }

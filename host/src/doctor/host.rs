@@ -49,7 +49,7 @@ fn of_synchronisation(said: Option<&str>) -> Finding {
             "not synchronised to UTC: dates of poses are as wrong as the clock; intervals are right",
             "timedatectl set-ntp true, or install chrony",
         ),
-        _ => Finding::skipped("clock", "no timedatectl here that tells whether it is synchronised"),
+        _ => Finding::skipped("clock", "without timedatectl it is not known whether the clock is synchronised"),
     }
 }
 
@@ -58,15 +58,15 @@ fn of_priority(limits: Option<&str>) -> Finding {
         return Finding::ok("priority", "root may use real-time priorities");
     }
     let Some(limit) = limits.and_then(real_time_limit) else {
-        return Finding::skipped("priority", "this system does not tell in /proc what is allowed");
+        return Finding::skipped("priority", "/proc/self/limits does not say what is allowed");
     };
     if limit >= PRIORITY {
         Finding::ok("priority", format!("real-time priorities up to {limit} are allowed"))
     } else {
         Finding::warning(
             "priority",
-            format!("real-time priorities up to {limit} are allowed, {PRIORITY} is wanted: a busy host reads late"),
-            "allow them as host/INSTALL.md tells, or let the service do the work",
+            format!("real-time priorities up to {limit} are allowed, {PRIORITY} is needed: a busy host reads late"),
+            "allow them as host/INSTALL.md describes, or run the service",
         )
     }
 }

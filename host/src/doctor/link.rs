@@ -41,7 +41,7 @@ pub(super) fn reach(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<
 }
 
 fn simulated(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Device>> {
-    checks.push(Finding::skipped("port", "a simulated board has none"));
+    checks.push(Finding::skipped("port", "a simulated board has no port"));
     let scene = subject.scene.cloned().or_else(default_scene)?;
     match SimulatedDevice::live(&scene) {
         Ok(device) => Some(Box::new(device)),
@@ -64,7 +64,7 @@ fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Devi
     checks.push(of_permission(&found));
     match SerialDevice::open(&found.port) {
         Ok(device) => {
-            checks.push(Finding::ok("exclusive", "nobody else has the port open"));
+            checks.push(Finding::ok("exclusive", "no other program has the port open"));
             Some(Box::new(device))
         }
         Err(error) => {
@@ -73,7 +73,8 @@ fn open(subject: &Subject<'_>, checks: &mut Vec<Finding>) -> Option<Box<dyn Devi
                 finding += &format!("; {holder} has it open");
             }
             let busy = matches!(error, DeviceError::Busy { .. });
-            let next_step = if busy { "end the program that has it" } else { "see above" };
+            let next_step =
+                if busy { "end the program that has the port open" } else { "see the error in the line above" };
             checks.push(Finding::failed("exclusive", finding, next_step));
             None
         }
@@ -86,7 +87,7 @@ fn of_ports(listed: Result<Vec<Port>, DeviceError>) -> Finding {
             let boards = ports.iter().filter(|port| port.is_board()).count();
             let debuggers = ports.iter().filter(|port| port.is_debugger()).count();
             let count = ports.len();
-            Finding::ok("ports", format!("{count} serial, {boards} of boards, {debuggers} of debuggers"))
+            Finding::ok("ports", format!("{count} serial ports, of which boards: {boards}, debuggers: {debuggers}"))
         }
         Err(error) => Finding::warning("ports", with_causes(&error), "give the path of the port with --device"),
     }
@@ -109,11 +110,12 @@ fn of_permission(found: &Found) -> Finding {
 
 /// Findings on a board's hello, and whether it is understood.
 pub(super) fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
-    use slitpose_protocol::ResetCause::{BrownOut, Panic, Watchdog};
-    let who = format!("{} {}, {}, firmware {}", info.kind_name(), info.board, info.device, info.firmware);
+    use slitpose_protocol::ResetCause::{BrownOut, Panic, StackOverflow, Watchdog};
+    let who =
+        format!("{} ({} board), serial {}, firmware {}", info.board, info.kind_name(), info.device, info.firmware);
     let mut checks = vec![Finding::ok("hello", who)];
     checks.push(match info.mismatch {
-        None => Finding::ok("version", format!("both speak protocol {}", info.protocol)),
+        None => Finding::ok("version", format!("board and program both speak protocol {}", info.protocol)),
         Some(mismatch) => Finding::failed(
             "version",
             format!("{}; {mismatch}", Versions { board: info.protocol }),
@@ -122,8 +124,10 @@ pub(super) fn judge(info: &BoardInfo) -> (Vec<Finding>, bool) {
     });
     let cause = info.reset_cause_name();
     checks.push(match info.reset_cause {
-        BrownOut => Finding::warning("last start", cause, "check the cable and the supply: its voltage has sagged"),
-        Watchdog | Panic => Finding::warning("last start", cause, "update the firmware; if it comes again, report it"),
+        BrownOut => Finding::warning("last start", cause, "check cable and supply: the supply voltage dropped"),
+        Watchdog | Panic | StackOverflow => {
+            Finding::warning("last start", cause, "update the firmware; if it happens again, report it")
+        }
         _ => Finding::ok("last start", cause),
     });
     (checks, info.mismatch.is_none())
@@ -145,7 +149,7 @@ mod tests {
     fn a_board_that_was_reset_by_trouble_is_pointed_out() {
         let verdicts = |info: &BoardInfo| judge(info).0.iter().map(|check| check.grade).collect::<Vec<_>>();
         assert_eq!(verdicts(&info()), [Grade::Ok; 3]);
-        for reset_cause in [ResetCause::BrownOut, ResetCause::Watchdog, ResetCause::Panic] {
+        for reset_cause in [ResetCause::BrownOut, ResetCause::Watchdog, ResetCause::Panic, ResetCause::StackOverflow] {
             assert_eq!(verdicts(&BoardInfo { reset_cause, ..info() })[2], Grade::Warning);
         }
     }

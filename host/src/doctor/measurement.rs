@@ -162,7 +162,7 @@ impl Measurement {
         ];
         checks.extend(start_findings(self.after.clock, self.after.settings));
         if !self.events.is_empty() {
-            checks.push(Finding::warning("events", self.events.join("; "), "act on the warnings of the board"));
+            checks.push(Finding::warning("events", self.events.join("; "), "do what the warnings of the board say"));
         }
         checks
     }
@@ -170,14 +170,22 @@ impl Measurement {
     fn rate(&self) -> Finding {
         let (scans, seconds) = self.received;
         if self.counts.scans == 0 {
-            return Finding::failed("rate", "the board measures, but no scan came", "reset the board and try again");
+            return Finding::failed(
+                "rate",
+                "the board is measuring, but no scan arrived",
+                "reset the board and try again",
+            );
         }
         let rate_hz = scans as f64 / seconds;
         let finding = format!("{rate_hz:.0} scans/s by the host's clock, {:.0} by the schedule", self.frame_rate_hz);
         if (rate_hz / self.frame_rate_hz - 1.0).abs() <= RATE_SLACK {
             Finding::ok("rate", finding)
         } else {
-            Finding::warning("rate", finding, "look at the load of this host; a longer --duration tells more")
+            Finding::warning(
+                "rate",
+                finding,
+                "lower the load of this host, then measure again with a longer --duration",
+            )
         }
     }
 
@@ -186,12 +194,12 @@ impl Measurement {
             _ if self.contradicts_crystal => contradicted_crystal(),
             Some((drift_ppm, uncertainty_ns)) => Finding::ok(
                 "board clock",
-                format!("fast by {drift_ppm:.0} ppm; its instants are known to {:.0} us", uncertainty_ns as f64 * 1e-3),
+                format!("fast by {drift_ppm:.0} ppm; times are known within {:.0} us", uncertainty_ns as f64 * 1e-3),
             ),
             None => Finding::warning(
                 "board clock",
-                "does not follow the clock of this host".to_owned(),
-                "give a longer --duration: it takes two pings; an emulated board may be too slow",
+                "not yet compared with the clock of this host".to_owned(),
+                "measure again with a longer --duration: the comparison takes two pings, and an emulated board may be slow",
             ),
         }
     }
@@ -207,11 +215,11 @@ impl Measurement {
         let (dropped, lost) = self.lost_on_board();
         let overruns = self.after.adc_overruns.saturating_sub(self.before.adc_overruns);
         let finding =
-            format!("{dropped} scans dropped by its queue, {lost} lost at its converters, {overruns} overruns");
+            format!("{dropped} scans dropped by the queue, {lost} lost at the converters, {overruns} overruns");
         match (dropped, lost + u64::from(overruns)) {
             (0, 0) => Finding::ok("board", finding),
             (_, 0) => {
-                let next_step = "the host did not read in time: look at its load, hubs and cable";
+                let next_step = "the host did not read in time: check its load, hubs and cable";
                 Finding::failed("board", finding, next_step)
             }
             _ => {
@@ -226,8 +234,9 @@ impl Measurement {
         let missing = counts.scans_lost.saturating_sub(dropped + lost);
         let unreadable = counts.decoder.unknown + counts.decoder.malformed + counts.batches_unreadable;
         let (scans, damaged) = (counts.scans, counts.decoder.damaged());
-        let finding =
-            format!("{scans} scans came, {missing} got lost; {damaged} packets damaged, {unreadable} unreadable");
+        let finding = format!(
+            "{scans} scans received, {missing} lost on the way; {damaged} packets damaged, {unreadable} unreadable"
+        );
         if missing + damaged + unreadable == 0 {
             Finding::ok("link", finding)
         } else {
@@ -257,11 +266,11 @@ impl Measurement {
         );
         // NaN is in no range.
         if !SUPPLY_V.contains(&supply_v) {
-            Finding::warning("health", finding, "check cable and supply: 3.3 V are wanted, within 5 %")
+            Finding::warning("health", finding, "check cable and supply: 3.3 V within 5 % is required")
         } else if !TEMPERATURE_K.contains(&temperature_k) {
             Finding::warning("health", finding, "keep the board between -40 and 85 C")
         } else if cpu_load_permille > BUSIEST_PERMILLE {
-            Finding::warning("health", finding, "lower front_end.frame_rate_hz: the MCU has no time in reserve")
+            Finding::warning("health", finding, "lower front_end.frame_rate_hz: the MCU has no reserve")
         } else {
             Finding::ok("health", finding)
         }

@@ -50,8 +50,11 @@ pub(crate) enum Refusal {
     #[error("this page may look only; start slitpose with --live-writes to change that")]
     ReadOnly,
     /// The token.
-    #[error("the token is missing or wrong; open the address that slitpose prints at its start")]
+    #[error("the token is missing or wrong; add #token= and the secret of --live-token to the address")]
     Token,
+    /// Too many clients.
+    #[error("as many clients look already as there are places; close one of them")]
+    Full,
     /// Something that this kind of program does not have.
     #[error("there is no {what} here; {instead}")]
     NotHere {

@@ -1,6 +1,7 @@
 //! The state that all clients share: heads, the frames of the last minute, reports.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::Mutex;
 
 use axum::extract::ws::Utf8Bytes;
@@ -112,8 +113,8 @@ pub(super) struct Snapshot {
     pub(super) heads: Vec<Utf8Bytes>,
     /// The newest report and player.
     pub(super) states: Vec<Utf8Bytes>,
-    /// The frames of each board so far.
-    pub(super) frames: Vec<Vec<Utf8Bytes>>,
+    /// Numbers of the frames of each board so far.
+    pub(super) frames: Vec<Range<u64>>,
 }
 
 /// The shared state.
@@ -160,6 +161,21 @@ impl Hub {
     /// The number of the present history.
     pub(super) fn history(&self) -> u64 {
         lock(&self.state).history
+    }
+
+    /// At most `count` frames of `wanted`, whose numbers are taken out of it, as are those that are no longer kept: clients
+    /// that are slow keep no frames of their own.
+    pub(super) fn past(&self, history: u64, board: usize, wanted: &mut Range<u64>, count: usize) -> Vec<Utf8Bytes> {
+        let state = lock(&self.state);
+        let Some(board) = state.boards.get(board).filter(|_| state.history == history) else {
+            wanted.start = wanted.end;
+            return Vec::new();
+        };
+        let first_kept = board.kept().start;
+        let from = wanted.start.max(first_kept);
+        wanted.start = wanted.end.min(from + count as u64);
+        let count = wanted.start.saturating_sub(from) as usize;
+        board.frames.iter().skip((from - first_kept) as usize).take(count).cloned().collect()
     }
 
     /// Passes an input on to the clients.
@@ -213,11 +229,7 @@ impl State {
         let board = self.boards.get_mut(number)?;
         board.time_s = sample.record.device_time_s;
         let text = text_of(&board.optics.as_ref()?.frame(number, board.next, sample))?;
-        board.next += 1;
-        if board.frames.len() == HISTORY {
-            board.frames.pop_front();
-        }
-        board.frames.push_back(text.clone());
+        board.keep(text.clone());
         Some(Event::Frame { history: self.history, text })
     }
 
@@ -235,12 +247,26 @@ impl State {
             names: self.boards.iter().map(|board| board.name.clone()).collect(),
             heads: self.boards.iter().filter_map(|board| board.head.clone()).collect(),
             states: self.report.iter().chain(&self.player).cloned().collect(),
-            frames: self.boards.iter().map(|board| board.frames.iter().cloned().collect()).collect(),
+            frames: self.boards.iter().map(Board::kept).collect(),
         }
     }
 }
 
 impl Board {
+    /// Keeps the next frame.
+    fn keep(&mut self, text: Utf8Bytes) {
+        self.next += 1;
+        if self.frames.len() == HISTORY {
+            self.frames.pop_front();
+        }
+        self.frames.push_back(text);
+    }
+
+    /// Numbers of the frames that are kept.
+    fn kept(&self) -> Range<u64> {
+        self.next - self.frames.len() as u64..self.next
+    }
+
     fn new(number: usize, LiveBoard { name, head }: LiveBoard) -> Self {
         Self {
             // A scene that cannot be computed has been refused before.
@@ -257,4 +283,39 @@ impl Board {
 /// A message as JSON.
 pub(super) fn text_of(message: &impl Serialize) -> Option<Utf8Bytes> {
     serde_json::to_string(message).ok().map(Utf8Bytes::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_client_that_falls_behind_keeps_no_frames_of_its_own() {
+        let hub = Hub::new();
+        hub.accept(Input::Boards(vec![LiveBoard { name: "sim".to_owned(), head: None }]));
+        let push = |count: usize| {
+            let mut state = lock(&hub.state);
+            for _ in 0..count {
+                let board = &mut state.boards[0];
+                let text = board.next.to_string().into();
+                board.keep(text);
+            }
+        };
+        push(100);
+        let (_, snapshot) = hub.subscribe();
+        assert_eq!(snapshot.frames, vec![0..100]);
+        let mut wanted = snapshot.frames[0].clone();
+        let mut past = |count| {
+            let frames = hub.past(snapshot.history, 0, &mut wanted, count);
+            (frames.iter().map(|frame| frame.parse().unwrap()).collect::<Vec<u64>>(), wanted.clone())
+        };
+        assert_eq!(past(60), ((0..60).collect(), 60..100));
+        // The first eighty are no longer kept.
+        push(HISTORY - 20);
+        assert_eq!(lock(&hub.state).boards[0].frames.len(), HISTORY);
+        assert_eq!(past(10), ((80..90).collect(), 90..100));
+        push(HISTORY);
+        assert_eq!(past(10), (vec![], 100..100));
+        assert_eq!(hub.past(snapshot.history + 1, 0, &mut (0..5), 5).len(), 0, "of another history");
+    }
 }

@@ -1,8 +1,8 @@
 //! The server of the page: its files over HTTP, everything else over one WebSocket.
 
 use std::io;
-use std::net::SocketAddr;
-use std::sync::Arc;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -19,19 +19,20 @@ use axum::routing::get;
 use thiserror::Error;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::mpsc::Receiver;
-use tokio::sync::{Semaphore, oneshot};
+use tokio::sync::oneshot;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::access::Access;
-use super::control::Control;
+use super::control::{Control, Refusal};
 use super::hub::{Hub, Input, LiveBoard, LiveInput};
 use super::page::{FILES, PageFile, VERSION_MARK};
 use super::scene_view::SceneView;
 use super::session;
 use crate::http::{self, Door, Leash, Reach, Socket};
 use crate::telemetry::DaemonReport;
+use slitpose_head::threads::lock;
 
-/// Most clients at a time.
+/// Most clients at a time, of those that have said hello.
 pub(super) const MOST_CLIENTS: usize = 32;
 
 /// Longest message of a client, bytes: requests have less than 200.
@@ -89,7 +90,39 @@ pub(super) struct Shared {
     pub(super) hub: Hub,
     pub(super) scene: Option<SceneView>,
     pub(super) control: Box<dyn Control>,
-    clients: Arc<Semaphore>,
+    pub(super) clients: Clients,
+}
+
+/// Addresses of the clients that have said hello.
+#[derive(Debug, Default)]
+pub(super) struct Clients(Mutex<Vec<Option<IpAddr>>>);
+
+impl Clients {
+    /// Takes a place for a client of `address`, until dropped. The last one is kept for an address without any.
+    pub(super) fn place(&self, address: Option<IpAddr>) -> Option<Place<'_>> {
+        let mut clients = lock(&self.0);
+        let is_free = clients.len() + usize::from(clients.contains(&address)) < MOST_CLIENTS;
+        is_free.then(|| {
+            clients.push(address);
+            Place { clients: self, address }
+        })
+    }
+}
+
+/// The place of a client.
+#[derive(Debug)]
+pub(super) struct Place<'c> {
+    clients: &'c Clients,
+    address: Option<IpAddr>,
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        let mut clients = lock(&self.clients.0);
+        if let Some(number) = clients.iter().position(|client| *client == self.address) {
+            clients.swap_remove(number);
+        }
+    }
 }
 
 /// Serves the page until dropped.
@@ -119,7 +152,7 @@ impl LiveServer {
             http::listen(address).map_err(listen)?
         };
         let (url, reach) = (access.url(bound), access.reach());
-        let clients = Arc::new(Semaphore::new(MOST_CLIENTS));
+        let clients = Clients::default();
         let shared = Arc::new(Shared { access, source, has_zero, hub: Hub::new(), scene, control, clients });
         shared.hub.accept(Input::Boards(boards));
         let routes = routes(&shared, reach);
@@ -224,13 +257,9 @@ async fn upgrade(
     ConnectInfo(leash): ConnectInfo<Leash>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let Ok(place) = Arc::clone(&shared.clients).try_acquire_owned() else {
-        let text = format!("{MOST_CLIENTS} clients look already; close one of them\n");
-        return refusal(StatusCode::SERVICE_UNAVAILABLE, text);
-    };
+    if shared.clients.place(leash.address).is_none() {
+        return refusal(StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", Refusal::Full));
+    }
     let upgrade = upgrade.max_message_size(LONGEST_REQUEST).max_frame_size(LONGEST_REQUEST);
-    upgrade.on_upgrade(async move |socket| {
-        session::serve(socket, shared, leash).await;
-        drop(place);
-    })
+    upgrade.on_upgrade(async move |socket| session::serve(socket, shared, leash).await)
 }

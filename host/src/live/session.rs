@@ -6,6 +6,7 @@
 
 use std::collections::VecDeque;
 use std::future::ready;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -75,19 +76,23 @@ enum Answer<'a> {
 /// The connection has ended.
 struct Gone;
 
-/// Serves a client until it goes. `leash` is released when it has shown that it may look.
+/// Serves a client until it goes. It has a place, and `leash` is released, once it has shown that it may look.
 pub(super) async fn serve(mut socket: WebSocket, shared: Arc<Shared>, leash: Leash) {
     let hello = match socket.recv().await {
         Some(Ok(Message::Text(text))) => Request::read(&text).ok(),
         _ => None,
     };
     let Some(Request::Hello { token }) = hello else { return };
-    let mut session = Session::new(socket, shared);
-    if !session.shared.access.admits(token.as_deref()) {
+    let mut session = Session::new(socket, Arc::clone(&shared));
+    if !shared.access.admits(token.as_deref()) {
         sleep(PENALTY).await;
         let _ = session.refuse(&Refusal::Token).await;
         return;
     }
+    let Some(_place) = shared.clients.place(leash.address) else {
+        let _ = session.refuse(&Refusal::Full).await;
+        return;
+    };
     leash.release();
     let _ = session.run().await;
 }
@@ -102,8 +107,8 @@ struct Session {
     history: u64,
     /// Names of the boards.
     boards: Vec<String>,
-    /// Frames of the past that are still to be sent, by board.
-    past: VecDeque<(usize, Vec<Utf8Bytes>)>,
+    /// Numbers of the frames of the past that are still to be sent, by board.
+    past: VecDeque<(usize, Range<u64>)>,
     /// Frames of a scene without a board.
     drawn: u64,
 }
@@ -215,10 +220,10 @@ impl Session {
 
     /// Sends some frames of the past, the oldest first.
     async fn send_past(&mut self) -> Result<(), Gone> {
-        let Some((board, mut frames)) = self.past.pop_front() else { return Ok(()) };
-        let later = frames.split_off(frames.len().min(PAST));
-        if !later.is_empty() {
-            self.past.push_front((board, later));
+        let Some((board, mut wanted)) = self.past.pop_front() else { return Ok(()) };
+        let frames = self.shared.hub.past(self.history, board, &mut wanted, PAST);
+        if !wanted.is_empty() {
+            self.past.push_front((board, wanted));
         }
         let frames: Vec<&str> = frames.iter().map(Utf8Bytes::as_str).collect();
         let text = format!(r#"{{"kind":"history","board":{board},"frames":[{}]}}"#, frames.join(","));

@@ -15,11 +15,11 @@ use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
 use super::hub::LiveBoard;
-use super::server::{LONGEST_REQUEST, MOST_CLIENTS};
+use super::server::{Clients, LONGEST_REQUEST, MOST_CLIENTS};
 use super::session::WINDOW;
 use super::*;
 use crate::clock::HostInstant;
-use crate::http::LIFETIME;
+use crate::http::{LIFETIME, MOST};
 use crate::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
 
 const TOKEN: &str = "correct-horse-battery";
@@ -367,21 +367,39 @@ fn orders_are_passed_on_and_nonsense_is_refused() {
 }
 
 #[test]
-fn clients_are_limited_and_those_who_say_nothing_are_dropped() {
+fn clients_are_limited_and_those_who_say_nothing_keep_nobody_out() {
     let (server, _) = start("127.0.0.1:0", None);
-    let mut silent = Client::connect(&server).unwrap();
-    let since = Instant::now();
-    assert_eq!(silent.hear(), None);
-    assert!(since.elapsed() >= LIFETIME - Duration::from_millis(100), "{:?}", since.elapsed());
-    // Its place is free again.
-    let mut clients: Vec<Client> = (0..MOST_CLIENTS).map(|_| Client::greeted(&server)).collect();
+    // More than there are connections: the oldest ones are closed for the rest, and none has a client's place.
+    let mut silent: Vec<Client> = (0..2 * MOST).map(|_| Client::connect(&server).unwrap()).collect();
+    let mut clients: Vec<Client> = (1..MOST_CLIENTS).map(|_| Client::greeted(&server)).collect();
     clients.iter_mut().for_each(|client| drop(client.hear_of("head")));
+    assert_eq!((silent[0].hear(), silent[2 * MOST - 1].hear()), (None, None));
+    // The last place is kept for another address.
     let refused = Client::connect(&server).err();
     assert!(matches!(&refused, Some(tungstenite::Error::Http(answer)) if answer.status() == 503), "{refused:?}");
     // They last longer than a connection that only asks for a file.
     std::thread::sleep(LIFETIME);
     play(&server, &poses(1));
     clients.iter_mut().for_each(|client| drop(client.hear_of("frame")));
+    drop(clients);
+    // Their places are free again.
+    let again = (0..600).find_map(|_| {
+        std::thread::sleep(Duration::from_millis(100));
+        Client::connect(&server).ok()
+    });
+    assert!(again.is_some());
+}
+
+#[test]
+fn the_last_place_is_kept_for_an_address_that_has_none() {
+    let clients = Clients::default();
+    let [here, there] = ["192.0.2.1", "192.0.2.2"].map(|text| text.parse().ok());
+    let places: Vec<_> = (0..MOST_CLIENTS).map_while(|_| clients.place(here)).collect();
+    assert_eq!(places.len(), MOST_CLIENTS - 1);
+    let last = clients.place(there);
+    assert!(last.is_some() && clients.place(there).is_none() && clients.place(None).is_none());
+    drop(places);
+    assert!(clients.place(here).is_some());
 }
 
 #[test]

@@ -3,15 +3,19 @@
 use glam::{DQuat, DVec3};
 use schemars::JsonSchema;
 use serde::Serialize;
-use slitpose_model::{Cells, DegradedReason, Directions, Estimate, Outcome, Pose, Solution};
+use slitpose_model::{Cells, DegradedReason, Directions, Estimate, FEWEST_CELLS, Outcome, Plan, Pose, Solution};
 use slitpose_protocol::poses::TRIANGLE;
 use slitpose_protocol::{PoseRecord, PoseStatus};
+use thiserror::Error;
 
 /// Scans that wait for the other pose: more than lie between a batch and the poses of its scans.
 const REMEMBERED: usize = 256;
 
 /// Consecutive scans after which a tracker knows how the tool moves, whatever it knew before.
 const SETTLED: u32 = 16;
+
+/// Greatest error of the squared length of a quaternion: some hundred times what `f32` rounds.
+const MAX_NORM2_ERROR: f32 = 1e-4;
 
 /// Weight of the latest pose in the recent mean square.
 const RECENT: f64 = 1.0 / 64.0;
@@ -29,6 +33,34 @@ pub struct Agreement {
     pub recent_rms_sigmas: f64,
     /// Scans of this configuration that the board could not solve in time.
     pub missed: u64,
+    /// Poses of the board that cannot be right, left out.
+    pub refused: u64,
+    /// Whether the board's poses have not been compared for as long as its sample of scans should take, and half as long
+    /// again. Of a board whose poses are taken as they are.
+    pub is_unchecked: bool,
+}
+
+/// Why a pose of a board cannot be right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum PoseFault {
+    /// A number is NaN, infinite, or negative where it must not be.
+    #[error("one of its numbers is not finite, or its χ² is negative")]
+    Number,
+    /// The quaternion is no rotation.
+    #[error("its quaternion is not of length 1")]
+    Rotation,
+    /// No covariance has come yet.
+    #[error("no covariance has come with it or before")]
+    NoCovariance,
+    /// The covariance is none.
+    #[error("its covariance is not positive definite")]
+    Covariance,
+    /// Cells that the head lacks, or too few.
+    #[error("it is said to come from fewer than {FEWEST_CELLS} cells, or from cells that the head lacks")]
+    Cells,
+    /// The head cannot see the tool there.
+    #[error("fewer than {FEWEST_CELLS} of its cells see the tool there")]
+    Unseen,
 }
 
 /// A pose as a board tells it.
@@ -40,6 +72,34 @@ pub(super) struct BoardPose {
 }
 
 impl BoardPose {
+    /// Why it cannot be right, by the optics of the head: if it is a pose, it must be one that a solver could find.
+    pub(super) fn fault(&self, plan: &Plan<f64>) -> Option<PoseFault> {
+        let Self { record, covariance } = self;
+        if !record.status.has_pose() {
+            return None;
+        }
+        let numbers = record.translation_m.iter().chain(&record.rotation_xyzw).chain([&record.chi2]).chain(covariance);
+        let norm2: f32 = record.rotation_xyzw.iter().map(|number| number * number).sum();
+        let (used, excluded) = (Cells::from_bits(record.cells_used), Cells::from_bits(record.excluded));
+        let has = |cell: usize| cell < plan.cell_count();
+        let sees = |pose: &Pose| used.iter().filter(|&cell| !plan.spot_outline_m(cell, pose).is_empty()).count();
+        if !numbers.clone().all(|number| number.is_finite()) || record.chi2 < 0.0 {
+            Some(PoseFault::Number)
+        } else if (norm2 - 1.0).abs() > MAX_NORM2_ERROR {
+            Some(PoseFault::Rotation)
+        } else if *covariance == [0.0; TRIANGLE] {
+            Some(PoseFault::NoCovariance)
+        } else if !is_positive_definite(full(covariance)) {
+            Some(PoseFault::Covariance)
+        } else if used.count() < FEWEST_CELLS || !used.iter().chain(excluded.iter()).all(has) {
+            Some(PoseFault::Cells)
+        } else if pose_of(record).is_none_or(|pose| sees(&pose) < FEWEST_CELLS) {
+            Some(PoseFault::Unseen)
+        } else {
+            None
+        }
+    }
+
     pub(super) fn solution(&self) -> Solution {
         let Self { record, covariance } = self;
         let outcome = match record.status {
@@ -53,21 +113,34 @@ impl BoardPose {
             PoseStatus::TooDark => Outcome::TooDark,
             PoseStatus::Diverged | PoseStatus::Unknown => Outcome::Diverged,
         };
-        let mut full = [[0.0; 6]; 6];
-        let mut elements = covariance.iter().map(|&element| f64::from(element));
-        for i in 0..6 {
-            for j in 0..=i {
-                let element = elements.next().unwrap_or_default();
-                (full[i][j], full[j][i]) = (element, element);
-            }
-        }
         let pose = pose_of(record).filter(|_| record.status.has_pose());
-        let estimate = pose.map(|pose| Estimate { pose, covariance: full });
-        // A pose that is no number is none, whatever the status says.
-        let outcome = if estimate.is_none() && record.status.has_pose() { Outcome::Diverged } else { outcome };
+        let estimate = pose.map(|pose| Estimate { pose, covariance: full(covariance) });
         let cells = |bits| Cells::from_bits(bits);
         Solution::reported(outcome, estimate, record.chi2.into(), cells(record.cells_used), cells(record.excluded))
     }
+}
+
+/// The symmetric matrix of a lower triangle.
+fn full(triangle: &[f32; TRIANGLE]) -> [[f64; 6]; 6] {
+    std::array::from_fn(|i| {
+        std::array::from_fn(|j| {
+            let (row, column) = (i.max(j), i.min(j));
+            triangle[row * (row + 1) / 2 + column].into()
+        })
+    })
+}
+
+/// Whether Cholesky's method finds a factor: all pivots are positive.
+fn is_positive_definite(mut matrix: [[f64; 6]; 6]) -> bool {
+    (0..6).all(|k| {
+        let pivots = matrix[k];
+        for i in k + 1..6 {
+            for j in k + 1..6 {
+                matrix[i][j] -= pivots[i] * pivots[j] / pivots[k];
+            }
+        }
+        pivots[k] > 0.0
+    })
 }
 
 fn pose_of(record: &PoseRecord) -> Option<Pose> {
@@ -84,6 +157,8 @@ pub(super) struct Comparison {
     board: Run,
     host: Run,
     agreement: Agreement,
+    /// A scan in which both have looked for a pose has come.
+    is_checked: bool,
 }
 
 /// Consecutive scans of one side.
@@ -110,6 +185,7 @@ impl Default for Comparison {
             board: Run::default(),
             host: Run::default(),
             agreement: Agreement::default(),
+            is_checked: false,
         }
     }
 }
@@ -117,6 +193,11 @@ impl Default for Comparison {
 impl Comparison {
     pub(super) fn agreement(&self) -> Agreement {
         self.agreement
+    }
+
+    /// Whether a pose has been compared since the last call.
+    pub(super) fn take_checked(&mut self) -> bool {
+        std::mem::take(&mut self.is_checked)
     }
 
     /// Takes the board's count of scans that it has not solved.
@@ -147,6 +228,7 @@ impl Comparison {
     }
 
     fn compare(&mut self, record: &PoseRecord, found: Option<&Estimate>) {
+        self.is_checked = true;
         let Agreement { compared, one_sided, worst_sigmas, recent_rms_sigmas, .. } = &mut self.agreement;
         let by_board = pose_of(record).filter(|_| record.status.has_pose());
         let (by_board, found) = match (by_board, found) {
@@ -253,7 +335,6 @@ mod tests {
         assert_eq!((told[0][0], told[0][1], told[1][0], told[5][5]), (4.0, 1.0, 1.0, 9.0));
         assert_eq!((solution.chi2, solution.redundancy, solution.cells_used.bits()), (6.0, 6, 0x3f));
         let status = |status, x| BoardPose { record: record(status, x), covariance }.solution();
-        assert_eq!(status(PoseStatus::Converged, f32::NAN).outcome, Outcome::Diverged);
         assert!(status(PoseStatus::TooDark, 0.0).estimate.is_none());
     }
 }

@@ -13,6 +13,8 @@ pub struct Counts {
     pub scans_lost: u64,
     /// Scans that arrived but were not solved, because the solver was behind or interrupted.
     pub scans_skipped: u64,
+    /// Scans of these that the user did not wait for: they waited when the program was interrupted.
+    pub scans_given_up: u64,
     /// Scans that came again, or behind later ones; they are not solved.
     pub scans_repeated: u64,
     /// Restarts of the board, detected by restarts of its numbering.
@@ -23,6 +25,8 @@ pub struct Counts {
     pub batches_without_hello: u64,
     /// Batches that do not fit their schedule.
     pub batches_unreadable: u64,
+    /// Poses of the board that cannot be right: their scans count as solved without a pose.
+    pub poses_refused: u64,
     /// The decoder's counters.
     pub decoder: DecoderCounters,
     /// Bytes of a packet that has not ended.
@@ -96,6 +100,7 @@ impl Counts {
             || self.restarts > 0
             || self.batches_without_hello > 0
             || self.batches_unreadable > 0
+            || self.poses_refused > 0
             || self.decoder.bytes_skipped > 0
     }
 
@@ -107,7 +112,8 @@ impl Counts {
         is_lossy.then(|| {
             format!(
                 "data were damaged or lost: {} scans missing, {} repeated or late, {} restarts of the board, {} damaged and {} unreadable \
-                 packets ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello",
+                 packets ({} bytes skipped), {} bytes of a packet that was cut off, {} batches without a hello, {} impossible \
+                 poses",
                 self.scans_lost,
                 self.scans_repeated,
                 self.restarts,
@@ -116,6 +122,7 @@ impl Counts {
                 decoder.bytes_skipped,
                 self.pending_bytes,
                 self.batches_without_hello,
+                self.poses_refused,
             )
         })
     }
@@ -154,12 +161,13 @@ mod tests {
     #[test]
     fn every_kind_of_loss_is_one_by_itself() {
         assert!(!Counts::default().has_loss() && !Counts::default().has_loss_before_end());
-        let kinds: [fn(&mut Counts); 6] = [
+        let kinds: [fn(&mut Counts); 7] = [
             |counts| counts.scans_lost = 1,
             |counts| counts.scans_repeated = 1,
             |counts| counts.restarts = 1,
             |counts| counts.batches_without_hello = 1,
             |counts| counts.batches_unreadable = 1,
+            |counts| counts.poses_refused = 1,
             |counts| counts.decoder.bytes_skipped = 1,
         ];
         for (kind, lose) in kinds.iter().enumerate() {

@@ -1,14 +1,16 @@
 //! From messages to poses: all stages after the decoder.
 
+use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use glam::{DQuat, DVec3};
 use slitpose_calibration::Head;
 use slitpose_model::{Pose, Tier, Tracked};
 use slitpose_protocol::poses::READY_TICKS;
-use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Truth};
+use slitpose_protocol::{Batch, BoardKind, Hello, Message, Poses, Stream, Truth};
 
 use super::board_clock::BoardClock;
+use super::board_poses::BoardPose;
 use super::oddity::ClockWatch;
 use super::session::Session;
 use super::span::Span;
@@ -18,6 +20,9 @@ use crate::link::DeviceId;
 
 /// True poses that may wait for their scans: more than a board queues.
 const MAX_TRUTHS: usize = 1024;
+
+/// A board's poses that are taken as they are must be compared within this device time.
+const MAX_UNCHECKED_S: f64 = 1.5;
 
 /// All stages after the decoder.
 #[derive(Debug)]
@@ -43,6 +48,9 @@ pub(super) struct Flow {
     /// Whether the board has sent poses of another head.
     has_other_head: bool,
     pub(super) counts: Counts,
+    /// Device time of the last pose before which one had been compared; NaN before the first.
+    checked_s: f64,
+    pub(super) is_unchecked: bool,
 }
 
 impl Flow {
@@ -65,6 +73,8 @@ impl Flow {
             has_false_truth: false,
             has_other_head: false,
             counts: Counts::default(),
+            checked_s: f64::NAN,
+            is_unchecked: false,
         }
     }
 
@@ -136,9 +146,7 @@ impl Flow {
         self.sessions += 1;
         self.clock.meet(session.device(), hello.schedule.tick_hz);
         let before = self.session.replace(Box::new(session));
-        if !self.waiting.is_empty() {
-            self.earlier.extend(before);
-        }
+        self.earlier.extend(before.filter(|before| Some(before.number()) == self.waiting.newest_session()));
         Ok(before_now.filter(|_| !is_opened).map(|before| Oddity::Renamed { before, now }))
     }
 
@@ -195,13 +203,40 @@ impl Flow {
             };
         };
         if is_source {
-            for (sequence, tick, pose) in known {
+            for (sequence, tick, mut pose) in known {
+                self.check(sequence, tick, &mut pose, sink)?;
                 if !self.queue(sequence, tick, Content::Pose(pose), sink)? {
                     break;
                 }
             }
         }
         Ok(())
+    }
+
+    /// Checks a pose of the board, and how long none has been compared.
+    fn check<E: From<PipelineError>>(
+        &mut self,
+        sequence: u64,
+        tick: u64,
+        pose: &mut BoardPose,
+        sink: &mut impl FnMut(Item<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        let device_time_s = session.time_s(tick);
+        // Device time may restart.
+        if session.take_checked() || device_time_s.partial_cmp(&self.checked_s).is_none_or(Ordering::is_lt) {
+            self.checked_s = device_time_s;
+        }
+        let limit_s = MAX_UNCHECKED_S.max(1.5 * f64::from(Stream::POSES.scans) * session.frame_s());
+        self.is_unchecked = device_time_s - self.checked_s > limit_s;
+        let Some(fault) = session.refuse(pose) else { return Ok(()) };
+        self.counts.poses_refused += 1;
+        match self.counts.poses_refused {
+            count if count.is_power_of_two() => {
+                sink(Item::Oddity { device_time_s, oddity: Oddity::Pose { sequence, fault, count } })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Lets a scan wait for its turn; `false` if it lies behind the end.
@@ -254,11 +289,17 @@ impl Flow {
         }
     }
 
-    pub(super) fn solve_next(&mut self) -> Option<Record> {
+    /// Takes the oldest waiting scan, and drops the sessions before its own.
+    pub(super) fn pop(&mut self) -> Option<(Scan, bool)> {
         let (scan, is_passed) = self.waiting.pop()?;
         while self.earlier.front().is_some_and(|session| session.number() < scan.session) {
             self.earlier.pop_front();
         }
+        Some((scan, is_passed))
+    }
+
+    pub(super) fn solve_next(&mut self) -> Option<Record> {
+        let (scan, is_passed) = self.pop()?;
         // A newer scan has already been counted for the health of the head.
         let session = session_of(&mut self.earlier, &mut self.session, scan.session)?;
         let tracked = session.solve(&scan, !is_passed);

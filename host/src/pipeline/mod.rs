@@ -26,7 +26,7 @@ use slitpose_head::scene_file::fnv1a_64;
 use slitpose_model::{Photocurrents, Tier};
 use slitpose_protocol::{DELIMITER, Decoder, MAX_MESSAGE_BYTES, Message, Status};
 
-pub use board_poses::Agreement;
+pub use board_poses::{Agreement, PoseFault};
 pub use counts::Counts;
 pub use error::PipelineError;
 pub use item::{Following, Item, PoseSource, Record, SceneMatch};
@@ -127,7 +127,7 @@ impl Pipeline {
 
     /// The state of the queue of waiting scans.
     pub fn queue(&self) -> Queue {
-        self.flow.waiting.queue()
+        Queue { sessions: self.flow.earlier.len(), ..self.flow.waiting.queue() }
     }
 
     /// Solves the oldest waiting scan. Poses solved in this order do not depend on the delay.
@@ -145,7 +145,7 @@ impl Pipeline {
     /// skipped.
     pub fn take_currents(&mut self) -> Option<(Scan, Photocurrents)> {
         loop {
-            let (scan, _) = self.flow.waiting.pop()?;
+            let (scan, _) = self.flow.pop()?;
             self.flow.counts.scans_skipped += 1;
             let session = session_of(&mut self.flow.earlier, &mut self.flow.session, scan.session)?;
             if let Content::Words(words) = &scan.content {
@@ -172,8 +172,16 @@ impl Pipeline {
 
     /// Drops the `count` oldest waiting scans unsolved, and counts them.
     pub fn skip(&mut self, count: usize) {
-        let skipped = (0..count).map_while(|_| self.flow.waiting.pop()).count();
+        let skipped = (0..count).map_while(|_| self.flow.pop()).count();
         self.flow.counts.scans_skipped += skipped as u64;
+    }
+
+    /// Drops all waiting scans unsolved, and counts them as given up.
+    pub(crate) fn give_up(&mut self) -> usize {
+        let count = self.queue().waiting;
+        self.skip(count);
+        self.flow.counts.scans_given_up += count as u64;
+        count
     }
 
     fn process<E: From<PipelineError>>(
@@ -252,7 +260,9 @@ impl Pipeline {
 
     /// How the board's poses compare with those found here; `None` if it has sent none.
     pub fn agreement(&self) -> Option<Agreement> {
-        self.flow.session.as_ref()?.agreement()
+        let agreement = self.flow.session.as_ref()?.agreement()?;
+        let refused = self.flow.counts.poses_refused;
+        Some(Agreement { refused, is_unchecked: self.flow.is_unchecked, ..agreement })
     }
 
     /// Rate error of the board's clock, ppm, positive if fast; `None` while unknown.

@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::PoseFault;
 use crate::link::DeviceId;
 
 /// A fault in a stream that a sound board never shows. Poses continue.
@@ -32,6 +33,19 @@ pub enum Oddity {
          store this head with `slitpose device set`, or give the scene and the calibration that the board has"
     )]
     OtherHead,
+    /// A pose of the board cannot be right.
+    #[error(
+        "the board's pose of scan {sequence} cannot be right: {fault}; it is left out, as {count} in all so far; build \
+         firmware and program from the same source, and use --stream raw until then"
+    )]
+    Pose {
+        /// Number of the scan.
+        sequence: u64,
+        /// The fault.
+        fault: PoseFault,
+        /// Poses left out so far.
+        count: u64,
+    },
     /// The board's number changed although the link was not reopened.
     #[error(
         "the board calls itself {now} in the midst of its stream, and was {before}: the poses that follow are told as \

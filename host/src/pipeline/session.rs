@@ -3,9 +3,9 @@
 use slitpose_calibration::{Basis, Head};
 use slitpose_model::{Photocurrents, Solver, Tier, Tracked, Tracker};
 use slitpose_protocol::poses::{Poses, TRIANGLE};
-use slitpose_protocol::{AdcScaling, BoardKind, Hello, RawScan, Schedule};
+use slitpose_protocol::{AdcScaling, BoardKind, Hello, PoseStatus, RawScan, Schedule};
 
-use super::board_poses::{Agreement, BoardPose, Comparison};
+use super::board_poses::{Agreement, BoardPose, Comparison, PoseFault};
 use super::doubt::Doubt;
 use super::waiting::{Content, Scan};
 use super::{Following, PipelineError, SceneMatch};
@@ -229,8 +229,7 @@ impl Session {
         tracked
     }
 
-    /// Takes the board's poses as known: those of each scan behind the first covariance. `None` if they are of another
-    /// head.
+    /// Takes the board's poses, each with the latest covariance. `None` if they are of another head.
     pub(super) fn take_poses<'p>(
         &mut self,
         poses: &Poses<'p>,
@@ -244,11 +243,20 @@ impl Session {
         comparison.take_missed(self.missed);
         let all = poses.iter(self.schedule.frame_ticks);
         all.clone().for_each(|(sequence, _, record)| comparison.take_board(sequence, &record));
-        let known = self.covariance;
-        Some(all.filter_map(move |(sequence, tick, record)| {
-            let covariance = if record.status.has_pose() { known? } else { [0.0; TRIANGLE] };
-            Some((sequence, tick, BoardPose { record, covariance }))
-        }))
+        let covariance = self.covariance.unwrap_or([0.0; TRIANGLE]);
+        Some(all.map(move |(sequence, tick, record)| (sequence, tick, BoardPose { record, covariance })))
+    }
+
+    /// Takes away a pose that cannot be right, and says why.
+    pub(super) fn refuse(&mut self, pose: &mut BoardPose) -> Option<PoseFault> {
+        let fault = pose.fault(self.tracker.solver_mut().plan())?;
+        pose.record.status = PoseStatus::Diverged;
+        Some(fault)
+    }
+
+    /// Whether a pose of the board has been compared with the one found here since the last call.
+    pub(super) fn take_checked(&mut self) -> bool {
+        self.comparison.as_mut().is_some_and(|comparison| comparison.take_checked())
     }
 
     /// How many of `missing` scans in a row the board says not to have solved.

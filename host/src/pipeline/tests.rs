@@ -1,9 +1,13 @@
 //! The pipeline with a simulated board.
 
 use slitpose_model::Tier;
-use slitpose_protocol::{Command, Hashes, HeadPart, MAX_REQUEST_BYTES, Request, Stream, encode};
+use slitpose_protocol::poses::TRIANGLE;
+use slitpose_protocol::{
+    Command, Hashes, HeadPart, MAX_MESSAGE_BYTES, MAX_REQUEST_BYTES, Message, PoseRecord, PoseStatus, Poses, Request,
+    Stream, encode,
+};
 
-use super::{Following, Item, Oddity, Pipeline, PipelineError, PoseSource, Record, SceneMatch};
+use super::{Following, Item, Oddity, Pipeline, PipelineError, PoseFault, PoseSource, Record, SceneMatch};
 use crate::clock::HostInstant;
 use crate::link::{Asked, Segment};
 use slitpose_head::board_head;
@@ -210,6 +214,11 @@ fn a_status_sets_the_bounds_of_the_clock() {
 /// A pipeline that takes the poses of a board with the head of a scene whose hash is that of `wide`, or another; and what
 /// came of some hundred frames.
 fn of_board(source: PoseSource, change: u64) -> (Pipeline, Vec<Record>, Vec<Oddity>) {
+    of_stream(if source == PoseSource::Board { Stream::POSES } else { Stream::BOTH }, source, change, 3)
+}
+
+/// The same of a board that is told to send `stream`, for some hundred frames times `segments`.
+fn of_stream(stream: Stream, source: PoseSource, change: u64, segments: u32) -> (Pipeline, Vec<Record>, Vec<Oddity>) {
     let mut link = SimulatedLink::new();
     let (mut pipeline, mut said) = (link.pipeline(), None);
     let heard = pipeline.push(&link.segment(1, 0).bytes, |item| {
@@ -225,12 +234,12 @@ fn of_board(source: PoseSource, change: u64) -> (Pipeline, Vec<Record>, Vec<Oddi
     for (number, part) in (10..).zip(HeadPart::all(&head)) {
         link.tell(number, Command::Head(part));
     }
-    link.tell(9, Command::Stream(if source == PoseSource::Board { Stream::POSES } else { Stream::BOTH }));
+    link.tell(9, Command::Stream(stream));
     pipeline = link.pipeline().following(Following { source, ..Following::default() });
     // The session began without it.
     link.tell(8, Command::Hello);
     let (mut records, mut oddities) = (Vec::new(), Vec::new());
-    for token in 0..3 {
+    for token in 0..segments {
         let segment = link.segment(400, token);
         let taken = pipeline.feed(&segment, |item| {
             match item {
@@ -295,4 +304,101 @@ fn poses_by_another_head_are_left_out_and_told_once() {
     assert_eq!(pipeline.agreement(), None);
     let (pipeline, records, oddities) = of_board(PoseSource::Host, 1);
     assert!(records.len() > 1190 && oddities.is_empty() && pipeline.agreement().is_none());
+}
+
+#[test]
+fn poses_without_scans_to_check_them_by_are_unchecked_within_two_seconds() {
+    for (stream, is_unchecked) in [(Stream { scans: 0, ..Stream::POSES }, true), (Stream::POSES, false)] {
+        // 1.4 s and 1.8 s at 4 kHz, and no check lies more than a quarter of a second before the end.
+        for (segments, is_late) in [(14, false), (18, true)] {
+            let (pipeline, records, _) = of_stream(stream, PoseSource::Board, 0, segments);
+            assert!(records.len() > 390 * segments as usize);
+            let agreement = pipeline.agreement().unwrap();
+            assert_eq!(agreement.is_unchecked, is_unchecked && is_late, "{stream:?} {segments}: {agreement:?}");
+        }
+    }
+}
+
+#[test]
+fn poses_that_cannot_be_right_are_left_out_named_and_counted() {
+    use PoseFault::{Cells, Covariance, NoCovariance, Number, Rotation, Unseen};
+    type Change = fn(&mut PoseRecord, &mut [f32; TRIANGLE]);
+    let sound = PoseRecord {
+        status: PoseStatus::Converged,
+        cells_used: 0x3f,
+        excluded: 0,
+        ready: 0,
+        translation_m: [1e-3, 0.0, 0.0],
+        rotation_xyzw: [0.0, 0.0, 0.0, 1.0],
+        chi2: 6.0,
+    };
+    let cases: &[(Option<PoseFault>, Change)] = &[
+        (None, |_, _| {}),
+        (None, |record, _| record.rotation_xyzw = [0.0, 0.0, 0.0, -1.000_01]),
+        (None, |record, _| (record.cells_used, record.excluded) = (0x1f, 0x20)),
+        // Without a pose its numbers mean nothing.
+        (None, |record, _| (record.status, record.translation_m) = (PoseStatus::TooDark, [f32::NAN; 3])),
+        (Some(Number), |record, _| record.translation_m[1] = f32::NAN),
+        (Some(Number), |record, _| record.translation_m[2] = f32::NEG_INFINITY),
+        (Some(Number), |record, _| record.rotation_xyzw[0] = f32::NAN),
+        (Some(Number), |record, _| record.chi2 = f32::NAN),
+        (Some(Number), |record, _| record.chi2 = f32::INFINITY),
+        (Some(Number), |record, _| record.chi2 = -1.0),
+        (Some(Number), |_, covariance| covariance[1] = f32::NAN),
+        (Some(Number), |_, covariance| covariance[20] = f32::INFINITY),
+        (Some(Rotation), |record, _| record.rotation_xyzw = [0.0; 4]),
+        (Some(Rotation), |record, _| record.rotation_xyzw = [0.0, 0.0, 0.0, 2.0]),
+        (Some(Rotation), |record, _| record.rotation_xyzw = [f32::MAX; 4]),
+        (Some(NoCovariance), |_, covariance| *covariance = [0.0; TRIANGLE]),
+        (Some(Covariance), |_, covariance| covariance[0] = -1e-12),
+        (Some(Covariance), |_, covariance| covariance[5] = 0.0),
+        (Some(Covariance), |_, covariance| covariance[1] = 1.1e-12),
+        (Some(Cells), |record, _| record.cells_used = 0),
+        (Some(Cells), |record, _| record.cells_used = 0x21),
+        (Some(Cells), |record, _| record.cells_used = 0x7f),
+        (Some(Cells), |record, _| record.excluded = 0x8000),
+        (Some(Unseen), |record, _| record.translation_m[0] = 1000.0),
+        (Some(Unseen), |record, _| record.translation_m = [f32::MAX; 3]),
+        (Some(Unseen), |record, _| record.translation_m[0] = 0.3),
+    ];
+    for (number, (fault, change)) in cases.iter().enumerate() {
+        let mut link = SimulatedLink::new();
+        let mut pipeline = link.pipeline().following(Following { source: PoseSource::Board, ..Following::default() });
+        let (mut record, mut covariance) = (sound, [0.0; TRIANGLE]);
+        (0..6).for_each(|i| covariance[i * (i + 3) / 2] = 1e-12);
+        change(&mut record, &mut covariance);
+        let (mut configuration, mut found, mut named) = (0, Vec::new(), Vec::new());
+        let mut push = |bytes: &[u8], configuration: &mut u16| {
+            let taken = pipeline.push(bytes, |item| {
+                match item {
+                    Item::Hello(hello) => *configuration = hello.configuration,
+                    Item::Pose(record) => found.push(*record),
+                    Item::Oddity { oddity, .. } => named.push(oddity),
+                    _ => {}
+                }
+                Ok::<_, PipelineError>(())
+            });
+            taken.unwrap();
+        };
+        push(&link.segment(1, 0).bytes, &mut configuration);
+        let head = Hashes { scene: Some(link.file.hash), calibration: None }.number();
+        let covariance = Some(covariance).filter(|covariance| *covariance != [0.0; TRIANGLE]);
+        for sequence in [1000, 1001] {
+            let records = &record.write();
+            let tick = sequence * 42_500;
+            let poses = Poses { configuration, sequence, tick, every: 1, missed: 0, head, covariance, records };
+            push(encode(&Message::Poses(poses), &mut [0; MAX_MESSAGE_BYTES]).unwrap(), &mut configuration);
+        }
+        assert_eq!(found.len(), 2, "{number}: each is a record");
+        let is_pose = fault.is_none() && record.status.has_pose();
+        assert!(found.iter().all(|found| found.solution.estimate.is_some() == is_pose), "{number}");
+        let named: Vec<_> = named.iter().map(|oddity| (*oddity, oddity.to_string())).collect();
+        let counts = pipeline.counts();
+        let refused = if fault.is_some() { 2 } else { 0 };
+        assert_eq!((counts.poses_refused, counts.outcomes.diverged), (refused, refused), "{number}");
+        assert_eq!((counts.has_loss(), pipeline.agreement().unwrap().refused), (refused > 0, refused), "{number}");
+        let expected = |count| fault.map(|fault| Oddity::Pose { sequence: 999 + count, fault, count });
+        let expected: Vec<_> = [1, 2].into_iter().filter_map(expected).collect();
+        assert_eq!(named.iter().map(|(oddity, _)| *oddity).collect::<Vec<_>>(), expected, "{number}: {named:?}");
+    }
 }

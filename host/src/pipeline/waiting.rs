@@ -7,6 +7,13 @@ use slitpose_protocol::RawScan;
 
 use crate::clock::{HostInstant, HostTime};
 
+/// Most scans that may wait: a minute of a board at 4 kHz, 80 MB. Then reading waits, and finally the board.
+const MAX_WAITING: usize = 1 << 18;
+
+/// Most earlier sessions that may wait. A board that changes its configuration all the time is read no faster than it is
+/// solved.
+const MAX_SESSIONS: usize = 4;
+
 /// Initial capacity: 30 ms of a board at 4 kHz.
 const USUAL: usize = 128;
 
@@ -55,6 +62,16 @@ pub struct Queue {
     /// Arrival of the oldest, CLOCK_MONOTONIC, ns; `None` if nothing waits, or if the stream does not run in real
     /// time.
     pub oldest_ns: Option<u64>,
+    /// Number of earlier sessions of which scans wait: each keeps a compiled head of some hundred kilobytes.
+    pub sessions: usize,
+}
+
+impl Queue {
+    /// Whether more scans may arrive. Without read times no pose can be late, and chunks are received one at a time.
+    pub(crate) fn has_room(&self) -> bool {
+        let is_full = self.oldest_ns.is_none() || self.waiting >= MAX_WAITING || self.sessions >= MAX_SESSIONS;
+        self.waiting == 0 || !is_full
+    }
 }
 
 /// Scans in the order of their arrival.
@@ -94,11 +111,17 @@ impl Waiting {
 
     pub(super) fn queue(&self) -> Queue {
         let oldest = self.scans.front().and_then(|scan| scan.arrival);
-        Queue { waiting: self.scans.len(), passed: self.passed, oldest_ns: oldest.map(|arrival| arrival.monotonic_ns) }
+        Queue {
+            waiting: self.scans.len(),
+            passed: self.passed,
+            oldest_ns: oldest.map(|arrival| arrival.monotonic_ns),
+            sessions: 0,
+        }
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.scans.is_empty()
+    /// Number of the session of the newest scan.
+    pub(super) fn newest_session(&self) -> Option<u64> {
+        self.scans.back().map(|scan| scan.session)
     }
 }
 
@@ -183,6 +206,31 @@ mod tests {
         let counts = pipeline.counts();
         assert_eq!((counts.scans, counts.scans_skipped, counts.scans_lost), (100, 95, 0));
         assert_eq!(counts.outcomes.all(), 5);
+    }
+
+    #[test]
+    fn a_board_that_changes_its_configuration_all_the_time_costs_few_sessions() {
+        let mut link = SimulatedLink::new();
+        let mut pipeline = link.pipeline();
+        let file = slitpose_head::scene_file::WIDE.read().unwrap();
+        let configuration = slitpose_head::front_end::configuration(&file).unwrap();
+        let (mut arrived, mut solved) = (0, 0);
+        for round in 0..60 {
+            if round > 0 {
+                link.tell(3, Command::Stop);
+                link.tell(4, Command::Configure(configuration.clone()));
+                link.tell(5, Command::Start);
+            }
+            while !pipeline.queue().has_room() {
+                solved += u64::from(pipeline.solve_next().is_some());
+            }
+            arrived += receive(&mut pipeline, &link.segment(6, round)).len() as u64;
+            assert!(pipeline.queue().sessions <= super::MAX_SESSIONS, "{round}: {:?}", pipeline.queue());
+        }
+        assert_eq!(pipeline.sessions(), 60);
+        solved += std::iter::from_fn(|| pipeline.solve_next()).count() as u64;
+        assert_eq!((solved, pipeline.counts().scans_skipped, pipeline.queue().sessions), (arrived, 0, 0));
+        assert!(arrived >= 60, "{arrived}");
     }
 
     #[test]

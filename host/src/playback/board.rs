@@ -31,6 +31,10 @@ pub struct Board {
     pub(super) has_begun: bool,
     /// Whether another has begun since its last bytes.
     pub(super) begins_anew: bool,
+    /// Scans, bytes and readable packets under earlier settings.
+    pub(super) earlier: [u64; 3],
+    /// Settings behind which no bytes follow.
+    pub(super) unused_settings: u64,
 }
 
 /// Where the bytes of a board are, relative to a part that is solved.
@@ -76,7 +80,21 @@ impl Board {
             sessions_s: Vec::new(),
             has_begun: false,
             begins_anew: false,
+            earlier: [0; 3],
+            unused_settings: 0,
         }
+    }
+
+    /// Scans, bytes and readable packets so far.
+    pub(super) fn totals(&self) -> [u64; 3] {
+        let counts = self.pipeline.counts();
+        let [scans, bytes, packets] = self.earlier;
+        [scans + counts.scans, bytes + counts.decoder.bytes, packets + counts.decoder.packets]
+    }
+
+    /// Whether its last settings apply to no bytes.
+    pub(super) fn is_unused(&self) -> bool {
+        self.setup.is_some() && self.pipeline.counts().decoder.bytes == 0
     }
 
     /// The name of the board in messages.

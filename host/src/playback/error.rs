@@ -1,9 +1,11 @@
 //! Why captures cannot be solved again.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use slitpose_calibration::CalibrationFileError;
 use slitpose_head::faults::FaultError;
+use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::SceneFileError;
 use slitpose_model::SceneError;
 use thiserror::Error;
@@ -46,8 +48,8 @@ pub enum PlaybackError {
     },
     /// A capture without a single scan.
     #[error(
-        "{} holds no scan: {bytes} bytes of links, {packets} readable packets; \
-         give a capture written by `run --record` or `simulate`", path.display()
+        "{} holds no scan: {bytes} bytes of links, {packets} readable packets{}; \
+         give a capture written by `run --record` or `simulate`", path.display(), named(topics)
     )]
     NoScan {
         /// The file.
@@ -56,6 +58,8 @@ pub enum PlaybackError {
         bytes: u64,
         /// Packets in them.
         packets: u64,
+        /// Names of the first topics.
+        topics: BTreeSet<String>,
     },
     /// Nothing of the capture lies in the part that was asked for.
     #[error("there is no scan from {from_s} s after the beginning of {} on; begin earlier", path.display())]
@@ -79,4 +83,9 @@ pub enum PlaybackError {
         /// The end, seconds.
         to_s: f64,
     },
+}
+
+fn named(topics: &BTreeSet<String>) -> String {
+    let topics: Vec<_> = topics.iter().map(|topic| printable(topic).at_most(100).to_string()).collect();
+    if topics.is_empty() { String::new() } else { format!(", topics {}", topics.join(", ")) }
 }

@@ -50,6 +50,13 @@ pub(super) fn losses(path: &Path, end: &End) -> Vec<String> {
             end.trailing_bytes
         ));
     }
+    if end.unordered_messages > 0 {
+        losses.push(format!(
+            "{path}: {} messages stand behind later ones, and their scans cannot be solved in order; \
+             `mcap sort {path} -o sorted.mcap` sorts them",
+            end.unordered_messages
+        ));
+    }
     if let Some(refused) = &end.refused {
         losses.push(format!("{path}: {refused}"));
     }

@@ -88,6 +88,8 @@ pub struct Playback {
     boards: Vec<Board>,
     /// Boards that the capture names without data.
     unsettled: BTreeSet<DeviceId>,
+    /// Names of the first topics of the captures.
+    topics: BTreeSet<String>,
     /// Bytes of the files before.
     read_bytes: u64,
     is_over: bool,
@@ -121,6 +123,7 @@ impl Playback {
             start_ns,
             boards: Vec::new(),
             unsettled: BTreeSet::new(),
+            topics: BTreeSet::new(),
             read_bytes: 0,
             is_over: false,
         })
@@ -186,7 +189,9 @@ impl Playback {
                 Some(entry) => self.take(entry, &path, &segment, hear),
                 None => {
                     self.read_bytes += fs::metadata(&path).map_or(0, |metadata| metadata.len());
-                    files::losses(&path, &reader.end()).iter().try_for_each(|loss| hear(Event::Loss(loss)))?;
+                    let end = reader.end();
+                    files::losses(&path, &end).iter().try_for_each(|loss| hear(Event::Loss(loss)))?;
+                    self.topics.extend(end.topics);
                     continue;
                 }
             };
@@ -206,7 +211,10 @@ impl Playback {
     pub fn end<E: From<PlaybackError>>(&mut self, mut hear: impl FnMut(Event<'_>) -> Result<(), E>) -> Result<(), E> {
         // Then the bytes after that were not waited for.
         let is_cut = self.is_over || self.reader.is_some();
-        let (mut scans, mut bytes, mut packets) = (0, 0, 0);
+        let mut totals = [0; 3];
+        let Choice { scene, calibration, from_s, to_s, duration_s, .. } = &self.choice;
+        let is_whole = from_s.or(*to_s).or(*duration_s).is_none();
+        let are_settings_checked = is_whole && (scene.is_none() || calibration.is_none());
         for (number, board) in self.boards.iter_mut().enumerate() {
             if let (Some(faulty), false) = (&mut board.faulty, board.is_unusable) {
                 let device = board.device;
@@ -217,17 +225,27 @@ impl Playback {
                     Err(Broken::Heard(error)) => return Err(error),
                 }
             }
-            let counts = board.pipeline.counts();
-            scans += counts.scans;
-            bytes += counts.decoder.bytes;
-            packets += counts.decoder.packets;
+            let board_totals = board.totals();
+            (0..3).for_each(|k| totals[k] += board_totals[k]);
+            board.unused_settings += u64::from(board.is_unused());
+            if board.unused_settings > 0 && board_totals[0] > 0 && are_settings_checked {
+                hear(Event::Loss(&format!(
+                    "{}: {} of its settings apply to no bytes: the program that rewrote the capture has moved them, and \
+                     {} scans may be solved with the wrong ones; replay the captures as they were recorded, or give \
+                     --scene and --calibration",
+                    board.name(),
+                    board.unused_settings,
+                    board_totals[0]
+                )))?;
+            }
             if board.phase == Phase::Within {
                 board.seam.behind = board.pipeline.state();
             }
-            if let Some(losses) = counts.losses(is_cut) {
+            if let Some(losses) = board.pipeline.counts().losses(is_cut) {
                 hear(Event::Loss(&format!("{}: {losses}", board.name())))?;
             }
         }
+        let [scans, bytes, packets] = totals;
         match (&self.first, self.choice.from_s) {
             // A part may hold nothing.
             _ if self.is_part() => Ok(()),
@@ -235,7 +253,8 @@ impl Playback {
                 Err(PlaybackError::Beyond { path: path.clone(), from_s }.into())
             }
             (Some(path), None) if scans == 0 => {
-                Err(PlaybackError::NoScan { path: path.clone(), bytes, packets }.into())
+                let topics = std::mem::take(&mut self.topics);
+                Err(PlaybackError::NoScan { path: path.clone(), bytes, packets, topics }.into())
             }
             _ => Ok(()),
         }
@@ -291,9 +310,14 @@ impl Playback {
         match known {
             // Seams are those of the part, not of a setup.
             Some(at) => {
-                let Board { seam, sessions_s, has_begun, .. } = &mut self.boards[at];
-                let (seam, sessions_s, has_begun) = (*seam, std::mem::take(sessions_s), *has_begun);
-                self.boards[at] = Board { seam, sessions_s, has_begun, ..board };
+                let before = &mut self.boards[at];
+                let (earlier, sessions_s) = (before.totals(), std::mem::take(&mut before.sessions_s));
+                let unused_settings = before.unused_settings + u64::from(before.is_unused());
+                let (seam, has_begun) = (before.seam, before.has_begun);
+                if let Some(losses) = before.pipeline.counts().losses(true) {
+                    hear(Event::Loss(&format!("{}: {losses}", before.name())))?;
+                }
+                self.boards[at] = Board { seam, sessions_s, has_begun, earlier, unused_settings, ..board };
             }
             None => self.boards.push(board),
         }
@@ -418,11 +442,21 @@ impl Playback {
             if self.unsettled.insert(device) {
                 hear(Event::Loss(&format!(
                     "{}: the settings of board {device} cannot be read anywhere, and its bytes are passed over; \
-                     give --scene, and --tier, --tolerance and --filter as they were",
+                     give --scene and --calibration (`none`: it had none), and --tier, --tolerance and --filter as they \
+                     were; `mcap filter` keeps settings with --include-metadata --include-attachments",
                     path.display()
                 )))?;
             }
             return Ok(None);
+        }
+        if let Some(device) = device
+            && self.choice.calibration.is_none()
+        {
+            hear(Event::Loss(&format!(
+                "{}: the settings of board {device} cannot be read, and it is solved without a calibration; give \
+                 --calibration, or `--calibration none` if it had none",
+                path.display()
+            )))?;
         }
         // Bytes of a port, whose nothing says; or of a board, of which no more is known.
         let hash = files::scene_hash(path).map_err(PlaybackError::from)?;

@@ -23,6 +23,9 @@ pub(super) const MOST_CLIENTS: usize = 16;
 /// Longest wait for a pose: then new clients are let in, and the tool counts as at rest.
 const MOMENT: Duration = Duration::from_millis(100);
 
+/// Most reads of one client in a row, of 64 bytes each.
+const MAX_READS: usize = 16;
+
 /// The request for another version of the protocol, and the mask of its version.
 const CHANGE_VERSION: u32 = 0x7faa_5500;
 const VERSION: u32 = 0xff;
@@ -101,7 +104,6 @@ impl SpacenavServer {
             zero: Pose::HOME,
             is_zeroed: Arc::clone(&is_zeroed),
             clients: Vec::new(),
-            at_rest: true,
             last_event: Instant::now(),
         };
         let ended = Arc::clone(&end);
@@ -135,8 +137,6 @@ struct Mouse {
     zero: Pose,
     is_zeroed: Arc<AtomicBool>,
     clients: Vec<Client>,
-    /// Whether the last event was of a tool at rest.
-    at_rest: bool,
     last_event: Instant,
 }
 
@@ -151,7 +151,7 @@ impl Mouse {
             };
             while let Ok((stream, _)) = listener.accept() {
                 if self.clients.len() < MOST_CLIENTS && stream.set_nonblocking(true).is_ok() {
-                    self.clients.push(Client { stream, sensitivity: 1.0, part: Vec::new() });
+                    self.clients.push(Client { stream, sensitivity: 1.0, at_rest: true, part: Vec::new() });
                 }
             }
             self.clients.retain_mut(Client::listen);
@@ -167,11 +167,9 @@ impl Mouse {
             self.zero = *pose;
         }
         let motion = pose.map_or([0; 6], |pose| self.feel.motion(&self.workspace, &self.zero, &pose));
-        let is_at_rest = motion == [0; 6];
-        if is_at_rest && self.at_rest {
+        if motion == [0; 6] && self.clients.iter().all(|client| client.at_rest) {
             return;
         }
-        self.at_rest = is_at_rest;
         let period_ms = self.last_event.elapsed().as_millis().min(1000) as i32;
         self.last_event = Instant::now();
         self.clients.retain_mut(|client| client.tell(motion, period_ms));
@@ -182,6 +180,8 @@ impl Mouse {
 struct Client {
     stream: UnixStream,
     sensitivity: f64,
+    /// Whether the last event that it was sent is of a tool at rest.
+    at_rest: bool,
     /// Bytes of a message that is not whole.
     part: Vec<u8>,
 }
@@ -190,7 +190,8 @@ impl Client {
     /// Takes what the client has said; whether it is still there.
     fn listen(&mut self) -> bool {
         let mut buffer = [0; 64];
-        loop {
+        // One that does not stop talking keeps the others waiting no longer than this.
+        for _ in 0..MAX_READS {
             match self.stream.read(&mut buffer) {
                 Ok(0) => return false,
                 Ok(count) => self.part.extend_from_slice(&buffer[..count]),
@@ -211,15 +212,39 @@ impl Client {
                 }
             }
         }
+        true
     }
 
-    /// Sends an event; whether the client is still there. One that does not read misses events.
+    /// Sends an event; whether the client is still there. One that does not read misses events, but not that the tool has
+    /// come to rest.
     fn tell(&mut self, motion: [i32; 6], period_ms: i32) -> bool {
+        let is_at_rest = motion == [0; 6];
+        if is_at_rest && self.at_rest {
+            return true;
+        }
         let [x, y, z, rx, ry, rz] = motion.map(|value| (f64::from(value) * self.sensitivity) as i32);
         let event = [0, x, y, z, rx, ry, rz, period_ms].map(i32::to_ne_bytes);
         match self.stream.write(event.as_flattened()) {
-            Ok(count) => count == event.as_flattened().len(),
+            Ok(count) => {
+                self.at_rest = is_at_rest;
+                count == event.as_flattened().len()
+            }
             Err(error) => matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_client_that_says_much_is_heard_in_parts() {
+        let (stream, mut other) = UnixStream::pair().unwrap();
+        stream.set_nonblocking(true).unwrap();
+        other.write_all(&[0x3f; 4096]).unwrap();
+        let mut client = Client { stream, sensitivity: 1.0, at_rest: true, part: Vec::new() };
+        assert!(client.listen());
+        assert_eq!(client.stream.read(&mut [0; 4096]).unwrap(), 4096 - 64 * MAX_READS);
     }
 }

@@ -104,3 +104,23 @@ fn clients_that_leave_say_nonsense_or_are_too_many_harm_nobody() {
     drop(server);
     assert!(!path.exists());
 }
+
+#[test]
+fn a_client_that_reads_late_learns_that_the_tool_rests() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("spnav");
+    let server = start(&path);
+    let (mut client, mut late) = (greeted(&server, &path), greeted(&server, &path));
+    // More events than the queue of one that does not read holds.
+    for _ in 0..4_000 {
+        show(&server, at(2e-3));
+        assert_eq!(event(&mut client).1, [200, 100, 0, 0, 100, 0]);
+    }
+    show(&server, None);
+    assert_eq!(event(&mut client).1, [0; 6]);
+    let mut read = 0;
+    while event(&mut late).1 != [0; 6] {
+        read += 1;
+    }
+    assert!((1..4_000).contains(&read), "{read}");
+}

@@ -2,6 +2,7 @@
 
 use super::report::{BoardEvent, BoardReport, DaemonReport, LagReport, LinkLosses, LinkState, RecorderState};
 use crate::clock::HostInstant;
+use crate::datagram::SlowClient;
 use crate::pipeline::Agreement;
 use slitpose_head::finding::{Finding, Grade};
 
@@ -75,12 +76,30 @@ impl DaemonReport {
         for board in &self.boards {
             findings.extend(of_board(board).into_iter().map(|finding| finding.within(&board.name)));
         }
+        for client in self.datagrams.iter().flat_map(|datagrams| &datagrams.slow_clients) {
+            findings.push(of_client(client));
+        }
         if self.recorder.state == RecorderState::Failed {
             let reason = self.recorder.reason.as_deref().unwrap_or("it gives no reason");
             findings.push(Finding::new(Grade::Failed, "recorder", format!("failed: {reason}")));
         }
         findings
     }
+}
+
+/// A client that misses poses.
+fn of_client(client: &SlowClient) -> Finding {
+    let SlowClient { process, user, shares_queue, missed, missing_s } = client;
+    let process = process.map_or("a client".to_owned(), |process| format!("process {process}"));
+    let user = user.map_or(String::new(), |user| format!(" of user {user}"));
+    let text = format!("{process}{user} has missed poses for {missing_s:.1} s, {missed} so far");
+    let next_step = match shares_queue {
+        true => {
+            "build all clients with the present slitpose_pose.h: one that is older and does not read fills the queue of all older ones"
+        }
+        false => "let it read faster, or end it",
+    };
+    Finding::failed("control loops", text, next_step)
 }
 
 impl BoardReport {
@@ -113,7 +132,8 @@ impl BoardReport {
             findings.push(Finding::failed("link", format!("no scan for {scan_age_s:.0} s"), "reset the board"));
         }
         findings.extend(self.lag.finding());
-        let age_s = self.latencies.total.recent.p50_s;
+        // Of poses whose instant is unknown only the time on the host is known.
+        let age_s = self.latencies.total.recent.p50_s.max(self.latencies.host.recent.p50_s);
         if age_s > OLD_S {
             let text = format!("{age_s:.1} s old when they are sent");
             let next_step = "see from the latencies in `slitpose status` whether the link or this machine is too slow";
@@ -125,6 +145,10 @@ impl BoardReport {
             let next_step = "bring the tool home, and check that the scene is this head's";
             findings.push(Finding::failed("poses", text, next_step));
         }
+        if self.board_poses.is_some_and(|poses| poses.is_unchecked) {
+            let text = "the board sends no scans by which its own poses can be checked";
+            findings.push(Finding::failed("poses", text, "reset the board, or use --stream raw"));
+        }
         if let Some(Agreement { recent_rms_sigmas, .. }) = self.board_poses
             && recent_rms_sigmas > APART_SIGMAS
         {
@@ -133,7 +157,13 @@ impl BoardReport {
             let next_step = "build firmware and program from the same source, and use --stream raw until then; in frames of a millisecond fast motions do that, too";
             findings.push(Finding::failed("poses", text, next_step));
         }
-        let LinkLosses { unreadable, .. } = self.recent_link_losses;
+        let LinkLosses { unreadable, poses_refused, .. } = self.recent_link_losses;
+        if poses_refused > 0 {
+            let text =
+                format!("{poses_refused} of the board's own in the last second cannot be right, and are left out");
+            let next_step = "build firmware and program from the same source, and use --stream raw until then";
+            findings.push(Finding::failed("poses", text, next_step));
+        }
         if unreadable > 0 {
             let text = format!("{unreadable} packets of the last second cannot be read");
             let next_step = "build firmware and program from the same source, and let nothing else speak to the board";
@@ -152,6 +182,7 @@ impl BoardReport {
 mod tests {
     use super::super::report::{LinkReport, RecorderReport};
     use super::*;
+    use crate::datagram::DatagramCounts;
     use crate::pipeline::Outcomes;
 
     const NOW: HostInstant = HostInstant { monotonic_ns: 100_000_000_000, utc_ns: 0 };
@@ -206,8 +237,36 @@ mod tests {
             "3 packets of the last second came damaged",
         );
         assert_eq!(findings(lossy(LinkLosses { overlong: 2, ..LinkLosses::default() })), Vec::<String>::new());
+        told(
+            lossy(LinkLosses { poses_refused: 5, ..LinkLosses::default() }),
+            "5 of the board's own in the last second",
+        );
+        let unchecked = Agreement { is_unchecked: true, ..Agreement::default() };
+        told(
+            BoardReport { board_poses: Some(unchecked), ..running() },
+            "no scans by which its own poses can be checked",
+        );
+        // Of poses without a known instant, the time on the host is known.
+        let mut held = running();
+        held.latencies.host.recent.p50_s = 0.5;
+        told(held, "poses: 0.5 s old");
         // A board that answers but sends no scan, after several attempts.
         let link = LinkReport { state: LinkState::Connecting, attempts: 7, ..LinkReport::default() };
         told(BoardReport { link, ..running() }, "connecting: no scan has come yet (tried 7 times); wait some seconds");
+    }
+
+    #[test]
+    fn a_client_that_misses_poses_is_reported() {
+        let slow = SlowClient { process: Some(42), user: Some(7), shares_queue: false, missed: 900, missing_s: 1.5 };
+        let nameless = SlowClient { process: None, user: None, shares_queue: true, ..slow };
+        let datagrams = DatagramCounts { slow_clients: vec![slow, nameless], ..DatagramCounts::default() };
+        let report = DaemonReport::of_now(NOW, vec![running()], RecorderReport::default());
+        let report = DaemonReport { datagrams: Some(datagrams), ..report };
+        let findings: Vec<String> = report.findings(NOW).iter().map(Finding::to_string).collect();
+        assert_eq!(findings.len(), 2, "{findings:?}");
+        assert!(
+            findings[0].contains("process 42 of user 7 has missed poses for 1.5 s, 900 so far; let it read faster")
+        );
+        assert!(findings[1].contains("a client has missed") && findings[1].contains("slitpose_pose.h"), "{findings:?}");
     }
 }

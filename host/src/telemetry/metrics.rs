@@ -159,10 +159,15 @@ pub(crate) fn text(report: &DaemonReport, now: HostInstant) -> String {
 }
 
 fn datagrams(report: &DaemonReport, out: &mut Exposition) {
-    let Some(counts) = report.datagrams else { return };
+    let Some(counts) = &report.datagrams else { return };
     let gauges = [
         ("slitpose_datagram_places", "Places of followers on each board.", counts.places),
         ("slitpose_datagram_places_taken", "Places that clients have taken.", counts.places_taken),
+        (
+            "slitpose_datagram_clients_slow",
+            "Clients that have missed poses for more than a second.",
+            counts.slow_clients.len() as u64,
+        ),
     ];
     let counters = [
         (
@@ -286,6 +291,9 @@ fn stream(boards: &mut Boards<'_>, now: HostInstant) {
     );
     boards.each("slitpose_board_poses_missed_total", counter, "Scans that the board did not solve in time.", |board| {
         board.board_poses.as_ref().map(|poses| poses.missed as f64)
+    });
+    boards.each("slitpose_board_poses_refused_total", counter, "Poses of the board that cannot be right.", |board| {
+        board.board_poses.as_ref().map(|poses| poses.refused as f64)
     });
     boards.latency();
     boards.each("slitpose_clock_uncertainty_seconds", gauge, "The instants of scans are right to this.", |board| {

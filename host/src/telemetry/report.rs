@@ -204,7 +204,9 @@ pub(crate) struct LinkLosses {
     pub overlong: u64,
     /// Undamaged packets that this program cannot read, and batches without a hello.
     pub unreadable: u64,
-    /// Bytes of all of these.
+    /// Poses of the board that cannot be right, and were left out.
+    pub poses_refused: u64,
+    /// Bytes of packets that could not be used.
     pub bytes_skipped: u64,
 }
 
@@ -234,6 +236,7 @@ impl LinkLosses {
             misframed: self.misframed.saturating_sub(before.misframed),
             overlong: self.overlong.saturating_sub(before.overlong),
             unreadable: self.unreadable.saturating_sub(before.unreadable),
+            poses_refused: self.poses_refused.saturating_sub(before.poses_refused),
             bytes_skipped: self.bytes_skipped.saturating_sub(before.bytes_skipped),
         }
     }

@@ -184,6 +184,7 @@ impl BoardStatistics {
                 + counts.decoder.malformed
                 + counts.batches_unreadable
                 + counts.batches_without_hello,
+            poses_refused: counts.poses_refused,
             bytes_skipped: counts.decoder.bytes_skipped,
         }
     }

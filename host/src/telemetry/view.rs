@@ -124,10 +124,10 @@ pub(crate) fn lines(report: &BoardReport) -> Vec<Line> {
     let tone = if recent.all() > 0 && recent.poses() == 0 { Tone::Wrong } else { Tone::Plain };
     put(&mut lines, "outcomes", &report.outcomes.words()).tone(tone).rank(1);
     if let Some(poses) = &report.board_poses {
-        let Agreement { compared, worst_sigmas, recent_rms_sigmas, one_sided, missed } = poses;
+        let Agreement { compared, worst_sigmas, recent_rms_sigmas, one_sided, missed, refused, .. } = poses;
         let text = format!(
             "of the board: {compared} compared with those found here, {recent_rms_sigmas:.3} sigma apart, {worst_sigmas:.3} \
-             at worst; {one_sided} found by one only, {missed} scans not solved in time"
+             at worst; {one_sided} found by one only, {missed} scans not solved in time, {refused} impossible"
         );
         put(&mut lines, "poses", &text).rank(1);
     }
@@ -205,9 +205,13 @@ fn word(health: &CellHealth) -> String {
 }
 
 fn percentiles(latency: &Latency) -> String {
-    let of = if latency.recent.count > 0 { &latency.recent } else { &latency.total };
+    let (of, span) = match latency.recent.count {
+        // The instant of a pose may be unknown while its arrival is known.
+        0 => (&latency.total, "; none in the last second"),
+        _ => (&latency.recent, ""),
+    };
     let [half, most, longest] = [of.p50_s, of.p99_s, latency.total.max_s].map(|seconds| seconds * 1e3);
-    format!("median {half:>8.3} ms, 99 % {most:>8.3} ms, longest ever {longest:>8.3} ms")
+    format!("median {half:>8.3} ms, 99 % {most:>8.3} ms, longest ever {longest:>8.3} ms{span}")
 }
 
 /// A duration to a second, or to a tenth of a second below ten.

@@ -63,6 +63,8 @@ pub(super) struct Integrand<'a, S: Scalar, E> {
     pub(super) reference: S,
     /// Greatest distance of a corner from the first one.
     pub(super) size: S,
+    /// Nodes that a far emitter takes more; see [`Orders::far`].
+    more: usize,
 }
 
 /// A slab between two values of t; its sides are s = start + slope·(t − t₀).
@@ -189,7 +191,8 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
             height,
             cosine: orders.faded(polygon.greatest_cosine(axis)),
         });
-        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, cone, reference: x0, size }
+        let more = usize::from(S::Vec3::new(x0, y0, -height).length() > orders.far());
+        Self { axis, height, emission, orders, rules, along_t, across_horizon, unit, cone, reference: x0, size, more }
     }
 
     fn xy(&self, s: S, t: S) -> [S; 2] {
@@ -253,7 +256,8 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         let mut nodes: Vec<usize, 2> = Vec::new();
         let mut lines: Vec<[S; 2], 2> = Vec::new();
         for (reach, horizon, difference) in along {
-            let _ = (nodes.push(self.orders.nodes(reach, horizon)?), lines.push([reach, difference]));
+            let count = (self.orders.nodes(reach, horizon)? + self.more).min(MAX_NODES);
+            let _ = (nodes.push(count), lines.push([reach, difference]));
         }
         if !E::NEEDS_SERIES && !self.orders.is_narrow() {
             return Some((nodes, None));
@@ -266,7 +270,7 @@ impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
         for (count, &[reach, difference]) in nodes.iter_mut().zip(&lines) {
             // The line subtends 2/reach radians.
             let slope = S::half() * difference * reach / cosines.middle;
-            let lobe = self.orders.lobe_nodes(cosines.tangent2(), slope, reach)?;
+            let lobe = self.orders.lobe_nodes(cosines.tangent2(), slope, reach)? + self.more;
             *count = (*count).max(lobe);
             *count = series.map_or(*count, |series| series.nodes_with(*count));
             if *count > MAX_NODES {

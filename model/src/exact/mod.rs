@@ -100,7 +100,8 @@ pub(crate) fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
     let count_x = orders.nodes_lanes(reaches.emitter[0], reaches.horizon[0]);
     let count_y = orders.nodes_lanes(reaches.emitter[1], reaches.horizon[1]);
     let (mut along_x, mut along_y) = (LaneRule::new(), LaneRule::new());
-    rules.in_lanes(count_x, &mut along_x);
+    let one = zero.constant(1.0);
+    rules.in_lanes(count_x + R::where_above(reaches.distance, zero.all(orders.far()), one, zero), &mut along_x);
     rules.in_lanes(count_y, &mut along_y);
     let series = emission.near_lanes(reaches.cosine, reaches.spread);
     let nodes = (along_x.iter().copied(), along_y.iter().copied());

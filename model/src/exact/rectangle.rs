@@ -11,7 +11,7 @@ use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
 use crate::scalar::{Linear3, Real, Scalar};
 
-use super::order::Orders;
+use super::order::{MAX_NODES, Orders};
 
 /// Requirements of a spot on its rule.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +33,7 @@ pub(super) struct Reaches<R> {
     pub(super) emitter: [R; 2],
     pub(super) horizon: [R; 2],
     /// From the emitter to the middle of the spot.
-    distance: R,
+    pub(super) distance: R,
     /// cos γ of that ray, and the greatest relative change of cos γ over the spot.
     pub(super) cosine: R,
     tangent2: R,
@@ -86,7 +86,8 @@ pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orde
     let lobe = |slope: S, reach: S| orders.lobe_nodes(tangent2, slope, reach);
     let along_x = lobe(slope(axis.x(), spot.x.middle), emitter[0])?;
     let along_y = lobe(slope(axis.y(), spot.y.middle), emitter[1])?;
-    let nodes = (nodes.0.max(along_x), nodes.1.max(along_y));
+    let more = usize::from(distance > orders.far());
+    let nodes = ((nodes.0.max(along_x) + more).min(MAX_NODES), nodes.1.max(along_y));
     Some(Needs { nodes, cosine, spread })
 }
 

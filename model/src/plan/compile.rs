@@ -143,7 +143,7 @@ fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
     };
     let radial = cell.acting_effects().map_or([0.0; RADIAL_TERMS], |effects| effects.profile.radial);
     let (profile, exponent) = CompiledProfile::<S>::compile(&cell.emitter.profile, radial, tolerance);
-    let orders = (tier != Tier::Paper || has_opening).then(|| Orders::new(exponent, tolerance));
+    let orders = (tier != Tier::Paper || has_opening).then(|| Orders::new(exponent, tolerance, cell.detector.length_m));
     let y_axis = normal.cross(x_axis);
     let vector = |v: DVec3| S::Vec3::of(v);
     Ok(CompiledCell {

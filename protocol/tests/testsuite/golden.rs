@@ -3,6 +3,7 @@
 //! the description in the crate's documentation alone.
 
 use core::fmt::Debug;
+use core::num::NonZeroU32;
 
 use heapless::Vec;
 use serde::Serialize;
@@ -98,7 +99,7 @@ fn both_tables_of_a_hello_are_compared() {
     let differs = |hello: Hello| hello.check_schemas().map_err(|mismatch| mismatch.name);
     assert_eq!(differs(a_hello(messages, commands)), Ok(()));
     assert_eq!(differs(a_hello(SchemaKeys(&changed(messages)), commands)), Err("Poses"));
-    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("Stream"));
+    assert_eq!(differs(a_hello(messages, SchemaKeys(&changed(commands)))), Err("FullScale"));
 }
 
 #[test]
@@ -252,6 +253,8 @@ fn commands() {
     let part = HeadPart { offset: 128, total: 3_000, bytes: Vec::from_slice(&[0, 1, 2]).expect("room") };
     assert_command(10, Command::Head(part), "080a098001b8170307010283e5be6c00");
     assert_command(11, Command::Stream(Stream { scans: 512, poses: 3 }), "0a0b0a80040356a91fc200");
+    let full_scale_pa = NonZeroU32::new(9_100_000).expect("not zero");
+    assert_command(12, Command::FullScale { full_scale_pa }, "0b0c0be0b5ab04318ca4ee00");
 }
 
 /// By Python's `zlib.crc32(struct.pack("<QQ", …))`.
@@ -271,7 +274,7 @@ fn schema_keys() {
     assert_eq!(
         keys,
         [
-            "Hello 8f0816ddceb320f3",
+            "Hello 6dce5c546f7b8755",
             "Batch fc1f7fd1dba5ebc4",
             "Status 116fc829f823a1ef",
             "Event 6a8d39b88aebc5d5",
@@ -290,6 +293,7 @@ fn schema_keys() {
             "Reboot ef15508edfd220a6",
             "Head e2c6e609d22bd4de",
             "Stream 73b8e4ce7f67049c",
+            "FullScale 6b1cd75dd110be9c",
         ]
     );
 }
@@ -347,7 +351,7 @@ fn variants_are_numbered_as_the_schemas_list_them() {
     assert_variants(hello, "kind", &[BoardKind::Physical, BoardKind::Simulated]);
     let causes = {
         use ResetCause::*;
-        [Unknown, PowerOn, BrownOut, Pin, Software, Watchdog, Panic]
+        [Unknown, PowerOn, BrownOut, Pin, Software, Watchdog, Panic, StackOverflow]
     };
     assert_variants(hello, "reset_cause", &causes);
     assert_variants(status, "clock", &ClockSource::ALL);

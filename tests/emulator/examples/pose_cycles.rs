@@ -5,9 +5,11 @@
 //! firmware/build && cargo run --release -p slitpose-emulator --example pose_cycles
 //! ```
 
+use std::collections::BTreeMap;
+
+use slitpose_emulator::image::Image;
 use slitpose_emulator::machine::Stop;
 use slitpose_emulator::peripherals::Ticks;
-use slitpose_emulator::profile::Profile;
 use slitpose_emulator::rig::{Rig, open_pose_image};
 use slitpose_emulator::silicon::Silicon;
 use slitpose_emulator::world::NoiseSource;
@@ -60,5 +62,64 @@ fn main() {
     for function in profile.functions(&image).iter().take(FUNCTIONS) {
         let (cycles, calls) = (function.cycles as f64 / FRAMES as f64, function.calls as f64 / FRAMES as f64);
         println!("{cycles:8.0} {calls:7.2}  {}", function.name);
+    }
+}
+
+/// Time spent at each instruction.
+#[derive(Clone, Debug, Default)]
+struct Profile {
+    at: BTreeMap<u32, Spent>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Spent {
+    times: u64,
+    cycles: Ticks,
+}
+
+/// What a function took, without those it calls.
+#[derive(Clone, Debug, PartialEq)]
+struct FunctionCost {
+    /// Its name, as in the source; what stands in no function has none.
+    name: String,
+    /// How often its first instruction was executed.
+    calls: u64,
+    /// Core cycles.
+    cycles: Ticks,
+}
+
+impl Profile {
+    /// Notes that the instruction at `pc` took `cycles`.
+    fn add(&mut self, pc: u32, cycles: Ticks) {
+        let spent = self.at.entry(pc).or_default();
+        spent.times += 1;
+        spent.cycles += cycles;
+    }
+
+    /// The functions of `image`, dearest first. What the compiler has inlined counts for where it
+    /// was put.
+    fn functions(&self, image: &Image) -> Vec<FunctionCost> {
+        // A function's symbol has the lowest bit set: Thumb code.
+        let functions: BTreeMap<u32, (u32, &str)> = image
+            .symbols()
+            .filter(|(_, symbol)| symbol.bytes > 0 && symbol.address & 1 == 1)
+            .map(|(name, symbol)| (symbol.address & !1, (symbol.bytes, name)))
+            .collect();
+        let mut costs: BTreeMap<Option<u32>, FunctionCost> = BTreeMap::new();
+        for (&pc, spent) in &self.at {
+            let around = functions.range(..=pc).next_back().filter(|(start, (bytes, _))| pc - **start < *bytes);
+            let cost = costs.entry(around.map(|(start, _)| *start)).or_insert_with(|| FunctionCost {
+                name: around.map_or_else(String::new, |(_, (_, name))| format!("{:#}", rustc_demangle::demangle(name))),
+                calls: 0,
+                cycles: 0,
+            });
+            cost.cycles += spent.cycles;
+            if around.is_some_and(|(start, _)| *start == pc) {
+                cost.calls += spent.times;
+            }
+        }
+        let mut costs: Vec<FunctionCost> = costs.into_values().collect();
+        costs.sort_by_key(|cost| std::cmp::Reverse(cost.cycles));
+        costs
     }
 }

@@ -103,6 +103,8 @@ pub struct Board<W> {
     levels: [u16; 2],
     gate_log: Option<Vec<GateEdge>>,
     faults: Faults,
+    /// Fault sram-first-write: some block of SRAM may lose a write, or has lost one that was not repeated.
+    loses_writes: bool,
     next_event: Ticks,
 }
 
@@ -138,6 +140,7 @@ impl<W: World> Board<W> {
             levels: [0; 2],
             gate_log: None,
             faults: Faults::default(),
+            loses_writes: false,
             next_event: Ticks::MAX,
         };
         board.scramble_ram();
@@ -186,6 +189,7 @@ impl<W: World> Board<W> {
     pub fn reset(&mut self, cause: ResetCause) {
         self.effects.clear_signals();
         self.faults.reset();
+        self.forget_accesses();
         self.flash.reset(&self.effects);
         self.effects.forget_code();
         self.rcc.reset(cause);

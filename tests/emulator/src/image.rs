@@ -60,7 +60,7 @@ impl Image {
         let bytes_in = |base: u32, bytes: usize| {
             let place = u64::from(base)..u64::from(base) + bytes as u64;
             let sections = elf.sections().filter(|section| is_allocated(section) && place.contains(&section.address()));
-            sections.map(|section| section.size() as usize).sum()
+            sections.filter(|section| section.name() != Ok(".stack")).map(|section| section.size() as usize).sum()
         };
         Ok(Self {
             segments,

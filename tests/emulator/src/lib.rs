@@ -15,7 +15,6 @@
 //! | [`terminal`] | that computer's serial port, as programs open it |
 //! | [`facts`] | numbers from outside the project, for tests |
 //! | [`rig`] | all of it together, running an [`image`] that `firmware/build` has made ([`built`]) |
-//! | [`stopwatch`], [`profile`], [`solver_cost`] | a bare board that times the pose solver |
 //!
 //! What a program does against the reference manual is recorded, not tolerated: see
 //! [`peripherals::Effects::violations`].
@@ -30,11 +29,8 @@ pub mod memory;
 pub mod named;
 pub mod panics;
 pub mod peripherals;
-pub mod profile;
 pub mod rig;
 pub mod silicon;
-pub mod solver_cost;
-pub mod stopwatch;
 pub mod talk;
 pub mod terminal;
 pub mod usb_host;

@@ -8,7 +8,7 @@ use crate::board::Board;
 use crate::cpu::{Cpu, FaultReport, Step};
 use crate::memory::FlashArray;
 use crate::peripherals::{ResetCause, Ticks};
-use crate::silicon::Silicon;
+use crate::silicon::{Fault, Silicon};
 use crate::world::World;
 
 /// Timer index of the free-running device clock, TIM5.
@@ -70,6 +70,7 @@ impl<W: World> Machine<W> {
     #[must_use]
     pub fn with_silicon(mut self, silicon: Silicon, seed: u64) -> Self {
         self.board.set_silicon(silicon, seed);
+        self.cpu.fetch_wrong_behind_sleep(silicon.has(Fault::SleepFetch));
         self
     }
 

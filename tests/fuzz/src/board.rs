@@ -27,6 +27,7 @@ pub(crate) fn any_link_and_any_fault(script: &[u8]) {
         reset_cause: ResetCause::Unknown,
         hashes: Hashes::default(),
         scaling: default_scaling(),
+        full_scale_pa: None,
         clock: ClockSource::Internal,
         settings: SettingsSource::Defaults,
     };

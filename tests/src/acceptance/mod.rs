@@ -5,14 +5,12 @@
 //! * [`storm`]: the same in bad weather, and nothing lost silently;
 //! * [`replug`]: a board that goes in all manners and comes back;
 //! * [`kill`]: what a capture holds of a daemon that was killed;
-//! * [`hour`]: how fast long captures are solved, and in how much memory;
-//! * [`builds`]: whether two builds give the same poses, bit for bit.
+//! * [`hour`]: how fast long captures are solved, and in how much memory.
 //!
 //! Each is an example of this package, in full size, and a test, in small. [`daemon`] is the process under
 //! test, [`wall_clock`] its clock, [`usage`] what it takes, which only Linux tells; [`metered`] and [`unplugging`] are
 //! its boards, [`subscriber`] and [`live_pages`] its clients; [`scan_table`] counts what a capture holds, [`curves`] draws.
 
-pub mod builds;
 pub mod curves;
 pub mod daemon;
 pub mod hour;

@@ -1,5 +1,5 @@
 //! Scene files, tables and command lines that are wrong: refused with a message that says where, what
-//! stands there and what to do, with nothing on standard output.
+//! stands there and what to do, with nothing on standard output. Of a table a field refuses its row only.
 
 use slitpose_head::scene_file::{BENCH, WIDE};
 use slitpose_tests::scenes::wide_with;
@@ -117,7 +117,10 @@ fn tables_that_are_none() {
     for (text, parts) in [
         ("", &["is empty", "header row"][..]),
         (POSES, &["no row", "add at least one"]),
-        (&missing_column, &["line 1", "`tz_mm` is missing", "id, tx_mm, ty_mm, tz, rx_rad", "add the column"]),
+        (
+            &missing_column,
+            &["line 1", "`tz_mm` is missing", "id, tx_mm, ty_mm, tz, rx_rad", "add the column, or rename tz if"],
+        ),
         ("id,id,tx_mm\na,b,0\n", &["line 1", "`id`", "twice", "rename"]),
     ] {
         std::fs::write(&path, text).expect("table");
@@ -126,6 +129,9 @@ fn tables_that_are_none() {
     }
     let refused = slitpose!().run(["model", "wide", "--poses", "no/such.csv"]);
     refused.assert_refused(1, &["cannot read no/such.csv", "give a CSV file"]);
+    let refused = slitpose!().run(["model", "wide", "--poses", "/dev/zero"]);
+    refused.assert_refused(1, &["cannot read /dev/zero", "a device"]);
+    slitpose!().run(["scene", "check", "/dev/zero"]).assert_refused(1, &["`/dev/zero`", "a device", "regular file"]);
     let currents = "id,i_x1_0_a,i_x2_0_a\n1,1e-6,1e-6\n";
     let refused = slitpose!().run_with_input(["solve", "wide", "--currents", "-"], currents);
     refused.assert_refused(1, &["standard input, line 1", "`i_x1_1_a` is missing", "add the column"]);
@@ -136,19 +142,46 @@ fn fields_that_are_no_numbers() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let (path, output) = (folder.path().join("poses.csv"), folder.path().join("out.csv"));
     let (name, output_name) = (path.to_str().expect("UTF-8 path"), output.to_str().expect("UTF-8 path"));
+    // A row fails alone.
+    let poses = ["0,0,0.5 mm,0,0,0", "0,0,,0,0,0", "0,0,0,NaN,0,0", "0,0,0,0,inf,0"];
+    let faults = ["`tz_mm`: `0.5 mm`", "`tz_mm`: ``", "`rx_rad`: `NaN`", "`ry_rad`: `inf`"];
+    let rows: String = poses.iter().map(|pose| format!("a,0,0,0,0,0,0\nb,{pose}\n")).collect();
+    let run = slitpose!().run_with_input(["model", "wide", "--poses", "-"], &format!("{POSES}{rows}"));
+    assert_eq!(run.code, 3, "{}", run.stderr);
+    let table = String::from_utf8(run.stdout).expect("text");
+    let (sound, damaged): (Vec<&str>, Vec<&str>) = table.lines().skip(1).partition(|row| row.starts_with("a,lit,"));
+    assert_eq!(
+        (sound.len(), damaged.as_slice()),
+        (4, &[format!("b{}", ",unreadable,,,,,,".repeat(6)).as_str(); 4][..])
+    );
+    for (number, fault) in faults.iter().enumerate() {
+        let place = format!("row {} (line {}), column {fault}", 2 * number + 2, 2 * number + 3);
+        assert!(run.stderr.contains(&place), "{place}: {}", run.stderr);
+    }
+    let home = slitpose!().run_with_input(["model", "wide", "--poses", "-"], &format!("{POSES}a,0,0,0,0,0,0\n")).done();
+    let [header, currents] = home.lines().collect::<Vec<_>>()[..] else { panic!("{home}") };
+    let column = header.split(',').position(|name| name == "i_x2_3_a").expect("column");
+    for field in ["NaN", "-inf", "none"] {
+        let mut fields: Vec<&str> = currents.split(',').collect();
+        fields[column] = field;
+        let table = format!("{header}\n{currents}\n{}\n{currents}\n", fields.join(","));
+        let run = slitpose!().run_with_input(["solve", "wide", "--currents", "-"], &table);
+        assert_eq!(run.code, 3, "{}", run.stderr);
+        assert!(run.stderr.contains(&format!("row 2 (line 3), column `i_x2_3_a`: `{field}`")), "{}", run.stderr);
+        let solved = String::from_utf8(run.stdout).expect("text");
+        let starts = ["a,converged,", "a,unreadable,,,,,,,,,,,,", "a,converged,"];
+        assert!(solved.lines().skip(1).zip(starts).all(|(row, start)| row.starts_with(start)), "{solved}");
+        assert_eq!(solved.lines().count(), 4);
+    }
     for (row, parts) in [
-        ("b,0,0,0.5 mm,0,0,0", &["`tz_mm`", "`0.5 mm` is not a finite number"][..]),
-        ("b,0,0,,0,0,0", &["`tz_mm`", "`` is not a finite number"]),
-        ("b,0,0,0,NaN,0,0", &["`rx_rad`", "`NaN` is not a finite number"]),
-        ("b,0,0,0,0,inf,0", &["`ry_rad`", "`inf` is not a finite number"]),
-        ("b,1e12,0,0,0,0,0", &["`tx_mm`", "out of range"]),
         ("b,0,0,0", &["4 fields", "header has 7", "correct this row"]),
         ("b,0,0,0,0,0,0,0", &["8 fields", "header has 7", "correct this row"]),
+        ("b,1e12,0,0,0,0,0", &["column `tx_mm`: 1000000000000"]),
     ] {
         std::fs::write(&path, format!("{POSES}a,0,0,0,0,0,0\n{row}\nc,0,0,0,0,0,0\n")).expect("table");
         // To a file: what was written to standard output cannot be taken back.
         let finished = slitpose!().run(["model", "wide", "--poses", name, "--output", output_name]);
-        finished.assert_refused(1, &[parts, &[name, "row 2 (line 3)"]].concat());
+        finished.assert_refused(1, &[&parts[..], &[name, "row 2 (line 3)"]].concat());
         assert!(!output.exists(), "{row}: a table in spite of the error");
     }
     // Not UTF-8.
@@ -162,7 +195,9 @@ fn paths_that_do_not_advance() {
     let path = folder.path().join("path.csv");
     let name = path.to_str().expect("UTF-8 path");
     let run = ["run", "--device", "sim", "--speed", "max", "--duration", "1ms", "--trajectory", name];
-    slitpose!().run(run).assert_refused(1, &[name, "cannot read"]);
+    slitpose!().run(run).assert_refused(1, &[name, "the motions are still, smooth, fast, contact", "cannot read"]);
+    let misspelt = ["simulate", "--output", "-", "--trajectory", "contct"];
+    slitpose!().run(misspelt).assert_refused(1, &["no motion is called contct (did you mean `contact`?)"]);
     std::fs::write(&path, "time_s,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n0,0,0,0,0,0,0\n0,1,0,0,0,0,0\n")
         .expect("table");
     slitpose!().run(run).assert_refused(1, &[name, "time 0 s follows 0 s", "sort"]);
@@ -177,8 +212,8 @@ fn paths_far_beyond_the_workspace_are_told() {
     let [path, capture] = ["path.csv", "path.mcap"].map(|name| folder.path().join(name).display().to_string());
     for (row, told) in [
         ("1,7,0,0.5,0", None),
-        ("0,7,0,1,0", Some("ry_rad leads 4 times")),
-        ("0,20,0,1,0", Some("ty_mm leads 5 times")),
+        ("0,7,0,1,0", Some("row 2, column `ry_rad`: 1 leads 4 times")),
+        ("0,20,0,1,0", Some("row 2, column `ty_mm`: 20 leads 5 times")),
     ] {
         std::fs::write(&path, format!("time_s,tx_mm,ty_mm,rx_rad,ry_rad,rz_rad,tz_mm\n0,0,0,0,0,0,0\n1,{row},0\n"))
             .expect("table");

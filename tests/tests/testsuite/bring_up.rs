@@ -8,6 +8,7 @@ use std::time::Duration;
 use super::emulated::Emulator;
 use clap::ValueEnum;
 use nix::pty::openpty;
+use slitpose_emulator::facts::number;
 use slitpose_emulator::named::Named;
 use slitpose_emulator::world::Flaw;
 use slitpose_tests::process::Finished;
@@ -19,8 +20,12 @@ const STEPS: [&str; 10] =
 /// Arguments of an emulator as fast as it can, its tool at rest at home.
 const AT_HOME: [&str; 7] = ["wide", "--seed", "5", "--trajectory", "still", "--speed", "max"];
 
-/// Each flaw, the step that must find it, and the words of its finding.
-const FOUND: [(Flaw, &str, &[&str]); 12] = [
+/// Flaws with which light settles in time, and when 0.3 codes of full scale are left by an integration of their
+/// resistors, capacitors and poles, microseconds.
+const SETTLE: [(Flaw, f64); 2] = [(Flaw::LineDetector, 11.9), (Flaw::SlowDetector, 13.5)];
+
+/// Each other flaw, the step that must find it, and the words of its finding.
+const FOUND: [(Flaw, &str, &[&str]); 14] = [
     (Flaw::OpenElectrode, "emitters", &["I_X1 of cell 2 (PC0, CN7-38) sees no light"]),
     (Flaw::StuckElectrode, "dark", &["I_X2 of cell 4 (PB11, CN10-18)", "stuck at ground"]),
     (Flaw::NoisyChannel, "noise", &["I_X1 of cell 1 (PA1, CN7-30)", "too noisy"]),
@@ -28,8 +33,14 @@ const FOUND: [(Flaw, &str, &[&str]); 12] = [
     (Flaw::SwappedGates, "emitters", &["gates exchanged: gate of emitter 1 (PC7", "gate of emitter 4 (PC10"]),
     (Flaw::SwappedCells, "emitters", &["inputs exchanged: I_X1 of cell 0 (PA0", "I_X2 of cell 5 (PB15"]),
     (Flaw::StuckLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) stays at nominal"]),
-    (Flaw::WeakEmitter, "emitters", &["0.50 of it", "emitter 5 is weak"]),
-    (Flaw::SlowFrontEnd, "settling", &["time constant 3.4", "the front end is slow"]),
+    (Flaw::LiftedLevel, "levels", &["level line of emitters 0 to 2 (PA4, CN7-32) is off by 5.0 % of nominal"]),
+    (Flaw::StuckGate, "dark", &["shine while their gates are off: 2 (26"]),
+    (Flaw::WeakEmitter, "emitters", &["0.50 of that", "emitter 5 is weak"]),
+    (
+        Flaw::SlowFrontEnd,
+        "settling",
+        &["full scale are left after 32.", "one time constant of 3.", "the front end is slow"],
+    ),
     (Flaw::MissingBaffle, "crosstalk", &["too much by emitter 2", "too much by emitter 1"]),
     (Flaw::LowSupply, "supply", &["V_DDA 3.000 V, expected 3.135 to 3.465 V"]),
     (Flaw::LostSettings, "storage", &["after a reboot none", "settings are lost"]),
@@ -68,7 +79,7 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
     let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
     assert_well(&finished);
     let text = text(&finished);
-    for place in ["frames", "zero", "level 0", "noise", "codes", "stop", "port closed", "storage", "forget"] {
+    for place in ["frames", "zero", "gates off", "noise", "codes", "stop", "port closed", "storage", "forget"] {
         assert!(text.lines().any(|line| line.starts_with(&format!("ok       {place:14} "))), "{place}");
     }
     for [place, count] in [["emitters", "6"], ["levels", "6"], ["settling", "6"], ["crosstalk", "6"]] {
@@ -99,9 +110,10 @@ fn an_emulated_board_passes_every_step_and_is_left_as_it_was() {
 
 #[test]
 fn each_flaw_is_named_by_the_step_that_looks_for_it() {
-    assert!(Flaw::value_variants().iter().all(|flaw| FOUND.iter().any(|(found, ..)| found == flaw)));
+    let tested = || FOUND.map(|(flaw, ..)| flaw).into_iter().chain(SETTLE.map(|(flaw, _)| flaw));
+    assert!(Flaw::value_variants().iter().all(|flaw| tested().any(|tested| tested == *flaw)));
     for (flaw, step, words) in FOUND {
-        let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", &flaw.name()]].concat());
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", "dac-rest-80", "--flaw", &flaw.name()]].concat());
         let finished = bring_up(&emulator.path, &["--step", step, "--scene", "wide"]);
         let text = text(&finished);
         println!("{}: {}\n{text}{}", flaw.name(), flaw.what(), finished.stderr);
@@ -114,11 +126,49 @@ fn each_flaw_is_named_by_the_step_that_looks_for_it() {
         // Nothing but the flaw is complained of.
         let most = match flaw {
             Flaw::SlowFrontEnd => 6,
-            Flaw::StuckLevel => 3,
+            Flaw::StuckLevel | Flaw::LiftedLevel => 3,
             Flaw::MissingBaffle => 2,
             _ => 1,
         };
         assert_eq!(failed.len(), most, "{}", flaw.name());
+        emulator.close();
+    }
+}
+
+/// Buffered DACs are promised from 0.2 V on, and relatives of the MCU end at 25 to 69 mV.
+#[test]
+fn a_board_whose_dacs_do_not_reach_0_v_passes_every_step() {
+    let check = |rest: &str| {
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--silicon", rest]].concat());
+        let finished = bring_up(&emulator.path, &["--yes", "--scene", "wide"]);
+        assert_well(&finished);
+        let text = text(&finished);
+        let lowest = text.split("at levels ").nth(1).and_then(|levels| levels.split(' ').next()?.parse::<f64>().ok());
+        // Nominal is half of V_DDA.
+        assert!(lowest.expect("levels") * 0.5 * 3.3 >= number("V_DAC_headroom"), "{lowest:?}");
+        emulator.close();
+    };
+    std::thread::scope(|scope| {
+        for rest in ["dac-rest-25", "dac-rest-48", "dac-rest-80"] {
+            scope.spawn(move || check(rest));
+        }
+    });
+}
+
+#[test]
+fn detectors_with_more_than_one_pole_have_the_instant_at_which_their_light_has_settled() {
+    for (flaw, settled_us) in SETTLE {
+        let emulator = Emulator::start(&[&AT_HOME[..], &["--flaw", &flaw.name()]].concat());
+        let finished = bring_up(&emulator.path, &["--step", "settling", "--scene", "wide"]);
+        let text = text(&finished);
+        println!("{}\n{text}", flaw.name());
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("ok       settling")).collect();
+        assert!(finished.code == 0 && rows.len() == 6, "{}", flaw.name());
+        for row in rows {
+            let found_us =
+                row.split("left after ").nth(1).and_then(|found| found.split(' ').next()?.parse::<f64>().ok());
+            assert!((found_us.expect("an instant") - settled_us).abs() < 0.4, "{}: {row}", flaw.name());
+        }
         emulator.close();
     }
 }

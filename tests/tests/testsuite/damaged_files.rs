@@ -118,9 +118,16 @@ fn captures_joined_into_one_file_are_no_series() {
 fn what_holds_no_scan_is_no_capture() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("no.capture");
-    for (bytes, length) in [(&b""[..], "0 bytes"), (b"id,tx_mm\n1,2\n", "13 bytes"), (&[0; 100], "100 bytes")] {
+    for (bytes, what, next_step) in [
+        (&b""[..], "no scan: 0 bytes", "--record"),
+        (&[0; 100], "no scan: 100 bytes", "--record"),
+        (b"id,tx_mm\n1,2\n", "not a capture but a text", "--record"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "a Git LFS pointer", "git lfs pull"),
+        (b"#ROSBAG V2.0\nE\0\0\0", "a ROS 1 bag", "--record"),
+        (b"\x1f\x8b\x08\0", "compressed by gzip", "gunzip"),
+    ] {
         std::fs::write(&path, bytes).expect("file");
-        slitpose!().run(["replay", text(&path)]).assert_refused(1, &[text(&path), "no scan", length, "--record"]);
+        slitpose!().run(["replay", text(&path)]).assert_refused(1, &[text(&path), what, next_step]);
     }
     let missing = folder.path().join("missing.capture");
     slitpose!().run(["replay", text(&missing)]).assert_refused(1, &[text(&missing), "cannot read", "--record"]);
@@ -161,13 +168,13 @@ fn a_failure_on_the_way_leaves_the_old_result() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let (poses, output) = (folder.path().join("poses.csv"), folder.path().join("output.csv"));
     let mut table = "id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad\n".to_owned() + &"a,0,0,0,0,0,0\n".repeat(2000);
-    table += "last,0,0,oops,0,0,0\n";
+    table += "last,0,0,0,0\n";
     std::fs::write(&poses, table).expect("poses");
     let command = ["model", "wide", "--poses", text(&poses), "--output", text(&output)];
-    slitpose!().run(command).assert_refused(1, &[text(&poses), "row 2001", "oops"]);
+    slitpose!().run(command).assert_refused(1, &[text(&poses), "row 2001", "5 fields"]);
     assert_eq!(names(folder.path()), ["poses.csv"]);
     std::fs::write(&output, "old").expect("old result");
-    slitpose!().run(command).assert_refused(1, &["oops"]);
+    slitpose!().run(command).assert_refused(1, &["5 fields"]);
     assert_eq!(std::fs::read_to_string(&output).expect("old result"), "old");
     assert_eq!(names(folder.path()), ["output.csv", "poses.csv"]);
 }

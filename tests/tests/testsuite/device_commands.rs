@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
+use std::num::NonZeroU32;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
@@ -217,6 +218,15 @@ fn a_board_keeps_the_scene_it_is_given() {
     }
     assert!(matches!(&heads[0], Command::Head(part) if part.total == 0));
     assert!(matches!(&heads[heads.len() - 1], Command::Head(part) if usize::from(part.total) == end));
+
+    let (finished, log, _) = at(board(FIRST), &["set", "--scene", "wide", "--full-scale", "6.6"]);
+    assert!(finished.clone().done().contains("up to 6.600 uA"), "{}", finished.stderr);
+    let full_scale_pa = NonZeroU32::new(6_600_000).expect("not zero");
+    assert!(log.commands().contains(&Command::FullScale { full_scale_pa }));
+    for wrong in ["0", "-1", "nan", "inf", "4295", "1e-7", "ten"] {
+        let finished = device(&["set", "--scene", "wide", &format!("--full-scale={wrong}")]);
+        assert!(finished.code == 2 && finished.stderr.contains("give microamperes"), "{wrong}: {}", finished.stderr);
+    }
 
     let (finished, log, _) = at(board(FIRST), &["set", "--clear"]);
     assert!(finished.done().contains("keeps no scene"));

@@ -83,7 +83,8 @@ impl Page {
     fn end(mut self) {
         kill(Pid::from_raw(i32::try_from(self.program.id()).expect("an id")), Signal::SIGINT).expect("running");
         let ended = self.program.wait().expect("ends");
-        assert_eq!(ended.code(), Some(0));
+        // 3 if the machine was so busy that scans were left out.
+        assert!(matches!(ended.code(), Some(0 | 3)), "{ended}");
     }
 }
 
@@ -155,4 +156,12 @@ fn a_page_for_other_hosts_needs_a_token() {
     let arguments = ["scene", "view", "wide", "--live", "[::]:0", "--live-token", "short"];
     slitpose!().run(arguments).assert_refused(1, &["5 characters", "16"]);
     slitpose!().run(["replay", "--live", "capture.mcap"]).assert_refused(2, &["capture.mcap", "is no address"]);
+    // It is not printed: standard error may be a journal.
+    let arguments = ["scene", "view", "wide", "--live", "127.0.0.1:0", "--live-token", "correct-horse-battery"];
+    let mut program = slitpose!().command(arguments).spawn().expect("slitpose starts");
+    let mut line = String::new();
+    BufReader::new(program.stderr.take().expect("piped")).read_line(&mut line).expect("UTF-8");
+    program.kill().expect("running");
+    program.wait().expect("ends");
+    assert!(line.contains("live page at http://127.0.0.1:") && !line.contains("horse"), "{line}");
 }

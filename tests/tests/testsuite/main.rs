@@ -28,6 +28,7 @@ mod latency;
 mod lit_cells;
 mod live_page;
 mod monte_carlo;
+mod other_units;
 mod outputs;
 mod physics_chain;
 mod pictures;

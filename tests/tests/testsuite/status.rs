@@ -156,5 +156,6 @@ fn a_summary_fits_a_terminal() {
         let longest = text.lines().map(|line| line.chars().count()).max().expect("lines");
         assert!((40..=WIDTH).contains(&longest), "{longest} columns:\n{text}");
         assert_eq!(text.matches("honesty").count(), device.split(',').count(), "{text}");
+        assert_eq!((text.contains("on sim 1, id"), text.contains("on sim 2, id")), (device != "sim", device != "sim"));
     }
 }

@@ -6,7 +6,7 @@
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{ExceptionFrame, exception};
+use cortex_m_rt::exception;
 use embassy_stm32::pac;
 use slitpose_protocol::{BootTarget, ResetCause};
 
@@ -16,6 +16,8 @@ use crate::emitters;
 const RUNNING: u32 = 0x736c_6974;
 /// The run ended in a panic or a fault.
 const PANICKED: u32 = 0x736c_6970;
+/// The stack had no room.
+const OVERFLOWED: u32 = 0x736c_696f;
 /// The run ended to start the boot loader.
 const BOOT_LOADER: u32 = 0x736c_6962;
 
@@ -41,7 +43,11 @@ pub fn reset_cause() -> ResetCause {
     if flags.iwdgrstf() {
         ResetCause::Watchdog
     } else if flags.sftrstf() {
-        if last == PANICKED { ResetCause::Panic } else { ResetCause::Software }
+        match last {
+            PANICKED => ResetCause::Panic,
+            OVERFLOWED => ResetCause::StackOverflow,
+            _ => ResetCause::Software,
+        }
     } else if flags.borrstf() {
         if last == 0 { ResetCause::PowerOn } else { ResetCause::BrownOut }
     } else if flags.pinrstf() {
@@ -54,7 +60,7 @@ pub fn reset_cause() -> ResetCause {
 /// Starts in a row that ended in a panic, a fault or a hang before [`started_well`]; `cause`: that of this start. To be
 /// called before the HAL, whose start resets the backup registers.
 pub fn failed_starts(cause: ResetCause) -> u32 {
-    let has_failed = matches!(cause, ResetCause::Panic | ResetCause::Watchdog);
+    let has_failed = matches!(cause, ResetCause::Panic | ResetCause::StackOverflow | ResetCause::Watchdog);
     if has_failed { (recall(1) & FAILED_MASK) + 1 } else { 0 }
 }
 
@@ -83,10 +89,14 @@ pub fn restart(target: BootTarget) -> ! {
 }
 
 /// Switches the emitters off and resets the board as after a panic.
-#[inline(never)]
 pub fn give_up() -> ! {
+    end(PANICKED)
+}
+
+#[inline(never)]
+fn end(why: u32) -> ! {
     emitters::darken();
-    remember(PANICKED);
+    remember(why);
     SCB::sys_reset()
 }
 
@@ -141,11 +151,34 @@ fn panic(_info: &PanicInfo<'_>) -> ! {
     give_up()
 }
 
-// SAFETY: the handler does not return, and uses no state that the fault may have broken.
-#[allow(unsafe_code)]
-#[exception]
-unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
-    give_up()
+// The handler of a fault. It does not return, so that it may begin the stack anew, which may have no room left.
+#[allow(unsafe_code, reason = "a symbol that the runtime calls")]
+mod hard_fault {
+    core::arch::global_asm!(
+        ".syntax unified",
+        ".section .text.HardFault,\"ax\",%progbits",
+        ".global HardFault",
+        ".type HardFault,%function",
+        ".thumb_func",
+        "HardFault:",
+        "    ldr r0, =_stack_start",
+        "    mov sp, r0",
+        "    b {fault}",
+        "    .ltorg",
+        ".text",
+        fault = sym super::fault,
+    );
+}
+
+/// Data accesses and frames of exceptions that the memory protection unit forbids, in CFSR (DDI0403, B3.2.15).
+const GUARDED: u32 = 0b11_1010;
+
+extern "C" fn fault() -> ! {
+    // SAFETY: a register is read.
+    #[allow(unsafe_code)]
+    let status = unsafe { (*SCB::PTR).cfsr.read() };
+    // The only memory that is forbidden is that below the stack.
+    end(if status & GUARDED == 0 { PANICKED } else { OVERFLOWED })
 }
 
 /// The crystal has stopped, and every time is wrong from now on: a start anew finds another clock.

@@ -15,8 +15,6 @@
 #![no_main]
 
 mod acquisition;
-#[cfg(feature = "pose")]
-mod ccm;
 mod clock;
 mod clock_tree;
 mod converters;
@@ -26,6 +24,7 @@ mod faults;
 mod guard;
 mod hardware;
 mod link;
+mod memory;
 #[cfg(feature = "pose")]
 mod pose_port;
 #[cfg(feature = "sensors")]
@@ -36,7 +35,7 @@ mod supply;
 
 use core::cell::RefCell;
 
-use embassy_executor::Spawner;
+use embassy_executor::{Spawner, raw};
 use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::rcc::{Hsi48Config, mux};
 use embassy_stm32::wdg::IndependentWatchdog;
@@ -87,9 +86,30 @@ const STARTED: Duration = Duration::from_secs(1);
 /// The core is polled at least this often.
 const POLL: Duration = Duration::from_millis(1);
 
-#[embassy_executor::main]
-async fn main(spawner: Spawner) {
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
+    // embassy's own executor of this core has this context, by which a task that wakes ends WFE; and no barrier.
+    let executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
+    if let Ok(task) = run(executor.spawner()) {
+        executor.spawner().spawn(task);
+    }
+    loop {
+        // SAFETY: called nowhere else.
+        #[allow(unsafe_code)]
+        unsafe {
+            executor.poll();
+        }
+        cortex_m::asm::wfe();
+        // What is fetched behind WFE may be wrong if a debugger keeps the clocks on in sleep (ES0430, 2.2.8).
+        cortex_m::asm::isb();
+    }
+}
+
+#[embassy_executor::task]
+async fn run(spawner: Spawner) {
     let reset_cause = faults::reset_cause();
+    memory::guard_stack();
     let failed_starts = faults::failed_starts(reset_cause);
     let p = embassy_stm32::init(config());
     let clock = clock_tree::raise();
@@ -124,6 +144,7 @@ async fn main(spawner: Spawner) {
         #[cfg(feature = "pose")]
         pose_port::PosePort::new(Output::new(p.PA8, Level::Low, Speed::Medium), p.USART1, p.PA9, p.DMA2_CH3, p.CRC),
     );
+    let full_scale_pa = settings.as_ref().and_then(|settings| settings.full_scale_pa);
     let hashes = settings.as_ref().map_or(Hashes::default(), |settings| settings.hashes);
     // Another firmware may have left settings that this board cannot run.
     let configuration = settings.map(|settings| settings.configuration).filter(can_run);
@@ -134,6 +155,7 @@ async fn main(spawner: Spawner) {
         reset_cause,
         hashes,
         scaling: default_scaling(),
+        full_scale_pa,
         clock,
         settings: match &configuration {
             _ if is_passed_over => SettingsSource::PassedOver,

@@ -208,6 +208,7 @@ pub fn identity() -> Identity {
         reset_cause: ResetCause::PowerOn,
         hashes: Hashes::default(),
         scaling: AdcScaling { zero_code: 0.0, amperes_per_code: 1e-9, bits: 12, saturation_code: 4_000 },
+        full_scale_pa: None,
         clock: ClockSource::Internal,
         settings: SettingsSource::Defaults,
     }

@@ -28,6 +28,9 @@ pub enum OptimiseError {
     /// A scene that cannot be computed.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// A search without anything to change.
+    #[error("nothing is free to change; give it with --free, such as --free slit_width --free roll")]
+    NothingFree,
     /// The scene's text.
     #[error("{origin}: {message}")]
     Text {

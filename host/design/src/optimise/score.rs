@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::{SceneFile, Workspace};
-use slitpose_model::{Cell, Opening, Pose, SceneError};
+use slitpose_model::{Cell, Opening, Plan, Pose, SceneError, Status, Tier};
 
 use crate::map::{Outlook, View, quantiles_of};
 use crate::mask_frame::MaskFrame;
@@ -45,6 +45,12 @@ const POSES: usize = 4000;
 const SIGMA_POSES: usize = 256;
 const CROSSTALK_POSES: usize = 32;
 
+/// Poses at which what was found is judged: those of `slitpose scene check`.
+const CHECKED: usize = 20_000;
+
+/// What spots miss at least where too many of those poses are not lit, as drawings round.
+const LEAST_MISSED_MM: f64 = 0.01;
+
 /// What is learnt of currents is kept with a little to spare, so that rounding to the digits of a drawing does not pass it.
 const LEARNT_MARGIN: f64 = 0.999;
 
@@ -85,13 +91,15 @@ pub struct Judge {
     learnt: Vec<Pose>,
     /// Full scale that is to be kept at the first poses, as a share, for it to be kept at all.
     full_scale: f64,
+    /// By how much of the projection of [`missed_mm`] spots are to stay on their detectors, for them to be lit, metres.
+    spare_m: f64,
 }
 
 impl Judge {
     /// By `goal`, within `limits`, over `workspace`.
     pub fn new(workspace: &Workspace, goal: Goal, limits: Limits) -> Self {
         let (poses, corners) = (workspace.poses(POSES).collect(), workspace.corners().collect());
-        Self { goal, limits, workspace: *workspace, poses, corners, learnt: Vec::new(), full_scale: 1.0 }
+        Self { goal, limits, workspace: *workspace, poses, corners, learnt: Vec::new(), full_scale: 1.0, spare_m: 0.0 }
     }
 
     /// What `file` is worth, at all poses.
@@ -99,12 +107,26 @@ impl Judge {
     /// # Errors
     /// A scene that cannot be computed.
     pub fn score(&self, file: &SceneFile) -> Result<Score, SceneError> {
-        self.score_at(file, &self.poses, &self.learnt, CLIMBS[1], 1.0)
+        let mut score = self.score_at(file, &self.poses, &self.learnt, CLIMBS[1], [1.0, 0.0])?;
+        if score.excesses.is_empty()
+            && self.lit(file)?.filter(|is_lit| !is_lit).count() as f64 > (1.0 - self.limits.lit) * CHECKED as f64
+        {
+            score.excesses.note(Limit::Lit, LEAST_MISSED_MM, LEAST_MISSED_MM);
+        }
+        Ok(score)
+    }
+
+    /// Whether all cells are lit, at each pose of `slitpose scene check`.
+    fn lit(&self, file: &SceneFile) -> Result<impl Iterator<Item = bool> + use<>, SceneError> {
+        let plan = Plan::<f64>::compile(&file.scene, Tier::Paper)?;
+        let is_lit =
+            move |pose: &Pose| (0..plan.cell_count()).all(|cell| plan.respond(cell, pose).status == Status::Lit);
+        Ok(self.workspace.poses(CHECKED).map(move |pose| is_lit(&pose)))
     }
 
     /// The same of a candidate, at few poses.
     pub(super) fn estimate(&self, file: &SceneFile) -> Result<Score, SceneError> {
-        self.score_at(file, &self.poses[..SIGMA_POSES], &self.learnt, CLIMBS[0], self.full_scale)
+        self.score_at(file, &self.poses[..SIGMA_POSES], &self.learnt, CLIMBS[0], [self.full_scale, self.spare_m])
     }
 
     /// Lets further estimates see what is wrong with `file` at poses they would not have looked at.
@@ -116,6 +138,11 @@ impl Judge {
         let views: Vec<View> = self.poses.iter().map(|pose| outlook.at(pose)).collect();
         let [all, few] = [&views[..], &views[..SIGMA_POSES]].map(|views| self.margin(views));
         self.full_scale *= LEARNT_MARGIN * (all / few).min(1.0);
+        let checked = margins_m(file, self.workspace.poses(CHECKED)).zip(self.lit(file)?);
+        let checked = checked.map(|(m, is_lit)| if is_lit { m.max(0.0) } else { m.min(-1e-3 * LEAST_MISSED_MM) });
+        let [few, all] = [margins_m(file, self.poses.iter().copied()).collect(), checked.collect()]
+            .map(|margins| self.limits.counted_m(margins));
+        self.spare_m += (few - all).max(0.0);
         if self.goal.demand == Demand::Worst {
             let worst: Vec<_> = self.worst(&outlook, self.poses.iter().zip(&views), CLIMBS[1]).collect();
             self.learnt.extend(worst.into_iter().map(|(_, pose)| pose));
@@ -181,7 +208,7 @@ impl Judge {
         near: &[Pose],
         further: &[Pose],
         climbs: usize,
-        full_scale: f64,
+        [full_scale, spare_m]: [f64; 2],
     ) -> Result<Score, SceneError> {
         let Self { goal, limits, poses, corners, .. } = self;
         let outlook = Outlook::of(file.clone().into())?;
@@ -195,7 +222,7 @@ impl Judge {
         };
         let mut excesses = Excesses::default();
         distances(file, poses, limits, &mut excesses);
-        let missed_mm = missed_mm(file, poses, limits);
+        let missed_mm = missed_mm(file, poses, limits, spare_m);
         excesses.note(Limit::Lit, missed_mm, missed_mm);
         if !sigma_m.is_finite() {
             let without = views.iter().filter(|view| view.sigma.is_none()).count() as f64 / views.len() as f64;
@@ -236,13 +263,23 @@ fn sigma_m(view: &View, goal: &Goal) -> Option<f64> {
 ///
 /// Of the central projection of the opening's edges along x (thin mask), drawn together by a lens, so that it is a smooth
 /// function of all dimensions.
-fn missed_mm(file: &SceneFile, poses: &[Pose], limits: &Limits) -> f64 {
+fn missed_mm(file: &SceneFile, poses: &[Pose], limits: &Limits, spare_m: f64) -> f64 {
+    let margins = margins_m(file, poses.iter().copied()).collect();
+    ((spare_m - limits.counted_m(margins)) * 1e3).clamp(0.0, 10.0)
+}
+
+impl Limits {
+    /// The margin that all but the share of poses that may miss have.
+    fn counted_m(&self, mut margins_m: Vec<f64>) -> f64 {
+        margins_m.sort_by(f64::total_cmp);
+        margins_m[index(margins_m.len(), 1.0 - self.lit)]
+    }
+}
+
+/// By how far the spot nearest to an end of its detector stays on it at each pose, metres.
+fn margins_m(file: &SceneFile, poses: impl Iterator<Item = Pose>) -> impl Iterator<Item = f64> {
     let masks: Vec<(&Cell, MaskFrame)> = file.scene.cells.iter().map(|cell| (cell, MaskFrame::at_home(cell))).collect();
-    let least = |pose| masks.iter().map(|(cell, home)| margin_m(cell, home, pose)).fold(f64::INFINITY, f64::min);
-    let mut margins: Vec<f64> = poses.iter().map(least).collect();
-    margins.sort_by(f64::total_cmp);
-    let counted = margins[index(margins.len(), 1.0 - limits.lit)];
-    (-counted * 1e3).clamp(0.0, 10.0)
+    poses.map(move |pose| masks.iter().map(|(cell, home)| margin_m(cell, home, &pose)).fold(f64::INFINITY, f64::min))
 }
 
 fn margin_m(cell: &Cell, home: &MaskFrame, pose: &Pose) -> f64 {

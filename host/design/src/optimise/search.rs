@@ -112,12 +112,15 @@ impl Search {
     /// it with the best so far.
     ///
     /// # Errors
-    /// A scene that cannot be read or computed as it is.
+    /// A scene that cannot be read or computed as it is; nothing that is free.
     pub fn run(
         &self,
         progress: &mut (dyn FnMut(usize, f64) + Send),
         stop: &AtomicBool,
     ) -> Result<Found, OptimiseError> {
+        if self.free.is_empty() {
+            return Err(OptimiseError::NothingFree);
+        }
         let own: Shares = self.free.iter().map(|free| share_of(free, current(&self.file, free.quantity))).collect();
         // What is wrong with the scene itself is told; a candidate may be impossible.
         for free in &self.free {

@@ -89,6 +89,7 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
             }
         }
     }
+    rename(&mut document, file);
     Ok(document.to_string())
 }
 
@@ -201,11 +202,34 @@ fn set(document: &mut DocumentMut, section: &str, key: &str, number: f64) {
             }
         }
     }
-    let item = &mut document[section][key];
-    let comment = item.as_value().map(|value| value.decor().clone());
-    *item = value(number);
-    if let (Some(value), Some(comment)) = (item.as_value_mut(), comment) {
-        *value.decor_mut() = comment;
+    // Without the remark on the value before.
+    document[section][key] = value(number);
+}
+
+/// Replaces what the text says of the head that the search began with: name, heading, and remarks on its currents and cells.
+fn rename(document: &mut DocumentMut, file: &SceneFile) {
+    const ENDING: &str = ", optimised";
+    let name = file.name.strip_suffix(ENDING).unwrap_or(&file.name);
+    document["name"] = value(format!("{name}{ENDING}"));
+    let heading =
+        format!("# Found by `slitpose scene optimise`; it began with the scene \"{}\".\n", name.escape_default());
+    let mut is_first = true;
+    for (mut key, item) in document.iter_mut() {
+        let decor = match item {
+            Item::Table(table) => Some(table.decor_mut()),
+            Item::Value(_) => Some(key.leaf_decor_mut()),
+            _ => None,
+        };
+        if let Some(decor) = decor.filter(|_| std::mem::take(&mut is_first)) {
+            decor.set_prefix(heading.as_str());
+        }
+    }
+    if let Some(full_scale) = document.get_mut("front_end").and_then(|item| item.get_mut("full_scale_a")) {
+        full_scale.as_value_mut().into_iter().for_each(|value| value.decor_mut().set_suffix(""));
+    }
+    let cells = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
+    if let Some(first) = cells.and_then(|cells| cells.get_mut(0)) {
+        first.decor_mut().set_prefix("\n");
     }
 }
 

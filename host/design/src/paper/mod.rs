@@ -6,7 +6,6 @@
 
 mod account;
 mod figures;
-mod imperfect;
 
 use glam::DVec3;
 use slitpose_model::{Plan, Pose, Profile, Response, SceneError, Tier};
@@ -14,9 +13,8 @@ use slitpose_model::{Plan, Pose, Profile, Response, SceneError, Tier};
 use crate::identification::{Identified, identify};
 use slitpose_head::scene_file::SceneFile;
 
-pub use account::{SEARCHES, account};
+pub use account::account;
 pub use figures::figures;
-pub use imperfect::{Errors, Fault, Imperfect, PUBLISHED};
 
 /// Relative error of the exact tier's integrals: far below anything a figure shows.
 const TOLERANCE: f64 = 1e-10;

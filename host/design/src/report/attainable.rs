@@ -5,10 +5,10 @@
 //! do better with rounded data, and a stable one does little worse, so that error over this is what
 //! an algorithm is to be judged by.
 
+use nalgebra::DMatrix;
 use slitpose_model::{Plan, Pose, Scene};
 
 use super::method::Precision;
-use super::singular::singular_values;
 
 /// The amplification of relative errors into errors of a pose.
 #[derive(Clone, Copy, Debug)]
@@ -35,19 +35,24 @@ impl Attainable {
                 let slope = row[0] * row[0] + row[1] * row[1] + row[2] * row[2];
                 let rounding_a = ((current * current + slope * coordinates) / 3.0).sqrt();
                 if rounding_a > 0.0 {
-                    rows.push(std::array::from_fn(|axis| row[axis] * if axis < 3 { arm_m } else { 1.0 } / rounding_a));
+                    rows.extend((0..6).map(|axis| row[axis] * if axis < 3 { arm_m } else { 1.0 } / rounding_a));
                 }
             }
         }
-        let values = singular_values(&rows);
-        let variance = |axes: std::ops::Range<usize>| {
-            let of = |(value, vector): &(f64, [f64; 6])| {
-                axes.clone().map(|axis| vector[axis] * vector[axis]).sum::<f64>() / (value * value)
+        // Rows of zeros change no singular value; without them two cells would have four.
+        rows.resize(rows.len().max(36), 0.0);
+        // The right singular vectors of A are the left ones of its transpose.
+        let svd = DMatrix::from_column_slice(6, rows.len() / 6, &rows).svd(true, false);
+        let values = &svd.singular_values;
+        let variance = |axes: std::ops::Range<usize>| -> f64 {
+            let of = |vectors: &DMatrix<f64>| {
+                let weighted = |k: usize| vectors.column(k).rows_range(axes.clone()).norm_squared() / values[k].powi(2);
+                (0..6).map(weighted).sum()
             };
-            values.iter().map(of).sum::<f64>()
+            svd.u.as_ref().map_or(f64::NAN, of)
         };
         Self {
-            condition: values[0].0 / values[5].0,
+            condition: values[0] / values[5],
             translation_m: arm_m * variance(0..3).sqrt(),
             rotation_rad: variance(3..6).sqrt(),
         }

@@ -4,7 +4,6 @@ use slitpose_model::{Outcome, SceneError};
 use thiserror::Error;
 
 use slitpose_head::front_end::TimingError;
-use slitpose_head::table::TableError;
 
 /// Why a scene cannot be studied.
 #[derive(Debug, Error)]
@@ -43,7 +42,4 @@ pub enum ReportError {
     /// A front end that cannot run.
     #[error(transparent)]
     Timing(#[from] TimingError),
-    /// The table of cycles.
-    #[error(transparent)]
-    Cycles(#[from] TableError),
 }

@@ -6,7 +6,7 @@
 //!
 //! * `head` and `noise` supply poses, currents and their noise; `method` the ways to solve;
 //!   `attainable` is the best accuracy of a pose at all;
-//! * `forward`, `solver`, `cycles`, `economy`, `motion` and `stiff` are the sections;
+//! * `forward`, `solver`, `economy` and `stiff` are the sections;
 //! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
 //!   `comparison` that on several heads, `pareto` that on their size;
 //! * `section` has their parts; `page`, `markdown`, `folder` write it.
@@ -16,7 +16,6 @@ mod attainable;
 mod calibration;
 mod comparison;
 mod conditions;
-mod cycles;
 mod economy;
 mod error;
 mod folder;
@@ -25,18 +24,14 @@ mod head;
 mod map;
 mod markdown;
 mod method;
-mod motion;
 mod noise;
 mod page;
 mod pareto;
 mod section;
 mod sheet;
-mod singular;
 mod solver;
 mod stiff;
 mod stopwatch;
-
-use std::path::PathBuf;
 
 pub use calibration::calibration_report;
 pub use comparison::comparison;
@@ -67,8 +62,6 @@ pub struct Settings {
     pub seed: u64,
     /// Fewer rounds and frames.
     pub quick: bool,
-    /// Table of cycles on the board; `None`: the program that makes it is looked for.
-    pub cycles: Option<PathBuf>,
 }
 
 impl Settings {
@@ -84,7 +77,7 @@ impl Settings {
 }
 
 /// Sections of a study.
-pub const SECTIONS: u64 = 6;
+pub const SECTIONS: u64 = 4;
 
 /// Makes a section.
 type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
@@ -92,21 +85,19 @@ type Measure = fn(&Head<'_>, &Settings) -> Result<Section, ReportError>;
 /// Studies `file`. `progress` gets the title of each section before it begins.
 ///
 /// # Errors
-/// If the scene gives no poses to study, or a table of cycles cannot be read.
+/// If the scene gives no poses to study.
 pub fn study(file: &SceneFile, settings: &Settings, mut progress: impl FnMut(&str)) -> Result<Report, ReportError> {
     let head = Head::of(file, settings)?;
-    // What somebody else has counted is read first: nothing is measured in vain if it is damaged.
-    progress(cycles::TITLE);
-    let cycles = cycles::section(&head, settings)?;
     let mut measure = |title: &str, section: Measure| {
         progress(title);
         section(&head, settings)
     };
-    let mut sections = vec![measure(forward::TITLE, forward::section)?, measure(solver::TITLE, solver::section)?];
-    sections.push(cycles);
-    sections.push(measure(economy::TITLE, economy::section)?);
-    sections.push(measure(motion::TITLE, motion::section)?);
-    sections.push(measure(stiff::TITLE, stiff::section)?);
+    let sections = vec![
+        measure(forward::TITLE, forward::section)?,
+        measure(solver::TITLE, solver::section)?,
+        measure(economy::TITLE, economy::section)?,
+        measure(stiff::TITLE, stiff::section)?,
+    ];
     Ok(Report {
         title: "Error against run time",
         scene: file.name.clone(),

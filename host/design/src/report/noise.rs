@@ -77,11 +77,6 @@ impl NoiseSource {
         let (dt, dr) = (vector(sigma_m), vector(sigma_rad));
         pose.perturbed(dt, dr)
     }
-
-    /// A direction, uniform on the sphere.
-    pub(super) fn direction(&mut self) -> DVec3 {
-        DVec3::from_array([0; 3].map(|_| self.normal())).normalize_or(DVec3::X)
-    }
 }
 
 #[cfg(test)]

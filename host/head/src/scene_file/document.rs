@@ -115,6 +115,14 @@ impl<'a> Document<'a> {
         }
     }
 
+    /// The profile keys that count for a cell. They count as one: a cell that gives any of them replaces the defaults'.
+    pub(super) fn profiles_given(&self, cell: usize) -> Vec<&'static str> {
+        let own = |key: &&'static str| self.find_own(cell, "emitter", key).is_some();
+        let any = |key: &&'static str| self.find(KeyPath::section("emitter", key)).is_some();
+        let given = schema::PROFILES.into_iter().filter(own).collect::<Vec<_>>();
+        if given.is_empty() { schema::PROFILES.into_iter().filter(any).collect() } else { given }
+    }
+
     /// Whether a section is in the file.
     pub(super) fn has_section(&self, section: &str) -> bool {
         self.root.contains_key(section)
@@ -288,6 +296,13 @@ impl<'a> Document<'a> {
         let is_size = path.section == "slit" && matches!(path.key, "width_mm" | "length_mm");
         if is_size && self.find(path).is_none() && self.find(diameter).is_some() {
             path = diameter;
+        }
+        // It has a half angle as the exponent that follows from it.
+        let given = path.cell.filter(|_| path.key == "profile_exponent").map(|cell| self.profiles_given(cell));
+        if given.is_some_and(|given| given == ["half_angle_deg"]) {
+            let path = KeyPath { key: "half_angle_deg", ..path };
+            let text = self.find(path).map(|entry| self.quote(entry.span()));
+            return self.error(path, ContentFault::TooNarrow { path, text: text.unwrap_or_default() });
         }
         let entry = self.find(path);
         let written = entry.and_then(|entry| self.as_number(path, entry).ok());

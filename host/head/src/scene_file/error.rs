@@ -1,7 +1,6 @@
 //! Errors in a scene file, with place and next step.
 
 use std::fmt;
-use std::io;
 
 use slitpose_model::{Fault, Place};
 use thiserror::Error;
@@ -9,6 +8,7 @@ use thiserror::Error;
 use super::shipped::SHIPPED;
 use super::spelling::nearest;
 use crate::foreign::printable;
+use crate::text_file::TextFileError;
 
 /// Why a scene cannot be had from a file.
 #[derive(Debug, Error)]
@@ -23,8 +23,8 @@ pub enum SceneFileError {
     Read {
         /// The SCENE argument.
         argument: String,
-        /// The system's error.
-        source: io::Error,
+        /// Why not.
+        source: TextFileError,
     },
     /// The text is not a usable scene.
     #[error("{0}")]
@@ -194,6 +194,14 @@ pub enum ContentFault {
         cell: usize,
         /// How many were given in the section that counts.
         count: usize,
+    },
+    /// A lobe too narrow to compute.
+    #[error("{path} = {text} degrees is too narrow to compute; give 0.07 or more")]
+    TooNarrow {
+        /// The key.
+        path: KeyPath,
+        /// The value as written.
+        text: String,
     },
     /// Keys of one slit that do not go together.
     #[error("{path} = {text}: {why}")]

@@ -19,11 +19,10 @@ mod spelling;
 mod tolerance;
 mod workspace;
 
-use std::fs;
-use std::io::ErrorKind;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
-use slitpose_model::{Plan, Scene, Tier};
+use slitpose_model::{Plan, Profile, Scene, Tier};
 
 pub use electronics::FrontEnd;
 pub use error::{ContentFault, FilePlace, KeyPath, LightingFault, SceneFileError};
@@ -33,8 +32,16 @@ pub use spelling::nearest;
 pub use tolerance::Tolerance;
 pub use workspace::Workspace;
 
+use crate::finding::Finding;
 use crate::foreign::printable;
+use crate::text_file;
 use document::Document;
+
+/// What a relative profile may begin with: measured ones, and ones with their greatest intensity beside the axis.
+const ON_AXIS: RangeInclusive<f64> = 0.2..=2.0;
+
+/// A right angle in radians, as coarse as tables round it.
+const RIGHT_ANGLE_RAD: f64 = 1.6;
 
 /// A scene file, read and checked.
 #[derive(Clone, Debug)]
@@ -62,11 +69,12 @@ pub struct SceneFile {
 impl SceneFile {
     /// Reads the file at `argument`; if there is none, the shipped scene of that name.
     pub fn open(argument: &str) -> Result<Self, SceneFileError> {
-        match fs::read(Path::new(argument)) {
-            Ok(bytes) => Self::from_bytes(argument, &bytes),
-            Err(source) => match (Shipped::named(argument), source.kind()) {
-                (Some(shipped), ErrorKind::NotFound | ErrorKind::IsADirectory) => shipped.read(),
-                _ => Err(SceneFileError::Read { argument: argument.to_owned(), source }),
+        let path = Path::new(argument);
+        match Shipped::named(argument) {
+            Some(shipped) if !path.exists() || path.is_dir() => shipped.read(),
+            _ => match text_file::read(path) {
+                Ok(bytes) => Self::from_bytes(argument, &bytes),
+                Err(source) => Err(SceneFileError::Read { argument: argument.to_owned(), source }),
             },
         }
     }
@@ -107,6 +115,33 @@ impl SceneFile {
             workspace,
             scene,
         })
+    }
+
+    /// What makes other units likely in tables of emission profiles: of cells with the same one of the first.
+    pub fn findings(&self) -> Vec<Finding> {
+        let cells = &self.scene.cells;
+        let mut findings = Vec::new();
+        for (number, cell) in cells.iter().enumerate() {
+            let Profile::Table(knots) = &cell.emitter.profile else { continue };
+            if cells[..number].iter().any(|earlier| earlier.emitter.profile == cell.emitter.profile) {
+                continue;
+            }
+            let place = format!("{}, cell {number}, emitter.profile", self.origin);
+            let (on_axis, last_deg) = (knots[0].1, knots[knots.len() - 1].0.to_degrees());
+            if !ON_AXIS.contains(&on_axis) {
+                let text = format!(
+                    "it begins with {on_axis}, so the emitter has {on_axis} times its radiant_intensity_w_per_sr on the axis"
+                );
+                let next_step = "profiles are relative, 1 on the axis: are these per cent, or an intensity? Divide them all \
+                                 by the first";
+                findings.push(Finding::warning(place.clone(), text, next_step));
+            }
+            if last_deg <= RIGHT_ANGLE_RAD {
+                let text = format!("it ends at {last_deg:.4} degrees, and beyond there is no light");
+                findings.push(Finding::warning(place, text, "are these radians? Angles are degrees, from 0 to 90"));
+            }
+        }
+        findings
     }
 
     /// The same head, its emitters lit in other slots. Each emitter has to have one.

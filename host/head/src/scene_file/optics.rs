@@ -100,15 +100,8 @@ fn read_emitter(document: &Document<'_>, cell: usize) -> Result<Emitter, SceneFi
     })
 }
 
-/// The three profile keys count as one: a cell that gives any of them replaces the defaults'.
 fn read_profile(document: &Document<'_>, cell: usize) -> Result<Profile, SceneFileError> {
-    let own = |key: &&'static str| document.find_own(cell, "emitter", key).is_some();
-    let any = |key: &&'static str| document.find(KeyPath::section("emitter", key)).is_some();
-    let given: Vec<&'static str> = if PROFILES.iter().any(own) {
-        PROFILES.into_iter().filter(own).collect()
-    } else {
-        PROFILES.into_iter().filter(any).collect()
-    };
+    let given = document.profiles_given(cell);
     let &[key] = given.as_slice() else {
         let path = KeyPath::of_cell(cell, "emitter", given.first().copied().unwrap_or(PROFILES[0]));
         let count = given.len();

@@ -215,6 +215,12 @@ fn missing_keys_are_named_with_the_place_to_add_them() {
             "2 emission profiles; give exactly one",
         ),
         (format!("{LEAST}[noise]\nadc_a = 1e-9\n"), "scene.toml:18:1", "noise.bandwidth_hz is missing"),
+        // The key that counts for the cell, not that of the other cells.
+        (
+            changed("half_angle_deg = 55.0", "profile_exponent = 2.0", "emitter = { half_angle_deg = 0.011 }\n"),
+            "scene.toml:18:30",
+            "cell 0, emitter.half_angle_deg = 0.011 degrees is too narrow",
+        ),
         (format!("{LEAST}[front_end]\nfull_scale_a = 1e-5\n"), "scene.toml:18:1", "front_end.adc_bits is missing"),
     ];
     for (text, place, fault) in cases {
@@ -311,4 +317,22 @@ fn the_hash_is_that_of_the_reference_text() {
 fn line_ends_and_byte_order_mark_do_not_matter() {
     let dos = format!("\u{feff}{}", LEAST.replace('\n', "\r\n"));
     assert_eq!(parse(&dos).unwrap().scene, parse(LEAST).unwrap().scene);
+}
+
+#[test]
+fn profiles_that_are_neither_in_degrees_nor_relative_are_told() {
+    for (profile, parts) in [
+        ("[[0, 1.0], [45, 0.7], [90, 0.02]]", &[][..]),
+        // A narrow beam, and the mean of measured points.
+        ("[[0, 1.04], [2, 0.5], [4, 0.0]]", &[]),
+        ("[[0, 1.0], [0.785, 0.7], [1.571, 0.02]]", &["cell 0, emitter.profile: it ends at 1.5710", "radians?"]),
+        ("[[0, 100], [45, 70], [90, 2]]", &["begins with 100", "per cent"]),
+        ("[[0, 312.0], [0.785, 219.0], [1.571, 6.0]]", &["begins with 312", "an intensity?", "radians?"]),
+    ] {
+        let file = parse(&changed("half_angle_deg = 55.0", &format!("profile = {profile}"), "")).unwrap();
+        let said: Vec<String> = file.findings().iter().map(ToString::to_string).collect();
+        assert_eq!(said.is_empty(), parts.is_empty(), "{profile}: {said:?}");
+        parts.iter().for_each(|part| assert!(said.concat().contains(part), "{profile}: {said:?}"));
+    }
+    assert!(SHIPPED.iter().all(|shipped| shipped.read().unwrap().findings().is_empty()));
 }

@@ -31,16 +31,6 @@ impl Workspace {
         })
     }
 
-    /// The coordinate of `poses` that leads farthest beyond the box: its number, as in the columns of a pose, and how many
-    /// times as far out it is as the box; none without poses, or where the box has no extent.
-    pub fn farthest<'a>(&self, poses: impl IntoIterator<Item = &'a Pose>) -> Option<(usize, f64)> {
-        let by_axis = poses.into_iter().flat_map(|pose| {
-            let (t, r) = (pose.translation_m / self.half_extent_m, pose.rotation_rad() / self.half_extent_rad);
-            t.to_array().into_iter().chain(r.to_array()).map(f64::abs).enumerate()
-        });
-        by_axis.filter(|(_, times)| times.is_finite()).max_by(|a, b| a.1.total_cmp(&b.1))
-    }
-
     /// All 64 corners: what is farthest from home.
     pub fn corners(&self) -> impl Iterator<Item = Pose> {
         let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 0 { -1.0 } else { 1.0 };

@@ -111,6 +111,7 @@ impl SimulatedBoard {
             reset_cause: ResetCause::PowerOn,
             hashes: Hashes { scene: Some(file.hash), calibration: None },
             scaling: electronics.scaling(),
+            full_scale_pa: None,
             clock: ClockSource::Crystal,
             // Its storage is empty at every start.
             settings: SettingsSource::Defaults,

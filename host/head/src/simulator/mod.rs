@@ -19,4 +19,4 @@ pub use board::{SimulatedBoard, SimulatorError};
 pub use electronics::{CellNoise, Electrode, Electronics};
 pub use light::Light;
 pub use reading::noisy_reading;
-pub use trajectory::{PathError, Trajectory, TrajectoryKind};
+pub use trajectory::{MAX_KNOTS, PathError, Trajectory, TrajectoryKind};

@@ -12,7 +12,7 @@ use thiserror::Error;
 use super::knots::on_path;
 use super::reversals::Reversals;
 use crate::scene_file::Workspace;
-use crate::table::{PoseColumns, TableError, TableReader};
+use crate::table::{PoseColumns, PoseSizes, TableError, TableReader};
 
 /// Greatest speeds of a smooth motion.
 const SMOOTH_M_PER_S: f64 = 0.5;
@@ -27,6 +27,9 @@ const SHARE: f64 = 0.9;
 
 /// A fast motion is a smooth one at this many times the speed.
 const FAST: f64 = 4.0;
+
+/// Most poses of a path, 72 bytes each: 35 minutes at 4 kHz.
+pub const MAX_KNOTS: u64 = 1 << 23;
 
 /// Motions that need no file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -51,7 +54,7 @@ enum Motion {
     /// Amplitude, angular frequency and phase of each coordinate.
     Sines([(f64, f64, f64); 6]),
     /// Knots in time, constant twist between them, at rest before and after.
-    Path(Vec<(f64, Pose)>),
+    Path(Vec<(f64, Pose)>, PoseSizes),
     Reversals(Box<Reversals>),
 }
 
@@ -93,7 +96,7 @@ impl Trajectory {
         let by_m = (workspace.half_extent_m * (SHARE / AMPLITUDE_M)).min(DVec3::ONE);
         let by_rad = (workspace.half_extent_rad * (SHARE / AMPLITUDE_RAD)).min(DVec3::ONE);
         match &mut self.0 {
-            Motion::Still | Motion::Path(_) => {}
+            Motion::Still | Motion::Path(..) => {}
             Motion::Sines(sines) => {
                 for ((amplitude, ..), by) in sines.iter_mut().zip(by_m.to_array().into_iter().chain(by_rad.to_array()))
                 {
@@ -111,42 +114,49 @@ impl Trajectory {
     /// # Errors
     /// If the table cannot be read, or time does not advance.
     pub fn from_table(file: &str) -> Result<Self, PathError> {
-        let mut table = TableReader::open(file)?;
+        Self::through_rows(TableReader::open(file)?)
+    }
+
+    /// As [`Self::from_table`], of a table that is open.
+    ///
+    /// # Errors
+    /// If the table cannot be read, or time does not advance.
+    pub fn through_rows(table: TableReader) -> Result<Self, PathError> {
+        let mut table = table.of_at_most(MAX_KNOTS);
         let time = table.column("time_s")?;
         let columns = PoseColumns::keyed(&table, "time_s")?;
-        let mut knots: Vec<(f64, Pose)> = Vec::new();
+        let (mut knots, mut sizes) = (Vec::<(f64, Pose)>::new(), PoseSizes::default());
         while let Some(row) = table.next_row()? {
             let time_s = row.number(time)?;
             if let Some(&(before_s, _)) = knots.last()
                 && time_s <= before_s
             {
-                return Err(PathError::Order { file: file.to_owned(), before_s, time_s });
+                return Err(PathError::Order { file: table.file().to_owned(), before_s, time_s });
             }
-            knots.push((time_s, columns.pose(&row)?));
+            knots.push((time_s, sizes.pose(&columns, &row)?));
         }
-        Ok(Self::through(knots))
+        Ok(Self(Motion::Path(knots, sizes)))
     }
 
-    /// The poses that a path leads through; none of any other motion.
-    pub fn knots(&self) -> impl Iterator<Item = &Pose> {
-        let knots = if let Motion::Path(knots) = &self.0 { knots.as_slice() } else { &[] };
-        knots.iter().map(|(_, pose)| pose)
+    /// Instants, seconds, and poses that a path leads through, and the numbers of its table; `None` of any other motion.
+    pub fn path(&self) -> Option<(&[(f64, Pose)], &PoseSizes)> {
+        if let Motion::Path(knots, sizes) = &self.0 { Some((knots, sizes)) } else { None }
+    }
+
+    /// First and last instant of a path, seconds; `None` of any other motion.
+    pub fn span_s(&self) -> Option<[f64; 2]> {
+        let (knots, _) = self.path()?;
+        Some([knots.first()?.0, knots.last()?.0])
     }
 
     /// A path through `knots`, in the order of time in seconds, with a constant twist between them.
     pub fn through(knots: Vec<(f64, Pose)>) -> Self {
-        Self(Motion::Path(knots))
+        Self(Motion::Path(knots, PoseSizes::default()))
     }
 
     /// Whether `time_s` is within the path; before and after it the tool rests.
     pub fn covers(&self, time_s: f64) -> bool {
-        match &self.0 {
-            Motion::Still | Motion::Sines(_) | Motion::Reversals(_) => true,
-            Motion::Path(knots) => {
-                knots.first().is_some_and(|first| time_s >= first.0)
-                    && knots.last().is_some_and(|last| time_s <= last.0)
-            }
-        }
+        self.span_s().is_none_or(|[first_s, last_s]| (first_s..=last_s).contains(&time_s))
     }
 
     /// The pose of the tool at `time_s`.
@@ -157,7 +167,7 @@ impl Trajectory {
                 let v = sines.map(|(amplitude, frequency, phase)| amplitude * (frequency * time_s + phase).sin());
                 Pose::from_vectors(DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5]))
             }
-            Motion::Path(knots) => on_path(knots, time_s),
+            Motion::Path(knots, _) => on_path(knots, time_s),
             Motion::Reversals(reversals) => reversals.pose(time_s),
         }
     }

@@ -14,7 +14,7 @@ mod writer;
 
 pub use current_columns::CurrentColumns;
 pub use output::{CAPTURE_MAGIC, Output, OutputError, Replace, is_capture, refuse_twice};
-pub use pose_columns::{POSE_COLUMNS, PoseColumns};
+pub use pose_columns::{POSE_COLUMNS, PoseColumns, PoseSizes};
 pub use reader::{Column, Row, Rows, TableError, TableReader};
 pub use solution_columns::{SOLUTION_COLUMNS, SolutionRow};
 pub use writer::{ChunkedTable, TableRows, TableWriter};

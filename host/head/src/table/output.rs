@@ -11,7 +11,7 @@ use thiserror::Error;
 
 use crate::foreign::printable_lines;
 use crate::replacement::part_of;
-use crate::{interrupt, special_file};
+use crate::{interrupt, special_file, text_file};
 
 /// The magic of captures: MCAP, <https://mcap.dev/spec#magic>.
 pub const CAPTURE_MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -233,8 +233,10 @@ impl Write for Output {
 /// Whether a file begins as captures do.
 pub fn is_capture(path: &Path) -> bool {
     let mut begin = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(CAPTURE_MAGIC.len() as u64).read_to_end(&mut begin));
-    read.is_ok() && begin == CAPTURE_MAGIC
+    // What is taken from a pipe is gone.
+    let file = text_file::open(path).ok().filter(|file| file.metadata().is_ok_and(|metadata| metadata.is_file()));
+    let read = file.map(|file| file.take(CAPTURE_MAGIC.len() as u64).read_to_end(&mut begin));
+    read.is_some_and(|read| read.is_ok()) && begin == CAPTURE_MAGIC
 }
 
 /// Refuses a result in the place of something the same command reads, or of another result.

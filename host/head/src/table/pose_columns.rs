@@ -1,20 +1,25 @@
 //! The columns that hold a pose: `id,tx_mm,ty_mm,tz_mm,rx_rad,ry_rad,rz_rad`.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 use slitpose_model::Pose;
 
 use super::reader::{Column, Row, TableError, TableReader};
+use crate::finding::Finding;
+use crate::scene_file::Workspace;
 
 /// Names of the six columns of a pose.
 pub const POSE_COLUMNS: [&str; 6] = ["tx_mm", "ty_mm", "tz_mm", "rx_rad", "ry_rad", "rz_rad"];
 
 /// A translation beyond this is a slip of units, not a pose: 1000 km.
-const LONGEST_MM: f64 = 1e9;
+const MAX_MM: f64 = 1e9;
 
-/// A rotation vector beyond this has lost its angle to rounding.
-const MOST_RAD: f64 = 1e6;
+/// Half a turn as tables round it, relative.
+const ROUNDING: f64 = 1e-3;
+
+/// Share of the workspace that translations leave unused only if they are metres, or the tool only turns.
+const TINY: f64 = 2e-3;
 
 /// Where a table keeps its poses.
 #[derive(Clone, Copy, Debug)]
@@ -49,28 +54,107 @@ impl PoseColumns {
         row.text(self.id)
     }
 
-    /// The row's pose as an instrument reports it: rotations of more than a turn are refused.
-    pub fn reported_pose(&self, row: &Row<'_>) -> Result<Pose, TableError> {
-        self.pose_within(row, TAU, "radians, at most a turn of 6.28; are these degrees?")
-    }
-
     /// The row's pose.
     pub fn pose(&self, row: &Row<'_>) -> Result<Pose, TableError> {
-        self.pose_within(row, MOST_RAD, "radians, at most 1e6")
+        PoseSizes::default().pose(self, row)
     }
+}
 
-    fn pose_within(&self, row: &Row<'_>, most_rad: f64, rotations: &'static str) -> Result<Pose, TableError> {
+/// The least and the greatest number of each column of poses: whether they can be millimetres and radians.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseSizes {
+    /// Each with its row, from 1.
+    extremes: [[(f64, u64); 2]; 6],
+}
+
+impl Default for PoseSizes {
+    fn default() -> Self {
+        Self { extremes: [[(f64::INFINITY, 0), (f64::NEG_INFINITY, 0)]; 6] }
+    }
+}
+
+impl PoseSizes {
+    /// The pose of a row, whose numbers are counted in.
+    ///
+    /// # Errors
+    /// Fields that are no numbers, and numbers that cannot be millimetres or radians of a rotation vector.
+    pub fn pose(&mut self, columns: &PoseColumns, row: &Row<'_>) -> Result<Pose, TableError> {
         let mut numbers = [0.0; 6];
-        for (index, (number, column)) in numbers.iter_mut().zip(self.components).enumerate() {
+        for (index, (number, column)) in numbers.iter_mut().zip(columns.components).enumerate() {
             *number = row.number(column)?;
-            if index < 3 && number.abs() > LONGEST_MM {
+            if index < 3 && number.abs() > MAX_MM {
                 return Err(row.out_of_range(column, *number, "millimetres, at most 1e9"));
             }
-            if index >= 3 && number.abs() > most_rad {
-                return Err(row.out_of_range(column, *number, rotations));
+            if index >= 3 && number.abs() > TAU {
+                return Err(row.out_of_range(
+                    column,
+                    *number,
+                    "the rotation vector in radians, at most a turn of 6.28; are these degrees?",
+                ));
             }
+            self.include(index, [(*number, row.number_of_row()); 2]);
         }
         let [tx, ty, tz, rx, ry, rz] = numbers;
         Ok(Pose::from_vectors(DVec3::new(tx, ty, tz) * 1e-3, DVec3::new(rx, ry, rz)))
+    }
+
+    /// Counts the rows of `other` in.
+    pub fn merge(&mut self, other: &Self) {
+        other.extremes.into_iter().enumerate().for_each(|(index, extremes)| self.include(index, extremes));
+    }
+
+    fn include(&mut self, index: usize, [least, greatest]: [(f64, u64); 2]) {
+        let [low, high] = &mut self.extremes[index];
+        if least.0 < low.0 {
+            *low = least;
+        }
+        if greatest.0 > high.0 {
+            *high = greatest;
+        }
+    }
+
+    /// The number of column `index` that is farthest from zero, and its row.
+    fn largest(&self, index: usize) -> (f64, u64) {
+        let [low, high] = self.extremes[index];
+        if low.0.abs() > high.0.abs() { low } else { high }
+    }
+
+    /// What makes other units likely in the table `file` of poses for a head with this workspace, if anything does: `far` is how
+    /// many times as far out as that poses may lead.
+    pub fn finding(&self, file: &str, workspace: &Workspace, far: f64) -> Option<Finding> {
+        let (half_m, half_rad) = (workspace.half_extent_m, workspace.half_extent_rad);
+        let half = [half_m.x * 1e3, half_m.y * 1e3, half_m.z * 1e3, half_rad.x, half_rad.y, half_rad.z];
+        let times = |index: usize| self.largest(index).0.abs() / half[index];
+        let finite = (0..6).map(|index| (index, times(index))).filter(|(_, times)| times.is_finite());
+        let (farthest, times) = finite.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let turned = (3..6).find(|&index| self.largest(index).0.abs() > PI * (1.0 + ROUNDING));
+        let extent = |index: usize| {
+            let [low, high] = self.extremes[index];
+            0.5 * (high.0 - low.0) / half[index]
+        };
+        // Of no extent in a workspace of none is NaN, which `max` leaves out.
+        let [translations, rotations] = [0..3, 3..6].map(|axes| axes.map(extent).fold(0.0, f64::max));
+        let is_tiny = translations > 0.0 && translations < TINY && (rotations == 0.0 || rotations > TINY);
+        let degrees = "are these degrees? rotations are radians";
+        let (index, what, next_step) = if times > far {
+            let what = format!(
+                "leads {times:.0} times as far out as the scene's workspace, where there may be no light and no pose"
+            );
+            let units = if farthest < 3 { "are these micrometres? translations are millimetres" } else { degrees };
+            (farthest, what, units)
+        } else if let Some(index) = turned {
+            (index, "is more than half a turn, which no rotation vector takes".to_owned(), degrees)
+        } else if is_tiny {
+            let index = (0..3).max_by(|a, b| self.largest(*a).0.abs().total_cmp(&self.largest(*b).0.abs()))?;
+            let what = format!(
+                "is the largest translation, and all of them move by {translations:.0e} of the scene's workspace only"
+            );
+            (index, what, "are these metres? translations are millimetres")
+        } else {
+            return None;
+        };
+        let (value, row) = self.largest(index);
+        let place = format!("{file}, row {row}, column `{}`", POSE_COLUMNS[index]);
+        Some(Finding::warning(place, format!("{value} {what}"), next_step))
     }
 }

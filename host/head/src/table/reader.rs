@@ -1,7 +1,8 @@
 //! CSV in.
 
-use std::fs::{File, Metadata};
+use std::fs::Metadata;
 use std::io::{self, BufRead, BufReader, Read};
+use std::path::Path;
 use std::sync::Arc;
 
 use csv_core::ReadRecordResult;
@@ -9,6 +10,7 @@ use thiserror::Error;
 
 use super::line_ends::LineFeeds;
 use crate::foreign::printable;
+use crate::text_file::{self, TextFileError};
 
 /// Why a table cannot be used.
 #[derive(Debug, Error)]
@@ -18,8 +20,8 @@ pub enum TableError {
     Open {
         /// The file.
         file: String,
-        /// The system's error.
-        source: io::Error,
+        /// Why not.
+        source: TextFileError,
     },
     /// Reading failed on the way.
     #[error("reading {file} failed after row {row}")]
@@ -30,6 +32,26 @@ pub enum TableError {
         row: u64,
         /// The system's error.
         source: io::Error,
+    },
+    /// A row without an end.
+    #[error(
+        "{file}, line {line}: a row of more than {MAX_ROW_BYTES} bytes; end each row with a line feed, and close quotes"
+    )]
+    LongRow {
+        /// The file.
+        file: String,
+        /// Line of the file, from 1.
+        line: u64,
+    },
+    /// More rows than are held in memory at once.
+    #[error(
+        "{file} has more than {max_rows} rows, which are needed in memory at once; give fewer, such as every tenth"
+    )]
+    TooManyRows {
+        /// The file.
+        file: String,
+        /// The most rows that are read.
+        max_rows: u64,
     },
     /// A file without a header row.
     #[error("{file} is empty; give a header row and at least one row of data")]
@@ -56,7 +78,7 @@ pub enum TableError {
     },
     /// A column that is needed and not there.
     #[error(
-        "{file}, line 1: column `{}` is missing; the header has {}; add the column",
+        "{file}, line 1: column `{}` is missing; the header has {}; {next_step}",
         printable(column),
         printable(present)
     )]
@@ -67,6 +89,8 @@ pub enum TableError {
         column: String,
         /// The names that are there.
         present: String,
+        /// What to do.
+        next_step: String,
     },
     /// Two columns of one name.
     #[error("{file}, line 1: column `{}` stands in the header twice; remove or rename one", printable(column))]
@@ -77,7 +101,7 @@ pub enum TableError {
         column: String,
     },
     /// A row that is longer or shorter than the header.
-    #[error("{file}, row {row} (line {line}): {found} fields, but the header has {expected}; correct this row")]
+    #[error("{file}, row {row} (line {line}): {found} fields, but the header has {expected}; {next_step}")]
     UnequalRow {
         /// The file.
         file: String,
@@ -89,6 +113,8 @@ pub enum TableError {
         found: u64,
         /// Fields in the header.
         expected: u64,
+        /// What to do.
+        next_step: &'static str,
     },
     /// Bytes that are no text.
     #[error("{file}, row {row} (line {line}): not UTF-8 text; save the file as UTF-8")]
@@ -136,11 +162,14 @@ pub enum TableError {
     },
 }
 
+/// Longest row, bytes: the header of 16 cells has less than 2 kB.
+const MAX_ROW_BYTES: usize = 1 << 20;
+
 /// Bytes that are read at a time.
 const READ_BYTES: usize = 1 << 16;
 
 /// What programs write instead of commas, also where a comma begins the decimals.
-const SEPARATORS: [(char, &str); 2] = [(';', "semicolons"), ('\t', "tabs")];
+const SEPARATORS: [(char, &str); 4] = [(';', "semicolons"), ('\t', "tabs"), ('|', "bars"), (' ', "blanks")];
 
 /// A column of the table at hand, found by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -163,6 +192,7 @@ pub struct TableReader {
     /// Whether [`TableReader::next_row`] has not given it out yet.
     waiting: bool,
     rows: u64,
+    max_rows: u64,
     /// What [`TableReader::next_rows`] found after the rows that it gave out last.
     postponed: Option<TableError>,
 }
@@ -197,17 +227,21 @@ impl Records {
         }
     }
 
-    /// The next one; `None` at the end.
-    fn next(&mut self) -> io::Result<Option<Record<'_>>> {
+    /// The next one of the table `file`, behind `row`; `None` at the end.
+    fn next(&mut self, file: &str, row: u64) -> Result<Option<Record<'_>>, TableError> {
         let line = self.parser.line();
         let (mut length, mut fields) = (0, 0);
         loop {
-            let input = self.source.fill_buf()?;
+            let input = self.source.fill_buf();
+            let input = input.map_err(|source| TableError::Read { file: file.to_owned(), row, source })?;
             let (result, read, written, ended) =
                 self.parser.read_record(input, &mut self.text[length..], &mut self.ends[fields..]);
             self.source.consume(read);
             self.parsed += read as u64;
             (length, fields) = (length + written, fields + ended);
+            if length + fields > MAX_ROW_BYTES {
+                return Err(TableError::LongRow { file: file.to_owned(), line });
+            }
             match result {
                 ReadRecordResult::InputEmpty => {}
                 ReadRecordResult::OutputFull => self.text.resize(2 * self.text.len(), 0),
@@ -227,7 +261,8 @@ impl TableReader {
         if file == "-" {
             return Self::new("standard input", io::stdin().lock());
         }
-        let opened = File::open(file).map_err(|source| TableError::Open { file: file.to_owned(), source })?;
+        let opened = text_file::open(Path::new(file));
+        let opened = opened.map_err(|source| TableError::Open { file: file.to_owned(), source })?;
         let length = opened.metadata().ok().filter(Metadata::is_file).map(|metadata| metadata.len());
         Ok(Self { length, ..Self::new(file, opened)? })
     }
@@ -235,23 +270,41 @@ impl TableReader {
     /// Reads from any source; `file` names it in messages. A table without any row is an error.
     pub fn new(file: &str, source: impl Read + 'static) -> Result<Self, TableError> {
         let mut records = Records::of(source);
-        let header = records.next().map_err(|source| TableError::Read { file: file.to_owned(), row: 0, source })?;
-        let Some(Record { text, ends, line }) = header else {
-            return Err(TableError::Empty { file: file.to_owned() });
+        let header = loop {
+            let Some(Record { text, ends, line }) = records.next(file, 0)? else {
+                return Err(TableError::Empty { file: file.to_owned() });
+            };
+            let text =
+                std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file.to_owned(), row: 0, line })?;
+            let header: Vec<_> = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
+            // A line for spreadsheets alone: it says that commas separate the columns.
+            if header != ["sep=", ""] {
+                break header;
+            }
         };
-        let text =
-            std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file.to_owned(), row: 0, line })?;
-        let header: Vec<_> = (0..ends.len()).map(|index| field(text, ends, index).trim().to_owned()).collect();
         if let [only] = &header[..]
+            && !only.starts_with('#')
             && let Some((_, separator)) = SEPARATORS.into_iter().find(|(separator, _)| only.contains(*separator))
         {
             return Err(TableError::Separator { file: file.to_owned(), separator });
         }
         let names = Arc::new(Names { file: file.to_owned(), header });
         let row = Rows::none(&names, 1);
-        let mut table = Self { names, records, length: None, row, waiting: false, rows: 0, postponed: None };
+        let (length, max_rows) = (None, u64::MAX);
+        let mut table = Self { names, records, length, row, waiting: false, rows: 0, max_rows, postponed: None };
         table.waiting = table.advance()?;
         if table.waiting { Ok(table) } else { Err(TableError::NoRows { file: file.to_owned() }) }
+    }
+
+    /// Refuses tables of more rows: for those who need all rows at once.
+    #[must_use]
+    pub fn of_at_most(self, max_rows: u64) -> Self {
+        Self { max_rows, ..self }
+    }
+
+    /// The name of the table in messages.
+    pub fn file(&self) -> &str {
+        &self.names.file
     }
 
     /// Bytes of the file, if it has a length.
@@ -270,6 +323,7 @@ impl TableReader {
             file: self.names.file.clone(),
             column: name.to_owned(),
             present: self.names.header.join(", "),
+            next_step: next_step(name, &self.names.header),
         })
     }
 
@@ -289,7 +343,7 @@ impl TableReader {
         Ok(if more { self.row.iter().next() } else { None })
     }
 
-    /// Up to `most` of the next rows; none at the end. An error belongs to the row after those of the last call and before
+    /// Up to `most` of the next rows, fewer long ones; none at the end. An error belongs to the row after those of the last call and before
     /// those of the next: rows that come before it are given out first.
     pub fn next_rows(&mut self, most: usize) -> Result<Rows, TableError> {
         if let Some(error) = self.postponed.take() {
@@ -297,7 +351,7 @@ impl TableReader {
         }
         let none = Rows::none(&self.names, self.rows + 1);
         let mut rows = if std::mem::take(&mut self.waiting) { std::mem::replace(&mut self.row, none) } else { none };
-        while rows.len() < most {
+        while rows.len() < most && rows.text.len() < MAX_ROW_BYTES {
             match self.read_into(&mut rows) {
                 Ok(true) => {}
                 Ok(false) => break,
@@ -322,13 +376,23 @@ impl TableReader {
     /// Adds the next row to `rows`; `false` at the end.
     fn read_into(&mut self, rows: &mut Rows) -> Result<bool, TableError> {
         let file = || self.names.file.clone();
-        let next = self.records.next().map_err(|source| TableError::Read { file: file(), row: self.rows, source })?;
+        let next = self.records.next(&self.names.file, self.rows)?;
         let Some(Record { text, ends, line }) = next else { return Ok(false) };
         let row = self.rows + 1;
+        if row > self.max_rows {
+            return Err(TableError::TooManyRows { file: file(), max_rows: self.max_rows });
+        }
         let text = std::str::from_utf8(text).map_err(|_| TableError::NotText { file: file(), row, line })?;
         if ends.len() != self.names.header.len() {
             let [found, expected] = [ends.len(), self.names.header.len()].map(|fields| fields as u64);
-            return Err(TableError::UnequalRow { file: file(), row, line, found, expected });
+            let next_step = if self.names.header[0].starts_with('#') {
+                REMOVE_COMMENTS
+            } else if found > expected {
+                "correct this row: decimals begin with a point, and texts with commas stand in quotes"
+            } else {
+                "correct this row"
+            };
+            return Err(TableError::UnequalRow { file: file(), row, line, found, expected, next_step });
         }
         rows.begins.push(rows.text.len());
         rows.lines.push(line);
@@ -336,6 +400,33 @@ impl TableReader {
         rows.ends.extend_from_slice(ends);
         self.rows = row;
         Ok(true)
+    }
+}
+
+const REMOVE_COMMENTS: &str = "remove lines of comments, and the # before the header";
+
+/// What to do about a column `wanted` that is not in `header`.
+fn next_step(wanted: &str, header: &[String]) -> String {
+    let is_there = |name: &str| header.iter().any(|column| column.eq_ignore_ascii_case(name));
+    if header.first().is_some_and(|first| first.starts_with('#')) {
+        return REMOVE_COMMENTS.to_owned();
+    }
+    if header.iter().any(|column| column.parse::<f64>().is_ok()) {
+        return "add a line with the names of the columns above the numbers".to_owned();
+    }
+    if wanted.ends_with("_rad") && ["qx", "qy", "qz", "qw"].into_iter().all(is_there) {
+        return "turn quaternions into rotation vectors, axis times angle in radians, as rotation_vectors of the Python \
+                package does"
+            .to_owned();
+    }
+    // Without the unit, which stands behind the last underscore, or in brackets.
+    let bare = |name: &str| {
+        let name = name.split([' ', '(', '[']).next().unwrap_or_default().to_ascii_lowercase();
+        name.rsplit_once('_').map_or(name.clone(), |(bare, _)| bare.to_owned())
+    };
+    match header.iter().find(|column| column.eq_ignore_ascii_case(wanted) || bare(column) == bare(wanted)) {
+        Some(like) => format!("add the column, or rename {} if that is its name and unit", printable(like)),
+        None => "add the column".to_owned(),
     }
 }
 

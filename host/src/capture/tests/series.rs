@@ -1,6 +1,7 @@
 //! Captures in several files, and files of earlier runs.
 
 use super::*;
+use crate::playback::{Choice, Event, Playback, PlaybackError};
 
 #[test]
 fn each_file_of_a_series_stands_alone() {
@@ -45,6 +46,35 @@ fn each_file_of_a_series_stands_alone() {
             assert_eq!(all.bytes(device), delivered.bytes(device));
         }
     }
+}
+
+/// As a program that rewrites captures may leave settings: where they apply to nothing.
+#[test]
+fn settings_of_no_bytes_are_a_loss_and_scans_before_them_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("moved.mcap");
+    let mut series = CaptureSeries::create(&path, Limits::default(), Existing::Kept, About::default()).unwrap();
+    series.add_device(setup(FIRST), None, 0).unwrap();
+    let mut segment = Segment::default();
+    segment.push(&stream(&WIDE.read().unwrap(), 40, false).concat(), None);
+    series.segment(FIRST, &segment, 0).unwrap();
+    let other = Settings { tier: Tier::Paper, ..settings() };
+    series.add_device(Setup::new(FIRST, &WIDE.read().unwrap().into(), other), None, 0).unwrap();
+    series.finish().unwrap();
+    let (mut poses, mut losses) = (0, Vec::new());
+    let mut hear = |event: Event<'_>| {
+        match event {
+            Event::Item { item: Item::Pose(_), .. } => poses += 1,
+            Event::Loss(loss) => losses.push(loss.to_owned()),
+            _ => {}
+        }
+        Ok::<_, PlaybackError>(())
+    };
+    let mut playback = Playback::open(vec![path], Choice::default()).unwrap();
+    while playback.step(&mut hear).unwrap() {}
+    playback.end(&mut hear).unwrap();
+    assert_eq!(poses, 40);
+    assert!(losses.iter().any(|loss| loss.contains("1 of its settings") && loss.contains("40 scans")), "{losses:?}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! `slitpose device set`: which head a board belongs to, kept on the board.
+//! `slitpose device set`: which head and which front end a board has, kept on the board.
 
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -20,10 +21,12 @@ const HELLO_WITHIN: Duration = Duration::from_secs(1);
 /// Has a board keep the schedule and the hashes of its head's scene and calibration, also without supply.
 ///
 /// From then on it starts with that schedule, and `run` refuses to read it by the scene or the calibration of another
-/// head. What is stored is read back. Unless one is given, a calibration stays stored only if the scene stays the same.
+/// head. What is stored is read back. Unless one is given, a calibration stays stored only if the scene stays the same,
+/// and the full scale stays as it is.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  slitpose device set --scene head.toml\n  \
                   slitpose device set --scene head.toml --calibration calibration.toml\n  \
+                  slitpose device set --scene head.toml --full-scale 6.6\n  \
                   slitpose device set --device 0036002900544850025a0320 --clear")]
 pub(super) struct Args {
     #[command(flatten)]
@@ -34,6 +37,10 @@ pub(super) struct Args {
     /// The calibration of its head, which `slitpose calibrate` wrote
     #[arg(long, value_name = "FILE", requires = "scene")]
     calibration: Option<PathBuf>,
+    /// Photocurrent of an electrode at the end of its converter's range, in microamperes: the reference voltage over the
+    /// feedback resistor
+    #[arg(long, value_name = "UA", requires = "scene", value_parser = parse_full_scale)]
+    full_scale: Option<NonZeroU32>,
     /// Forget what is stored; the board starts with its defaults from then on
     #[arg(long)]
     clear: bool,
@@ -55,6 +62,10 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             let hashes = Hashes { scene: Some(file.hash), calibration: given.or(before.calibration.filter(|_| same)) };
             let schedule = configuration.schedule.clone();
             connection.board.configure(configuration)?;
+            if let Some(full_scale_pa) = args.full_scale {
+                connection.board.set_full_scale(full_scale_pa)?;
+                connection.info = connection.board.introduce(HELLO_WITHIN)?;
+            }
             let solving = if given == hashes.calibration {
                 let head = calibrated.unwrap_or_else(|| file.clone().into());
                 send_head(&mut connection, &head, &schedule)?
@@ -64,7 +75,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
             };
             connection.board.store(hashes)?;
             let after = connection.board.introduce(HELLO_WITHIN)?;
-            if after.hashes != hashes || after.schedule != schedule {
+            if after.hashes != hashes || after.schedule != schedule || after.scaling != connection.info.scaling {
                 return Err(DeviceError::NotStored { name: connection.board.name() }.into());
             }
             let calibration = match hashes.calibration {
@@ -73,16 +84,25 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
                 None => String::new(),
             };
             format!(
-                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s{calibration}{solving}\n",
+                "{} keeps scene `{}` with hash {:016x}, {:.3} frames/s, up to {:.3} uA{calibration}{solving}\n",
                 connection.name(),
                 file.name,
                 file.hash,
-                schedule.frame_rate_hz()
+                schedule.frame_rate_hz(),
+                after.scaling.full_scale_a() * 1e6
             )
         }
     };
     Output::open(None)?.write_text(&said)?;
     Ok(Outcome::Done)
+}
+
+/// Reads microamperes.
+fn parse_full_scale(text: &str) -> Result<NonZeroU32, String> {
+    let pa = text.parse().map_or(f64::NAN, |ua: f64| (ua * 1e6).round());
+    // What is no number, or below zero, becomes zero.
+    let full_scale = NonZeroU32::new(pa as u32).filter(|_| pa <= f64::from(u32::MAX));
+    full_scale.ok_or_else(|| "give microamperes, more than 0 and up to 4294".to_owned())
 }
 
 /// Gives a board that solves poses its head, and says how that went.

@@ -6,10 +6,9 @@ use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::commands::options::{CalibrationOption, Jobs};
+use crate::commands::options::{CalibrationOption, Jobs, open_scene};
 use crate::terminal::{Amount, Progress};
 use slitpose_design::survey::Survey;
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
 
 /// Shows what a scene can do, and warns of what it cannot.
@@ -44,7 +43,7 @@ enum Format {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file;
+    let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
     let output = Output::open(args.output.as_deref())?;
     let samples = args.samples as usize;
     args.jobs.apply();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::commands::options::{CalibrationOption, Jobs, parse_number};
+use crate::commands::options::{CalibrationOption, Jobs, open_scene, parse_number};
 use crate::commands::publish::publish;
 use crate::terminal::{Amount, Progress};
 use slitpose_design::map::{Fineness, Map, Schedules, Tolerances};
@@ -52,7 +52,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
     args.jobs.apply();
-    let head = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?;
+    let head = args.calibration.head_as_drawn(open_scene(&args.scene)?)?;
     let folder = args.output.as_deref().map(Folder::create).transpose()?;
     let schedules = args.schedule.map(|rate_hz| Schedules::of(&head.file, rate_hz)).transpose()?;
     // Planes are for pictures.

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use clap::ValueEnum;
 
 use super::{CommandError, Outcome};
-use crate::commands::options::{Jobs, parse_number};
+use crate::commands::options::{Jobs, open_scene, parse_number};
 use crate::commands::publish::store;
 use crate::commands::{interrupt, names, talk};
 use crate::terminal::{Amount, Progress};
@@ -37,7 +37,7 @@ pub(super) struct Args {
     #[arg(value_parser = names::scenes(), hide_possible_values = true)]
     scene: String,
     /// What is free, within what: slit_width, or slit_width=0.3..1.2
-    #[arg(long, value_name = "NAME[=FROM..TO]", required = true)]
+    #[arg(long, value_name = "NAME[=FROM..TO]")]
     free: Vec<Free>,
     /// Which standard deviation is to be least
     #[arg(long, value_enum, default_value_t = DemandName::Median)]
@@ -117,7 +117,7 @@ pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
         Some(_) => None,
         None => Some(Output::open(args.output.as_deref())?),
     };
-    let file = SceneFile::open(&args.scene)?;
+    let file = open_scene(&args.scene)?;
     let mut free: Vec<Free> = Vec::new();
     for one in &args.free {
         free.retain(|before| before.quantity != one.quantity);

@@ -6,9 +6,8 @@ use slitpose_model::{Plan, Pose, Tier};
 
 use super::{CommandError, Outcome};
 use crate::commands::names;
-use crate::commands::options::{CalibrationOption, parse_pose};
+use crate::commands::options::{CalibrationOption, open_scene, parse_pose};
 use slitpose_design::plot::{cell_picture, scene_picture};
-use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::Output;
 
 /// More than a picture can show.
@@ -36,7 +35,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let file = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?.file;
+    let file = args.calibration.head_as_drawn(open_scene(&args.scene)?)?.file;
     let plan = Plan::<f64>::compile(&file.scene, Tier::Exact { tolerance: TOLERANCE })?;
     let pose = args.pose.unwrap_or(Pose::HOME);
     let picture = match args.cell {

@@ -5,10 +5,9 @@ use std::time::Duration;
 
 use super::{CommandError, Outcome};
 use crate::commands::live::AccessOptions;
-use crate::commands::options::CalibrationOption;
+use crate::commands::options::{CalibrationOption, open_scene};
 use crate::commands::{interrupt, names};
 use crate::live::{Control, DEFAULT_LIVE_ADDRESS, LiveAddress, LiveBoard, LivePlan, Order, Refusal, SceneView};
-use slitpose_head::scene_file::SceneFile;
 
 /// Shows a scene on a page: drag the tool, and see the light on each detector and the accuracy of a frame there.
 ///
@@ -47,7 +46,7 @@ impl Control for Still {
 const MOMENT: Duration = Duration::from_millis(50);
 
 pub(super) fn run(args: &Args) -> Result<Outcome, CommandError> {
-    let head = args.calibration.head_as_drawn(SceneFile::open(&args.scene)?)?;
+    let head = args.calibration.head_as_drawn(open_scene(&args.scene)?)?;
     let stop = interrupt()?;
     let _server = args.access.start(LivePlan {
         access: args.access.at(args.live)?,

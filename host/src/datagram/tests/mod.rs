@@ -7,10 +7,13 @@ mod slot;
 mod wall;
 mod wall_loop;
 
+use std::io::IoSlice;
 use std::net::{Ipv4Addr, UdpSocket};
+use std::os::fd::{AsFd, AsRawFd};
 use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
 
+use nix::sys::socket::{ControlMessage, MsgFlags, sendmsg};
 use slitpose_model::Tier;
 use tempfile::TempDir;
 
@@ -87,6 +90,25 @@ impl Bench {
         client.connect(path).unwrap();
         client.set_read_timeout(Some(PATIENCE)).unwrap();
         client
+    }
+
+    /// A client with a queue of its own; of its socket pair, the end that it reads. `renew` requests datagrams again.
+    fn passing_client(&self) -> (UnixDatagram, impl Fn(Request) -> std::io::Result<usize> + use<>) {
+        let (near, far) = UnixDatagram::pair().unwrap();
+        near.set_read_timeout(Some(PATIENCE)).unwrap();
+        (near, self.passes(far))
+    }
+
+    /// Sends requests with `passed`.
+    fn passes<F: AsFd>(&self, passed: F) -> impl Fn(Request) -> std::io::Result<usize> + use<F> {
+        let Address::Unix(path) = &self.server.addresses()[0] else { panic!("unix first") };
+        let ask = UnixDatagram::unbound().unwrap();
+        ask.connect(path).unwrap();
+        move |request| {
+            let (bytes, passed) = (request.to_bytes(), [passed.as_fd().as_raw_fd()]);
+            let rights = [ControlMessage::ScmRights(&passed)];
+            Ok(sendmsg::<()>(ask.as_raw_fd(), &[IoSlice::new(&bytes)], &rights, MsgFlags::empty(), None)?)
+        }
     }
 
     fn udp_client(&self) -> UdpSocket {

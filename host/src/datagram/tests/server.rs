@@ -1,6 +1,7 @@
 //! Requests and what becomes of them.
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixDatagram;
 
 use tempfile::TempDir;
@@ -194,6 +195,131 @@ fn who_does_not_read_misses_datagrams_and_delays_nobody() {
     assert_eq!(numbers, (1..counts.sent).collect::<Vec<_>>());
     publisher.publish(&record, now);
     assert_eq!(drain(&slow), (vec![PUBLISHED + 1], counts.missed));
+}
+
+type Receive = Box<dyn Fn(&mut [u8]) -> std::io::Result<usize>>;
+
+/// A client that follows with a queue of its own, on a Unix socket or on UDP: what it receives, without waiting.
+fn follower(bench: &Bench, is_udp: bool) -> Receive {
+    if is_udp {
+        let client = bench.udp_client();
+        let cookie = bench.prove(&client);
+        bench.tell(|| client.send(&Request { mode: Mode::Follow, device: None, cookie }.to_bytes()));
+        client.set_nonblocking(true).unwrap();
+        Box::new(move |bytes| client.recv(bytes))
+    } else {
+        let (near, ask) = bench.passing_client();
+        bench.tell(|| ask(Request::new(Mode::Follow, None)));
+        near.set_nonblocking(true).unwrap();
+        Box::new(move |bytes| {
+            // It keeps the other end, too, as clients do.
+            let _ = &ask;
+            near.recv(bytes)
+        })
+    }
+}
+
+#[test]
+fn no_client_misses_a_datagram_because_of_another() {
+    // More than a queue holds.
+    const PUBLISHED: u64 = 2_000;
+    for is_udp in [false, true] {
+        // Stopped, slow and dead ones beside healthy ones, in all places.
+        for [stopped, slow, dead] in [[15, 0, 0], [0, 15, 0], [0, 0, 15], [5, 5, 5], [0, 0, 0], [1, 0, 0]] {
+            let bench = Bench::new();
+            let case = format!("udp {is_udp}: {stopped} stopped, {slow} slow, {dead} dead");
+            let follow = |count: usize| (0..count).map(|_| follower(&bench, is_udp)).collect::<Vec<_>>();
+            let [stopped_clients, slow_clients] = [stopped, slow].map(follow);
+            drop(follow(dead));
+            let healthy = follow(16 - stopped - slow - dead);
+            assert_eq!(bench.server.counts().places_taken, 16, "{case}");
+            let mut publisher = bench.server.publisher(DEVICE);
+            let (record, now, mut bytes) = (record(), HostInstant::now(), [0; PoseDatagram::BYTES]);
+            for number in 1..=PUBLISHED {
+                publisher.publish(&record, now);
+                for client in &healthy {
+                    assert_eq!(client(&mut bytes).unwrap(), bytes.len(), "{case}");
+                    assert_eq!((u64_at(&bytes, 32), u64_at(&bytes, 40)), (number, 0), "{case}");
+                }
+                if number % 50 == 0 {
+                    slow_clients.iter().for_each(|client| assert!(client(&mut bytes).is_ok(), "{case}"));
+                }
+            }
+            let is_missing = stopped + slow > 0 && !is_udp;
+            assert_eq!(bench.server.counts().missed > 0, is_missing, "{case}");
+            assert!(
+                stopped_clients.iter().all(|client| client(&mut bytes).is_ok() && u64_at(&bytes, 32) == 1),
+                "{case}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_client_that_misses_poses_for_a_second_is_slow_until_it_reads() {
+    let mut bench = Bench::new();
+    let (stopped, ask) = bench.passing_client();
+    let named = bench.unix_client();
+    bench.tell(|| ask(Request::new(Mode::Follow, None)));
+    bench.ask(&named, Mode::Follow, None);
+    let mut publisher = bench.server.publisher(DEVICE);
+    let (record, mut now) = (record(), HostInstant::now());
+    let mut publish = |millis: u64| {
+        now.monotonic_ns += millis * 1_000_000;
+        (0..500).for_each(|_| publisher.publish(&record, now));
+        bench.server.counts().slow_clients
+    };
+    assert_eq!((publish(0), publish(900)), (vec![], vec![]), "a pause of the client is no fault");
+    let slow = publish(200);
+    let told: Vec<_> = slow.iter().map(|client| (client.process, client.shares_queue)).collect();
+    assert_eq!(told, [(Some(std::process::id() as i32), false), (None, true)]);
+    assert!(slow.iter().all(|client| client.missed > 1000 && client.user.is_some()), "{slow:?}");
+    // Both read again, and have missed nothing for a second.
+    stopped.set_nonblocking(true).unwrap();
+    while stopped.recv(&mut [0; 1]).is_ok() {}
+    drain(&named);
+    now.monotonic_ns += 1_100_000_000;
+    publisher.publish(&record, now);
+    let mut bytes = [0; PoseDatagram::BYTES];
+    assert_eq!(stopped.recv(&mut bytes).unwrap(), bytes.len());
+    assert_eq!(u64_at(&bytes, 40), slow[0].missed, "it is told what it missed");
+}
+
+#[test]
+fn what_is_no_end_of_a_pair_gets_no_datagrams() {
+    let bench = Bench::new();
+    let (mut publisher, record) = (bench.server.publisher(DEVICE), record());
+    publisher.publish(&record, HostInstant::now());
+    let victim = UnixDatagram::bind(bench.folder.path().join("victim")).unwrap();
+    victim.set_nonblocking(true).unwrap();
+    let towards = UnixDatagram::unbound().unwrap();
+    towards.connect(bench.folder.path().join("victim")).unwrap();
+    let (stream, _other) = std::os::unix::net::UnixStream::pair().unwrap();
+    let passed: [OwnedFd; 5] = [
+        towards.into(),
+        stream.into(),
+        UnixDatagram::unbound().unwrap().into(),
+        bench.udp_client().into(),
+        std::fs::File::open("/dev/null").unwrap().into(),
+    ];
+    for (number, passed) in (1..).zip(passed) {
+        let ask = bench.passes(passed);
+        bench.tell(|| ask(Request::new(Mode::Newest, None)));
+        let counts = bench.server.counts();
+        assert_eq!((counts.refused, counts.sent, counts.requests), (number, 0, 0));
+    }
+    assert!(victim.recv(&mut [0; 1]).is_err());
+    // An end that blocks delays nobody, and with its other end the client is gone.
+    let (near, far) = UnixDatagram::pair().unwrap();
+    let ask = bench.passes(far.try_clone().unwrap());
+    bench.tell(|| ask(Request::new(Mode::Follow, None)));
+    far.set_nonblocking(false).unwrap();
+    (0..1000).for_each(|_| publisher.publish(&record, HostInstant::now()));
+    let counts = bench.server.counts();
+    assert_eq!(counts.sent + counts.missed, 1000);
+    drop(near);
+    publisher.publish(&record, HostInstant::now());
+    assert_eq!((bench.server.counts().sent, bench.server.counts().missed), (counts.sent, counts.missed));
 }
 
 #[test]

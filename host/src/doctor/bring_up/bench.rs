@@ -9,6 +9,7 @@ use slitpose_protocol::{
 use thiserror::Error;
 
 use super::expected::Expected;
+use super::pins::Wiring;
 use super::sampling::Sampling;
 use crate::device::{
     BoardInfo, Conversation, Device, DeviceError, Found, Keep, Search, Selector, SerialDevice, SimulatedDevice, find,
@@ -78,13 +79,15 @@ pub(super) struct Bench<'a> {
     search: &'a [Search],
     /// The scene of the head.
     pub(super) scene: &'a SceneFile,
+    /// The wiring of the board that was last connected.
+    pub(super) wiring: Wiring,
     /// Where the board was last.
     found: Option<Found>,
 }
 
 impl<'a> Bench<'a> {
     pub(super) fn new(device: &'a Selector, search: &'a [Search], scene: &'a SceneFile) -> Self {
-        Self { device, search, scene, found: None }
+        Self { device, search, scene, wiring: Wiring::default(), found: None }
     }
 
     /// Whether the board is simulated.
@@ -110,6 +113,7 @@ impl<'a> Bench<'a> {
         };
         let mut board = Conversation::open(device)?;
         let info = board.introduce(HELLO_WITHIN)?;
+        self.wiring = Wiring::of(&info.board);
         self.found = found.map(|found| Found { device: Some(info.device), ..found });
         if info.mismatch.is_some() {
             return Err(BenchError::Version { versions: Versions { board: info.protocol } });

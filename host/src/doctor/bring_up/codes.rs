@@ -10,7 +10,7 @@ use slitpose_protocol::{Level, Schedule};
 
 use super::bench::{BenchError, sample};
 use super::lighting;
-use super::pins::{ELECTRODES, electrode};
+use super::pins::{ELECTRODES, Wiring};
 use crate::device::Conversation;
 use slitpose_head::finding::Finding;
 
@@ -35,7 +35,7 @@ const REPEATED: f64 = 3.0;
 /// Words of single conversions of each cell's electrodes, over all levels.
 type Words = Vec<[Vec<u16>; 2]>;
 
-pub(super) fn take(board: &mut Conversation, base: &Schedule) -> Result<Vec<Finding>, BenchError> {
+pub(super) fn take(board: &mut Conversation, base: &Schedule, wiring: Wiring) -> Result<Vec<Finding>, BenchError> {
     let schedule = lighting::alone(&Schedule { oversampling: 1, ..base.clone() });
     let mut words: Words = vec![[Vec::new(), Vec::new()]; usize::from(base.cells)];
     for step in 0..LEVELS {
@@ -47,7 +47,7 @@ pub(super) fn take(board: &mut Conversation, base: &Schedule) -> Result<Vec<Find
             }
         }
     }
-    Ok(judge(&words))
+    Ok(judge(&words, wiring))
 }
 
 /// Codes of a channel.
@@ -82,7 +82,7 @@ fn histogram(words: &[u16]) -> Option<Histogram> {
     (average >= LEAST_WORDS).then_some(Histogram { first, last, missing, repeated })
 }
 
-fn judge(words: &Words) -> Vec<Finding> {
+fn judge(words: &Words, wiring: Wiring) -> Vec<Finding> {
     let mut findings = Vec::new();
     let mut judged = 0;
     for (cell, pair) in words.iter().enumerate() {
@@ -95,8 +95,8 @@ fn judge(words: &Words) -> Vec<Finding> {
             }
             let count = last - first + 1;
             let text = format!(
-                "{}: of {count} codes from {first} on, {} are missing and {} repeated{}",
-                electrode(cell, side),
+                "{}: of {count} codes from {first} on, {} are missing and {} come too often{}",
+                wiring.electrode(cell, side),
                 missing.len(),
                 repeated.len(),
                 period(if repeated.is_empty() { missing } else { repeated })
@@ -108,8 +108,10 @@ fn judge(words: &Words) -> Vec<Finding> {
     match (findings.is_empty(), judged) {
         (true, 0) => findings.push(Finding::skipped("codes", "no cell has light that follows the level")),
         (true, _) => {
-            findings
-                .push(Finding::ok("codes", format!("{judged} words, no code missing or repeated as the level falls")));
+            findings.push(Finding::ok(
+                "codes",
+                format!("{judged} channels: no code missing or too frequent as the level falls"),
+            ));
         }
         _ => {}
     }
@@ -138,14 +140,14 @@ mod tests {
     fn judged(words: Vec<u16>) -> Vec<Finding> {
         let mut all: Words = vec![[self::words(|code| code), self::words(|code| code)]; 6];
         all[3][1] = words;
-        judge(&all)
+        judge(&all, Wiring::Nucleo)
     }
 
     #[test]
     fn all_codes_equally_often_are_good() {
         let good = judged(words(|code| code));
-        assert!(good.len() == 1 && good[0].grade == Grade::Ok && good[0].text.starts_with("12 words"), "{good:?}");
-        let dark = judge(&vec![[vec![4_031; 4_000], vec![4_030; 4_000]]; 6]);
+        assert!(good.len() == 1 && good[0].grade == Grade::Ok && good[0].text.starts_with("12 channels"), "{good:?}");
+        let dark = judge(&vec![[vec![4_031; 4_000], vec![4_030; 4_000]]; 6], Wiring::Nucleo);
         assert_eq!(dark[0].grade, Grade::Skipped);
     }
 
@@ -155,6 +157,6 @@ mod tests {
         assert!(found.len() == 1 && found[0].grade == Grade::Failed, "{found:?}");
         assert!(found[0].text.contains("I_X2 of cell 3 (PB2") && found[0].text.contains("every 8 codes"), "{found:?}");
         let coarse = judged(words(|code| code / 8 * 8));
-        assert!(coarse[0].text.contains("repeated, every 8 codes"), "{coarse:?}");
+        assert!(coarse[0].text.contains("come too often, every 8 codes"), "{coarse:?}");
     }
 }

@@ -73,7 +73,7 @@ fn judge(responses: &[Vec<Pair<f64>>], own_after: &[Pair<f64>], expected: &Expec
             findings.push(Finding::warning(
                 "still",
                 format!("the light of cell {cell} changed by {:.2} % during the measurement", 1e2 * change),
-                "fix the tool, and let the emitters warm up; then take this step again",
+                "fix the tool, let the emitters warm up, then take this step again",
             ));
         }
     }
@@ -106,7 +106,7 @@ fn judge(responses: &[Vec<Pair<f64>>], own_after: &[Pair<f64>], expected: &Expec
     }
     if !dark.is_empty() {
         let list: Vec<String> = dark.iter().map(ToString::to_string).collect();
-        let text = format!("cells {} without light of their own: see step emitters", list.join(", "));
+        let text = format!("cells {} see no light of their own emitters: see step emitters", list.join(", "));
         findings.push(Finding::failed("crosstalk", text, "take step emitters first"));
     }
     findings

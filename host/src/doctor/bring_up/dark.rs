@@ -1,12 +1,11 @@
 //! Codes and noise of each channel without light.
 
-use slitpose_model::Pair;
 use slitpose_protocol::{AdcScaling, Level};
 
 use super::bench::{Bench, BenchError, sample};
 use super::lighting;
-use super::pins::{ELECTRODES, electrode, level_line};
-use super::sampling::Codes;
+use super::pins::{ELECTRODES, Wiring};
+use super::sampling::{Codes, Sampling};
 use slitpose_head::finding::Finding;
 use slitpose_head::front_end::dark_word_noise_a;
 use slitpose_head::scene_file::SceneFile;
@@ -22,9 +21,12 @@ const ZERO_TOLERANCE: f64 = 10.0;
 /// Codes from the end of the converter's range that count as the end.
 const RAIL_CODES: f64 = 2.0;
 
-/// Most light of emitters at level 0, both electrodes together, codes: the mean of 200 words lit minus dark is known to
-/// 0.1 codes, and a level buffer that rests at 0.2 V is 80 and more.
-const OFF_TOLERANCE: f64 = 2.0;
+/// Most light with all gates off, both electrodes together, codes: the mean of 200 words is known to 0.1 codes. Emitters
+/// are judged by their gates, as the level buffers do not reach 0 V (DS12288, table 74: from 0.2 V).
+const OFF_TOLERANCE: f64 = 5.0;
+
+/// Less than this share of the brightest cell's light is taken for light of another emitter.
+const STRAY: f64 = 0.1;
 
 /// Noise relative to the front end of the scene: quiet, somewhat noisy, too noisy.
 const QUIET: f64 = 0.4;
@@ -33,14 +35,21 @@ const TOO_NOISY: f64 = 2.0;
 
 pub(super) fn zero(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let (mut board, _) = bench.connect()?;
-    let configuration = lighting::at(lighting::alone(&bench.schedule()?), Level(0));
-    let sampling = sample(&mut board, configuration, ZERO_SCANS)?;
-    let channels = (0..sampling.cells()).map(|cell| Zero {
-        codes: [0, 1].map(|electrode| sampling.dark(cell, electrode).mean),
+    let schedule = lighting::alone(&bench.schedule()?);
+    let sampling = sample(&mut board, lighting::at(schedule.clone(), Level(0)), ZERO_SCANS)?;
+    let at_nominal = sample(&mut board, lighting::at(schedule, Level::NOMINAL), ZERO_SCANS)?;
+    let cells = 0..sampling.cells();
+    let of = |sampling: &Sampling, cell: usize| [0, 1].map(|electrode| sampling.dark(cell, electrode).mean);
+    let change = |cell: usize| of(&at_nominal, cell).iter().sum::<f64>() - of(&sampling, cell).iter().sum::<f64>();
+    let changes: Vec<f64> = cells.clone().map(change).collect();
+    let shining = shining(&changes);
+    let channels = cells.map(|cell| Zero {
+        codes: of(&sampling, cell),
         dark_current_a: 0.5 * bench.scene.scene.cells.get(cell).map_or(0.0, |cell| cell.detector.dark_current_a),
+        shines: shining.contains(&cell),
     });
-    let mut findings = judge_zero(&channels.collect::<Vec<_>>(), &sampling.scaling);
-    findings.push(judge_off(&sampling.all_light(), &sampling.scaling));
+    let mut findings = judge_zero(&channels.collect::<Vec<_>>(), &sampling.scaling, bench.wiring);
+    findings.push(judge_gates(&changes, bench.wiring));
     Ok(findings)
 }
 
@@ -49,16 +58,18 @@ pub(super) fn zero(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
 struct Zero {
     codes: [f64; 2],
     dark_current_a: f64,
+    /// Its emitter shines while its gate is off, also at level 0 as far as its level line is above 0 V.
+    shines: bool,
 }
 
-fn judge_zero(cells: &[Zero], scaling: &AdcScaling) -> Vec<Finding> {
+fn judge_zero(cells: &[Zero], scaling: &AdcScaling, wiring: Wiring) -> Vec<Finding> {
     let top = f64::from((1_u32 << scaling.bits) - 1);
     let mut findings = Vec::new();
-    let mut worst = 0.0_f64;
+    let (mut worst, mut count) = (0.0_f64, 0);
     for (cell, zero) in cells.iter().enumerate() {
         let expected = scaling.zero_code + zero.dark_current_a / scaling.amperes_per_code;
         for (side, code) in ELECTRODES.into_iter().zip(zero.codes) {
-            let (name, off) = (electrode(cell, side), code - expected);
+            let (name, off) = (wiring.electrode(cell, side), code - expected);
             let text = format!("{name}: code {code:.1} in the dark, expected {expected:.1} within {ZERO_TOLERANCE}");
             if code <= RAIL_CODES || code >= top - RAIL_CODES {
                 let rail = if code <= RAIL_CODES { "ground" } else { "V_DDA" };
@@ -68,39 +79,48 @@ fn judge_zero(cells: &[Zero], scaling: &AdcScaling) -> Vec<Finding> {
             } else if off.abs() > ZERO_TOLERANCE {
                 // Light moves codes in the direction of the scaling.
                 let is_light = off * scaling.amperes_per_code > 0.0;
+                if is_light && zero.shines {
+                    continue;
+                }
                 let next_step = if is_light {
-                    "cover the detector; if it stays so: leakage at the anode, V_ref, or the amplifier's offset"
+                    "cover the detector; if that does not help: leakage at the anode, V_ref, or the amplifier's offset"
                 } else {
                     "measure V_ref (3.247 V at V_DDA = 3.3 V), and the amplifier's output against it"
                 };
                 findings.push(Finding::failed("zero", text, next_step));
             } else {
-                worst = worst.max(off.abs());
+                (worst, count) = (worst.max(off.abs()), count + 1);
             }
         }
     }
     if findings.is_empty() {
-        let text = format!("{} words within {worst:.1} codes of their zero code", 2 * cells.len());
+        let text = format!("{count} channels within {worst:.1} codes of the zero code");
         findings.push(Finding::ok("zero", text));
     }
     findings
 }
 
-/// Light of emitters whose level is 0.
-fn judge_off(light: &[Pair<f64>], scaling: &AdcScaling) -> Finding {
-    let codes: Vec<f64> = light.iter().map(|pair| pair.total_a() / scaling.amperes_per_code.abs()).collect();
-    let lit: Vec<usize> = (0..codes.len()).filter(|&cell| codes[cell].abs() > OFF_TOLERANCE).collect();
-    let most = codes.iter().fold(0.0_f64, |most, codes| most.max(codes.abs()));
-    let Some(&first) = lit.first() else {
-        return Finding::ok("level 0", format!("no light from emitters at level 0, at most {most:.2} codes"));
-    };
-    let list = lit.iter().map(|&cell| format!("{cell} ({:.0} codes)", codes[cell])).collect::<Vec<_>>().join(", ");
-    let line = level_line(first).filter(|(_, emitters)| lit.iter().all(|emitter| emitters.contains(emitter)));
-    let at = line.map_or_else(String::new, |(name, _)| format!(": {name} does not go to 0 V"));
+/// Cells whose emitters shine while all gates are off. `changes`: of the codes of each cell in the dark slot, both
+/// electrodes together, as the level of all emitters rises from 0 to nominal.
+fn shining(changes: &[f64]) -> Vec<usize> {
+    let most = changes.iter().fold(0.0_f64, |most, codes| most.max(codes.abs()));
+    (0..changes.len()).filter(|&cell| changes[cell].abs() > OFF_TOLERANCE.max(STRAY * most)).collect()
+}
+
+fn judge_gates(changes: &[f64], wiring: Wiring) -> Finding {
+    let shining = shining(changes);
+    let list = |text: &dyn Fn(usize) -> String| shining.iter().map(|&cell| text(cell)).collect::<Vec<_>>().join(", ");
+    if shining.is_empty() {
+        let most = changes.iter().fold(0.0_f64, |most, codes| most.max(codes.abs()));
+        let text = format!("no light from emitters while their gates are off, {most:.2} codes at most");
+        return Finding::ok("gates off", text);
+    }
+    let emitters = list(&|cell| format!("{cell} ({:.0} codes)", changes[cell].abs()));
+    let gates = list(&|cell| wiring.gate(cell));
     Finding::failed(
-        "level 0",
-        format!("emitters shine at level 0 on cells {list}{at}"),
-        "measure the level line and the switch behind it: 0 V at level 0, 1.65 V at nominal",
+        "gates off",
+        format!("emitters that shine while their gates are off: {emitters}"),
+        format!("measure 0 V in the dark slot: {gates}; if it is 0 V, change the switch behind it"),
     )
 }
 
@@ -116,7 +136,7 @@ pub(super) fn noise(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
         promised: dark_word_noise_a(&scene, cell, &sampling.scaling).unwrap_or(f64::INFINITY)
             / sampling.scaling.amperes_per_code.abs(),
     });
-    Ok(judge_noise(&channels.collect::<Vec<_>>()))
+    Ok(judge_noise(&channels.collect::<Vec<_>>(), bench.wiring))
 }
 
 /// The scene with words of one conversion.
@@ -135,15 +155,15 @@ struct Noise {
     promised: f64,
 }
 
-fn judge_noise(cells: &[Noise]) -> Vec<Finding> {
+fn judge_noise(cells: &[Noise], wiring: Wiring) -> Vec<Finding> {
     let mut findings = Vec::new();
     let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
     for (cell, noise) in cells.iter().enumerate() {
         for (side, codes) in ELECTRODES.into_iter().zip(noise.codes) {
             let share = codes.rms / noise.promised;
             let text = format!(
-                "{}: {:.2} codes rms in {} different codes, {:.2} codes by the scene's front end",
-                electrode(cell, side),
+                "{}: {:.2} codes rms, {} different codes; {:.2} codes rms expected from the scene's front end",
+                wiring.electrode(cell, side),
                 codes.rms,
                 codes.distinct,
                 noise.promised
@@ -151,7 +171,7 @@ fn judge_noise(cells: &[Noise]) -> Vec<Finding> {
             let failed =
                 |why: &str, next_step: &'static str| Finding::failed("noise", format!("{text}: {why}"), next_step);
             if share < QUIET {
-                let next_step = "a word that hardly changes: the input is shorted or at a rail; measure at the pin";
+                let next_step = "the input is shorted or at a rail: measure at the pin";
                 findings.push(failed("too quiet", next_step));
             } else if codes.step > 1 {
                 let next_step = "codes are missing: V_REF+ and V_DDA decoupling; ES0430 on converters that run at once";
@@ -171,8 +191,8 @@ fn judge_noise(cells: &[Noise]) -> Vec<Finding> {
     if findings.is_empty() {
         let promised = cells.iter().fold(0.0_f64, |most, cell| most.max(cell.promised));
         let text = format!(
-            "{} words of one conversion with {least:.2} to {most:.2} codes rms, {promised:.2} by the scene's front end; \
-             codes in steps of 1",
+            "{} channels with {least:.2} to {most:.2} codes rms in one conversion, {promised:.2} expected from the scene's \
+             front end; codes in steps of 1",
             2 * cells.len()
         );
         findings.push(Finding::ok("noise", text));
@@ -189,9 +209,9 @@ mod tests {
         AdcScaling { zero_code: 4_031.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 32 };
 
     fn zero_of(change: impl Fn(&mut Vec<Zero>)) -> Vec<Finding> {
-        let mut cells = vec![Zero { codes: [4_028.0, 4_033.0], dark_current_a: 0.0 }; 6];
+        let mut cells = vec![Zero { codes: [4_028.0, 4_033.0], dark_current_a: 0.0, shines: false }; 6];
         change(&mut cells);
-        judge_zero(&cells, &SCALING)
+        judge_zero(&cells, &SCALING, Wiring::Nucleo)
     }
 
     #[test]
@@ -206,19 +226,23 @@ mod tests {
         let high = zero_of(|cells| cells[1].codes[0] = 4_051.0);
         assert!(high[0].next_step.as_ref().is_some_and(|step| step.contains("V_ref")), "{high:?}");
         // 100 nA of dark current are 40 codes.
-        let dark = zero_of(|cells| cells[1] = Zero { codes: [3_991.0; 2], dark_current_a: 100e-9 });
+        let dark = zero_of(|cells| cells[1] = Zero { codes: [3_991.0; 2], dark_current_a: 100e-9, shines: false });
         assert_eq!(dark[0].grade, Grade::Ok, "{dark:?}");
+        // Light of an emitter that its gate does not darken is named by the gate.
+        let shining = zero_of(|cells| cells[1] = Zero { codes: [3_961.0; 2], dark_current_a: 0.0, shines: true });
+        assert!(shining.len() == 1 && shining[0].text.starts_with("10 channels"), "{shining:?}");
     }
 
     #[test]
-    fn light_at_level_0_names_the_line_if_all_of_it_is_on_one() {
-        let pair = |codes: f64| Pair { i_x1_a: 0.5 * codes * 2.5e-9, i_x2_a: 0.5 * codes * 2.5e-9 };
-        let judged = |codes: [f64; 6]| judge_off(&codes.map(pair), &SCALING);
-        assert_eq!(judged([0.5, 0.0, -0.5, 0.0, 0.0, 0.0]).grade, Grade::Ok);
-        let stuck = judged([2_000.0, 2_000.0, 2_000.0, 0.0, 0.0, 0.0]);
-        assert!(stuck.grade == Grade::Failed && stuck.text.contains("PA4"), "{stuck}");
-        let both = judged([2_000.0, 0.0, 0.0, 2_000.0, 0.0, 0.0]);
-        assert!(both.grade == Grade::Failed && !both.text.contains("PA4"), "{both}");
+    fn emitters_that_shine_with_their_gates_off_are_named() {
+        let good = judge_gates(&[0.5, 0.0, -0.5, 0.0, -2.1, 0.0], Wiring::Nucleo);
+        assert_eq!(good.grade, Grade::Ok, "{good}");
+        // 20 codes are light of emitter 1 on another cell.
+        let stuck = judge_gates(&[0.0, -2_734.0, 0.0, -800.0, -20.0, 0.0], Wiring::Nucleo);
+        assert!(stuck.grade == Grade::Failed && stuck.text.ends_with("off: 1 (2734 codes), 3 (800 codes)"), "{stuck}");
+        assert_eq!(judge_gates(&[0.0, 0.0, -20.0], Wiring::Nucleo).grade, Grade::Failed);
+        assert!(stuck.to_string().contains("gate of emitter 1 (PC7, CN10-19)"), "{stuck}");
+        assert!(!judge_gates(&[99.0; 6], Wiring::Unknown).to_string().contains("CN"));
     }
 
     #[test]
@@ -227,7 +251,7 @@ mod tests {
         let with = |codes: Codes| {
             let mut cells = vec![Noise { codes: [good; 2], promised: 1.04 }; 6];
             cells[1].codes[0] = codes;
-            judge_noise(&cells)
+            judge_noise(&cells, Wiring::Nucleo)
         };
         assert!(matches!(&with(good)[..], [finding] if finding.grade == Grade::Ok));
         let found = |codes, grade, words: &str| {

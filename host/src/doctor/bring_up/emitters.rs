@@ -9,7 +9,7 @@ use slitpose_protocol::{Level, Schedule};
 use super::bench::{Bench, BenchError, is_shared_level, sample};
 use super::crosstalk::responses;
 use super::lighting;
-use super::pins::{ELECTRODES, electrode, gate};
+use super::pins::{ELECTRODES, Wiring};
 use crate::device::Conversation;
 use slitpose_head::finding::Finding;
 
@@ -56,7 +56,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
             exchanges.push((first, second, tell(&mut board, &schedule, [first, second], &expected.own)?));
         }
     }
-    Ok(judge(&own, &expected.own, &saturated, &exchanges))
+    Ok(judge(&own, &expected.own, &saturated, &exchanges, bench.wiring))
 }
 
 /// Whether neither electrode sees light.
@@ -103,59 +103,64 @@ fn judge(
     expected: &[Pair<f64>],
     saturated: &[usize],
     exchanges: &[(usize, usize, Exchange)],
+    wiring: Wiring,
 ) -> Vec<Finding> {
-    let mut findings: Vec<Finding> = exchanges.iter().map(|&exchange| of_exchange(exchange)).collect();
+    let mut findings: Vec<Finding> = exchanges.iter().map(|&exchange| of_exchange(exchange, wiring)).collect();
     let is_exchanged = |cell: usize| exchanges.iter().any(|&(first, second, _)| [first, second].contains(&cell));
     for cell in (0..own.len()).filter(|&cell| !is_exchanged(cell)) {
-        findings.push(of_cell(cell, own[cell], expected[cell], saturated.contains(&cell)));
+        findings.push(of_cell(cell, own[cell], expected[cell], saturated.contains(&cell), wiring));
     }
     findings.push(of_order(own, expected));
     findings
 }
 
-fn of_exchange((first, second, exchange): (usize, usize, Exchange)) -> Finding {
-    let gates = format!("{} and {}", gate(first), gate(second));
+fn of_exchange((first, second, exchange): (usize, usize, Exchange), wiring: Wiring) -> Finding {
+    let gates = format!("{} and {}", wiring.gate(first), wiring.gate(second));
     let cells = format!(
         "{} and {}, {} and {}",
-        electrode(first, ELECTRODES[0]),
-        electrode(second, ELECTRODES[0]),
-        electrode(first, ELECTRODES[1]),
-        electrode(second, ELECTRODES[1])
+        wiring.electrode(first, ELECTRODES[0]),
+        wiring.electrode(second, ELECTRODES[0]),
+        wiring.electrode(first, ELECTRODES[1]),
+        wiring.electrode(second, ELECTRODES[1])
     );
     let (what, next_step) = match exchange {
         Exchange::Gates => (format!("gates exchanged: {gates}"), "exchange the two gate lines"),
         Exchange::Cells => (format!("inputs exchanged: {cells}"), "exchange the plugs of the two detectors"),
         Exchange::Unknown => (
             format!("gates exchanged ({gates}), or inputs ({cells})"),
-            "look at the 3.3 ohm of both emitters with an oscilloscope: it tells which of the two is lit by which gate",
+            "look at the 3.3 ohm of both emitters with an oscilloscope: they show which gate lights which emitter",
         ),
     };
     Finding::failed("emitters", format!("cells {first} and {second} see each other's emitters; {what}"), next_step)
 }
 
-fn of_cell(cell: usize, own: Pair<f64>, expected: Pair<f64>, is_saturated: bool) -> Finding {
+fn of_cell(cell: usize, own: Pair<f64>, expected: Pair<f64>, is_saturated: bool, wiring: Wiring) -> Finding {
     let share = own.total_a() / expected.total_a();
-    let micro = |current_a: f64| current_a * 1e6;
+    // Rounded, and without the sign of what rounds to nothing.
+    let micro = |current_a: f64| (current_a * 1e9).round() / 1e3 + 0.0;
     let text = format!(
-        "cell {cell}: {:.3} and {:.3} uA by its emitter alone, {:.3} and {:.3} uA by the scene; {share:.2} of it",
+        "cell {cell}: {:.3} and {:.3} uA by its emitter alone, {:.3} and {:.3} uA by the scene; {share:.2} of that",
         micro(own.i_x1_a),
         micro(own.i_x2_a),
         micro(expected.i_x1_a),
         micro(expected.i_x2_a)
     );
     if is_saturated {
-        let next_step = "is the tool at its home pose? else lower the emitter's level or its current";
+        let next_step = "move the tool to its home pose; if it is there, lower the emitter's level or its current";
         return Finding::failed("emitters", format!("{text}: saturated"), next_step);
     }
     match [own.i_x1_a, own.i_x2_a].map(|current_a| is_lit(current_a, expected)) {
         [false, false] => Finding::failed(
             "emitters",
-            format!("{text}: dark; emitter {cell} gives no light, or none reaches the detector ({})", gate(cell)),
+            format!(
+                "{text}: dark; emitter {cell} gives no light, or its light does not reach the detector ({})",
+                wiring.gate(cell)
+            ),
             "measure its 3.3 ohm: 329 mV in its slot if the emitter is lit, then look at the detector's cathode, its \
              plug and the slit; 0 V if it is not: gate, switch, emitter",
         ),
-        [false, true] => of_electrode(cell, 0, &text),
-        [true, false] => of_electrode(cell, 1, &text),
+        [false, true] => of_electrode(cell, 0, &text, wiring),
+        [true, false] => of_electrode(cell, 1, &text, wiring),
         [true, true] if !STRENGTH.contains(&share) => {
             let (what, next_step) = if share < 1.0 {
                 ("weak", "measure its 3.3 ohm (329 mV at nominal), clean emitter and slit; then change the emitter")
@@ -168,10 +173,9 @@ fn of_cell(cell: usize, own: Pair<f64>, expected: Pair<f64>, is_saturated: bool)
     }
 }
 
-fn of_electrode(cell: usize, dark: usize, text: &str) -> Finding {
-    let name = electrode(cell, ELECTRODES[dark]);
-    let next_step =
-        "look for an open anode, a shorted input or a dead amplifier: its output must fall in the cell's slot";
+fn of_electrode(cell: usize, dark: usize, text: &str, wiring: Wiring) -> Finding {
+    let name = wiring.electrode(cell, ELECTRODES[dark]);
+    let next_step = "look for an open anode, a shorted input or a dead amplifier: the amplifier's output must fall in the cell's slot";
     Finding::failed("emitters", format!("{text}: {name} sees no light, the other electrode does"), next_step)
 }
 
@@ -192,7 +196,7 @@ fn of_order(own: &[Pair<f64>], expected: &[Pair<f64>]) -> Finding {
         return Finding::skipped("electrodes", text);
     }
     let cells = seen.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-    Finding::ok("electrodes", format!("the spots of cells {cells} are on the side that the scene says"))
+    Finding::ok("electrodes", format!("the spots of cells {cells} are on the side that the scene predicts"))
 }
 
 #[cfg(test)]
@@ -210,7 +214,7 @@ mod tests {
     }
 
     fn failed(own: &[Pair<f64>]) -> String {
-        let findings = judge(own, &[OWN; 6], &[], &[]);
+        let findings = judge(own, &[OWN; 6], &[], &[], Wiring::Nucleo);
         let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Grade::Failed).collect();
         assert_eq!(failed.len(), 1, "{findings:?}");
         failed[0].to_string()
@@ -218,7 +222,7 @@ mod tests {
 
     #[test]
     fn a_good_head_has_no_failure_and_centred_spots_do_not_tell_electrodes_apart() {
-        let findings = judge(&[OWN; 6], &[OWN; 6], &[], &[]);
+        let findings = judge(&[OWN; 6], &[OWN; 6], &[], &[], Wiring::Nucleo);
         assert!(findings[..6].iter().all(|finding| finding.grade == Grade::Ok), "{findings:?}");
         assert_eq!(findings[6].grade, Grade::Skipped);
     }
@@ -230,7 +234,7 @@ mod tests {
         assert!(failed(&with(2, Pair { i_x1_a: 0.0, ..OWN })).contains("I_X1 of cell 2 (PC0, CN7-38) sees no light"));
         assert!(failed(&with(5, Pair { i_x1_a: 1.7e-6, i_x2_a: 1.7e-6 })).contains("emitter 5 is weak"));
         assert!(failed(&with(5, Pair { i_x1_a: 5.7e-6, i_x2_a: 5.7e-6 })).contains("emitter 5 is strong"));
-        assert!(judge(&[OWN; 6], &[OWN; 6], &[1], &[])[1].text.contains("saturated"));
+        assert!(judge(&[OWN; 6], &[OWN; 6], &[1], &[], Wiring::Nucleo)[1].text.contains("saturated"));
     }
 
     #[test]
@@ -246,7 +250,7 @@ mod tests {
             (Exchange::Gates, "gates exchanged: gate of emitter 1 (PC7"),
             (Exchange::Cells, "inputs exchanged: I_X1 of"),
         ] {
-            let findings = judge(&own, &[OWN; 6], &[], &[(1, 4, exchange)]);
+            let findings = judge(&own, &[OWN; 6], &[], &[(1, 4, exchange)], Wiring::Nucleo);
             let failed: Vec<_> = findings.iter().filter(|finding| finding.grade == Grade::Failed).collect();
             assert!(failed.len() == 1 && failed[0].text.contains(words), "{failed:?}");
         }

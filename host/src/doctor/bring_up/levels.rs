@@ -1,18 +1,19 @@
-//! Current against level: each emitter alone, at levels from none to nominal.
+//! Current against level: each emitter alone, at levels from an eighth to nominal.
 
 use slitpose_model::Pair;
 use slitpose_protocol::Level;
 
 use super::bench::{Bench, BenchError, sample};
-use super::pins::level_line;
+use super::pins::Wiring;
 use super::{codes, lighting};
 use slitpose_head::finding::Finding;
 
 /// Scans of each level.
 const SCANS: usize = 200;
 
-/// Levels, rising to nominal; none above, where pulses are limited.
-const LEVELS: [Level; 5] = [Level(0), Level(0x2000), Level(0x4000), Level(0x6000), Level::NOMINAL];
+/// Levels, rising to nominal; none above, where pulses are limited. The lowest is 0.206 V: below 0.2 V the buffer of the
+/// DAC is not specified (DS12288, table 74), and relatives stay at 25 to 69 mV.
+const LEVELS: [Level; 5] = [Level(0x1000), Level(0x2000), Level(0x4000), Level(0x6000), Level::NOMINAL];
 
 /// Largest difference from proportionality, as a share of the light at nominal level: a driver with 3.3 Ω within 1 %
 /// and an amplifier's offset of 150 µV has 0.1 % of 329 mV; the rest is heating of the emitter.
@@ -30,10 +31,13 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     for level in LEVELS {
         light.push(sample(&mut board, lighting::at(schedule.clone(), level), SCANS)?.all_light());
     }
-    let mut findings = judge(&light, &expected.own);
-    findings.extend(codes::take(&mut board, &base)?);
+    let mut findings = judge(&light, &expected.own, bench.wiring);
+    findings.extend(codes::take(&mut board, &base, bench.wiring)?);
     Ok(findings)
 }
+
+/// Light of an emitter at each of [`LEVELS`], relative to that at nominal level.
+type Shares = [f64; LEVELS.len()];
 
 /// How the light of an emitter follows its level.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,8 +52,7 @@ enum Following {
     Otherwise(f64),
 }
 
-/// `shares`: light at each of [`LEVELS`], relative to that at nominal level.
-fn following(shares: [f64; LEVELS.len()]) -> Following {
+fn following(shares: Shares) -> Following {
     let off = |k: usize| shares[k] - LEVELS[k].relative();
     let worst = (0..LEVELS.len()).fold(0.0_f64, |worst, k| worst.max(off(k).abs()));
     if worst <= TOLERANCE {
@@ -71,26 +74,26 @@ fn following(shares: [f64; LEVELS.len()]) -> Following {
 }
 
 /// `light`: of each cell, at each of [`LEVELS`].
-fn judge(light: &[Vec<Pair<f64>>], expected: &[Pair<f64>]) -> Vec<Finding> {
-    let shares_of = |emitter: usize| -> Option<[f64; LEVELS.len()]> {
+fn judge(light: &[Vec<Pair<f64>>], expected: &[Pair<f64>], wiring: Wiring) -> Vec<Finding> {
+    let shares_of = |emitter: usize| -> Option<Shares> {
         let nominal_a = light.last()?.get(emitter)?.total_a();
         let is_lit = nominal_a >= LIT * expected[emitter].total_a();
         is_lit.then(|| std::array::from_fn(|k| light[k][emitter].total_a() / nominal_a))
     };
     let shares: Vec<_> = (0..expected.len()).map(shares_of).collect();
-    let is_stuck =
-        |shares: &Option<[f64; LEVELS.len()]>| shares.is_some_and(|shares| following(shares) == Following::Not);
-    let whole_line = |emitter: usize| {
-        let (name, emitters) = level_line(emitter)?;
-        let lit: Vec<_> =
-            emitters.filter_map(|emitter| shares.get(emitter)).filter(|shares| shares.is_some()).collect();
-        (lit.len() > 1 && lit.into_iter().all(is_stuck)).then_some(name)
+    // A line is at fault if all its emitters are off, and by the same.
+    let wrong_line = |emitter: usize| {
+        let (name, emitters) = wiring.level_line(emitter)?;
+        let lit: Vec<Shares> = emitters.filter_map(|emitter| *shares.get(emitter)?).collect();
+        let is_same = |other: &Shares| other.iter().zip(&lit[0]).all(|(a, b)| (a - b).abs() <= TOLERANCE);
+        let is_wrong = |shares: &Shares| !matches!(following(*shares), Following::Proportional(_)) && is_same(shares);
+        (lit.len() > 1 && lit.iter().all(is_wrong)).then_some(name)
     };
-    (0..shares.len()).map(|emitter| of_emitter(emitter, shares[emitter], whole_line(emitter))).collect()
+    (0..shares.len()).map(|emitter| of_emitter(emitter, shares[emitter], wrong_line(emitter))).collect()
 }
 
-/// `stuck_line`: the level line, if no emitter on it follows.
-fn of_emitter(emitter: usize, shares: Option<[f64; LEVELS.len()]>, stuck_line: Option<String>) -> Finding {
+/// `wrong_line`: the level line, if all emitters on it are off by the same.
+fn of_emitter(emitter: usize, shares: Option<Shares>, wrong_line: Option<String>) -> Finding {
     let Some(shares) = shares else {
         let text = format!("emitter {emitter}: no light at nominal level: see step emitters");
         return Finding::failed("levels", text, "take step emitters first");
@@ -98,34 +101,34 @@ fn of_emitter(emitter: usize, shares: Option<[f64; LEVELS.len()]>, stuck_line: O
     let [of, levels] = [shares, LEVELS.map(Level::relative)]
         .map(|row| row.map(|share| format!("{:.3}", if share.abs() < 5e-4 { 0.0 } else { share })).join(" "));
     let text = format!("emitter {emitter}: {of} of its nominal light at levels {levels}");
-    match following(shares) {
-        Following::Proportional(worst) => {
-            Finding::ok("levels", format!("{text}; off by {:.2} % at most, 2 % allowed", 1e2 * worst))
+    let (what, next_step) = match (following(shares), wrong_line) {
+        (Following::Proportional(worst), _) => {
+            return Finding::ok("levels", format!("{text}; off by {:.2} % at most, 2 % allowed", 1e2 * worst));
         }
-        Following::Not => {
-            let (what, next_step) = match stuck_line {
-                Some(line) => {
-                    (format!("{line} stays at nominal"), "measure the level line: 0 to 1.65 V with the level")
-                }
-                None => (
-                    "the driver does not follow its level line".to_owned(),
-                    "look at the switch and the divider in front of the driver's amplifier",
-                ),
-            };
-            Finding::failed("levels", format!("{text}: {what}"), next_step)
+        (Following::Not, Some(line)) => (format!("{line} stays at nominal"), LINE),
+        (Following::UpTo(level), Some(line)) => (format!("{line} does not rise above level {level:.2}"), LINE),
+        (Following::Otherwise(worst), Some(line)) => {
+            (format!("{line} is off by {:.1} % of nominal, 2 % allowed", 1e2 * worst), LINE)
         }
-        Following::UpTo(level) => Finding::failed(
-            "levels",
-            format!("{text}: no more light above level {level:.2}; the driver or the cell saturates"),
+        (Following::Not, None) => (
+            "the driver does not follow its level line".to_owned(),
+            "look at the switch and the divider in front of the driver's amplifier",
+        ),
+        (Following::UpTo(level), None) => (
+            format!("no more light above level {level:.2}; the driver or the cell saturates"),
             "measure the 3.3 ohm (329 mV at nominal) and the 5 V of the emitters under load; is the cell saturated?",
         ),
-        Following::Otherwise(worst) => Finding::failed(
-            "levels",
-            format!("{text}: off by {:.1} %, 2 % allowed", 1e2 * worst),
+        (Following::Otherwise(worst), None) => (
+            format!("off by {:.1} %, 2 % allowed", 1e2 * worst),
             "measure the 3.3 ohm at each level: 329 mV in proportion; if it is, the emitter heats up or the tool moves",
         ),
-    }
+    };
+    Finding::failed("levels", format!("{text}: {what}"), next_step)
 }
+
+/// What to do about a level line.
+const LINE: &str =
+    "measure the level line at the DAC's pin and behind its 100 ohm: 0.21 V at level 0.125, 1.65 V at nominal";
 
 #[cfg(test)]
 mod tests {
@@ -145,7 +148,7 @@ mod tests {
                     .collect()
             })
             .collect();
-        judge(&light, &[OWN; 6])
+        judge(&light, &[OWN; 6], Wiring::Nucleo)
     }
 
     fn failed(shares: impl Fn(usize, f64) -> f64) -> Vec<String> {
@@ -157,12 +160,23 @@ mod tests {
     fn light_in_proportion_to_the_level_is_good() {
         assert_eq!(failed(|_, level| 0.7 * level), [""; 0]);
         assert_eq!(failed(|_, level| level + 0.05 * level * (1.0 - level)), [""; 0]);
+        // The buffer of the DAC ends at 0.2 V of 1.65 V.
+        assert_eq!(failed(|_, level| level.max(0.2 / 1.65)), [""; 0]);
     }
 
     #[test]
     fn a_stuck_line_is_named_and_a_stuck_driver_is_not_taken_for_it() {
         let line = failed(|emitter, level| if emitter < 3 { 1.0 } else { level });
         assert!(line.len() == 3 && line.iter().all(|text| text.contains("(PA4, CN7-32) stays at nominal")), "{line:?}");
+        let lifted = failed(|emitter, level| if emitter < 3 { level } else { (level + 0.06) / 1.06 });
+        assert!(
+            lifted.len() == 3 && lifted[0].contains("emitters 3 to 5 (PA6, CN10-13) is off by 5.0 %"),
+            "{lifted:?}"
+        );
+        let clamped = failed(|emitter, level| if emitter < 3 { level.max(0.3) } else { level });
+        assert!(clamped.len() == 3 && clamped[0].contains("(PA4, CN7-32) is off by 17.5 %"), "{clamped:?}");
+        let two = failed(|emitter, level| if emitter < 2 { 1.0 } else { level });
+        assert!(two.len() == 2 && two[0].contains("the driver does not follow"), "{two:?}");
         let driver = failed(|emitter, level| if emitter == 4 { 1.0 } else { level });
         assert!(driver.len() == 1 && driver[0].contains("emitter 4") && driver[0].contains("does not follow"));
     }

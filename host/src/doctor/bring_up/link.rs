@@ -46,7 +46,7 @@ pub(super) fn link(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
 fn judge(counted: &Counted) -> [Finding; 2] {
     let &Counted { scans, missing, elapsed_s, scheduled_hz, lost_on_board, overruns } = counted;
     let rate_hz = scans as f64 / elapsed_s;
-    let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule, within 5 %");
+    let text = format!("{rate_hz:.0} frames/s by the host's clock, {scheduled_hz:.0} by the schedule; 5 % allowed");
     let rate = if (rate_hz / scheduled_hz - 1.0).abs() <= measurement::RATE_SLACK {
         Finding::ok("frame rate", text)
     } else {
@@ -83,8 +83,8 @@ fn judge_supply(status: &Status) -> [Finding; 2] {
     let supply = if range.contains(&volts) {
         Finding::ok("supply", text)
     } else {
-        let next_step = "measure 3.3 V and V_DDA: regulator, cable, a short or a load that does not belong \
-                         there; currents scale with V_DDA";
+        let next_step = "measure 3.3 V and V_DDA: regulator, cable, a short or a load that does not \
+                         belong there; currents scale with V_DDA";
         Finding::failed("supply", text, next_step)
     };
     let celsius = status.temperature_k - 273.15;
@@ -92,7 +92,11 @@ fn judge_supply(status: &Status) -> [Finding; 2] {
     let temperature = if measurement::TEMPERATURE_K.contains(&status.temperature_k) {
         Finding::ok("temperature", text)
     } else {
-        Finding::failed("temperature", text, "off at once if the MCU is hot: a pin drives against another output")
+        Finding::failed(
+            "temperature",
+            text,
+            "if the MCU is hot, switch the supply off at once: one of its pins drives against another output",
+        )
     };
     [supply, temperature]
 }

@@ -3,10 +3,10 @@
 //! | file | steps |
 //! |---|---|
 //! | `link` | link and start; supply and temperature |
-//! | `dark` | codes without light; noise |
+//! | `dark` | codes without light, emitters with their gates off; noise |
 //! | `emitters` | each emitter alone |
 //! | `levels`, `codes` | current against level; codes on the way |
-//! | `settling` | time constant and delay |
+//! | `settling` | the time that light takes to settle |
 //! | `crosstalk` | light of other emitters |
 //! | `safety` | dark after Stop and without a host |
 //! | `storage` | settings over a power cut |
@@ -59,7 +59,7 @@ pub(crate) enum Step {
     Emitters,
     /// Current against level.
     Levels,
-    /// Time constant and delay.
+    /// The time that light takes to settle.
     Settling,
     /// Light of other emitters.
     Crosstalk,
@@ -110,13 +110,13 @@ impl Step {
         match self {
             Self::Link => "power and data cable; detectors covered; emitters need not be connected",
             Self::Supply => "as before; the multimeter on 3.3 V",
-            Self::Dark => "all detectors connected and covered from room light",
+            Self::Dark => "all detectors connected and covered from room light; emitters, if connected, are lit",
             Self::Noise => "as before; lids closed, no lamp and no cable moved meanwhile",
             Self::Emitters => "all emitters connected; the tool fixed at its home pose; head covered from room light",
             Self::Levels | Self::Settling => "as before; the tool must not move",
             Self::Crosstalk => "as before; baffles fitted",
             Self::Safety => "as before; no other program opens the port",
-            Self::Storage => "as before; be ready to take all cables off the board and to plug them in again",
+            Self::Storage => "as before; be ready to unplug all cables of the board and to plug them in again",
         }
     }
 
@@ -129,8 +129,8 @@ impl Step {
             }
             Self::Supply => "3.3 V within 5 % (regulator of the Nucleo), -40 to 85 C (data sheet, suffix 6)",
             Self::Dark => {
-                "each word at the scaling's zero code within 10 codes: divider 1.3, amplifiers 2.6, converter 4 \
-                 (firmware/README.md, analogue front end); no light from emitters at level 0"
+                "each word within 10 codes of the zero code: divider 1.3, amplifiers 2.6, converter 4 \
+                 (firmware/README.md, analogue front end); no light from emitters while their gates are off"
             }
             Self::Noise => {
                 "rms of one conversion 0.4 to 1.3 times the scene's front end, failed above 2; codes in steps of 1"
@@ -140,12 +140,12 @@ impl Step {
                  (spread of such emitters)"
             }
             Self::Levels => {
-                "light in proportion to the level within 2 % of nominal, and none at level 0; no code missing or \
-                 repeated on the way"
+                "light in proportion to the level within 2 % of nominal, from an eighth on (below, the level buffers are \
+                 not specified); no code missing or repeated on the way"
             }
             Self::Settling => {
-                "the scene's time constant within 30 %; settled to 0.3 codes of full scale within the scene's settling \
-                 time (firmware/README.md, bandwidth and settling)"
+                "settled to 0.3 codes of full scale within 1.1 times the scene's settling time (firmware/README.md, \
+                 bandwidth and settling)"
             }
             Self::Crosstalk => {
                 "light of another emitter below the scene's prediction plus 1 % of the cell's own: 1 % at the end of a \
@@ -204,6 +204,7 @@ pub(crate) fn scene(
     let trial = given.cloned().or_else(default_scene)?;
     match Bench::new(device, search, &trial).connect() {
         Ok((_, info)) => {
+            findings.extend(pins::unknown_board(&info));
             let scene = head::scene(given, &info, findings)?;
             findings.push(head::full_scale(&scene, &info));
             Some(scene)

@@ -1,10 +1,14 @@
-//! Signals of the board, its pins and the Nucleo's connectors, for findings that send an engineer to a pin.
+//! Signals of a board by name, with pin and contact if this program knows the board's wiring.
 //!
-//! The wiring table of `firmware/README.md` holds the same; a test compares both.
+//! It knows that of the Nucleo: the wiring table of `firmware/README.md` holds the same; a test compares both.
 
 use std::fmt;
 
+use slitpose_head::finding::Finding;
 use slitpose_head::simulator::Electrode;
+use slitpose_protocol::BoardKind;
+
+use crate::device::BoardInfo;
 
 /// A pin of the microcontroller, and its place on the Morpho connectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,31 +64,65 @@ impl fmt::Display for Pin {
 /// The two electrodes of a cell, in the order of its words.
 pub(super) const ELECTRODES: [Electrode; 2] = [Electrode::X1, Electrode::X2];
 
-/// An electrode with its pin: `I_X1 of cell 2 (PC0, CN7-38)`.
-pub(super) fn electrode(cell: usize, electrode: Electrode) -> String {
-    let (name, pins) = match electrode {
-        Electrode::X1 => ("I_X1", X1),
-        Electrode::X2 => ("I_X2", X2),
-    };
-    match pins.get(cell) {
-        Some(pin) => format!("{name} of cell {cell} ({pin})"),
-        None => format!("{name} of cell {cell}"),
+/// The name in the hello of the board whose wiring is known.
+const NUCLEO: &str = "NUCLEO-G474RE";
+
+/// Whether pins of a board are known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Wiring {
+    /// The first board, a NUCLEO-G474RE.
+    Nucleo,
+    /// Another board, or a simulated one: signals have no pins.
+    #[default]
+    Unknown,
+}
+
+impl Wiring {
+    /// The wiring of the board of that name.
+    pub(super) fn of(board: &str) -> Self {
+        if board == NUCLEO { Self::Nucleo } else { Self::Unknown }
+    }
+
+    /// `signal`, with the pin of its place in `pins`: `gate of emitter 4 (PC10, CN7-1)`.
+    fn named(self, signal: String, pins: &[Pin], place: usize) -> String {
+        match (self, pins.get(place)) {
+            (Self::Nucleo, Some(pin)) => format!("{signal} ({pin})"),
+            _ => signal,
+        }
+    }
+
+    /// An electrode.
+    pub(super) fn electrode(self, cell: usize, electrode: Electrode) -> String {
+        let (name, pins) = match electrode {
+            Electrode::X1 => ("I_X1", X1),
+            Electrode::X2 => ("I_X2", X2),
+        };
+        self.named(format!("{name} of cell {cell}"), &pins, cell)
+    }
+
+    /// The gate of an emitter.
+    pub(super) fn gate(self, emitter: usize) -> String {
+        self.named(format!("gate of emitter {emitter}"), &GATES, emitter)
+    }
+
+    /// The level line of an emitter, and all emitters of that line; `None` if that is not known.
+    pub(super) fn level_line(self, emitter: usize) -> Option<(String, std::ops::RangeInclusive<usize>)> {
+        let (pin, emitters) = LEVELS.into_iter().find(|(_, emitters)| emitters.contains(&emitter))?;
+        let name = format!("level line of emitters {} to {} ({pin})", emitters.start(), emitters.end());
+        (self == Self::Nucleo).then_some((name, emitters))
     }
 }
 
-/// The gate of an emitter with its pin: `gate of emitter 4 (PC10, CN7-1)`.
-pub(super) fn gate(emitter: usize) -> String {
-    match GATES.get(emitter) {
-        Some(pin) => format!("gate of emitter {emitter} ({pin})"),
-        None => format!("gate of emitter {emitter}"),
-    }
-}
-
-/// The level line of an emitter with its pin, and the other emitters of that line.
-pub(super) fn level_line(emitter: usize) -> Option<(String, std::ops::RangeInclusive<usize>)> {
-    let (pin, emitters) = LEVELS.into_iter().find(|(_, emitters)| emitters.contains(&emitter))?;
-    let name = format!("level line of emitters {} to {} ({pin})", emitters.start(), emitters.end());
-    Some((name, emitters))
+/// A warning, if signals of a real board cannot be named by their pins.
+pub(super) fn unknown_board(info: &BoardInfo) -> Option<Finding> {
+    let is_unknown = info.kind == BoardKind::Physical && Wiring::of(&info.board) == Wiring::Unknown;
+    is_unknown.then(|| {
+        Finding::warning(
+            "wiring",
+            format!("the pins of a board `{}` are not known; findings name signals only", info.board),
+            format!("look the pins up in the wiring table of this board; the known one is {NUCLEO}"),
+        )
+    })
 }
 
 #[cfg(test)]
@@ -121,11 +159,33 @@ mod tests {
     }
 
     #[test]
-    fn signals_beyond_the_board_are_named_without_a_pin() {
-        assert_eq!(electrode(2, Electrode::X1), "I_X1 of cell 2 (PC0, CN7-38)");
-        assert_eq!(electrode(6, Electrode::X2), "I_X2 of cell 6");
-        assert_eq!((gate(4), gate(9)), ("gate of emitter 4 (PC10, CN7-1)".into(), "gate of emitter 9".into()));
-        assert!(level_line(4).is_some_and(|(name, emitters)| name.contains("PA6") && emitters == (3..=5)));
-        assert!(level_line(6).is_none());
+    fn signals_beyond_the_board_and_of_other_boards_are_named_without_a_pin() {
+        let wiring = Wiring::of("NUCLEO-G474RE");
+        assert_eq!(wiring.electrode(2, Electrode::X1), "I_X1 of cell 2 (PC0, CN7-38)");
+        assert_eq!(wiring.electrode(6, Electrode::X2), "I_X2 of cell 6");
+        assert_eq!(
+            (wiring.gate(4), wiring.gate(9)),
+            ("gate of emitter 4 (PC10, CN7-1)".into(), "gate of emitter 9".into())
+        );
+        assert!(wiring.level_line(4).is_some_and(|(name, emitters)| name.contains("PA6") && emitters == (3..=5)));
+        assert!(wiring.level_line(6).is_none());
+        for board in ["simulated", "NUCLEO-G491RE", "nucleo-g474re", "NUCLEO-G474RE ", ""] {
+            let other = Wiring::of(board);
+            let signals = [other.electrode(2, Electrode::X1), other.electrode(0, Electrode::X2), other.gate(4)];
+            assert_eq!(signals, ["I_X1 of cell 2", "I_X2 of cell 0", "gate of emitter 4"], "{board}");
+            assert!(other.level_line(4).is_none(), "{board}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_board_is_named() {
+        let device = crate::device::SimulatedDevice::at_rest(&slitpose_head::scene_file::WIDE.read().unwrap()).unwrap();
+        let mut board = crate::device::Conversation::open(Box::new(device)).unwrap();
+        let simulated = board.introduce(std::time::Duration::from_secs(1)).unwrap();
+        let of = |kind, board: &str| unknown_board(&BoardInfo { kind, board: board.to_owned(), ..simulated.clone() });
+        assert_eq!(of(BoardKind::Simulated, "simulated"), None);
+        assert_eq!(of(BoardKind::Physical, "NUCLEO-G474RE"), None);
+        let other = of(BoardKind::Physical, "SLITPOSE-2").expect("a warning").to_string();
+        assert!(other.contains("`SLITPOSE-2`") && other.contains("signals only"), "{other}");
     }
 }

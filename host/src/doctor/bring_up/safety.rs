@@ -22,7 +22,7 @@ pub(super) fn take(bench: &mut Bench<'_>) -> Result<Vec<Finding>, BenchError> {
     let taken = sample(&mut board, configuration, SCANS)?.scans.len();
     let mut findings = vec![judge(After::Stop, &[board.status()?, board.status()?], taken)];
     if bench.is_simulated() {
-        findings.push(Finding::skipped("port closed", "a simulated board has no port to be closed"));
+        findings.push(Finding::skipped("port closed", "a simulated board has no port"));
         return Ok(findings);
     }
     board.start()?;
@@ -54,14 +54,17 @@ fn judge(after: After, statuses: &[Status; 2], taken: usize) -> Finding {
     let [first, second] = statuses;
     if first.acquiring || second.acquiring || first.scans_taken != second.scans_taken {
         let frames = second.scans_taken.saturating_sub(first.scans_taken);
-        let text = format!("{when} the board goes on acquiring, {frames} frames from one status to the next");
+        let text = format!("{when} the board is still acquiring: {frames} frames between two statuses");
         return Finding::failed(
             place,
             text,
-            "pull the plug: emitters may be lit; flash the firmware again, and report it",
+            "disconnect the emitters' supply: they may be lit; flash the firmware again, and report it",
         );
     }
-    Finding::ok(place, format!("{when} the board is idle, emitters off; see the 3.3 ohm at 0 V with an oscilloscope"))
+    Finding::ok(
+        place,
+        format!("{when} the board is idle, emitters off; confirm 0 V over the 3.3 ohm with an oscilloscope"),
+    )
 }
 
 #[cfg(test)]

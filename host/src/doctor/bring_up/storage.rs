@@ -35,7 +35,7 @@ impl From<BoardInfo> for Stored {
 
 pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -> Result<Vec<Finding>, BenchError> {
     if bench.is_simulated() {
-        return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing beyond its life")]);
+        return Ok(vec![Finding::skipped("storage", "a simulated board stores nothing")]);
     }
     // What a start brings is the reference; the configuration in force may be another.
     let (board, _) = bench.connect()?;
@@ -67,7 +67,7 @@ pub(super) fn take(bench: &mut Bench<'_>, cut_power: &mut dyn FnMut() -> bool) -
     if !had_settings {
         let (mut board, _) = bench.connect()?;
         findings.push(match board.forget_stored() {
-            Ok(()) => Finding::ok("forget", "the settings of this trial are erased again"),
+            Ok(()) => Finding::ok("forget", "the settings of this test are erased again"),
             Err(error) => {
                 Finding::failed("forget", with_causes(&error), "store the settings of the head: device set --scene")
             }

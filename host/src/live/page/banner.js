@@ -37,7 +37,7 @@ export class Banner {
     if (link.state === "waiting" || (link.state === "connecting" && link.reason)) {
       words.push(`Disconnected: ${link.reason}. Connecting again, attempt ${link.attempts}. What is shown is old.`);
     } else if (link.state === "refused") {
-      words.push(`Refused: ${link.reason}. Open the address that the daemon prints, with its token.`);
+      words.push(`Refused: ${link.reason}.`);
     }
     if (board && board.link.state !== "running" && board.link.state !== "ended") {
       words.push(`Board ${board.name}: ${board.link.state}${board.link.reason ? `, ${board.link.reason}` : ""}.`);

@@ -7,7 +7,7 @@ import { facts } from "./numbers.js";
 
 const FACTS = [
   "Board", "Link", "Rate", "Scans", "Lost on the board", "Lost on the link", "Lost on the host", "Latency",
-  "of it link, host", "Lag", "Clock", "Health of the board", "Its last message", "Daemon",
+  "of which link, host", "Lag", "Clock", "Health of the board", "Its last message", "Daemon",
 ];
 
 export class Daemon {
@@ -30,7 +30,7 @@ export class Daemon {
       "Lost on the link": `${count(onLink.scans)} scans, ${count(damaged)} packets damaged, ${count(onLink.unreadable)} unreadable, ${count(onLink.scans_repeated)} scans repeated`,
       "Lost on the host": `${bytes(onHost.bytes_unrecorded)} unrecorded, ${bytes(onHost.bytes_unpublished)} unpublished, ${count(onHost.poses_unsent)} poses unsent, ${count(lag.skipped_scans)} scans skipped`,
       "Latency": quantiles(state.latencies.total),
-      "of it link, host": `${quantiles(state.latencies.link)}; ${quantiles(state.latencies.host)}`,
+      "of which link, host": `${quantiles(state.latencies.link)}; ${quantiles(state.latencies.host)}`,
       "Lag": lag.behind
         ? `behind for ${engineering(lag.behind_s, "s")}, ${count(lag.waiting_scans)} scans wait`
         : lag.output_blocked ? "standard output is read too slowly" : "none",
@@ -44,11 +44,12 @@ export class Daemon {
   }
 }
 
-/** Of the last interval if it had poses. */
+/** Of the last second; if no pose of it had a known instant, of all poses before. */
 function quantiles({ recent, total }) {
   const latency = recent?.count ? recent : total;
   if (!latency?.count) return "–";
-  return `${engineering(latency.p50_s, "s")} median, ${engineering(latency.p99_s, "s")} for 99 %`;
+  const span = recent?.count ? "" : " (none in the last second)";
+  return `${engineering(latency.p50_s, "s")} median, ${engineering(latency.p99_s, "s")} for 99 %${span}`;
 }
 
 function duration(seconds) {

@@ -179,7 +179,7 @@ function drawReport(frame) {
   const state = report.report?.boards[board];
   const faults = state?.head?.findings ?? [];
   strips.setFindings(faults);
-  findings.draw(report.findings, faults);
+  findings.draw(report.findings, state, isScene());
   daemon.draw(report.report, board);
   recorder.draw(report.report?.recorder, hello, link.state.state === "open");
   player.draw(playerState, hello);

@@ -26,6 +26,9 @@ impl<W: World> Board<W> {
     pub(super) fn access_read(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
         if (in_ram as usize) < self.ram.len() {
+            if self.loses_writes {
+                self.loses_access(in_ram as usize, None);
+            }
             return load(&self.ram, in_ram as usize, width).ok_or(BusFault);
         }
         self.effects.address = address;
@@ -40,6 +43,9 @@ impl<W: World> Board<W> {
     fn access_read_beyond(&mut self, address: u32, width: u32) -> Result<u32, BusFault> {
         let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
         if in_ccm < CCM_BYTES {
+            if self.loses_writes {
+                self.loses_access(RAM_BYTES - CCM_BYTES + in_ccm, None);
+            }
             return load(&self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width).ok_or(BusFault);
         }
         let word = if PERIPHERALS.contains(&address) {
@@ -61,6 +67,9 @@ impl<W: World> Board<W> {
     pub(super) fn access_write(&mut self, address: u32, width: u32, value: u32) -> Result<(), BusFault> {
         let in_ram = address.wrapping_sub(RAM_BASE);
         if (in_ram as usize) < self.ram.len() {
+            if self.loses_writes && self.loses_access(in_ram as usize, Some(value)) {
+                return Ok(());
+            }
             return store(&mut self.ram, in_ram as usize, width, value).ok_or(BusFault);
         }
         self.effects.address = address;
@@ -72,6 +81,9 @@ impl<W: World> Board<W> {
         let in_ccm = address.wrapping_sub(CCM_BASE) as usize;
         let in_flash = address & !FLASH_BASE;
         if in_ccm < CCM_BYTES {
+            if self.loses_writes && self.loses_access(RAM_BYTES - CCM_BYTES + in_ccm, Some(value)) {
+                return Ok(());
+            }
             store(&mut self.ram, RAM_BYTES - CCM_BYTES + in_ccm, width, value).ok_or(BusFault)
         } else if in_flash < FLASH_BYTES as u32 {
             self.flash.store(in_flash as usize, width, value, &mut self.effects);

@@ -4,7 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::Board;
-use crate::memory::Bits;
+use crate::memory::{Bits, CCM_BYTES, RAM_BASE, RAM_BYTES};
 use crate::peripherals::{Request, TICKS_PER_SECOND, Ticks};
 use crate::silicon::{Fault, Silicon};
 use crate::world::World;
@@ -17,6 +17,18 @@ const USB_PAUSE_TICKS: RangeInclusive<u64> = TICKS_PER_SECOND / 5..=TICKS_PER_SE
 /// Fault pvd-slow: the detector's delay, 100 µs.
 const PVD_TICKS: Ticks = TICKS_PER_SECOND / 10_000;
 
+/// Fault sram-first-write: where the blocks of SRAM begin: three of SRAM1, SRAM2, CCM SRAM.
+const BLOCKS: [usize; 5] = [0, 0x8000, 0x1_0000, 0x1_4000, RAM_BYTES - CCM_BYTES];
+
+/// Fault sram-first-write: what has become of a block since the reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Block {
+    Untouched,
+    /// A write to this offset was lost.
+    Lost(usize),
+    Sound,
+}
+
 /// What faults have under way.
 #[derive(Debug)]
 pub(super) struct Faults {
@@ -26,6 +38,7 @@ pub(super) struct Faults {
     pvd_due: Ticks,
     /// Fault usb-host: when the host next suspends or resets the bus, or lets it go on.
     usb_due: Ticks,
+    blocks: [Block; BLOCKS.len()],
 }
 
 /// A DMA transfer that takes its time.
@@ -38,7 +51,7 @@ struct Transfer {
 
 impl Default for Faults {
     fn default() -> Self {
-        Self { transfers: [None; 2], pvd_due: Ticks::MAX, usb_due: Ticks::MAX }
+        Self { transfers: [None; 2], pvd_due: Ticks::MAX, usb_due: Ticks::MAX, blocks: [Block::Sound; BLOCKS.len()] }
     }
 }
 
@@ -62,10 +75,34 @@ impl<W: World> Board<W> {
         self.effects.silicon = silicon;
         self.effects.chance = Bits::seeded(seed);
         self.effects.clock_phase = self.effects.chance.within(0..=3);
+        self.dacs.iter_mut().for_each(|dac| dac.set_rest_v(silicon.dac_rest_v()));
+        self.forget_accesses();
         if silicon.has(Fault::UsbHost) {
             self.faults.usb_due = *USB_PAUSE_TICKS.start();
         }
         self.find_next_event();
+    }
+
+    /// A reset: no block of SRAM counts as touched, if the silicon has fault sram-first-write.
+    pub(super) fn forget_accesses(&mut self) {
+        self.loses_writes = self.effects.silicon.has(Fault::SramFirstWrite);
+        self.faults.blocks.fill(if self.loses_writes { Block::Untouched } else { Block::Sound });
+    }
+
+    /// An access to RAM; whether it is a write that is lost. One that is not repeated at once breaks a rule.
+    #[cold]
+    pub(super) fn loses_access(&mut self, offset: usize, written: Option<u32>) -> bool {
+        let index = BLOCKS.iter().rposition(|&start| start <= offset).unwrap_or(0);
+        let before = self.faults.blocks[index];
+        let is_lost = before == Block::Untouched && written.is_some();
+        self.faults.blocks[index] = if is_lost { Block::Lost(offset) } else { Block::Sound };
+        if matches!(before, Block::Lost(at) if at != offset || written.is_none()) {
+            self.effects.address = RAM_BASE + offset as u32;
+            let rule = "a first access to SRAM that is a write is lost: it is repeated before any other";
+            self.effects.violation(written.unwrap_or(0), rule);
+        }
+        self.loses_writes = self.faults.blocks.iter().any(|&block| block != Block::Sound);
+        is_lost
     }
 
     /// Fault injection: the crystal stops, for good.

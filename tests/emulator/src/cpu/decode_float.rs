@@ -85,11 +85,9 @@ fn other_data_processing(w: u32) -> Option<FloatInstruction> {
         (0, true) => unary(FloatUnaryOp::Abs),
         (1, false) => unary(FloatUnaryOp::Neg),
         (1, true) => unary(FloatUnaryOp::Sqrt),
-        (2, top) => FloatInstruction::FromHalf { sd, sm, top },
-        (3, top) => FloatInstruction::ToHalf { sd, sm, top },
-        (4, signal) => FloatInstruction::Compare { sd, sm: Some(sm), signal },
-        (5, signal) => FloatInstruction::Compare { sd, sm: None, signal },
-        (8, signed) => FloatInstruction::FromFixed { sd, sm, fixed: integer(signed), nearest: false },
+        (4, _) => FloatInstruction::Compare { sd, sm: Some(sm) },
+        (5, _) => FloatInstruction::Compare { sd, sm: None },
+        (8, signed) => FloatInstruction::FromFixed { sd, sm, fixed: integer(signed) },
         (12, truncate) => FloatInstruction::ToFixed { sd, sm, fixed: integer(false), truncate },
         (13, truncate) => FloatInstruction::ToFixed { sd, sm, fixed: integer(true), truncate },
         (10 | 11 | 14 | 15, _) => return fixed_point(w),
@@ -106,7 +104,7 @@ fn fixed_point(w: u32) -> Option<FloatInstruction> {
     Some(if bit(w, 18) {
         FloatInstruction::ToFixed { sd, sm, fixed, truncate: true }
     } else {
-        FloatInstruction::FromFixed { sd, sm, fixed, nearest: true }
+        FloatInstruction::FromFixed { sd, sm, fixed }
     })
 }
 

@@ -75,7 +75,9 @@ impl Cpu {
         self.cycles += ENTRY;
         match self.push_frame(bus, return_address) {
             Ok(()) => self.take_exception(bus, exception),
-            Err(fault) if exception <= HARD_FAULT => self.lock_up(fault, return_address),
+            Err(fault) if exception < HARD_FAULT => self.lock_up(fault, return_address),
+            // Also on the way to HardFault: what was preempted is less urgent, so the handler is entered without its frame
+            // (DDI0403, B1.5.11, DerivedLateArrival).
             Err(fault) => {
                 self.report(fault, return_address);
                 self.system.hfsr |= FORCED;
@@ -123,6 +125,9 @@ impl Cpu {
 
     fn store_frame<B: Bus>(&mut self, bus: &mut B, base: u32, words: &[u32]) -> Result<(), Fault> {
         for (address, &word) in (base..).step_by(4).zip(words) {
+            if self.is_guarded(address) {
+                return Err(Fault::StackingGuarded { address });
+            }
             bus.write(address, Size::Word, word).map_err(|_| Fault::Stacking { address })?;
         }
         Ok(())
@@ -245,7 +250,7 @@ impl Cpu {
         let mut words = [0; 17];
         load_frame(bus, base, &mut words)?;
         self.float.s[..16].copy_from_slice(&words[..16]);
-        self.float.set_fpscr(words[16]);
+        self.float.restore_fpscr(words[16]);
         if !std::mem::take(&mut self.float.stacking_unpaid) {
             self.cycles += FLOAT_FRAME;
         }

@@ -8,6 +8,9 @@ use super::cycles::REFILL;
 use super::instruction::{AluOp, ImmediateCarry, Instruction, Reg, SetFlags, ShiftKind, Special};
 use super::{Bus, Cpu, Fault, Size, Trap, Waiting, dsp};
 
+/// The halfwords of ISB.
+const ISB: [u16; 2] = [0xf3bf, 0x8f6f];
+
 impl Cpu {
     /// Executes `instruction`; PC is already past it.
     #[inline(always)]
@@ -114,10 +117,10 @@ impl Cpu {
                 if self.event {
                     self.event = false;
                 } else {
-                    self.wait_for(Waiting::Event);
+                    self.wait_for(bus, Waiting::Event)?;
                 }
             }
-            Instruction::Wfi => self.wait_for(Waiting::Interrupt),
+            Instruction::Wfi => self.wait_for(bus, Waiting::Interrupt)?,
             Instruction::Sev => self.event = true,
             Instruction::Breakpoint => return Err(Fault::Breakpoint.into()),
             Instruction::SupervisorCall => return Err(Trap::SupervisorCall),
@@ -244,9 +247,16 @@ impl Cpu {
         Ok(())
     }
 
-    fn wait_for(&mut self, waiting: Waiting) {
+    fn wait_for<B: Bus>(&mut self, bus: &mut B, waiting: Waiting) -> Result<(), Trap> {
+        if self.fetches_wrong_behind_sleep {
+            let [first, second] = [0, 2].map(|offset| bus.fetch(self.pc.wrapping_add(offset)).unwrap_or(0));
+            if [first, second] != ISB {
+                return Err(Fault::Undefined { first, second }.into());
+            }
+        }
         self.waiting = waiting;
         self.attention = true;
+        Ok(())
     }
 
     fn change_masks(&mut self, disable: bool, primask: bool, faultmask: bool) {

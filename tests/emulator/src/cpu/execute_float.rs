@@ -1,6 +1,7 @@
 //! Execution: the floating-point extension.
 
 use super::cycles::FLOAT_FRAME;
+use super::float::{FloatUnit, fixed_from_float, float_from_fixed};
 use super::instruction::{Fixed, FloatAddress, FloatInstruction, FloatUnaryOp, Reg, SReg};
 use super::registers::Flags;
 use super::{Bus, Cpu, Fault, Trap};
@@ -12,23 +13,23 @@ impl Cpu {
         match instruction {
             FloatInstruction::Arithmetic { op, sd, sn, sm } => {
                 self.await_float(&[sd, sn, sm]);
-                let result = self.float.arithmetic(op, self.float.get(sd), self.float.get(sn), self.float.get(sm));
+                let result = FloatUnit::arithmetic(op, self.float.get(sd), self.float.get(sn), self.float.get(sm));
                 self.float.set(sd, result);
                 self.float.made(sd, self.instructions);
             }
             FloatInstruction::Unary { op, sd, sm } => {
                 self.await_float(&[sm]);
-                let result = self.float.unary(op, self.float.get(sm));
+                let result = FloatUnit::unary(op, self.float.get(sm));
                 self.float.set(sd, result);
                 if op == FloatUnaryOp::Sqrt {
                     self.float.made(sd, self.instructions);
                 }
             }
             FloatInstruction::Constant { sd, value } => self.float.set(sd, value),
-            FloatInstruction::Compare { sd, sm, signal } => {
+            FloatInstruction::Compare { sd, sm } => {
                 self.await_float(&[sd, sm.unwrap_or(sd)]);
                 let other = sm.map_or(0, |sm| self.float.get(sm));
-                self.float.compare(self.float.get(sd), other, signal);
+                self.float.compare(self.float.get(sd), other);
             }
             FloatInstruction::Load { first, count, address } => self.load_float(bus, first, count, address)?,
             FloatInstruction::Store { first, count, address } => self.store_float(bus, first, count, address)?,
@@ -51,7 +52,7 @@ impl Cpu {
                 self.registers.flags = Flags::from_bits(apsr | self.float.fpscr() & 0xf000_0000);
             }
             FloatInstruction::ReadStatus { rt } => self.set(rt, self.float.fpscr()),
-            FloatInstruction::WriteStatus { rt } => self.float.set_fpscr(self.get(rt)),
+            FloatInstruction::WriteStatus { rt } => self.float.set_fpscr(self.get(rt))?,
             conversion => self.convert(conversion),
         }
         Ok(())
@@ -69,7 +70,7 @@ impl Cpu {
         }
         if !self.registers.float_active && self.system.tracks_float() {
             self.registers.float_active = true;
-            self.float.set_modes(self.system.fpdscr);
+            self.float.set_fpscr(self.float.fpscr() | self.system.fpdscr)?;
         }
         Ok(())
     }
@@ -82,27 +83,17 @@ impl Cpu {
     /// The conversions, which all have one operand and one result.
     fn convert(&mut self, instruction: FloatInstruction) {
         let (sd, sm) = match instruction {
-            FloatInstruction::ToFixed { sd, sm, .. }
-            | FloatInstruction::FromFixed { sd, sm, .. }
-            | FloatInstruction::ToHalf { sd, sm, .. }
-            | FloatInstruction::FromHalf { sd, sm, .. } => (sd, sm),
+            FloatInstruction::ToFixed { sd, sm, .. } | FloatInstruction::FromFixed { sd, sm, .. } => (sd, sm),
             other => unreachable!("{other:?} is executed elsewhere"),
         };
         self.await_float(&[sm]);
-        let (old, operand) = (self.float.get(sd), self.float.get(sm));
+        let operand = self.float.get(sm);
         let result = match instruction {
             FloatInstruction::ToFixed { fixed: Fixed { signed, bits, fraction }, truncate, .. } => {
-                self.float.fixed_from_float(operand, bits, signed, fraction, truncate)
+                fixed_from_float(operand, bits, signed, fraction, truncate)
             }
-            FloatInstruction::FromFixed { fixed, nearest, .. } => {
-                self.float.float_from_fixed(widen(operand, fixed), fixed.fraction, nearest)
-            }
-            FloatInstruction::ToHalf { top: true, .. } => old & 0xffff | self.float.half_from_float(operand) << 16,
-            FloatInstruction::ToHalf { .. } => old & 0xffff_0000 | self.float.half_from_float(operand),
-            FloatInstruction::FromHalf { top, .. } => {
-                self.float.float_from_half(if top { operand >> 16 } else { operand & 0xffff })
-            }
-            _ => old,
+            FloatInstruction::FromFixed { fixed, .. } => float_from_fixed(widen(operand, fixed), fixed.fraction),
+            _ => operand,
         };
         self.float.set(sd, result);
         self.float.made(sd, self.instructions);

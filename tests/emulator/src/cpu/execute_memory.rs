@@ -22,6 +22,9 @@ impl Cpu {
         if is_private(address) {
             return self.read_private(address, size);
         }
+        if self.is_guarded(address) {
+            return Err(Fault::Guarded { address });
+        }
         self.wait(bus, address);
         bus.read(address, size).map_err(|_| Fault::DataBus { address })
     }
@@ -40,8 +43,17 @@ impl Cpu {
         if is_private(address) {
             return self.write_private(address, size, value);
         }
+        if self.is_guarded(address) {
+            return Err(Fault::Guarded { address });
+        }
         self.wait(bus, address);
         bus.write(address, size, value).map_err(|_| Fault::DataBus { address })
+    }
+
+    /// Whether the MPU forbids data accesses to `address`; not at the priorities of HardFault and NMI.
+    #[inline(always)]
+    pub(super) fn is_guarded(&self, address: u32) -> bool {
+        self.system.mpu.guards(address) && self.execution_priority() >= 0
     }
 
     /// Wait states of a data access; flash has a cache.

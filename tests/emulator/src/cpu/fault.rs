@@ -9,6 +9,12 @@ pub enum Fault {
         /// Address of the access.
         address: u32,
     },
+    /// The MPU forbids a data access.
+    #[error("memory fault: data access to guarded {address:#010x}")]
+    Guarded {
+        /// Address of the access.
+        address: u32,
+    },
     /// Nothing answers an instruction fetch.
     #[error("bus fault: instruction fetch from {address:#010x}")]
     FetchBus {
@@ -27,6 +33,12 @@ pub enum Fault {
         /// Address of the access.
         address: u32,
     },
+    /// The MPU forbids to write the register frame of an exception.
+    #[error("memory fault while stacking at guarded {address:#010x}")]
+    StackingGuarded {
+        /// Address of the access.
+        address: u32,
+    },
     /// The register frame of an exception could not be read.
     #[error("bus fault while unstacking at {address:#010x}")]
     Unstacking {
@@ -38,6 +50,12 @@ pub enum Fault {
     VectorTable {
         /// Address of the vector.
         address: u32,
+    },
+    /// Code that switches on a mode of the floating-point unit which is not modelled.
+    #[error("usage fault: FPSCR {fpscr:#010x} asks for a mode that the emulator does not model")]
+    FloatMode {
+        /// What was to be written.
+        fpscr: u32,
     },
     /// An encoding without a meaning.
     #[error("usage fault: undefined instruction {first:#06x} {second:#06x}")]
@@ -103,11 +121,13 @@ impl Fault {
     pub(super) fn class(self) -> (u8, u32) {
         match self {
             Self::FetchNeverExecute { .. } => (4, 1 << 0),
+            Self::Guarded { .. } => (4, 1 << 1),
+            Self::StackingGuarded { .. } => (4, 1 << 4),
             Self::FetchBus { .. } => (5, 1 << 8),
             Self::DataBus { .. } => (5, 1 << 9),
             Self::Unstacking { .. } => (5, 1 << 11),
             Self::Stacking { .. } => (5, 1 << 12),
-            Self::Undefined { .. } => (6, 1 << 16),
+            Self::Undefined { .. } | Self::FloatMode { .. } => (6, 1 << 16),
             Self::InvalidState => (6, 1 << 17),
             Self::InvalidReturn { .. } => (6, 1 << 18),
             Self::NoCoprocessor => (6, 1 << 19),

@@ -1,21 +1,20 @@
 //! The floating-point unit: S0–S31, FPSCR, and operations on them.
 //!
-//! The rule is `softfloat`. The host's own arithmetic takes over where it is bound to give the same: rounding
-//! to nearest, no special mode, a result that is a normal number, and FPSCR.IXC set already (it stays set until
-//! software clears it), so that no flag can change.
+//! The host's arithmetic is that of IEEE 754 as the core's is, rounding to nearest. What the two may do differently stands
+//! here: which NaN comes out (DDI0403, A2.5, FPProcessNaNs). The modes of FPSCR (other rounding, flush to zero, default NaN,
+//! other half precision) are not modelled: code that switches one on ends in a usage fault. Cumulative exception flags stay as
+//! they are written.
 
+use super::Fault;
 use super::instruction::{FloatOp, FloatUnaryOp, SReg};
-use super::softfloat::{Context, INEXACT, Rounding};
 
-/// FPSCR bits: alternative half precision, default NaN, flush to zero, rounding mode.
-const AHP: u32 = 1 << 26;
-const DN: u32 = 1 << 25;
-const FZ: u32 = 1 << 24;
-const RMODE: u32 = 3 << 22;
+/// FPSCR: alternative half precision, default NaN, flush to zero, rounding mode.
+const MODES: u32 = 1 << 26 | 1 << 25 | 1 << 24 | 3 << 22;
 /// Bits that exist.
 const FPSCR_BITS: u32 = 0xf7c0_009f;
-const CUMULATIVE: u32 = 0x9f;
 const SIGN: u32 = 0x8000_0000;
+const QUIET: u32 = 0x0040_0000;
+const DEFAULT_NAN: u32 = 0x7fc0_0000;
 
 #[derive(Clone, Debug)]
 pub(super) struct FloatUnit {
@@ -37,14 +36,21 @@ impl FloatUnit {
         self.status
     }
 
-    pub fn set_fpscr(&mut self, fpscr: u32) {
-        self.status = fpscr & FPSCR_BITS;
+    /// Takes a new FPSCR.
+    ///
+    /// # Errors
+    /// If it switches on a mode that is not modelled.
+    pub fn set_fpscr(&mut self, fpscr: u32) -> Result<(), Fault> {
+        if fpscr & MODES != 0 {
+            return Err(Fault::FloatMode { fpscr });
+        }
+        self.restore_fpscr(fpscr);
+        Ok(())
     }
 
-    /// Takes the modes of a new context from FPDSCR.
-    pub fn set_modes(&mut self, fpdscr: u32) {
-        let modes = AHP | DN | FZ | RMODE;
-        self.status = self.status & !modes | fpdscr & modes;
+    /// Takes an FPSCR that this unit had before.
+    pub fn restore_fpscr(&mut self, fpscr: u32) {
+        self.status = fpscr & FPSCR_BITS & !MODES;
     }
 
     #[inline(always)]
@@ -70,142 +76,147 @@ impl FloatUnit {
         u32::from(self.result.1.wrapping_add(1) == now && sources.contains(&self.result.0))
     }
 
-    /// Whether the host's arithmetic may be used: see the module.
-    #[inline(always)]
-    fn host_allowed(&self) -> bool {
-        self.status & (DN | FZ | RMODE | INEXACT) == INEXACT
-    }
-
-    /// Runs `operation` by the rule and keeps its flags.
-    fn by_rule<T>(&mut self, operation: impl FnOnce(&mut Context) -> T) -> T {
-        let rounding =
-            [Rounding::Nearest, Rounding::Up, Rounding::Down, Rounding::Zero][(self.status >> 22 & 3) as usize];
-        self.with_rounding(rounding, operation)
-    }
-
-    fn with_rounding<T>(&mut self, rounding: Rounding, operation: impl FnOnce(&mut Context) -> T) -> T {
-        let (flush, default_nan) = (self.status & FZ != 0, self.status & DN != 0);
-        let mut context = Context { rounding, flush, default_nan, flags: 0 };
-        let result = operation(&mut context);
-        self.status |= context.flags & CUMULATIVE;
-        result
-    }
-
     /// An operation on `n`, `m` and, for the accumulating ones, `d`.
     #[inline(always)]
-    pub fn arithmetic(&mut self, op: FloatOp, d: u32, n: u32, m: u32) -> u32 {
-        if self.host_allowed()
-            && let Some(bits) = on_host(op, d, n, m)
-        {
-            return bits;
+    pub fn arithmetic(op: FloatOp, d: u32, n: u32, m: u32) -> u32 {
+        match op {
+            FloatOp::Add => add(n, m),
+            FloatOp::Sub => sub(n, m),
+            FloatOp::Mul => mul(n, m),
+            FloatOp::Nmul => mul(n, m) ^ SIGN,
+            FloatOp::Div => result(f32::from_bits(n) / f32::from_bits(m), &[n, m]),
+            FloatOp::Mla => add(d, mul(n, m)),
+            FloatOp::Mls => add(d, mul(n, m) ^ SIGN),
+            FloatOp::Nmla => add(d ^ SIGN, mul(n, m) ^ SIGN),
+            FloatOp::Nmls => add(d ^ SIGN, mul(n, m)),
+            FloatOp::Fma => mul_add(d, n, m),
+            FloatOp::Fms => mul_add(d, n ^ SIGN, m),
+            FloatOp::Fnma => mul_add(d ^ SIGN, n ^ SIGN, m),
+            FloatOp::Fnms => mul_add(d ^ SIGN, n, m),
         }
-        self.arithmetic_by_rule(op, d, n, m)
-    }
-
-    #[inline(never)]
-    fn arithmetic_by_rule(&mut self, op: FloatOp, d: u32, n: u32, m: u32) -> u32 {
-        self.by_rule(|context| match op {
-            FloatOp::Add => context.add(n, m),
-            FloatOp::Sub => context.sub(n, m),
-            FloatOp::Mul => context.mul(n, m),
-            FloatOp::Nmul => context.mul(n, m) ^ SIGN,
-            FloatOp::Div => context.div(n, m),
-            FloatOp::Mla => {
-                let product = context.mul(n, m);
-                context.add(d, product)
-            }
-            FloatOp::Mls => {
-                let product = context.mul(n, m);
-                context.add(d, product ^ SIGN)
-            }
-            FloatOp::Nmla => {
-                let product = context.mul(n, m);
-                context.add(d ^ SIGN, product ^ SIGN)
-            }
-            FloatOp::Nmls => {
-                let product = context.mul(n, m);
-                context.add(d ^ SIGN, product)
-            }
-            FloatOp::Fma => context.mul_add(d, n, m),
-            FloatOp::Fms => context.mul_add(d, n ^ SIGN, m),
-            FloatOp::Fnma => context.mul_add(d ^ SIGN, n ^ SIGN, m),
-            FloatOp::Fnms => context.mul_add(d ^ SIGN, n, m),
-        })
     }
 
     #[inline(always)]
-    pub fn unary(&mut self, op: FloatUnaryOp, m: u32) -> u32 {
+    pub fn unary(op: FloatUnaryOp, m: u32) -> u32 {
         match op {
             FloatUnaryOp::Mov => m,
             FloatUnaryOp::Abs => m & !SIGN,
             FloatUnaryOp::Neg => m ^ SIGN,
-            FloatUnaryOp::Sqrt => self.sqrt(m),
+            FloatUnaryOp::Sqrt => result(f32::from_bits(m).sqrt(), &[m]),
         }
-    }
-
-    fn sqrt(&mut self, m: u32) -> u32 {
-        if self.host_allowed()
-            && let Some(bits) = normal(f32::from_bits(m).sqrt())
-        {
-            return bits;
-        }
-        self.by_rule(|context| context.sqrt(m))
     }
 
     /// Compares and puts the outcome into N, Z, C, V of FPSCR.
-    pub fn compare(&mut self, x: u32, y: u32, signal: bool) {
-        let nzcv = self.by_rule(|context| context.compare(x, y, signal));
+    pub fn compare(&mut self, x: u32, y: u32) {
+        let nzcv = match f32::from_bits(x).partial_cmp(&f32::from_bits(y)) {
+            Some(std::cmp::Ordering::Less) => 0b1000,
+            Some(std::cmp::Ordering::Equal) => 0b0110,
+            Some(std::cmp::Ordering::Greater) => 0b0010,
+            None => 0b0011,
+        };
         self.status = self.status & !(15 << 28) | nzcv << 28;
     }
-
-    /// To an integer of `bits` bits and `fraction` of them behind the point.
-    pub fn fixed_from_float(&mut self, x: u32, bits: u8, signed: bool, fraction: u8, truncate: bool) -> u32 {
-        let convert = |context: &mut Context| context.fixed_from_float(x, bits.into(), signed, fraction.into());
-        let value = if truncate { self.with_rounding(Rounding::Zero, convert) } else { self.by_rule(convert) };
-        value as u32
-    }
-
-    pub fn float_from_fixed(&mut self, value: i64, fraction: u8, nearest: bool) -> u32 {
-        let convert = |context: &mut Context| context.float_from_fixed(value, fraction.into());
-        if nearest { self.with_rounding(Rounding::Nearest, convert) } else { self.by_rule(convert) }
-    }
-
-    pub fn half_from_float(&mut self, x: u32) -> u32 {
-        let alternative = self.status & AHP != 0;
-        self.by_rule(|context| context.half_from_float(x, alternative))
-    }
-
-    pub fn float_from_half(&mut self, half: u32) -> u32 {
-        let alternative = self.status & AHP != 0;
-        self.by_rule(|context| context.float_from_half(half, alternative))
-    }
 }
 
-/// The bits of a normal number other than the smallest (which may be the rounding of a subnormal one).
-#[inline(always)]
-fn normal(x: f32) -> Option<u32> {
-    let magnitude = x.abs();
-    (magnitude > f32::MIN_POSITIVE && magnitude < f32::INFINITY).then(|| x.to_bits())
+fn is_signaling(bits: u32) -> bool {
+    f32::from_bits(bits).is_nan() && bits & QUIET == 0
 }
 
-/// The result by the host's arithmetic, if it and every intermediate result is normal.
+/// The bits of `value`, or the NaN that `operands` lead to: the first signalling one, else the first quiet one, else the
+/// default NaN of an invalid operation.
 #[inline(always)]
-fn on_host(op: FloatOp, d: u32, n: u32, m: u32) -> Option<u32> {
-    let [d, n, m] = [d, n, m].map(f32::from_bits);
-    let product = || normal(n * m).map(f32::from_bits);
-    normal(match op {
-        FloatOp::Add => n + m,
-        FloatOp::Sub => n - m,
-        FloatOp::Mul => n * m,
-        FloatOp::Nmul => -(n * m),
-        FloatOp::Div => n / m,
-        FloatOp::Mla => d + product()?,
-        FloatOp::Mls => d - product()?,
-        FloatOp::Nmla => -d - product()?,
-        FloatOp::Nmls => -d + product()?,
-        FloatOp::Fma => n.mul_add(m, d),
-        FloatOp::Fms => (-n).mul_add(m, d),
-        FloatOp::Fnma => (-n).mul_add(m, -d),
-        FloatOp::Fnms => n.mul_add(m, -d),
-    })
+fn result(value: f32, operands: &[u32]) -> u32 {
+    if value.is_nan() { nan_of(operands) } else { value.to_bits() }
+}
+
+#[inline(never)]
+fn nan_of(operands: &[u32]) -> u32 {
+    let signaling = operands.iter().find(|&&bits| is_signaling(bits));
+    let nan = signaling.or_else(|| operands.iter().find(|&&bits| f32::from_bits(bits).is_nan()));
+    nan.map_or(DEFAULT_NAN, |nan| nan | QUIET)
+}
+
+#[inline(always)]
+fn add(x: u32, y: u32) -> u32 {
+    result(f32::from_bits(x) + f32::from_bits(y), &[x, y])
+}
+
+/// FPSub: a NaN keeps its sign.
+#[inline(always)]
+fn sub(x: u32, y: u32) -> u32 {
+    result(f32::from_bits(x) - f32::from_bits(y), &[x, y])
+}
+
+#[inline(always)]
+fn mul(x: u32, y: u32) -> u32 {
+    result(f32::from_bits(x) * f32::from_bits(y), &[x, y])
+}
+
+/// FPMulAdd: `addend + x · y`, rounded once. Infinity times zero gives the default NaN even beside a quiet NaN.
+#[inline(always)]
+fn mul_add(addend: u32, x: u32, y: u32) -> u32 {
+    let [a, b, c] = [x, y, addend].map(f32::from_bits);
+    let is_undefined = a.is_infinite() && b == 0.0 || a == 0.0 && b.is_infinite();
+    if is_undefined && !is_signaling(addend) { DEFAULT_NAN } else { result(a.mul_add(b, c), &[addend, x, y]) }
+}
+
+/// To an integer of `bits` bits, `fraction` of them behind the point: saturates, and gives 0 for NaN. Both scaling and
+/// rounding are exact in `f64`.
+pub(super) fn fixed_from_float(x: u32, bits: u8, signed: bool, fraction: u8, truncate: bool) -> u32 {
+    let scaled = f64::from(f32::from_bits(x)) * f64::from(fraction).exp2();
+    let whole = if truncate { scaled.trunc() } else { scaled.round_ties_even() };
+    let range = f64::from(bits - u8::from(signed)).exp2();
+    let least = if signed { -range } else { 0.0 };
+    whole.clamp(least, range - 1.0) as i64 as u32
+}
+
+/// A fixed-point number with `fraction` bits behind the point, rounded to nearest.
+pub(super) fn float_from_fixed(value: i64, fraction: u8) -> u32 {
+    ((value as f64 * (-f64::from(fraction)).exp2()) as f32).to_bits()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nans_follow_the_manual() {
+        let (signaling, quiet, other) = (0x7f80_0001, 0x7fc0_0002, 0xffc0_0003);
+        let [inf, one] = [f32::INFINITY, 1.0].map(f32::to_bits);
+        for (found, expected) in [
+            (add(quiet, signaling), signaling | QUIET),
+            (add(other, quiet), other),
+            (sub(one, other), other),
+            (mul(inf, 0), DEFAULT_NAN),
+            (sub(inf, inf), DEFAULT_NAN),
+            (mul_add(quiet, inf, SIGN), DEFAULT_NAN),
+            (mul_add(signaling, inf, 0), signaling | QUIET),
+            (mul_add(one, quiet, other), quiet),
+            (FloatUnit::unary(FloatUnaryOp::Sqrt, one | SIGN), DEFAULT_NAN),
+            (FloatUnit::arithmetic(FloatOp::Div, 0, 0, 0), DEFAULT_NAN),
+        ] {
+            assert_eq!(found, expected, "{found:08x}, not {expected:08x}");
+        }
+    }
+
+    #[test]
+    fn conversions_round_and_saturate() {
+        let to =
+            |x: f32, bits, signed, fraction, truncate| fixed_from_float(x.to_bits(), bits, signed, fraction, truncate);
+        assert_eq!(
+            [to(2.5, 32, true, 0, false), to(3.5, 32, true, 0, false), to(-2.9, 32, true, 0, true)],
+            [2, 4, -2i32 as u32]
+        );
+        assert_eq!([to(3e9, 32, true, 0, true), to(-3e9, 32, true, 0, true)], [i32::MAX as u32, i32::MIN as u32]);
+        assert_eq!(
+            [to(5e9, 32, false, 0, true), to(-1.0, 32, false, 0, true), to(f32::NAN, 32, true, 0, true)],
+            [u32::MAX, 0, 0]
+        );
+        assert_eq!([to(0.75, 16, true, 15, true), to(1.0, 16, true, 15, true)], [0x6000, 0x7fff]);
+        assert_eq!(to(-1.0, 16, true, 15, true), -0x8000i32 as u32);
+        assert_eq!(
+            [float_from_fixed(0x6000, 15), float_from_fixed(i64::from(u32::MAX), 0)],
+            [0.75f32.to_bits(), 4_294_967_296f32.to_bits()]
+        );
+    }
 }

@@ -123,16 +123,12 @@ pub enum FloatInstruction {
     Unary { op: FloatUnaryOp, sd: SReg, sm: SReg },
     /// VMOV of a constant.
     Constant { sd: SReg, value: u32 },
-    /// VCMP, VCMPE; with zero when there is no `sm`. `signal`: quiet NaNs raise invalid operation too.
-    Compare { sd: SReg, sm: Option<SReg>, signal: bool },
-    /// VCVT and VCVTR to an integer or a fixed-point number; `truncate`: towards zero, else by FPSCR.
+    /// VCMP, VCMPE; with zero when there is no `sm`.
+    Compare { sd: SReg, sm: Option<SReg> },
+    /// VCVT and VCVTR to an integer or a fixed-point number; `truncate`: towards zero, else to nearest.
     ToFixed { sd: SReg, sm: SReg, fixed: Fixed, truncate: bool },
-    /// VCVT from an integer or a fixed-point number; `nearest`: to nearest, else by FPSCR.
-    FromFixed { sd: SReg, sm: SReg, fixed: Fixed, nearest: bool },
-    /// VCVTB, VCVTT to half precision.
-    ToHalf { sd: SReg, sm: SReg, top: bool },
-    /// VCVTB, VCVTT from half precision.
-    FromHalf { sd: SReg, sm: SReg, top: bool },
+    /// VCVT from an integer or a fixed-point number.
+    FromFixed { sd: SReg, sm: SReg, fixed: Fixed },
     ToCore { rt: Reg, sn: SReg },
     FromCore { sn: SReg, rt: Reg },
     /// Two consecutive registers from `sm` on.

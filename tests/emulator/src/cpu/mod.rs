@@ -5,7 +5,7 @@
 //! siblings carry them out; `exceptions` takes interrupts and faults; `system` is the private peripheral bus
 //! 0xE000_0000–0xE00F_FFFF, which the [`Bus`] never sees.
 //!
-//! Not modelled: the MPU (MPU_TYPE reads 0), debug halting, and the imprecision of bus faults on buffered
+//! Not modelled: the MPU but for data accesses to a region 0 that allows none, debug halting, and the imprecision of bus faults on buffered
 //! writes (they are all precise here). Floating-point registers are stacked at once; with lazy stacking enabled
 //! (FPCCR.LSPEN) its cycles are charged when the handler first uses the floating-point unit, as lazy stacking
 //! would.
@@ -30,8 +30,6 @@ pub mod instruction;
 mod nvic;
 mod operands;
 mod registers;
-mod softfloat;
-mod softfloat_convert;
 mod system;
 #[cfg(test)]
 mod tests;
@@ -154,6 +152,8 @@ pub struct Cpu {
     /// Something may have to happen before the next instruction: see `attend`.
     attention: bool,
     waiting: Waiting,
+    /// See [`Cpu::fetch_wrong_behind_sleep`].
+    fetches_wrong_behind_sleep: bool,
     /// The event register of WFE.
     event: bool,
     /// The local exclusive monitor; that of the Cortex-M4 keeps no address (DDI0439, 3.7).
@@ -196,6 +196,7 @@ impl Cpu {
             lines: [0; 4],
             attention: false,
             waiting: Waiting::No,
+            fetches_wrong_behind_sleep: false,
             event: false,
             exclusive: false,
             in_flight: NOTHING_IN_FLIGHT,
@@ -257,6 +258,12 @@ impl Cpu {
         self.slept += cycles;
     }
 
+    /// Whether a WFE or WFI that sleeps has an undefined instruction behind it, whatever is there but ISB; see
+    /// [`crate::silicon::Fault::SleepFetch`].
+    pub fn fetch_wrong_behind_sleep(&mut self, wrong: bool) {
+        self.fetches_wrong_behind_sleep = wrong;
+    }
+
     /// Cycles until SysTick reaches zero, which may wake the core; `None` while it is off.
     pub fn next_tick(&self) -> Option<u64> {
         self.system.systick.due().map(|due| due.saturating_sub(self.time()))
@@ -296,7 +303,7 @@ impl Cpu {
         self.registers.select_stack();
         self.pc = state.r[15] & !1;
         self.float.s = state.s;
-        self.float.set_fpscr(state.fpscr);
+        self.float.restore_fpscr(state.fpscr);
         self.attention = true;
     }
 

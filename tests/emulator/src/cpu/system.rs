@@ -1,5 +1,5 @@
 //! The private peripheral bus: system control block, NVIC registers, SysTick, cycle counter (DDI0403, B3 and
-//! C1.8). Registers without a model read 0 and ignore writes, among them the MPU and the debug components.
+//! C1.8). Registers without a model read 0 and ignore writes, among them the debug components.
 
 use super::nvic::{BUS_FAULT, FIRST_INTERRUPT, MEM_MANAGE, NMI, PEND_SV, SV_CALL, SYS_TICK, USAGE_FAULT};
 use super::timers::{CycleCounter, SysTick};
@@ -21,10 +21,11 @@ const DBGMCU_APB1FZR1: u32 = 0xe004_2008;
 const VECTKEY: u32 = 0x05fa;
 const VECTKEYSTAT: u32 = 0xfa05;
 /// CFSR bits telling that MMFAR or BFAR holds an address.
+const MMARVALID: u32 = 1 << 7;
 const BFARVALID: u32 = 1 << 15;
 
 /// Registers read as constants: identification of a Cortex-M4 r0p1 with FPU (DDI0439, 4.1).
-const IDENTIFICATION: [(u32, u32); 16] = [
+const IDENTIFICATION: [(u32, u32); 17] = [
     (0xe000_e004, 3), // ICTR: 128 lines
     (0xe000_ed00, 0x410f_c241),
     (0xe000_ed40, 0x0000_0030),
@@ -37,14 +38,45 @@ const IDENTIFICATION: [(u32, u32); 16] = [
     (0xe000_ed68, 0x2023_2231),
     (0xe000_ed6c, 0x0111_1131),
     (0xe000_ed70, 0x0131_0132),
+    (0xe000_ed90, 8 << 8),      // MPU_TYPE: eight regions
     (0xe000_ef40, 0x1011_0021), // MVFR0
     (0xe000_ef44, 0x1100_0011), // MVFR1
     (0xe000_e01c, 0x4000_4e1f), // SYST_CALIB of the STM32G4: no exact 10 ms
     (0xe000_0000, 1),           // ITM_STIM0: ready, so that nobody waits for a trace port
 ];
 
+/// The MPU (DDI0403, B3.5) as far as it is modelled: region 0, if it forbids all accesses.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Mpu {
+    control: u32,
+    base: u32,
+    attributes: u32,
+    /// The last address behind the base that is forbidden, while the unit and the region are on.
+    last: Option<u32>,
+}
+
+impl Mpu {
+    #[inline(always)]
+    pub fn guards(&self, address: u32) -> bool {
+        self.last.is_some_and(|last| address.wrapping_sub(self.base) <= last)
+    }
+
+    fn write(&mut self, address: u32, value: u32) {
+        match address {
+            0xe000_ed94 => self.control = value & 7,
+            // Its low bits choose the region.
+            0xe000_ed9c => self.base = value & !0x1f,
+            _ => self.attributes = value,
+        }
+        let (size, access) = (self.attributes >> 1 & 0x1f, self.attributes >> 24 & 7);
+        let is_on = self.control & self.attributes & 1 != 0 && access == 0;
+        self.last = is_on.then_some(u32::MAX >> (31 - size));
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct System {
+    pub mpu: Mpu,
     pub vtor: u32,
     ccr: u32,
     scr: u32,
@@ -69,6 +101,7 @@ impl System {
 
     pub fn new() -> Self {
         Self {
+            mpu: Mpu::default(),
             frozen_in_halt: 0,
             vtor: 0,
             ccr: STKALIGN,
@@ -135,10 +168,13 @@ impl System {
     /// Sets the bits of CFSR and the fault address.
     pub fn record_fault(&mut self, fault: Fault) {
         self.cfsr |= fault.class().1;
-        if let Fault::DataBus { address } = fault {
-            self.cfsr |= BFARVALID;
-            self.fault_address = address;
-        }
+        let (valid, address) = match fault {
+            Fault::DataBus { address } => (BFARVALID, address),
+            Fault::Guarded { address } => (MMARVALID, address),
+            _ => return,
+        };
+        self.cfsr |= valid;
+        self.fault_address = address;
     }
 }
 
@@ -218,6 +254,9 @@ impl Cpu {
             0xe000_ed2c => self.system.hfsr,
             0xe000_ed34 | 0xe000_ed38 => self.system.fault_address,
             0xe000_ed88 => self.system.cpacr,
+            0xe000_ed94 => self.system.mpu.control,
+            0xe000_ed9c => self.system.mpu.base,
+            0xe000_eda0 => self.system.mpu.attributes,
             0xe000_edfc => self.system.demcr,
             0xe000_ef34 => self.system.fpccr,
             0xe000_ef38 => self.system.fpcar,
@@ -250,6 +289,7 @@ impl Cpu {
             0xe000_ed2c => self.system.hfsr &= !value,
             0xe000_ed34 | 0xe000_ed38 => self.system.fault_address = written.over(self.system.fault_address),
             0xe000_ed88 => self.system.cpacr = written.over(self.system.cpacr) & 0x00f0_0000,
+            0xe000_ed94 | 0xe000_ed9c | 0xe000_eda0 => self.system.mpu.write(address, value),
             0xe000_ef00 => self.nvic.pend_all(interrupt_bits(value >> 3 & 0x3c, 1 << (value & 31))),
             0xe000_ef34 => self.system.fpccr = written.over(self.system.fpccr) & (ASPEN | LSPEN),
             0xe000_ef38 => self.system.fpcar = written.over(self.system.fpcar) & !7,

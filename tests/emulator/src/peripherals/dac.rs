@@ -3,6 +3,7 @@
 //!
 //! A code written to a holding register is at the output in the same tick; the hardware takes
 //! up to three bus cycles, and the analog stage about a microsecond, which belongs to the optics.
+//! The output buffer reaches ground unless the silicon has one of the faults `dac-rest`.
 
 use super::Effects;
 
@@ -36,6 +37,8 @@ pub struct Dac {
     ccr: u32,
     mcr: u32,
     codes: [u16; 2],
+    /// The code of the lowest voltage that the output buffer reaches.
+    rest: u16,
 }
 
 impl Dac {
@@ -46,7 +49,12 @@ impl Dac {
 
     /// State after reset.
     pub fn reset(&mut self) {
-        *self = Self::new();
+        *self = Self { rest: self.rest, ..Self::new() };
+    }
+
+    /// Faults dac-rest: the output buffer goes no lower than `rest_v`, of 3.3 V.
+    pub fn set_rest_v(&mut self, rest_v: f64) {
+        self.rest = (rest_v / 3.3 * 4096.0).round() as u16;
     }
 
     /// Value of a register.
@@ -94,7 +102,7 @@ impl Dac {
     /// 12-bit code at the output of channel 1; 0 while it is off.
     #[inline]
     pub fn output(&self) -> u16 {
-        if self.enabled(0) { self.codes[0] } else { 0 }
+        if self.enabled(0) { self.codes[0].max(self.rest) } else { 0 }
     }
 
     fn enabled(&self, channel: usize) -> bool {
@@ -131,6 +139,11 @@ mod tests {
         dac.write(CR, 1, &mut effects);
         assert_eq!(dac.output(), 0xABC);
         assert_eq!(dac.read(SR, &mut effects), SR_RDY[0]);
+        dac.set_rest_v(0.048);
+        dac.reset();
+        assert_eq!(dac.output(), 0);
+        dac.write(CR, 1, &mut effects);
+        assert_eq!(dac.output(), 60);
     }
 
     #[test]

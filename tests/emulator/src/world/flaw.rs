@@ -1,7 +1,8 @@
 //! What may be wrong with a board's wiring, parts and supply: each flaw can be planted by itself.
 //!
-//! Without flaws the board is built as `firmware/README.md` describes it. `slitpose doctor --bring-up` must name each of
-//! them. Faults of the microcontroller itself are in `silicon`.
+//! Without flaws the board is built as `firmware/README.md` describes it, with one time constant. `slitpose doctor
+//! --bring-up` must name each flaw, except that of a detector which settles in time. Faults of the microcontroller
+//! itself are in `silicon`.
 
 use clap::ValueEnum;
 use slitpose_head::simulator::Electrode;
@@ -25,10 +26,18 @@ pub enum Flaw {
     SwappedCells,
     /// The level line of emitters 0 to 2 stays at nominal
     StuckLevel,
+    /// The level line of emitters 0 to 2 is 0.1 V too high
+    LiftedLevel,
+    /// The switch of emitter 2 stays on: its gate does not darken it
+    StuckGate,
     /// Emitter 5 has half its intensity
     WeakEmitter,
     /// All stages have 2.5 times the scene's time constant
     SlowFrontEnd,
+    /// Detectors are resistive lines of 0.6 us, in a chain of several poles
+    LineDetector,
+    /// Detectors are resistive lines of 1.0 us, in a chain of several poles
+    SlowDetector,
     /// 5 % of the light of cells 1 and 2 reaches the other one as well
     MissingBaffle,
     /// The supply is 3.0 V
@@ -61,7 +70,11 @@ pub(super) const WEAK_STRENGTH: f64 = 0.5;
 pub(super) const GATES: [usize; 2] = [1, 4];
 pub(super) const CELLS: [usize; 2] = [0, 5];
 pub(super) const LEVEL_LINE: usize = 0;
+/// 0.1 V of 3.3 V, in codes of the DAC.
+pub(super) const LIFTED_CODES: u16 = 124;
+pub(super) const STUCK_GATE: usize = 2;
 pub(super) const SLOW_FACTOR: f64 = 2.5;
+pub(super) const LINES_S: [(Flaw, f64); 2] = [(Flaw::LineDetector, 0.6e-6), (Flaw::SlowDetector, 1.0e-6)];
 pub(super) const BAFFLE: [usize; 2] = [1, 2];
 pub(super) const BAFFLE_SHARE: f64 = 0.05;
 pub(crate) const LOW_SUPPLY_V: f64 = 3.0;

@@ -4,6 +4,7 @@
 //! and levels that the board drives say which emitters shine, `light` follows the moving tool,
 //! and the electronics of the host's simulator settle, add noise and quantise.
 
+mod chain;
 mod flaw;
 mod light;
 
@@ -17,6 +18,7 @@ use slitpose_protocol::AdcScaling;
 use thiserror::Error;
 
 use crate::peripherals::{TICKS_PER_SECOND, Ticks};
+use chain::{Chain, STAGE_S};
 pub(crate) use flaw::LOW_SUPPLY_V;
 pub use flaw::{Flaw, Flaws};
 use light::Illumination;
@@ -93,6 +95,8 @@ pub enum WorldError {
 pub struct OpticsWorld {
     illumination: Illumination,
     electronics: Electronics,
+    /// Flaws line-detector and slow-detector: the poles before the electronics.
+    chain: Option<Chain>,
     /// Until when each cell's low-pass has run.
     settled_to: Vec<Ticks>,
     noise: Option<Noise>,
@@ -137,13 +141,16 @@ impl OpticsWorld {
         if cells > BOARD_CELLS {
             return Err(WorldError::TooManyCells { scene: scene(), cells });
         }
+        let line_s = flaw::LINES_S.into_iter().find(|(line, _)| flaws.has(*line)).map(|(_, line_s)| line_s);
         let slowness = if flaws.has(Flaw::SlowFrontEnd) { flaw::SLOW_FACTOR } else { 1.0 };
-        let front_end = FrontEnd { time_constant_s: slowness * front_end.time_constant_s, ..*front_end };
+        let stage_s = if line_s.is_some() { STAGE_S } else { front_end.time_constant_s };
+        let front_end = FrontEnd { time_constant_s: slowness * stage_s, ..*front_end };
         let electronics = Electronics::new(&file.scene, &front_end);
         Ok(Self {
             illumination: Illumination::new(&file.scene, trajectory, tier, flaws)?,
             zero_current_code: electronics.scaling().zero_code.round() as u16,
             electronics,
+            chain: line_s.map(Chain::new),
             settled_to: vec![0; cells],
             noise: match noise {
                 NoiseSource::Seeded(seed) => {
@@ -170,15 +177,24 @@ impl OpticsWorld {
         let since = self.settled_to[cell];
         if now > since {
             let (from, to) = (self.illumination.light(cell, since), self.illumination.light(cell, now));
-            self.electronics.pass(cell, seconds(now - since), from, to);
+            match &mut self.chain {
+                Some(chain) => chain.pass(cell, seconds(now - since), [from, to], &mut self.electronics),
+                None => self.electronics.pass(cell, seconds(now - since), from, to),
+            }
             self.settled_to[cell] = now;
         }
     }
 
     /// Gates and level codes as they reach the drivers.
-    fn driven(&self, gates: u8, mut level_codes: [u16; 2]) -> (u8, [u16; 2]) {
+    fn driven(&self, mut gates: u8, mut level_codes: [u16; 2]) -> (u8, [u16; 2]) {
         if self.flaws.has(Flaw::StuckLevel) {
             level_codes[flaw::LEVEL_LINE] = NOMINAL_LEVEL_CODE;
+        }
+        if self.flaws.has(Flaw::LiftedLevel) {
+            level_codes[flaw::LEVEL_LINE] += flaw::LIFTED_CODES;
+        }
+        if self.flaws.has(Flaw::StuckGate) {
+            gates |= 1 << flaw::STUCK_GATE;
         }
         if !self.flaws.has(Flaw::SwappedGates) {
             return (gates, level_codes);

@@ -195,7 +195,7 @@ fn cases() -> Vec<Case> {
         Case::of("Identify", Command::Identify { seconds: 0 }),
         Case { hellos: 1, while_storing: storing, ..Case::of("Store", Command::Store(hashes)) },
         Case { hellos: 1, while_storing: storing, ..Case::of("Forget", Command::Forget) },
-        Case::raw("unknown kind", &payload(11, &[]), Rejection::Unsupported { kind: 11 }),
+        Case::raw("unknown kind", &payload(12, &[]), Rejection::Unsupported { kind: 12 }),
         Case::raw(
             "a head, to a board that solves no poses",
             &payload(9, &[0, 0, 0]),

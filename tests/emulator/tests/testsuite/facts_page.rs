@@ -102,9 +102,9 @@ fn the_readers_table_names_every_fact_and_tests_that_exist() {
         for test in code(test) {
             let (file, name) = test.split_once("::").expect("file and test");
             let folders = ["tests/emulator/tests/testsuite", "tests/emulator/src/peripherals", "tests/emulator/src"];
-            let source = folders.iter().find_map(|folder| std::fs::read_to_string(root.join(folder).join(file)).ok());
-            let source = source.unwrap_or_else(|| panic!("`{file}` of {row:?}"));
-            assert!(source.contains(&format!("fn {name}(")), "`{test}` of {row:?}");
+            let mut sources =
+                folders.iter().filter_map(|folder| std::fs::read_to_string(root.join(folder).join(file)).ok());
+            assert!(sources.any(|source| source.contains(&format!("fn {name}("))), "`{test}` of {row:?}");
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::common::trial::endings::{
 };
 use crate::common::trial::words::FRAME_TICKS;
 use crate::common::{dma_ticks, silicon};
+use slitpose_emulator::memory::RAM_BASE;
 use slitpose_emulator::peripherals::{TICKS_PER_SECOND, Ticks};
 use slitpose_emulator::silicon::Fault;
 use slitpose_protocol::{BootTarget, ClockSource, Command, HardwareFault, Rejection, ResetCause};
@@ -154,6 +155,27 @@ fn a_fault_ends_the_light_at_once() {
         assert!(lit <= AT_ONCE_TICKS, "{lit}");
         assert!(bench.rig.machine().cpu.last_fault().is_some());
         assert_comes_back(&mut bench, ResetCause::Panic);
+    }
+}
+
+#[test]
+fn a_stack_that_overflows_ends_the_light_and_the_next_start_says_so() {
+    // At the frame of an interrupt; at the first instruction of a function.
+    for function in [None, Some("make_core")] {
+        let mut bench = lit();
+        until_lit_and_awake(&mut bench.rig);
+        let address = function.map(|name| find_function(&bench.image, name));
+        let cpu = &mut bench.rig.machine().cpu;
+        let mut state = cpu.state();
+        state.r[13] = RAM_BASE + 16;
+        state.r[15] = address.unwrap_or(state.r[15]);
+        cpu.set_state(&state);
+        let event = bench.rig.now();
+        bench.run_ms(2);
+        let lit = bench.dark_since() - event;
+        println!("{function:?}: dark after {lit} ticks, {:.2} µs", us(lit));
+        assert!(lit <= if function.is_some() { AT_ONCE_TICKS } else { MS + AT_ONCE_TICKS }, "{lit}");
+        assert_comes_back(&mut bench, ResetCause::StackOverflow);
     }
 }
 

@@ -15,5 +15,4 @@ mod poses;
 mod readme;
 mod schedules;
 mod silicon;
-mod solver_cycles;
 mod storage;

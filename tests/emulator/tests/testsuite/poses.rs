@@ -48,14 +48,14 @@ fn pose(record: &PoseRecord) -> Pose {
 #[test]
 fn poses_are_those_of_a_host_bit_for_bit() {
     // Simulated, the worst of 24,950 poses at this rate is 0.055 σ off.
-    agree(&scene(), &at(2_500), 0.1, 0);
+    agree(&scene(), &at(2_500), [0.1, 0.06]);
 }
 
 /// The same of a head whose parts are as calibration finds them.
 #[test]
 fn poses_of_a_calibrated_head_are_those_of_a_host_bit_for_bit() {
-    // At 2.5 kHz USB does not carry both beside so much work.
-    agree(&calibrated(), &at(2_000), 0.3, 0);
+    // At 2.5 kHz USB does not carry both beside so much work, and at 2 kHz hardly: with seed 19 some scans are dropped.
+    agree(&calibrated(), &at(2_000), [0.3, 0.06]);
 }
 
 /// The same of emitters that take turns for half a millisecond, in which acceleration moves the tool by some σ.
@@ -67,10 +67,10 @@ fn poses_of_long_frames_are_those_of_a_host_bit_for_bit() {
         .replace("oversampling = 4", "oversampling = 16")
         .replace("frame_rate_hz = 4000", "frame_rate_hz = 1000");
     let file = SceneFile::parse("long frames", &source).expect("a scene");
-    // Where it is a near thing whether the tool went on as foreseen, one takes its acceleration for known and the other does
-    // not, and their predictions differ for some 16 frames: both poses are right within σ. Simulated, the worst of 4,984
-    // differs by 3 σ. Two such episodes may come.
-    agree(&file, &board_configuration(&file).expect("fits"), 0.1, 32);
+    // Where it is a near thing whether the tool went on as foreseen, `f32` takes its acceleration for known and `f64` does
+    // not, or the other way round, and their poses differ while they do: by 0.01 to 0.34 σ rms with seeds 17 to 19. Both are
+    // as far from the truth. Simulated, the worst of 4,984 differs by 3 σ.
+    agree(&file, &board_configuration(&file).expect("fits"), [3.0, 0.5]);
 }
 
 fn at(frame_rate_hz: u32) -> Configuration {
@@ -79,8 +79,9 @@ fn at(frame_rate_hz: u32) -> Configuration {
     configuration
 }
 
-/// The poses are a host's bit for bit, and all but `exceptions` within `most_sigmas` of those by `f64`.
-fn agree(file: &SceneFile, configuration: &Configuration, most_sigmas: f64, exceptions: usize) {
+/// The poses are a host's bit for bit, within `max_sigmas` (each, and the root mean square) of those by `f64`, and as far from
+/// the truth.
+fn agree(file: &SceneFile, configuration: &Configuration, max_sigmas: [f64; 2]) {
     let mut chain = chain(file, NoiseSource::Seeded(SEED));
     chain.rig.send(Command::Configure(configuration.clone()));
     chain.run_for(2e-3);
@@ -92,6 +93,9 @@ fn agree(file: &SceneFile, configuration: &Configuration, most_sigmas: f64, exce
     chain.rig.send(Command::Start);
     chain.run_for(1.2);
     let status = chain.status.expect("twice a second");
+    // What waits in the queue comes after the last frame.
+    chain.rig.send(Command::Stop);
+    chain.run_for(0.1);
     assert_eq!((chain.damaged, chain.missed, status.scans_lost, status.scans_dropped), (0, 0, 0, 0));
     let count = chain.poses.len().min(chain.scans.len());
     assert!(count as u64 > TICKS_PER_SECOND * 29 / 25 / u64::from(schedule.frame_ticks), "{count}");
@@ -109,7 +113,8 @@ fn agree(file: &SceneFile, configuration: &Configuration, most_sigmas: f64, exce
     let period_s = f64::from(schedule.frame_ticks) / f64::from(schedule.tick_hz);
     // Both take what is known to this share of σ of the motion within a frame as exact.
     let mut tracker = Tracker::new(solver.with_exposures(&stage.exposures_s()), period_s).neglecting_motion(0.15);
-    let (mut worst, mut beyond, mut squares) = (0.0_f64, 0, 0.0);
+    let trajectory = smooth();
+    let (mut worst, mut squares, mut errors_m2) = (0.0_f64, 0.0, [0.0; 2]);
     for (scan, (_, (_, _, record))) in scans.iter().zip(&chain.poses) {
         let estimate = tracker.track(scan.sequence, &stage.photocurrents(scan)).solution.estimate.expect("a pose");
         assert_eq!(record.status, PoseStatus::Converged, "frame {}", scan.sequence);
@@ -118,17 +123,22 @@ fn agree(file: &SceneFile, configuration: &Configuration, most_sigmas: f64, exce
             .flat_map(|i| [dt[i] / estimate.covariance[i][i].sqrt(), dr[i] / estimate.covariance[i + 3][i + 3].sqrt()])
             .fold(0.0, |most, off| most.max(off.abs()));
         worst = worst.max(off);
-        beyond += usize::from(off > most_sigmas);
         squares += off * off;
+        let truth = trajectory.pose((scan.tick as f64 + schedule.reference_ticks()) / f64::from(schedule.tick_hz));
+        for (sum, pose) in errors_m2.iter_mut().zip([pose(record), estimate.pose]) {
+            *sum += pose.displacement_from(&truth).0.length_squared();
+        }
     }
+    let rms = (squares / count as f64).sqrt();
+    let [of_board_um, of_host_um] = errors_m2.map(|sum| (sum / count as f64).sqrt() * 1e6);
     println!(
-        "from f64: {worst:.4} σ at worst, {beyond} beyond {most_sigmas}, {:.4} rms, {count} poses; load {} per mille, stack {} bytes",
-        (squares / count as f64).sqrt(),
+        "from f64: {worst:.4} σ at worst, {rms:.4} rms, {count} poses; from the truth: {of_board_um:.2} and {of_host_um:.2} µm; load {} per mille, stack {} bytes",
         status.cpu_load_permille,
         chain.rig.stack_bytes()
     );
-    assert!(beyond <= exceptions && worst < 5.0, "{beyond}, {worst}");
-    assert!((squares / count as f64).sqrt() < 0.06);
+    assert!(worst < max_sigmas[0] && rms < max_sigmas[1], "{worst} {rms}");
+    // Of poses of the same scans.
+    assert!((of_board_um / of_host_um - 1.0).abs() < 0.05, "{of_board_um} {of_host_um}");
 }
 
 /// Ten seconds at 4 kHz, a moving tool, poses alone on the link: none is missed; load; from the last conversion of a frame

@@ -4,8 +4,28 @@
 use crate::common::silicon;
 use crate::common::trial::Plan;
 use crate::common::trial::endings::Ending;
-use slitpose_emulator::rig::open_image;
-use slitpose_emulator::silicon::Fault;
+use slitpose_emulator::rig::{Rig, WORLD_TIER, open_image, open_pose_image};
+use slitpose_emulator::silicon::{Fault, Silicon};
+use slitpose_emulator::world::{NoiseSource, OpticsWorld};
+use slitpose_head::scene_file::WIDE;
+use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+
+/// Both are there from the first instruction on.
+#[test]
+fn images_start_where_first_writes_are_lost_and_sleep_with_a_barrier_behind_it() {
+    let (wide, still) = (WIDE.read().expect("shipped"), Trajectory::of_kind(TrajectoryKind::Still, 1, 10.0));
+    for image in [open_image(None), open_pose_image()] {
+        let image = image.expect("firmware/build makes it");
+        for fault in [Fault::SramFirstWrite, Fault::SleepFetch] {
+            let world = OpticsWorld::new(&wide, still.clone(), WORLD_TIER, NoiseSource::Off).expect("it fits");
+            let mut rig = Rig::power_on(&image, world, Silicon::default().with(fault));
+            rig.run_for(0.05);
+            assert_eq!(rig.faults(), [""; 0], "{fault:?}");
+            let machine = rig.machine();
+            assert_eq!((machine.cpu.last_fault(), machine.resets().len()), (None, 1), "{fault:?}");
+        }
+    }
+}
 
 #[test]
 fn a_host_that_breaks_sessions_gets_no_wrong_word_and_leaves_no_light() {

@@ -1,5 +1,7 @@
 //! What the board keeps without supply, and what a cut of the supply costs.
 
+use std::num::NonZeroU32;
+
 use crate::common::talk::{Introduction, MS, Talk};
 use slitpose_emulator::memory::FLASH_BASE;
 use slitpose_emulator::peripherals::Ticks;
@@ -67,12 +69,17 @@ fn prepare(talk: &mut Talk, n: u64) -> Command {
 fn what_is_stored_outlives_the_supply_and_is_in_force_at_start() {
     let mut talk = Talk::at_usb();
     let store = prepare(&mut talk, 7);
+    let full_scale_pa = NonZeroU32::new(6_600_000).expect("not zero");
+    let is = |hello: &Introduction, full_scale_a: f64| (hello.full_scale_a / full_scale_a - 1.0).abs() < 1e-6;
+    assert_eq!(talk.ask(Command::FullScale { full_scale_pa }), Ok(()));
+    assert!(talk.ear.hello().is_some_and(|hello| is(hello, 6.6e-6)), "in force at once");
     assert_eq!(talk.ask(store), Ok(()));
     assert_eq!(talk.ear.hello().map(number), Some(7), "said at once");
     talk.rig.set_open(false);
     cut(&mut talk);
     let hello = plug_in(&mut talk);
     assert_eq!((number(&hello), hello.configuration, hello.reset_cause), (7, 0, ResetCause::PowerOn));
+    assert!(is(&hello, 6.6e-6), "{hello:?}");
     assert_eq!(talk.ask(Command::Start), Ok(()));
     assert!(talk.is_acquiring());
     assert!(talk.ear.scans.iter().all(|scan| scan.levels() == &settings(7).0.levels[..]));
@@ -87,7 +94,8 @@ fn what_is_stored_outlives_the_supply_and_is_in_force_at_start() {
     assert_eq!(talk.ear.hello().map(|hello| hello.hashes), Some(Hashes::default()));
     talk.rig.set_open(false);
     cut(&mut talk);
-    assert_eq!(number(&plug_in(&mut talk)), 0);
+    let hello = plug_in(&mut talk);
+    assert!(number(&hello) == 0 && is(&hello, 10e-6), "{hello:?}");
     talk.expect_no_faults();
 }
 

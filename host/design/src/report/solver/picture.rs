@@ -25,7 +25,7 @@ pub(super) const TRANSLATION: Half = Half {
     name: "work-precision",
     what: "translation",
     caption: "Error of the translation against time per solve. Each curve goes from the first guess step by step, a lone \
-              point is the full solve; lower and further left is better, and nothing comes below the bound.",
+              point is the full solve; lower and further left is better; below the bound nothing comes but by chance.",
     axis: "rms error of the translation / µm",
     rms: Errors::rms_m,
 };

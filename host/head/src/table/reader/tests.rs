@@ -62,6 +62,13 @@ fn a_byte_order_mark_is_no_part_of_the_first_name() {
 }
 
 #[test]
+fn a_first_line_for_spreadsheets_is_no_header() {
+    let mut table = table("sep=,\r\nid,b\r\n1,2\r\n").unwrap();
+    let b = table.column("b").unwrap();
+    assert_eq!(table.next_row().unwrap().unwrap().number(b).unwrap(), 2.0);
+}
+
+#[test]
 fn messages_name_file_row_line_column_text_and_remedy() {
     let cases = [
         ("", "b", &["poses.csv is empty", "header row"][..]),
@@ -69,6 +76,16 @@ fn messages_name_file_row_line_column_text_and_remedy() {
         ("id,c\n1,2\n", "b", &["line 1", "`b`", "id, c", "add"]),
         ("id;b\n1;2,5\n", "b", &["line 1", "semicolons", "save the file with commas"]),
         ("id\tb\n1\t2\n", "b", &["line 1", "tabs", "save the file with commas"]),
+        ("id b\n1 2\n", "b", &["line 1", "blanks", "save the file with commas"]),
+        ("sep=;\nid;b\n1;2\n", "b", &["line 1", "semicolons", "save the file with commas"]),
+        ("# id,b\n1,2\n", "id", &["`id`", "the # before the header"]),
+        ("# a table of mine\nid,b\n1,2\n", "b", &["row 1 (line 2)", "remove lines of comments"]),
+        ("id,b\n1,2,5\n", "b", &["row 1 (line 2)", "3 fields", "decimals begin with a point"]),
+        ("1,2\n1,2\n", "b", &["`b`", "names of the columns above the numbers"]),
+        ("ID,TX_MM\n1,2\n", "tx_mm", &["`tx_mm`", "rename TX_MM"]),
+        ("id,tx (mm)\n1,2\n", "tx_mm", &["`tx_mm`", "rename tx (mm)"]),
+        ("id,i_x1_1_na,i_x1_0_na\n1,2,3\n", "i_x1_0_a", &["`i_x1_0_a`", "rename i_x1_0_na"]),
+        ("id,qx,qy,qz,qw\n1,0,0,0,1\n", "rx_rad", &["`rx_rad`", "rotation vectors", "rotation_vectors"]),
         ("b,b\n1,2\n", "b", &["line 1", "`b`", "twice", "rename"]),
         ("id,b\n1,2\n2,2 mm\n", "b", &["row 2 (line 3)", "`b`", "`2 mm`", "give one like"]),
         ("id,b\r\n1,2\r\n2,2 mm\r\n", "b", &["row 2 (line 3)", "`2 mm`"]),
@@ -95,6 +112,25 @@ fn rows_may_be_long_and_have_many_fields() {
     let rows = table.next_rows(5).unwrap();
     let found: Vec<&str> = rows.iter().map(|row| row.text(last)).collect();
     assert!(found == ["2.5", &long]);
+}
+
+#[test]
+fn what_has_no_end_is_refused_before_it_is_all_in_memory() {
+    for begin in ["", "id,b\n1,\""] {
+        // 16 EiB of no line feed.
+        let endless = io::Cursor::new(begin).chain(io::repeat(b'x'));
+        let message = TableReader::new("poses.csv", endless).err().unwrap().to_string();
+        let line = 1 + begin.matches('\n').count();
+        assert!(message.contains(&format!("line {line}: a row of more than 1048576 bytes")), "{message}");
+    }
+    let mut three = table("id,b\n1,2\n3,4\n5,6\n").unwrap().of_at_most(2);
+    assert_eq!(three.next_rows(9).unwrap().len(), 2);
+    let message = three.next_rows(9).err().unwrap().to_string();
+    assert!(message.contains("more than 2 rows") && message.contains("fewer"), "{message}");
+    // Long rows come a few at a time.
+    let long = "x".repeat(MAX_ROW_BYTES / 2);
+    let mut many = table(&format!("id\n{}", format!("{long}\n").repeat(9))).unwrap();
+    assert_eq!([9; 4].map(|most| many.next_rows(most).unwrap().len()), [2; 4]);
 }
 
 #[test]

@@ -79,6 +79,38 @@ fn systick_counts_down_asleep_or_not() {
 }
 
 #[test]
+fn a_guarded_region_allows_no_data_access_but_to_a_hardfault() {
+    let [store, load, push, svc] = [0x600a, 0x6808, 0xb401, 0xdf00]; // str r2, [r1]; ldr r0, [r1]; push {r0}; svc
+    let end = RAM + 0x400;
+    for (program, r1, sp, expected, status) in [
+        (store, end - 4, STACK, Some(Fault::Guarded { address: end - 4 }), 0x82),
+        (load, end - 0x200, STACK, Some(Fault::Guarded { address: end - 0x200 }), 0x82),
+        // Its own fault's frame finds no place either.
+        (push, 0, end, Some(Fault::StackingGuarded { address: end - 0x20 }), 0x92),
+        (svc, 0, end + 0x10, Some(Fault::StackingGuarded { address: end - 0x10 }), 0x10),
+        (store, end, STACK, None, 0),
+        (store, end - 0x204, STACK, None, 0),
+    ] {
+        for control in [0, 0b101] {
+            let mut board = Board::new(&[program]).with_handler(3, &[store]);
+            board.poke(0xe000_ed9c, (end - 0x200) | 1 << 4);
+            board.poke(0xe000_eda0, 1 << 28 | 8 << 1 | 1); // 512 bytes
+            board.poke(0xe000_ed94, control);
+            board.set(1, r1);
+            board.set(13, sp);
+            board.run(1);
+            let (expected, status) = if control == 0 { (None, 0) } else { (expected, status) };
+            assert_eq!((board.fault(), board.cpu.system.cfsr), (expected, status), "{program:#x}, {control}");
+            if expected.is_some() {
+                board.set(1, end - 4);
+                board.run(1);
+                assert_eq!((board.cpu.exception(), board.fault()), (3, expected));
+            }
+        }
+    }
+}
+
+#[test]
 fn unprivileged_code_has_no_access() {
     // msr control, r0 (nPRIV); ldr r0, [r1]
     let board = after(&[0xf380, 0x8814, 0x6808], [1, 0xe000_ed00, 0, 0, 0], 2);
@@ -89,7 +121,6 @@ fn unprivileged_code_has_no_access() {
 fn identification_and_unmodelled_registers() {
     let mut board = Board::new(&[0xe7fe]);
     assert_eq!(board.peek(0xe000_ed00), 0x410f_c241);
-    assert_eq!(board.peek(0xe000_ed90), 0, "no MPU");
     assert_eq!(board.peek(0xe00f_f000), 0);
     board.poke(0xe000_0e80, 1);
     assert_eq!(board.cpu.read_private(0xe000_ed02, Size::Half).unwrap(), 0x410f);

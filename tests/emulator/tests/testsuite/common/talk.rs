@@ -44,6 +44,7 @@ pub struct Introduction {
     pub board: String,
     pub reset_cause: ResetCause,
     pub hashes: Hashes,
+    pub full_scale_a: f64,
     pub configuration: u16,
     pub schedule: Schedule,
 }
@@ -171,6 +172,7 @@ impl Listener {
                     board: hello.board.to_owned(),
                     reset_cause: hello.reset_cause,
                     hashes: hello.hashes,
+                    full_scale_a: hello.scaling.full_scale_a(),
                     configuration: hello.configuration,
                     schedule: hello.schedule,
                 })

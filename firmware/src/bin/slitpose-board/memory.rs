@@ -1,9 +1,31 @@
-//! The solver's code in CCM SRAM: `ccm.x` says which; and faster copies for it.
+//! Memory before anything runs, and the end of the stack; of images that solve poses also faster copies.
 
-// Copies the code there before anything runs. The runtime's own copies of memory take six cycles a word; a pose takes
-// five kilobytes of them.
-#[allow(unsafe_code, reason = "symbols that the runtime and the compiler call; they keep the rules of the ABI")]
-mod load {
+use cortex_m::peripheral::MPU;
+
+/// Below RAM: the last 32 KiB of what is kept for system memory and option bytes, of which the firmware uses nothing.
+const GUARD: u32 = 0x1fff_8000;
+const GUARD_BYTES: u32 = 0x8000;
+
+/// From now on a stack that leaves its place (`stack.x`) is a fault: below it all accesses are forbidden.
+#[allow(unsafe_code, reason = "registers that nothing else uses; the firmware has nothing in the region")]
+pub fn guard_stack() {
+    // DDI0403, B3.5: VALID and region 0; XN, no access, 2^(SIZE + 1) bytes, on; PRIVDEFENA, on.
+    // SAFETY: see above.
+    unsafe {
+        let mpu = &*MPU::PTR;
+        mpu.rbar.write(GUARD | 1 << 4);
+        mpu.rasr.write(1 << 28 | (GUARD_BYTES.trailing_zeros() - 1) << 1 | 1);
+        mpu.ctrl.write(1 << 2 | 1);
+    }
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
+}
+
+// The first access to a block of SRAM after a reset may be taken for a read, and a write be lost (ES0430, 2.2.7): each
+// block has one here that may be. Blocks that may be checked for parity are written, twice, to a word whose content does
+// not matter yet; the others are read. Then the solver's code goes to CCM SRAM (`ccm.x` says which, if any).
+#[allow(unsafe_code, reason = "a symbol that the runtime calls; it keeps the rules of the ABI")]
+mod start {
     core::arch::global_asm!(
         ".syntax unified",
         ".section .text.__pre_init,\"ax\",%progbits",
@@ -11,6 +33,19 @@ mod load {
         ".type __pre_init,%function",
         ".thumb_func",
         "__pre_init:",
+        "    mov r1, #0x20000000",
+        "    mov r2, #0x10000000",
+        "    str r0, [r1]",
+        "    str r0, [r2]",
+        "    dsb",
+        "    str r0, [r1]",
+        "    str r0, [r2]",
+        "    add r1, r1, #0x8000",
+        "    ldr r0, [r1]",
+        "    add r1, r1, #0x8000",
+        "    ldr r0, [r1]",
+        "    add r1, r1, #0x4000",
+        "    ldr r0, [r1]",
         "    ldr r0, =__siccm",
         "    ldr r1, =__sccm",
         "    ldr r2, =__eccm",
@@ -23,6 +58,16 @@ mod load {
         "    isb",
         "    bx lr",
         "    .ltorg",
+        ".text",
+    );
+}
+
+// The runtime's own copies of memory take six cycles a word; a pose takes five kilobytes of them.
+#[cfg(feature = "pose")]
+#[allow(unsafe_code, reason = "symbols that the compiler calls; they keep the rules of the ABI")]
+mod copies {
+    core::arch::global_asm!(
+        ".syntax unified",
         // (to, from, bytes), aligned or not: single loads and stores need no alignment.
         ".section .text.__aeabi_memcpy,\"ax\",%progbits",
         ".global __aeabi_memcpy",
