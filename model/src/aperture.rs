@@ -7,12 +7,12 @@ use glam::{DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::pose::rotation_exp;
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Slit;
 
 /// The compiled slit.
 #[derive(Clone, Debug)]
-pub(crate) enum Aperture<S: Scalar> {
+pub(crate) enum Aperture<S: Number> {
     /// A thin mask, slit sides parallel to the detector's.
     Thin(Face<S>),
     /// A thick mask, slit sides parallel to the detector's: lower and upper face.
@@ -39,7 +39,7 @@ pub(crate) struct Span<S> {
     pub(crate) length: S,
 }
 
-impl<S: Scalar> Span<S> {
+impl<S: Number> Span<S> {
     pub(crate) fn centred(centre: f64, length: f64) -> Self {
         Self { low: S::of(centre - 0.5 * length), high: S::of(centre + 0.5 * length), length: S::of(length) }
     }
@@ -47,7 +47,7 @@ impl<S: Scalar> Span<S> {
 
 /// A slit in general orientation.
 #[derive(Clone, Debug)]
-pub(crate) struct Turned<S: Scalar> {
+pub(crate) struct Turned<S: Number> {
     /// Corners of the faces, in order around the slit.
     pub(crate) faces: [[S::Vec3; 4]; 2],
     /// Number of distinct faces: 1 for a thin mask, else 2.
@@ -71,7 +71,7 @@ const PARALLEL: f64 = 1e-14;
 /// over 0.1° is no steeper than the current's own slope.
 const TILTED_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 
-impl<S: Scalar> Aperture<S> {
+impl<S: Number> Aperture<S> {
     pub(crate) fn compile(slit: &Slit) -> Self {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
         let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);

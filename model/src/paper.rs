@@ -10,7 +10,7 @@ use crate::lanes::{array, zero_half_one};
 use crate::polygon::{EmitterGradient, Polygon};
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 /// Half the angle θ that a straight segment subtends at the emitter.
 ///
@@ -103,7 +103,7 @@ pub(crate) struct Beam<S> {
 }
 
 /// Ω and cos γ of a rectangular spot, without derivatives.
-pub(crate) fn rectangle_beam<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3) -> Beam<S> {
+pub(crate) fn rectangle_beam<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> Beam<S> {
     let rays = Rays::of(spot);
     let (alpha, beta) = rays.plate(spot);
     let sum = rays.sum(spot);
@@ -230,7 +230,7 @@ pub(crate) fn rectangle_light<R: Real, E: Falloff<R>, const GRADIENT: bool>(
 
 /// The plate equivalent to a polygonal spot: a is the chord through the centroid along x,
 /// b = area/a, centred on the centroid along y.
-struct PolygonPlate<S: Scalar> {
+struct PolygonPlate<S: Number> {
     alpha: HalfAngle<S>,
     beta: HalfAngle<S>,
     left: usize,
@@ -240,7 +240,7 @@ struct PolygonPlate<S: Scalar> {
     beam: CentralAxis<S>,
 }
 
-impl<S: Scalar> PolygonPlate<S> {
+impl<S: Number> PolygonPlate<S> {
     fn of(polygon: &Polygon<S>, skew: S) -> Self {
         let [xc, yc] = polygon.centroid();
         let ((left, x_left), (right, x_right)) = polygon.chord(yc);
@@ -264,7 +264,7 @@ impl<S: Scalar> PolygonPlate<S> {
 
 /// The beam's central axis: for a tilted slit, the ray to the spot's centroid; for a rectangle, the sum
 /// of the unit vectors to the mid-points of the plate's edges. `skew` blends the two definitions.
-struct CentralAxis<S: Scalar> {
+struct CentralAxis<S: Number> {
     ends: [S::Vec3; 4],
     centroid: S::Vec3,
     skew: S,
@@ -274,7 +274,7 @@ struct CentralAxis<S: Scalar> {
     direction: S::Vec3,
 }
 
-impl<S: Scalar> CentralAxis<S> {
+impl<S: Number> CentralAxis<S> {
     fn of(ends: [S::Vec3; 4], centroid: S::Vec3, skew: S) -> Self {
         let unit = |v: S::Vec3| v * v.length().recip();
         let sum = ends.into_iter().map(unit).fold(S::Vec3::default(), |sum, end| sum + end);
@@ -304,7 +304,7 @@ impl<S: Scalar> CentralAxis<S> {
 }
 
 /// Ω and cos γ of a polygonal spot, without derivatives. `skew`: see [`Turned`](crate::aperture::Turned).
-pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3, skew: S) -> Beam<S> {
+pub(crate) fn polygon_beam<S: Number>(polygon: &Polygon<S>, axis: S::Vec3, skew: S) -> Beam<S> {
     let plate = PolygonPlate::of(polygon, skew);
     Beam {
         solid_angle: plate_solid_angle(plate.alpha.tangent2, plate.beta.tangent2).0,
@@ -314,7 +314,7 @@ pub(crate) fn polygon_beam<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3, skew:
 
 /// Power and centroid (relative to the emitter's foot) of a polygonal spot, with derivatives with respect
 /// to the emitter's position (foot fixed) and axis. `skew`: see [`Turned`](crate::aperture::Turned).
-pub(crate) fn polygon_light<S: Scalar, E: Falloff<S>, const GRADIENT: bool>(
+pub(crate) fn polygon_light<S: Number, E: Falloff<S>, const GRADIENT: bool>(
     polygon: &Polygon<S>,
     axis: S::Vec3,
     emission: &E,

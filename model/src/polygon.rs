@@ -9,7 +9,7 @@ use heapless::Vec;
 use crate::aperture::{Aperture, Turned};
 use crate::rectangle::Rectangle;
 use crate::response::Status;
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 /// Four sides of the detector, four of each of the two slit faces, the mask plane and the horizon make 14; the ten sides
 /// of a round hole, four of the detector and the horizon 15.
@@ -17,7 +17,7 @@ pub(crate) const MAX_CORNERS: usize = 16;
 
 /// A line in the detector plane, F(X, Y) = normal·(X, Y) + offset, positive inside.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Line<S: Scalar> {
+pub(crate) struct Line<S: Number> {
     pub(crate) normal: [S; 2],
     offset: S,
     pub(crate) motion: Motion<S>,
@@ -25,7 +25,7 @@ pub(crate) struct Line<S: Scalar> {
 
 /// How a line moves with the emitter.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Motion<S: Scalar> {
+pub(crate) enum Motion<S: Number> {
     /// An end of the detector, which cuts the spot along x: fixed.
     DetectorEnd,
     /// Another fixed line.
@@ -40,7 +40,7 @@ pub(crate) enum Motion<S: Scalar> {
     Refracted { by_position: S::Vec3, is_end: bool },
 }
 
-impl<S: Scalar> Line<S> {
+impl<S: Number> Line<S> {
     #[inline(always)]
     fn at(&self, point: [S; 2]) -> S {
         self.normal[0] * point[0] + self.normal[1] * point[1] + self.offset
@@ -117,7 +117,7 @@ impl<R: Real> EmitterGradient<R> {
     }
 }
 
-impl<S: Scalar> Default for EmitterGradient<S> {
+impl<S: Number> Default for EmitterGradient<S> {
     fn default() -> Self {
         Self::of_value(S::zero())
     }
@@ -125,13 +125,13 @@ impl<S: Scalar> Default for EmitterGradient<S> {
 
 /// A convex spot; edge i runs from corner i to corner i + 1 on line i.
 #[derive(Clone, Debug)]
-pub(crate) struct Polygon<S: Scalar> {
+pub(crate) struct Polygon<S: Number> {
     corners: Vec<[S; 2], MAX_CORNERS>,
     lines: Vec<Line<S>, MAX_CORNERS>,
     height: S,
 }
 
-impl<S: Scalar> Polygon<S> {
+impl<S: Number> Polygon<S> {
     /// The spot of the beam through `aperture` from an emitter at `emitter` (cell frame).
     pub(crate) fn of_beam(
         aperture: &Aperture<S>,
@@ -419,7 +419,7 @@ impl<S: Scalar> Polygon<S> {
 
 /// Where a tilted mask dips below the detector surface, light reaches the detector in front of the
 /// mask and has not passed the slit: only points behind the mask count.
-fn mask_plane<S: Scalar>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
+fn mask_plane<S: Number>(turned: &Turned<S>, emitter: S::Vec3) -> Line<S> {
     let below = turned.centre - emitter + turned.normal * -turned.half_thickness;
     Line {
         normal: [-turned.normal.x(), -turned.normal.y()],

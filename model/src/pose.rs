@@ -7,7 +7,7 @@
 use glam::{DQuat, DVec3};
 
 use crate::lanes::{array, zero_half_one};
-use crate::scalar::{Linear3, Real, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Real, Vector3};
 
 /// A rigid transform, `f64`: rotation as a unit quaternion and translation in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +83,7 @@ pub fn rotation_log(rotation: DQuat) -> DVec3 {
 const SMALL: f64 = 1.0 / 64.0;
 
 /// Quaternion (x, y, z, w) of a rotation vector: (v·sin(|v|/2)/|v|, cos(|v|/2)).
-fn exponential<S: Scalar>(rotation_rad: S::Vec3) -> [S; 4] {
+fn exponential<S: Number>(rotation_rad: S::Vec3) -> [S; 4] {
     let half = rotation_rad * S::half();
     let square = half.dot(half);
     let (sinc, cosine) = if square <= S::of(SMALL) {
@@ -105,13 +105,13 @@ fn exponential<S: Scalar>(rotation_rad: S::Vec3) -> [S; 4] {
 /// sin x/x and cos x, by x².
 #[cold]
 #[inline(never)]
-fn far<S: Scalar>(square: S) -> (S, S) {
+fn far<S: Number>(square: S) -> (S, S) {
     let angle = square.root();
     (angle.sine() / angle, angle.cosine())
 }
 
 /// Rotation vector of a unit quaternion.
-fn logarithm<S: Scalar>(rotation: [S; 4]) -> S::Vec3 {
+fn logarithm<S: Number>(rotation: [S; 4]) -> S::Vec3 {
     let [x, y, z, w] = rotation;
     let v = <S::Vec3 as Linear3<S>>::new(x, y, z);
     // q and −q are the same rotation; w ≥ 0 selects the shorter way.
@@ -131,13 +131,13 @@ fn logarithm<S: Scalar>(rotation: [S; 4]) -> S::Vec3 {
 
 /// A pose in the solver's numbers, without what [`Transform`] keeps besides.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rigid<S: Scalar> {
+pub(crate) struct Rigid<S: Number> {
     /// Unit quaternion, x, y, z, w.
     rotation: [S; 4],
     translation: S::Vec3,
 }
 
-impl<S: Scalar> Rigid<S> {
+impl<S: Number> Rigid<S> {
     /// From a unit quaternion, x, y, z, w, and a translation.
     #[cfg(feature = "batch")]
     pub(crate) fn of_parts(rotation: [S; 4], translation: S::Vec3) -> Self {
@@ -185,7 +185,7 @@ impl<S: Scalar> Rigid<S> {
 }
 
 /// The product of two quaternions.
-fn product<S: Scalar>([ax, ay, az, aw]: [S; 4], [bx, by, bz, bw]: [S; 4]) -> [S; 4] {
+fn product<S: Number>([ax, ay, az, aw]: [S; 4], [bx, by, bz, bw]: [S; 4]) -> [S; 4] {
     let (a, b) = (<S::Vec3 as Linear3<S>>::new(ax, ay, az), <S::Vec3 as Linear3<S>>::new(bx, by, bz));
     let v = b * aw + a * bw + a.cross(b);
     [v.x(), v.y(), v.z(), aw * bw - a.dot(b)]
@@ -293,7 +293,7 @@ impl<R: Real> Transform<R> {
     }
 }
 
-impl<S: Scalar> Transform<S> {
+impl<S: Number> Transform<S> {
     pub(crate) fn of(pose: &Pose) -> Self {
         Self::of_parts(pose.rotation.to_array().map(S::of), S::Vec3::of(pose.translation_m))
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "batch")]
 use crate::lanes::{MAX_LANES, array};
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 
 /// Intervals of m.
 const SEGMENTS: usize = 32;
@@ -39,7 +39,7 @@ struct Anchor<S> {
     factor: S,
 }
 
-impl<S: Scalar> Power<S> {
+impl<S: Number> Power<S> {
     pub(crate) fn compile(exponent: f64) -> Self {
         let mut binomials = [1.0; MAX_TERMS + 1];
         for k in 1..=MAX_TERMS {
@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     /// Three units in the last place, as stated above; the library's power errs by one of its own.
-    fn check<S: Scalar>(exponent: f64) {
+    fn check<S: Number>(exponent: f64) {
         let power = Power::<S>::compile(exponent);
         for i in 1..20_000 {
             let c = S::of(f64::from(i) / 19_999.0);

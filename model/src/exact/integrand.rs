@@ -10,7 +10,7 @@ use heapless::Vec;
 
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
 use crate::profile::{Emission, Falloff, Series};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 use super::lobe::Cone;
 use super::order::{MAX_NODES, Nodes, Orders, Rules};
@@ -22,7 +22,7 @@ const AT_HORIZON: (f64, f64) = (0.05, 64.0);
 
 /// Contributions of panels and sides of the spot. Moments are about the spot's reference point.
 #[derive(Default)]
-pub(super) struct Sums<S: Scalar> {
+pub(super) struct Sums<S: Number> {
     pub(super) power: EmitterGradient<S>,
     pub(super) moment: EmitterGradient<S>,
     /// By a turn of the sides that ride with the emitter.
@@ -33,7 +33,7 @@ pub(super) struct Sums<S: Scalar> {
 /// frame.
 pub(crate) type Turn<S> = [<S as Real>::Vec3; 2];
 
-impl<S: Scalar> Sums<S> {
+impl<S: Number> Sums<S> {
     #[inline(always)]
     pub(super) fn add(&mut self, x: S, value: S, by_position: S::Vec3, by_axis: S::Vec3) {
         for (sum, factor) in [(&mut self.power, S::one()), (&mut self.moment, x)] {
@@ -45,7 +45,7 @@ impl<S: Scalar> Sums<S> {
 }
 
 /// The integrand, its frame and its accuracy.
-pub(super) struct Integrand<'a, S: Scalar, E> {
+pub(super) struct Integrand<'a, S: Number, E> {
     pub(super) axis: S::Vec3,
     pub(super) height: S,
     pub(super) emission: &'a E,
@@ -75,7 +75,7 @@ pub(super) struct Slab<S> {
     right: [S; 2],
 }
 
-impl<S: Scalar> Slab<S> {
+impl<S: Number> Slab<S> {
     /// s of the left and the right side at `t`.
     pub(super) fn sides(&self, t: S) -> [S; 2] {
         let dt = t - self.t[0];
@@ -96,7 +96,7 @@ pub(crate) type LightAndTurn<S> = (PolygonLight<S>, Turn<S>);
 
 /// The light on `polygon` with derivatives with respect to the emitter, `None` if none is found; and the
 /// cost and accuracy of the integrals.
-pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub(crate) fn light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     polygon: Polygon<S>,
     axis: S::Vec3,
     emission: &E,
@@ -108,7 +108,7 @@ pub(crate) fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 /// [`light`], with the derivatives by a turn of the sides that ride with the emitter.
-pub(crate) fn light_and_turn<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub(crate) fn light_and_turn<S: Number, E: Emission<S>, const GRADIENT: bool>(
     mut polygon: Polygon<S>,
     axis: S::Vec3,
     emission: &E,
@@ -153,7 +153,7 @@ pub(crate) fn light_and_turn<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 /// cos γ at the brightest corner.
-fn corner_cosine<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
+fn corner_cosine<S: Number>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
     let cosines = polygon.corners().iter().map(|&[x, y]| {
         let ray = S::Vec3::new(x, y, -polygon.height());
         axis.dot(ray) / ray.length()
@@ -161,7 +161,7 @@ fn corner_cosine<S: Scalar>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
     cosines.fold(S::zero(), S::max)
 }
 
-impl<'a, S: Scalar, E: Emission<S>> Integrand<'a, S, E> {
+impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
     fn new(
         polygon: &Polygon<S>,
         axis: S::Vec3,

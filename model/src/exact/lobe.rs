@@ -5,7 +5,7 @@
 //! parallel to y and tangent to the cone, are at x = h·(u_x·q ∓ u_z·s)/(−u_z·q ∓ u_x·s), s = sin γ,
 //! q² = u_x² + u_z² − s².
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 /// The cone cos γ ≥ `cosine` around an axis, above the plane at `height` below the emitter.
 pub(super) struct Cone<S> {
@@ -15,7 +15,7 @@ pub(super) struct Cone<S> {
     pub(super) cosine: S,
 }
 
-impl<S: Scalar> Cone<S> {
+impl<S: Number> Cone<S> {
     /// The part of the box `ranges` that contains the cone within it; the box itself without a known bound.
     pub(super) fn within(&self, ranges: [[S; 2]; 2]) -> [[S; 2]; 2] {
         let [x, y] = ranges;

@@ -30,9 +30,9 @@ use core::slice::Iter;
 #[cfg(feature = "batch")]
 use arrayvec::ArrayVec;
 
+use crate::scalar::Number;
 #[cfg(feature = "batch")]
 use crate::scalar::Real;
-use crate::scalar::Scalar;
 
 /// Nodes and weights of a rule, on −1…1.
 pub(crate) type Nodes<'a, S> = Zip<Copied<Iter<'a, S>>, Copied<Iter<'a, S>>>;
@@ -92,7 +92,7 @@ enum Shape<S> {
 /// 2/e.
 const BEND_SHARE: f64 = 2.0 / core::f64::consts::E;
 
-impl<S: Scalar> Orders<S> {
+impl<S: Number> Orders<S> {
     /// `length_m`: that of the detector.
     pub(crate) fn new(exponent: f64, tolerance: f64, length_m: f64) -> Self {
         let least = |power: f64, nodes: usize| {
@@ -259,7 +259,7 @@ pub(crate) struct Rules<S> {
     tails: [[S; ESTIMATED]; 4],
 }
 
-impl<S: Scalar> Rules<S> {
+impl<S: Number> Rules<S> {
     pub(crate) fn new() -> Self {
         let mut rules = Self {
             nodes: [[S::zero(); MAX_NODES]; MAX_NODES],
@@ -366,7 +366,7 @@ fn legendre(n: usize, x: f64) -> [f64; 2] {
 
 /// The Gauss–Jacobi rule of weight (1+x)^β, β = `exponent` − 1, for integrands with that factor: its weights are divided by
 /// it, 2^(β+1)/((1−x²)·P'(x)²·(1+x)^β) (Abramowitz and Stegun 25.4.33). The roots are found like those of [`legendre_root`].
-fn horizon_rule<S: Scalar>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
+fn horizon_rule<S: Number>(exponent: f64) -> [[S; HORIZON_NODES]; 2] {
     let beta = exponent - 1.0;
     let count = HORIZON_NODES as f64;
     let mut rule = [[S::zero(); HORIZON_NODES]; 2];

@@ -5,7 +5,7 @@ use heapless::Vec;
 
 use crate::polygon::MAX_CORNERS;
 use crate::profile::{Emission, Falloff, Series};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::Integration;
 use super::integrand::{Integrand, Slab, Sums, of_slab};
@@ -52,7 +52,7 @@ const MAX_ALONG_T: usize = 2 * HORIZON_NODES;
 /// end is at most this share of u·d at the upper one: of ordinary emitters a fifth is subtracted then, and little cancels.
 const BESIDE_HORIZON: f64 = 0.5;
 
-impl<S: Scalar> Rule<'_, S> {
+impl<S: Number> Rule<'_, S> {
     fn evaluations(&self) -> usize {
         self.along_s.len() * self.along_t.len()
     }
@@ -75,7 +75,7 @@ struct Measured<S> {
 }
 
 /// Sums over all slabs.
-pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub(super) fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
@@ -102,14 +102,14 @@ pub(super) fn add_all<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 }
 
 /// A slab in one piece.
-fn whole<S: Scalar>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
+fn whole<S: Number>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
     Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t }
 }
 
 /// Sums over all slabs where no rule is known beforehand to suffice: the panel with the largest error is
 /// halved until the sum of the errors is small. Not inlined: its panels take kilobytes of stack.
 #[inline(never)]
-fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+fn divide<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
@@ -174,7 +174,7 @@ fn divide<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     (sums, Integration { evaluations, relative_error })
 }
 
-impl<S: Scalar> Panel<S> {
+impl<S: Number> Panel<S> {
     /// Divides the panel into equal parts along s and along t.
     fn parts(self, [along_s, along_t]: [usize; 2]) -> impl Iterator<Item = Self> + use<S> {
         let part = |[a, b]: [S; 2], i: usize, of: usize| {
@@ -189,13 +189,13 @@ impl<S: Scalar> Panel<S> {
     }
 }
 
-impl<S: Scalar> Measured<S> {
+impl<S: Number> Measured<S> {
     fn halves(&self) -> impl Iterator<Item = Panel<S>> + use<S> {
         self.panel.parts(if self.across_t { [1, 2] } else { [2, 1] })
     }
 }
 
-impl<S: Scalar, E: Emission<S>> Integrand<'_, S, E> {
+impl<S: Number, E: Emission<S>> Integrand<'_, S, E> {
     /// Rays to the corners of a panel, in order around it.
     fn corners(&self, slab: &Slab<S>, panel: &Panel<S>) -> [S::Vec3; 4] {
         let ([c0, c1], [t0, t1]) = (panel.share, panel.t);

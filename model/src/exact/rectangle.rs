@@ -9,7 +9,7 @@
 use crate::lanes::zero_half_one;
 use crate::profile::Falloff;
 use crate::rectangle::{Extent, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 use super::order::{MAX_NODES, Orders};
 
@@ -75,7 +75,7 @@ fn reach<R: Real>(along: &Extent<R>, across: &Extent<R>, height: R) -> R {
 
 /// Requirements of `spot`; `None` if it must be divided because it touches the horizon or is very wide.
 #[inline(always)]
-pub(super) fn needs<S: Scalar>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
+pub(super) fn needs<S: Number>(spot: &Rectangle<S>, axis: S::Vec3, orders: &Orders<S>) -> Option<Needs<S>> {
     let Reaches { middle, least, emitter, horizon, distance, cosine, tangent2, spread } = Reaches::of(spot, axis);
     if least <= S::zero() {
         return None;
@@ -109,7 +109,7 @@ const LEAST_SHARE: f64 = 0.25;
 /// along x the mean of g/g₀ is 1 + H²·g″/6g + H⁴·g⁗/120g, and the centroid H²/3·(L' + H²·g‴/10g) over that mean.
 /// Derivatives of the centroid are left out; what comes second is how far it moves per motion of the middle, H²·L″/3.
 #[inline(always)]
-pub(crate) fn narrow_light<S: Scalar, const GRADIENT: bool>(
+pub(crate) fn narrow_light<S: Number, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
     bends: impl FnOnce(S) -> [S; 3],

@@ -11,12 +11,13 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::aperture::{Aperture, Face};
+use crate::entries::Scalar;
 use crate::exact;
 use crate::pose::{Pose, Transform};
 use crate::power::Power;
 use crate::profile::CompiledProfile;
 use crate::rectangle::{Rectangle, Visibility};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 use crate::scene::{Cell, Scene};
 
 use super::imperfect::CompactImperfect;
@@ -28,13 +29,13 @@ pub const BOARD_CELLS: usize = 6;
 
 /// Up to [`BOARD_CELLS`] cells, compiled.
 #[derive(Clone, Debug)]
-pub struct CompactPlan<S: Scalar> {
+pub struct CompactPlan<S: Number> {
     pub(crate) cells: Vec<CompactCell<S>, BOARD_CELLS>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(crate) struct CompactCell<S: Scalar> {
+pub(crate) struct CompactCell<S: Number> {
     receiver: Receiver<S>,
     source: Source<S>,
     kind: Kind<S>,
@@ -44,14 +45,14 @@ pub(crate) struct CompactCell<S: Scalar> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
 #[allow(clippy::large_enum_variant, reason = "no heap on the board; both are nearly alike")]
-enum Kind<S: Scalar> {
+enum Kind<S: Number> {
     Ideal(Ideal<S>),
     Imperfect(CompactImperfect<S>),
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-struct Ideal<S: Scalar> {
+struct Ideal<S: Number> {
     face: Face<S>,
     profile: Power<S>,
 }
@@ -86,7 +87,7 @@ impl<S: Scalar> CompactPlan<S> {
     }
 }
 
-impl<S: Scalar> CompactCell<S> {
+impl<S: Number> CompactCell<S> {
     /// The same cell, which is that `of_scene` and has the profile `exact`; or what it has that has no place here.
     fn of(cell: &CompiledCell<S>, of_scene: &Cell, exact: &CompiledProfile<f64>) -> Result<Self, &'static str> {
         let kind = match (&cell.aperture, cell.emitter.profile.as_power()) {
@@ -106,7 +107,7 @@ impl<S: Scalar> CompactCell<S> {
     }
 }
 
-impl<S: Scalar> Ideal<S> {
+impl<S: Number> Ideal<S> {
     /// The light of the cell's emitter; `None` without a spot, or if part of it is beyond the emitter's horizon.
     #[inline(always)]
     fn light<const GRADIENT: bool>(&self, receiver: &Receiver<S>, seen: &Seen<S>) -> (Option<Light<S>>, Visibility<S>) {
@@ -125,7 +126,7 @@ impl<S: Scalar> Ideal<S> {
     }
 }
 
-impl<S: Scalar> Optics<S> for CompactPlan<S> {
+impl<S: Number> Optics<S> for CompactPlan<S> {
     // It costs as much as the covariance.
     const TELLS_RELIABILITY: bool = false;
     // The search would take a board a tenth of a second. Of a head of six cells, five leave four currents to check with.

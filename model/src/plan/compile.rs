@@ -8,7 +8,7 @@ use crate::effects::{Effects, MAX_IMPERFECT, Opening, RADIAL_TERMS};
 use crate::exact::Orders;
 use crate::list::List;
 use crate::profile::CompiledProfile;
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Number, Vector3};
 use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
 
 use super::imperfect::Imperfect;
@@ -85,7 +85,7 @@ impl Check {
 
 /// Compiles the cells of `scene` into `cells`.
 #[inline(never)]
-pub(super) fn fill<S: Scalar>(
+pub(super) fn fill<S: Number>(
     cells: &mut List<CompiledCell<S>, MAX_CELLS>,
     imperfect: &mut List<Imperfect<S>, MAX_IMPERFECT>,
     scene: &Scene,
@@ -129,7 +129,7 @@ fn check_noise(scene: &Scene) -> Result<(), SceneError> {
     check.not_negative("position_mm", scene.uncertainty.position_m)
 }
 
-fn compile_cell<S: Scalar>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {
+fn compile_cell<S: Number>(index: usize, cell: &Cell, tier: Tier) -> Result<CompiledCell<S>, SceneError> {
     let at = |section| Check { cell: Some(index), section };
     let (x_axis, normal) = check_detector(&at("detector"), &at("cell"), &cell.detector)?;
     check_slit(&at("slit"), &cell.slit)?;

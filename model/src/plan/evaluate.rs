@@ -3,6 +3,7 @@
 use heapless::Vec;
 
 use crate::aperture::Aperture;
+use crate::entries::Scalar;
 use crate::exact::{self, Orders, PolygonLight};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
@@ -10,13 +11,13 @@ use crate::pose::Transform;
 use crate::profile::{CompiledProfile, Emission};
 use crate::rectangle::Rectangle;
 use crate::response::{Flags, Integration, Pair, Response, Status};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 use crate::solid_angle;
 
 use super::optics::{Light, Place, Receiver, Seen, of_sides};
 use super::{CellTerms, CompiledCell, CompiledEmitter, Plan, imperfect};
 
-impl<S: Scalar> CompiledCell<S> {
+impl<S: Number> CompiledCell<S> {
     #[inline(always)]
     fn spot(&self, seen: &Seen<S>) -> Result<(Spot<S>, Status, S), Status> {
         let e = seen.position;
@@ -36,7 +37,7 @@ impl<S: Scalar> CompiledCell<S> {
 
 /// The spot's geometry.
 #[allow(clippy::large_enum_variant, reason = "lives on the stack for one evaluation")]
-enum Spot<S: Scalar> {
+enum Spot<S: Number> {
     Rectangle(Rectangle<S>),
     Polygon(Polygon<S>),
 }
@@ -243,14 +244,14 @@ pub(crate) fn respond<S: Scalar>(plan: &Plan<S>, cell: usize, base_from_tool: &T
     }
 }
 
-fn exact_solid_angle<S: Scalar>(spot: &Spot<S>) -> S {
+fn exact_solid_angle<S: Number>(spot: &Spot<S>) -> S {
     match spot {
         Spot::Rectangle(rectangle) => rectangle_solid_angle(rectangle),
         Spot::Polygon(polygon) => solid_angle::of_fan(polygon.corners()[0], polygon.fan(), polygon.height()),
     }
 }
 
-pub(super) fn rectangle_solid_angle<S: Scalar>(rectangle: &Rectangle<S>) -> S {
+pub(super) fn rectangle_solid_angle<S: Number>(rectangle: &Rectangle<S>) -> S {
     let [a, b, c, d] = rectangle.corners();
     let half_area = S::of(4.0) * rectangle.x.half * rectangle.y.half;
     solid_angle::of_fan(a, [(half_area, b, c), (half_area, c, d)].into_iter(), rectangle.height)

@@ -17,12 +17,13 @@ use heapless::Vec;
 
 use crate::aperture::Aperture;
 use crate::effects::{MAX_IMPERFECT, counts_on};
+use crate::entries::Scalar;
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
 use crate::list::List;
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked, Tracker};
 
@@ -117,7 +118,7 @@ impl<S: Scalar> CellsAtOnce<S> for NoLanes {
 pub type CurrentsJacobian<S> = [[S; 6]; 2];
 
 #[derive(Clone, Debug)]
-struct CompiledCell<S: Scalar> {
+struct CompiledCell<S: Number> {
     receiver: Receiver<S>,
     aperture: Aperture<S>,
     emitter: CompiledEmitter<S>,
@@ -127,7 +128,7 @@ struct CompiledCell<S: Scalar> {
 
 /// The part of a cell that is mounted on the tool.
 #[derive(Clone, Debug)]
-struct CompiledEmitter<S: Scalar> {
+struct CompiledEmitter<S: Number> {
     source: Source<S>,
     profile: CompiledProfile<S>,
     /// `None` in the paper tier, unless the cell's opening asks for integrals.
@@ -149,7 +150,7 @@ pub struct CellTerms<S> {
     pub(crate) wall_m: S,
 }
 
-impl<S: Scalar> CellTerms<S> {
+impl<S: Number> CellTerms<S> {
     fn dark(status: Status) -> Self {
         let nothing = S::zero();
         Self { status, pair: [nothing; 2], jacobian: [[nothing; 6]; 2], slack_m: nothing, wall_m: S::infinity() }
@@ -167,7 +168,7 @@ pub struct Near {
 }
 
 /// What a solver asks of the optics of a head.
-pub trait Optics<S: Scalar>: Sized {
+pub trait Optics<S: Number>: Sized {
     /// Whether solutions tell what checked them: see [`crate::Solution::unnoticed_sigmas`].
     const TELLS_RELIABILITY: bool;
 

@@ -7,7 +7,7 @@ use crate::lanes::{array, zero_half_one};
 use crate::polygon::EmitterGradient;
 use crate::pose::Transform;
 use crate::rectangle::{Edge, Rectangle, RectangleLight, SideGradient};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 
 /// The detector on the base, without its aperture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -49,7 +49,7 @@ pub(super) struct Seen<R: Real> {
 }
 
 /// The tool's motion around a reference instant, and each cell's exposure.
-pub struct Instant<'a, S: Scalar> {
+pub struct Instant<'a, S: Number> {
     /// Pose at the reference instant.
     pub(crate) pose: &'a Transform<S>,
     /// Linear and angular: m/s and rad/s.
@@ -60,7 +60,7 @@ pub struct Instant<'a, S: Scalar> {
     pub(crate) offsets_s: &'a [S],
 }
 
-impl<S: Scalar> Instant<'_, S> {
+impl<S: Number> Instant<'_, S> {
     /// Where the tool's origin is at the exposure of one cell, at a constant twist.
     #[inline(always)]
     pub(super) fn translation_of(&self, cell: usize) -> S::Vec3 {

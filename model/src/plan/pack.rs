@@ -10,7 +10,7 @@ use crate::pose::Transform;
 use crate::power::PowerLanes;
 use crate::profile::Falloff;
 use crate::rectangle::{Rectangle, Visibility};
-use crate::scalar::{Linear3, Real, Scalar};
+use crate::scalar::{Linear3, Number, Real};
 use crate::scene::MAX_CELLS;
 
 use super::optics::{Instant, Light, Receiver, Seen, Source, of_sides};
@@ -89,7 +89,7 @@ pub(super) enum Masks {
 
 impl Masks {
     /// `None` if a mask is of another kind than the first one, or turned.
-    pub(super) fn of<S: Scalar>(cells: &[CompiledCell<S>]) -> Option<Self> {
+    pub(super) fn of<S: Number>(cells: &[CompiledCell<S>]) -> Option<Self> {
         let of = |cell: &CompiledCell<S>| match cell.aperture {
             Aperture::Thin(_) => Some(Self::Thin),
             Aperture::Thick(..) => Some(Self::Thick),
@@ -102,7 +102,7 @@ impl Masks {
 
 /// Packs the cells of a plan into `packs`, which stays empty if a cell is of another kind.
 #[inline(never)]
-pub(super) fn fill<S: Scalar>(packs: &mut List<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
+pub(super) fn fill<S: Number>(packs: &mut List<Pack<S::Lanes>, MAX_CELLS>, cells: &[CompiledCell<S>]) {
     let Some(masks) = Masks::of(cells) else { return };
     for cells in cells.chunks(<S::Lanes as Real>::LANES) {
         let Some(pack) = Pack::of(<S::Lanes as Default>::default(), masks, cells) else {

@@ -66,7 +66,7 @@ fn poses() -> [Pose; 5] {
 }
 
 /// Asserts that `a` equals `b` within the rounding of some tens of operations on numbers of size `scale`.
-fn assert_equal<S: Scalar, const N: usize>(a: [S; N], b: [S; N], scale: S, cell: usize) {
+fn assert_equal<S: Number, const N: usize>(a: [S; N], b: [S; N], scale: S, cell: usize) {
     let allowed = S::of(200.0) * S::epsilon() * scale;
     assert!(a.iter().zip(b).all(|(&a, b)| (a - b).abs() <= allowed), "cell {cell}: {a:?} {b:?}");
 }
@@ -76,7 +76,7 @@ const TWIST: [DVec3; 2] = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0
 const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
 
 /// Asserts that all cells at once give the same as each cell alone.
-fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
+fn check_all_at_once<S: Number>(scene: &Scene, tier: Tier) {
     let plan = Plan::<S>::compile(scene, tier).expect("scene");
     // The tool in motion: every cell at its own instant, or all at one.
     let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();

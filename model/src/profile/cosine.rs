@@ -3,7 +3,7 @@
 #[cfg(feature = "batch")]
 use crate::power::SharedPower;
 use crate::power::{Power, PowerLanes};
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
@@ -23,7 +23,7 @@ pub(crate) struct Cosine<S> {
     spreads: [S; MAX_TERMS + 1],
 }
 
-impl<S: Scalar> Cosine<S> {
+impl<S: Number> Cosine<S> {
     /// Compiles the profile with exponent n. `tolerance`: relative error allowed to [`Emission::near`].
     pub(super) fn compile(exponent: f64, tolerance: f64) -> Self {
         let mut binomial = 1.0;
@@ -46,7 +46,7 @@ impl<S: Scalar> Cosine<S> {
 }
 
 #[cfg(feature = "batch")]
-impl<S: Scalar> Cosine<S> {
+impl<S: Number> Cosine<S> {
     /// [`Emission::near`] for the spot of each lane; NaN where there is no series.
     #[inline(always)]
     pub(crate) fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
@@ -69,7 +69,7 @@ impl<S: Scalar> Cosine<S> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Power<S> {
+impl<S: Number> Falloff<S> for Power<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         self.of(c)
@@ -82,7 +82,7 @@ impl<S: Scalar> Falloff<S> for Power<S> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Cosine<S> {
+impl<S: Number> Falloff<S> for Cosine<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         self.power.relative(c)
@@ -121,7 +121,7 @@ impl<R: Real> Falloff<R> for SharedPower<'_, R> {
     }
 }
 
-impl<S: Scalar> Emission<S> for Cosine<S> {
+impl<S: Number> Emission<S> for Cosine<S> {
     const NEEDS_SERIES: bool = false;
 
     fn at_horizon(&self) -> S {

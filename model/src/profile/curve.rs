@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::window::{DEGREE, interpolate};
 use super::{CompiledProfile, Falloff};
@@ -23,7 +23,7 @@ pub(crate) struct Curve<S> {
     coefficients: [S; DEGREE + 1],
 }
 
-impl<S: Scalar> Curve<S> {
+impl<S: Number> Curve<S> {
     /// `None`: no polynomial is near enough to `profile` over an angle worth it.
     pub(crate) fn fit(profile: &CompiledProfile<f64>) -> Option<Self> {
         LOWEST.into_iter().find_map(|lowest| {
@@ -67,7 +67,7 @@ impl<S: Scalar> Curve<S> {
     }
 }
 
-impl<S: Scalar> CompiledProfile<S> {
+impl<S: Number> CompiledProfile<S> {
     /// I_rel at cos γ = `c` > 0.
     fn relative(&self, c: S) -> S {
         match self {

@@ -12,7 +12,7 @@ mod window;
 use crate::effects::RADIAL_TERMS;
 use crate::exact::SERIES_EXPONENT;
 use crate::power::Power;
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 use crate::scene::Profile;
 
 pub(crate) use cosine::Cosine;
@@ -108,7 +108,7 @@ pub(crate) enum CompiledProfile<S> {
     ShapedTable(Shaped<S, Table<S>>),
 }
 
-impl<S: Scalar> CompiledProfile<S> {
+impl<S: Number> CompiledProfile<S> {
     /// Compiles `profile` with its `radial` deviation, and its exponent for [`crate::exact::Orders`]. `tolerance`:
     /// relative error allowed to [`Emission::near`].
     pub(crate) fn compile(profile: &Profile, radial: [f64; RADIAL_TERMS], tolerance: f64) -> (Self, f64) {

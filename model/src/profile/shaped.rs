@@ -3,7 +3,7 @@
 use heapless::Vec;
 
 use crate::effects::RADIAL_TERMS;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::fit::MAX_DEGREE;
 use super::window::rule_nodes;
@@ -45,7 +45,7 @@ pub(crate) struct Shaped<S, E> {
     beyond: [S; 2],
 }
 
-impl<S: Scalar, E> Shaped<S, E> {
+impl<S: Number, E> Shaped<S, E> {
     /// `tolerance`: relative error allowed to [`Emission::near`].
     pub(super) fn new(ideal: E, shape: &Shape<f64>, tolerance: f64) -> Self {
         let used = shape.iter().rposition(|&coefficient| coefficient != 0.0).unwrap_or(0);
@@ -138,7 +138,7 @@ impl<S: Scalar, E> Shaped<S, E> {
     }
 }
 
-impl<S: Scalar, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
+impl<S: Number, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
         self.ideal.relative(c) * self.factor(c).0
@@ -152,7 +152,7 @@ impl<S: Scalar, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
     }
 }
 
-impl<S: Scalar, E: Emission<S>> Emission<S> for Shaped<S, E> {
+impl<S: Number, E: Emission<S>> Emission<S> for Shaped<S, E> {
     const NEEDS_SERIES: bool = E::NEEDS_SERIES;
 
     fn at_horizon(&self) -> S {

@@ -20,7 +20,7 @@
 
 use heapless::Vec;
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_PROFILE_KNOTS;
 
 use super::window::{Piecewise, Windows};
@@ -47,7 +47,7 @@ struct Point<S> {
     value: S,
 }
 
-impl<S: Scalar> Table<S> {
+impl<S: Number> Table<S> {
     /// Compiles valid knots: at least two, ascending from zero, none beyond 90°. `tolerance`: relative
     /// error allowed to [`Emission::near`]; zero if that is not called.
     pub(super) fn compile(knots: &[(f64, f64)], tolerance: f64) -> Self {
@@ -125,7 +125,7 @@ impl Piecewise for Table<f64> {
     }
 }
 
-impl<S: Scalar> Falloff<S> for Table<S> {
+impl<S: Number> Falloff<S> for Table<S> {
     fn relative(&self, c: S) -> S {
         self.with_slope(c).0
     }
@@ -149,7 +149,7 @@ impl<S: Scalar> Falloff<S> for Table<S> {
     }
 }
 
-impl<S: Scalar> Emission<S> for Table<S> {
+impl<S: Number> Emission<S> for Table<S> {
     const NEEDS_SERIES: bool = true;
 
     fn at_horizon(&self) -> S {

@@ -4,7 +4,7 @@
 //! √(1 − cos γ), nearly evenly over γ. Each is as wide as a polynomial of [`DEGREE`] allows within the
 //! tolerance; where no window is wide enough for a spot, the table itself is integrated.
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::{Falloff, MAX_TERMS, Series};
 
@@ -55,7 +55,7 @@ struct Window<S> {
     coefficients: [S; DEGREE + 1],
 }
 
-impl<S: Scalar> Windows<S> {
+impl<S: Number> Windows<S> {
     /// No window has a polynomial.
     pub(super) fn none() -> Self {
         let closed = Window { reach: S::zero(), coefficients: [S::zero(); DEGREE + 1] };
@@ -129,7 +129,7 @@ impl<S: Scalar> Windows<S> {
 /// Gauss–Legendre nodes that integrate a polynomial and its first moment, with terms of these greatest sizes, to within
 /// `allowed`. Of fixed length: the loops are unrolled.
 #[inline(always)]
-pub(super) fn rule_nodes<S: Scalar, const N: usize>(sizes: &[S; N], allowed: S) -> usize {
+pub(super) fn rule_nodes<S: Number, const N: usize>(sizes: &[S; N], allowed: S) -> usize {
     // Of each term and all after it.
     let mut sums = *sizes;
     for k in (0..N - 1).rev() {

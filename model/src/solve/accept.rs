@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::chi2::redundancy;
 use super::compiled::Compiled;
@@ -56,7 +56,7 @@ pub(super) enum Fit {
     Full,
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// How well `minimum` explains the data: χ² by the noise, and no light where none was seen.
     pub(super) fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> Fit {
         // Written so that NaN does not fit.
@@ -195,7 +195,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
 }
 
 /// Whether the best pose found is too far from the data to call it one.
-pub(super) fn is_elsewhere<S: Scalar, P: Optics<S>>(problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
+pub(super) fn is_elsewhere<S: Number, P: Optics<S>>(problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
     let predicted = problem.predicted(&minimum.pose);
     !minimum.converged
         || problem.readings.iter().any(|reading| {
@@ -208,7 +208,7 @@ pub(super) fn is_elsewhere<S: Scalar, P: Optics<S>>(problem: &Problem<'_, S, P>,
 
 /// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:
 /// of an error of length e in σ of its cell, r·e² stays visible and (1 − r)·e² is in the pose.
-pub(super) fn unnoticed_sigmas<S: Scalar>(gate: S, redundancy: usize, visible: S) -> S {
+pub(super) fn unnoticed_sigmas<S: Number>(gate: S, redundancy: usize, visible: S) -> S {
     // Of next to nothing, rounding is what is left.
     let negligible = S::of(1e-6).max(S::of(64.0) * S::epsilon());
     if redundancy == 0 || visible <= negligible {

@@ -7,7 +7,7 @@
 use num_traits::Float;
 
 use crate::lanes::zero_half_one;
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 
 /// A vector of the six pose coordinates (translation, rotation).
 pub(crate) type Vector6<S> = [S; 6];
@@ -15,7 +15,7 @@ pub(crate) type Vector6<S> = [S; 6];
 /// A 6×6 matrix, stored in full.
 pub(crate) type Matrix6<S> = [[S; 6]; 6];
 
-/// Scalar product.
+/// Number product.
 #[inline(always)]
 pub(crate) fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
     let mut sum = a[0].constant(0.0);
@@ -150,7 +150,7 @@ impl<R: Real> Factor<R> {
     }
 }
 
-impl<S: Scalar> Factor<S> {
+impl<S: Number> Factor<S> {
     /// The Cholesky factor of `matrix` with its diagonal multiplied by 1 + `damping` (elements that
     /// are next to nothing are damped as if they were a millionth of the largest). `None` if a pivot
     /// falls to `threshold` of its diagonal element or below: then the matrix is too near to a
@@ -277,7 +277,7 @@ pub(crate) struct Triangle<S, const N: usize> {
     right: [S; N],
 }
 
-impl<S: Scalar, const N: usize> Triangle<S, N> {
+impl<S: Number, const N: usize> Triangle<S, N> {
     pub(crate) fn new() -> Self {
         Self { upper: [[S::zero(); N]; N], right: [S::zero(); N] }
     }
@@ -317,7 +317,7 @@ impl<S: Scalar, const N: usize> Triangle<S, N> {
 
 /// Whether a processor does a whole square sooner than its lower half: with more lanes than the number type.
 const fn adds_squares<R: Real>() -> bool {
-    <<R::Element as Scalar>::Lanes as Real>::LANES > 1 && R::LANES == 1
+    <<R::Element as Number>::Lanes as Real>::LANES > 1 && R::LANES == 1
 }
 
 /// Adds Σ left·rightᵀ, which is symmetric: at least its lower half.
@@ -341,7 +341,7 @@ pub(super) fn add_outer<R: Real, const N: usize>(
 
 /// Completes a symmetric matrix whose lower half [`add_outer`] has added up.
 #[inline(always)]
-pub(super) fn mirror<S: Scalar>(matrix: &mut Matrix6<S>) {
+pub(super) fn mirror<S: Number>(matrix: &mut Matrix6<S>) {
     if !adds_squares::<S>() {
         for i in 0..6 {
             for j in i + 1..6 {

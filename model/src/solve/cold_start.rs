@@ -5,7 +5,7 @@
 
 use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::accept::{Fit, ROUGH_WORK, is_elsewhere};
 use super::chi2::redundancy;
@@ -41,7 +41,7 @@ pub(super) const DOUBTED: f64 = 0.25;
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Search<S: Scalar> {
+pub(super) struct Search<S: Number> {
     has_begun: bool,
     /// The next of [`Try`].
     next: usize,
@@ -62,7 +62,7 @@ pub(super) struct Search<S: Scalar> {
     is_over: bool,
 }
 
-impl<S: Scalar> Search<S> {
+impl<S: Number> Search<S> {
     /// One that has not begun, for the currents of one frame.
     pub(super) fn at_once() -> Self {
         Self {
@@ -152,7 +152,7 @@ impl Try {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Two poses between which the currents of the frame before did not decide, on those of this one;
     /// `None` if these do.
     pub(super) fn still_images(
@@ -425,13 +425,13 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     }
 }
 
-fn nothing<S: Scalar>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
+fn nothing<S: Number>(sorted: &Sorted<S>, outcome: Outcome) -> Solution<S> {
     Solution::without_pose(outcome, sorted.used)
 }
 
 /// Whether nothing tells a pose from its mirror images. Of three cells nearly every pose has some, and no search is sure to
 /// find them all; that another cell is dark at the pose, too, excludes few of them where emitters are narrow.
-fn is_unchecked<S: Scalar>(sorted: &Sorted<S>) -> bool {
+fn is_unchecked<S: Number>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0
 }
 

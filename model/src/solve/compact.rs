@@ -4,9 +4,10 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::entries::Scalar;
 use crate::plan::{BOARD_CELLS, CompactCell, CompactPlan, Plan, Tier};
 use crate::pose::Pose;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
 use super::compiled::Compiled;
@@ -66,7 +67,7 @@ pub enum CompactError {
 /// A compact solver but for its cells, to be stored or sent.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub struct CompactFrame<S: Scalar> {
+pub struct CompactFrame<S: Number> {
     gates: [S; MAX_CELLS + 1],
     has_offsets: bool,
     length_scale_m: S,
@@ -77,7 +78,7 @@ pub struct CompactFrame<S: Scalar> {
 /// One cell of a compact solver.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub struct CompactPart<S: Scalar> {
+pub struct CompactPart<S: Number> {
     optics: CompactCell<S>,
     plane: PlaneCell<S>,
     noise: CellNoise<S>,

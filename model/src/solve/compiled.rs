@@ -2,9 +2,10 @@
 
 use heapless::Vec;
 
+use crate::entries::Scalar;
 use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform, Twist};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
 
 use super::algebra::Factor;
@@ -41,7 +42,7 @@ impl MotionPrior {
 
 /// [`MotionPrior`] in the solver's numbers.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Prior<S: Scalar> {
+pub(super) struct Prior<S: Number> {
     /// The twist's linear and angular part.
     pub(super) twist: [S::Vec3; 2],
     /// Standard deviations of the twist per axis, m/s and rad/s.
@@ -52,14 +53,14 @@ pub(super) struct Prior<S: Scalar> {
 
 /// What is known beforehand of the tool's acceleration within a frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bend<S: Scalar> {
+pub(super) struct Bend<S: Number> {
     /// Half the acceleration, linear and angular: m/s² and rad/s².
     pub(super) half_acceleration: [S::Vec3; 2],
     /// Standard deviations of that per axis.
     pub(super) sigmas: [S; 2],
 }
 
-impl<S: Scalar> Prior<S> {
+impl<S: Number> Prior<S> {
     pub(super) fn of(motion: &MotionPrior) -> Self {
         Self {
             twist: [motion.twist.linear_m_per_s, motion.twist.angular_rad_per_s].map(|v| S::Vec3::of(v)),
@@ -75,7 +76,7 @@ impl<S: Scalar> Prior<S> {
 
 /// A compiled scene.
 #[derive(Clone, Debug)]
-pub(super) struct Compiled<S: Scalar, P = Plan<S>> {
+pub(super) struct Compiled<S: Number, P = Plan<S>> {
     pub(super) plan: P,
     pub(super) planes: Vec<PlaneCell<S>, MAX_CELLS>,
     pub(super) noise: Vec<CellNoise<S>, MAX_CELLS>,
@@ -148,7 +149,7 @@ impl<S: Scalar> Compiled<S> {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// For optics that have no cells yet.
     #[inline(always)]
     pub(super) fn without_cells(plan: P) -> Self {

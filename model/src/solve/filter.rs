@@ -13,7 +13,7 @@
 //! shrinks: the pose of a resting tool has the noise of many frames, that of a swinging one has no delay.
 
 use crate::pose::{Rigid, Twist};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 
 use super::algebra::Matrix6;
 use super::outcome::Estimate;
@@ -85,12 +85,12 @@ pub struct Filtered<S = f64> {
 
 /// Six numbers: displacements, or their rates.
 #[derive(Clone, Copy, Debug, Default)]
-struct Displacement<S: Scalar> {
+struct Displacement<S: Number> {
     translation: S::Vec3,
     rotation: S::Vec3,
 }
 
-impl<S: Scalar> Displacement<S> {
+impl<S: Number> Displacement<S> {
     fn plus(self, factor: S, other: Self) -> Self {
         Self {
             translation: self.translation + other.translation * factor,
@@ -108,7 +108,7 @@ impl<S: Scalar> Displacement<S> {
 #[derive(Clone, Copy, Debug)]
 struct Gains<S>([S; 3]);
 
-impl<S: Scalar> Gains<S> {
+impl<S: Number> Gains<S> {
     /// Least squares over `n` + 1 frames.
     fn expanding(n: u32) -> Self {
         let m = count::<S>(n);
@@ -137,13 +137,13 @@ impl<S: Scalar> Gains<S> {
 
 /// A number of frames.
 #[inline(always)]
-fn count<S: Scalar>(frames: u32) -> S {
+fn count<S: Number>(frames: u32) -> S {
     S::from(frames).unwrap_or_else(S::infinity)
 }
 
 /// The filter.
 #[derive(Clone, Debug)]
-pub(super) struct FadingFilter<S: Scalar> {
+pub(super) struct FadingFilter<S: Number> {
     period_s: S,
     /// Longest memory, frames.
     longest: S,
@@ -151,7 +151,7 @@ pub(super) struct FadingFilter<S: Scalar> {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct State<S: Scalar> {
+struct State<S: Number> {
     pose: Rigid<S>,
     step: Displacement<S>,
     bend: Displacement<S>,
@@ -173,7 +173,7 @@ struct State<S: Scalar> {
 
 /// What is expected of the next frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Prediction<S: Scalar> {
+pub(super) struct Prediction<S: Number> {
     pub(super) pose: Rigid<S>,
     /// Linear and angular, per second.
     pub(super) twist: [S::Vec3; 2],
@@ -185,7 +185,7 @@ pub(super) struct Prediction<S: Scalar> {
     pub(super) strain: S,
 }
 
-impl<S: Scalar> FadingFilter<S> {
+impl<S: Number> FadingFilter<S> {
     /// For frames `period_s` apart. With a memory of `memory_s` a frame counts m/(1 + m) of the next,
     /// m = `memory_s`/`period_s`.
     pub(super) fn new(period_s: f64, memory_s: f64) -> Self {
@@ -318,16 +318,16 @@ impl<S: Scalar> FadingFilter<S> {
 }
 
 /// Of translation and rotation, mean of the axes.
-fn mean_variances<S: Scalar>(covariance: &Matrix6<S>) -> [S; 2] {
+fn mean_variances<S: Number>(covariance: &Matrix6<S>) -> [S; 2] {
     [0, 3].map(|i| (covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2]) * S::of(1.0 / 3.0))
 }
 
 /// As others see it.
-fn twist<S: Scalar>([linear, angular]: [S::Vec3; 2]) -> Twist {
+fn twist<S: Number>([linear, angular]: [S::Vec3; 2]) -> Twist {
     Twist { linear_m_per_s: linear.as_dvec3(), angular_rad_per_s: angular.as_dvec3() }
 }
 
-impl<S: Scalar> State<S> {
+impl<S: Number> State<S> {
     fn theta(&self) -> S {
         self.memory / (S::one() + self.memory)
     }
@@ -372,7 +372,7 @@ impl<S: Scalar> State<S> {
 }
 
 /// (1 − K·H)·P·(1 − K·H)ᵀ + K·Kᵀ for a measurement of X with unit variance.
-fn corrected<S: Scalar>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
+fn corrected<S: Number>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
     core::array::from_fn(|i| {
         core::array::from_fn(|j| {
             p[i][j] - gains[i] * p[0][j] - gains[j] * p[i][0] + gains[i] * gains[j] * (p[0][0] + S::one())
@@ -382,7 +382,7 @@ fn corrected<S: Scalar>(p: &[[S; 3]; 3], gains: &[S; 3]) -> [[S; 3]; 3] {
 
 /// What a steady change of acceleration, x = t³/6, does to the predicted step, per what it does to
 /// the predicted pose, which lags by 1/(1 − θ)³.
-fn astray<S: Scalar>(theta: S) -> S {
+fn astray<S: Number>(theta: S) -> S {
     let fresh = S::one() - theta;
     fresh * (S::of(3.0) + fresh * (S::of(-1.5) + fresh * S::of(1.0 / 3.0)))
 }

@@ -7,7 +7,7 @@
 
 use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::accept::{DISTINCT_SIGMAS, Fit};
 use super::algebra::square;
@@ -32,7 +32,7 @@ const FAR_SIGMAS: f64 = 60.0;
 /// of condition numbers, which is large near a fold.
 const INVERSE_STEPS: usize = 3;
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Whether a solution without redundancy has a near twin of which `is_expected` holds, too.
     pub(super) fn has_twin(
         &self,

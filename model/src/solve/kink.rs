@@ -9,7 +9,7 @@ use arrayvec::ArrayVec;
 use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::rectangle::{MOST_MAGNIFICATION, WALL_SLACK};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::accept::DISTINCT_SIGMAS;
@@ -30,7 +30,7 @@ const LITTLE: f64 = 1e-2;
 const HALVINGS: usize = 12;
 
 /// What there is on a kink between two poses.
-pub(super) enum Astride<S: Scalar> {
+pub(super) enum Astride<S: Number> {
     /// The first of them is the least of χ². The factor of the side that tells less: the truth may lie there.
     Least(Option<Factor<S>>),
     /// A pose with less χ², and the normal equations there.
@@ -43,7 +43,7 @@ pub(super) enum Astride<S: Scalar> {
 /// towards the other: the step from `at` to the least of the larger of both linearised χ², and that least χ².
 ///
 /// It is the least of λ times the one and 1 − λ times the other for the λ at which both are equal.
-fn on_kink<S: Scalar>(
+fn on_kink<S: Number>(
     at: &NormalEquations<S>,
     there: &NormalEquations<S>,
     step: &Vector6<S>,
@@ -70,7 +70,7 @@ fn on_kink<S: Scalar>(
     least
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// Looks for less χ² between `pose`, where the normal equations are `at`, and the end of `step`, where they are
     /// `there`.
     #[cold]

@@ -9,7 +9,7 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Vector6, square};
 use super::kink::{Astride, NEAR};
@@ -57,7 +57,7 @@ const MAX_ITERATIONS: usize = 40;
 /// Steps of a rough approach before it is given up.
 const ROUGH_ITERATIONS: usize = 20;
 
-impl<S: Scalar> Stopping<S> {
+impl<S: Number> Stopping<S> {
     /// Next to the minimum, so that noise-free data give the pose itself.
     pub(super) fn exact() -> Self {
         Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(1e-7), most_chi2: S::infinity() }
@@ -87,7 +87,7 @@ impl<S: Scalar> Stopping<S> {
 
 /// Where a minimisation ended.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Minimum<S: Scalar> {
+pub(super) struct Minimum<S: Number> {
     pub(super) pose: Transform<S>,
     pub(super) chi2: S,
     /// Of the information; `None` if that is singular to the precision of the numbers.
@@ -110,7 +110,7 @@ struct Reach<S> {
 }
 
 /// The end of a second step with the Jacobian of the first.
-enum Reused<S: Scalar> {
+enum Reused<S: Number> {
     /// Within the tolerance of the minimum.
     Minimum(Transform<S>, S),
     /// Nearer to the minimum.
@@ -119,7 +119,7 @@ enum Reused<S: Scalar> {
     TooOld,
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// `pose` after a scaled step.
     pub(super) fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
@@ -347,7 +347,7 @@ impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
     }
 }
 
-impl<S: Scalar> Step<S> {
+impl<S: Number> Step<S> {
     pub(super) fn is_finite(&self) -> bool {
         self.step.iter().all(|value| value.is_finite())
     }
@@ -361,17 +361,17 @@ impl<S: Scalar> Step<S> {
 
 /// Whether the Jacobian hardly changes along the step.
 #[inline(always)]
-fn is_reusable<S: Scalar>(step: &Step<S>, reach: Reach<S>) -> bool {
+fn is_reusable<S: Number>(step: &Step<S>, reach: Reach<S>) -> bool {
     !step.is_by_qr && reach.jacobian_change <= S::of(REUSABLE_CHANGE) && reach.is_smooth
 }
 
 /// The damping after a step that failed.
-fn raised<S: Scalar>(damping: S) -> S {
+fn raised<S: Number>(damping: S) -> S {
     (damping * S::of(10.0)).max(S::of(FIRST_DAMPING))
 }
 
 /// The damping after a step that succeeded.
-fn lowered<S: Scalar>(damping: S) -> S {
+fn lowered<S: Number>(damping: S) -> S {
     if damping > S::of(FIRST_DAMPING) { damping * S::of(0.1) } else { S::zero() }
 }
 

@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::accept::{ALIKE, DISTINCT_SIGMAS, Fit};
 use super::levenberg_marquardt::Minimum;
@@ -16,13 +16,13 @@ const REMEMBERED: usize = 15;
 const SAME_SIGMAS: f64 = 0.3;
 
 /// Where rough approaches have led.
-pub(super) struct Seen<S: Scalar> {
+pub(super) struct Seen<S: Number> {
     places: ArrayVec<Transform<S>, REMEMBERED>,
     /// How many led to a known one.
     pub(super) again: usize,
 }
 
-impl<S: Scalar> Seen<S> {
+impl<S: Number> Seen<S> {
     pub(super) fn new() -> Self {
         Self { places: ArrayVec::new(), again: 0 }
     }
@@ -46,13 +46,13 @@ impl<S: Scalar> Seen<S> {
 
 /// The best pose so far, and the best of those that are not the same.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Minima<S: Scalar> {
+pub(super) struct Minima<S: Number> {
     pub(super) best: Option<(Minimum<S>, Fit)>,
     rival: Option<(Minimum<S>, Fit)>,
     length_scale_m: S,
 }
 
-impl<S: Scalar> Minima<S> {
+impl<S: Number> Minima<S> {
     pub(super) fn new(length_scale_m: S) -> Self {
         Self { best: None, rival: None, length_scale_m }
     }
@@ -101,7 +101,7 @@ impl<S: Scalar> Minima<S> {
 }
 
 /// Whether two poses differ by more than the data of either allow.
-pub(super) fn are_distinct<S: Scalar>(a: &Minimum<S>, b: &Minimum<S>, length_scale_m: S) -> bool {
+pub(super) fn are_distinct<S: Number>(a: &Minimum<S>, b: &Minimum<S>, length_scale_m: S) -> bool {
     [a, b].iter().any(|by| {
         by.factor.as_ref().is_none_or(|factor| {
             let sigmas = observability::sigmas_between(factor, &a.pose, &b.pose, length_scale_m);

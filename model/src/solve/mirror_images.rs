@@ -6,9 +6,10 @@
 
 use arrayvec::ArrayVec;
 
+use crate::entries::Scalar;
 use crate::plan::{Optics, Plan};
 use crate::pose::{Pose, Transform};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Factor, Matrix6};
@@ -49,7 +50,7 @@ const PATTERNS: usize = 7;
 /// Most images that [`images`] gives: of two sets of three emitters.
 pub(super) const IMAGES: usize = 2 * PATTERNS;
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// `minimum` moved along the direction that its data hold least: one of [`SOFT_STEPS`].
     pub(super) fn softened(&self, minimum: &Minimum<S>, index: usize) -> Option<Transform<S>> {
         let (_, direction) = minimum.factor.as_ref()?.singular()[0];
@@ -105,7 +106,7 @@ impl<S: Scalar> Compiled<S> {
 }
 
 /// Three of the `readings` whose emitters are not in `taken` and span the largest triangle.
-fn widest<S: Scalar>(cells: &[PlaneCell<S>], readings: &[Usable<S>], taken: &[usize]) -> Option<[usize; 3]> {
+fn widest<S: Number>(cells: &[PlaneCell<S>], readings: &[Usable<S>], taken: &[usize]) -> Option<[usize; 3]> {
     let numbers = readings.iter().map(|reading| reading.cell).filter(|cell| !taken.contains(cell));
     let free: ArrayVec<(usize, S::Vec3), MAX_CELLS> =
         numbers.filter_map(|cell| Some((cell, cells.get(cell)?.emitter_tool()))).collect();
@@ -126,7 +127,7 @@ fn widest<S: Scalar>(cells: &[PlaneCell<S>], readings: &[Usable<S>], taken: &[us
 
 /// Where a mirror image of `pose` may be, `index` below [`IMAGES`]: some of three emitters on their
 /// other sides. `None` if there are not so many cells.
-pub(super) fn image<S: Scalar>(
+pub(super) fn image<S: Number>(
     cells: &[PlaneCell<S>],
     readings: &[Usable<S>],
     pose: &Transform<S>,

@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 
 use crate::plan::{BOARD_CELLS, CellTerms, Instant, Optics};
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
@@ -30,7 +30,7 @@ const GUIDE_M: f64 = 20e-6;
 const MAX_GUIDES: usize = 4;
 
 /// The data of one minimisation.
-pub(super) struct Problem<'a, S: Scalar, P> {
+pub(super) struct Problem<'a, S: Number, P> {
     pub(super) plan: &'a P,
     pub(super) planes: &'a [PlaneCell<S>],
     pub(super) noise: &'a [CellNoise<S>],
@@ -49,7 +49,7 @@ pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
 /// Memory and budget of the minimisations of one frame: the rows of the last linearisation, with the residuals
 /// of the last evaluation.
 #[derive(Debug)]
-pub(super) struct Workspace<S: Scalar> {
+pub(super) struct Workspace<S: Number> {
     /// Of each usable reading, in order, two each.
     pub(super) rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
     /// Index of a reading whose cell has no spot at the pose, and the row of its plane.
@@ -69,7 +69,7 @@ pub(super) struct Workspace<S: Scalar> {
     pub(super) evaluations: usize,
 }
 
-impl<S: Scalar> Workspace<S> {
+impl<S: Number> Workspace<S> {
     /// Empty, without a limit to the work.
     #[inline(always)]
     pub(super) fn new() -> Self {
@@ -111,7 +111,7 @@ pub(super) struct NormalEquations<S> {
     pub(super) gradient: Vector6<S>,
 }
 
-impl<S: Scalar> NormalEquations<S> {
+impl<S: Number> NormalEquations<S> {
     /// An estimate, low by √6 at most, of the norm of J: the most that a step of unit length changes the
     /// whitened currents.
     pub(super) fn steepness(&self) -> S {
@@ -134,7 +134,7 @@ impl<S: Scalar> NormalEquations<S> {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     pub(super) fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
         Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: self.offsets_s }
     }

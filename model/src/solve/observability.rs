@@ -1,7 +1,7 @@
 //! What the data determine, and what they leave free.
 
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::algebra::{Factor, Matrix6};
 use super::outcome::Directions;
@@ -19,7 +19,7 @@ pub(super) const EVEN: f64 = 1e-3;
 
 /// Covariance in metres and radians from the information in scaled coordinates; `None` if a
 /// direction is free.
-pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, length_scale_m: S) -> Option<Matrix6<S>> {
+pub(super) fn covariance<S: Number>(factor: &Factor<S>, length_scale_m: S) -> Option<Matrix6<S>> {
     if is_singular(factor) {
         return None;
     }
@@ -34,18 +34,18 @@ pub(super) fn covariance<S: Scalar>(factor: &Factor<S>, length_scale_m: S) -> Op
 
 /// A covariance of scaled coordinates in metres and radians.
 #[inline(always)]
-pub(super) fn unscaled<S: Scalar>(covariance: &Matrix6<S>, length_scale_m: S) -> Matrix6<S> {
+pub(super) fn unscaled<S: Number>(covariance: &Matrix6<S>, length_scale_m: S) -> Matrix6<S> {
     let scale = |axis: usize| if axis < 3 { length_scale_m } else { S::one() };
     core::array::from_fn(|i| core::array::from_fn(|j| covariance[i][j] * (scale(i) * scale(j))))
 }
 
 /// Whether there are free directions.
-pub(super) fn is_singular<S: Scalar>(factor: &Factor<S>) -> bool {
+pub(super) fn is_singular<S: Number>(factor: &Factor<S>) -> bool {
     !factor.is_even(S::of(EVEN)) && free_directions(factor).is_some()
 }
 
 /// The free directions; `None` if there is none.
-pub(super) fn free_directions<S: Scalar>(factor: &Factor<S>) -> Option<Directions> {
+pub(super) fn free_directions<S: Number>(factor: &Factor<S>) -> Option<Directions> {
     let pairs = factor.singular();
     let largest = pairs[5].0;
     let least = (S::of(RANK_ROUNDINGS) * S::epsilon() * largest).max(S::of(LARGEST_SIGMA.recip()));
@@ -58,14 +58,14 @@ pub(super) fn free_directions<S: Scalar>(factor: &Factor<S>) -> Option<Direction
 }
 
 /// Whether the σ of a direction with this singular value is infinite, or beyond the range of any linearisation.
-pub(super) fn is_free<S: Scalar>(value: S) -> bool {
+pub(super) fn is_free<S: Number>(value: S) -> bool {
     // Written so that NaN is.
     let is_held = value > S::of(LARGEST_SIGMA.recip());
     !is_held
 }
 
 /// The displacement between two poses, in σ of the data of `factor`.
-pub(super) fn sigmas_between<S: Scalar>(
+pub(super) fn sigmas_between<S: Number>(
     factor: &Factor<S>,
     a: &Transform<S>,
     b: &Transform<S>,

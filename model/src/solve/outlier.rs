@@ -6,7 +6,7 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::accept::Fit;
 use super::compiled::{Compiled, Prior};
@@ -39,7 +39,7 @@ pub(super) struct LeftOut {
 
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct OutlierSearch<S: Scalar> {
+pub(super) struct OutlierSearch<S: Number> {
     /// The next reading to be left out.
     next: usize,
     /// The cell without which χ² is least so far, and where; and whether in an earlier frame.
@@ -54,12 +54,12 @@ pub(super) struct OutlierSearch<S: Scalar> {
 
 /// Where the others have led so far, and whether by the true weights.
 #[derive(Clone, Copy, Debug)]
-struct UnderWay<S: Scalar> {
+struct UnderWay<S: Number> {
     pose: Transform<S>,
     is_near: bool,
 }
 
-impl<S: Scalar> OutlierSearch<S> {
+impl<S: Number> OutlierSearch<S> {
     /// One that has not begun; `may_pause`: it goes on with another frame's currents when the work of
     /// one is used up.
     pub(super) fn new(may_pause: bool) -> Self {
@@ -91,7 +91,7 @@ impl<S: Scalar> OutlierSearch<S> {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit: from
     /// the planes of the others. Goes on with `search`, and stops where that is paused.
     pub(super) fn without_outlier(
@@ -317,7 +317,7 @@ impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
     }
 }
 
-pub(super) fn exclude<S: Scalar>(solution: &mut Solution<S>, cell: usize) {
+pub(super) fn exclude<S: Number>(solution: &mut Solution<S>, cell: usize) {
     solution.excluded.insert(cell);
     if solution.outcome.has_pose() {
         solution.outcome = Outcome::Degraded(DegradedReason::CellExcluded);

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::Opening;
 use crate::pose::Transform;
-use crate::scalar::{Linear3, Real, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Real, Vector3};
 use crate::scene::Cell;
 
 use super::algebra::{Factor, Matrix6, Vector6};
@@ -34,7 +34,7 @@ pub(super) const PULL: f64 = 1e-6;
 /// What the planes need of a cell, base frame.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(super) struct PlaneCell<S: Scalar> {
+pub(super) struct PlaneCell<S: Number> {
     detector: S::Vec3,
     x_axis: S::Vec3,
     slit: S::Vec3,
@@ -53,7 +53,7 @@ pub(super) struct PlaneCell<S: Scalar> {
 
 /// Where the light of a reading comes from.
 #[derive(Clone, Copy)]
-enum Plane<S: Scalar> {
+enum Plane<S: Number> {
     /// Unit normal of the emitter's plane through the slit.
     Emitter(S::Vec3),
     /// Where the light lands, on the plane of a riding slit.
@@ -61,7 +61,7 @@ enum Plane<S: Scalar> {
     Landing(S::Vec3),
 }
 
-impl<S: Scalar> PlaneCell<S> {
+impl<S: Number> PlaneCell<S> {
     /// From a valid cell; `dark_in_ratio`: whether the currents divide I_D like the photocurrent.
     pub(super) fn compile(cell: &Cell, dark_in_ratio: bool) -> Self {
         let detector = &cell.detector;
@@ -212,7 +212,7 @@ impl<S: Scalar> PlaneCell<S> {
 
 /// The pose nearest `start` whose emitters lie in the planes of `readings`; `length_scale_m` scales
 /// rotations to metres.
-pub(super) fn pose_on_planes<S: Scalar>(
+pub(super) fn pose_on_planes<S: Number>(
     cells: &[PlaneCell<S>],
     readings: &[Usable<S>],
     start: Transform<S>,
@@ -231,7 +231,7 @@ pub(super) fn pose_on_planes<S: Scalar>(
 /// The pose nearest `start` that the rows of `rows`, derivatives by (δt, arm·δθ), distance and weight,
 /// lead to in at most `steps` steps of Gauss and Newton.
 #[inline(always)]
-pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
+pub(super) fn settle<S: Number, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
     start: Transform<S>,
     length_scale_m: S,
     steps: usize,
@@ -271,7 +271,7 @@ pub(super) fn settle<S: Scalar, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
 /// Relative change of a head's Jacobian per unit of a scaled step: it changes over the distance between emitter and
 /// slit, or slit and detector, whichever is less. Over 3000 random poses and directions the change is 0.18 of this
 /// in the mean and 0.32 at most for the scene `wide`, 0.33 and 0.90 for `base`.
-pub(super) fn jacobian_change_rate<S: Scalar>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
+pub(super) fn jacobian_change_rate<S: Number>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
     let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
     S::of(8.0) * length_scale_m / shortest.max(S::of(1e-3) * length_scale_m)
 }

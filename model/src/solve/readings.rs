@@ -5,7 +5,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::response::Pair;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::outcome::Cells;
@@ -37,7 +37,7 @@ impl<T> Photocurrents<T> {
 
 impl Photocurrents {
     /// In the numbers of a solver.
-    pub fn rounded<S: Scalar>(&self) -> Photocurrents<S> {
+    pub fn rounded<S: Number>(&self) -> Photocurrents<S> {
         let rounded = |reading: &Reading| match reading {
             Reading::Light(Pair { i_x1_a, i_x2_a }) => {
                 Reading::Light(Pair { i_x1_a: S::of(*i_x1_a), i_x2_a: S::of(*i_x2_a) })
@@ -75,7 +75,7 @@ pub(super) struct Sorted<S> {
     pub(super) faint: Cells,
 }
 
-impl<S: Scalar> Sorted<S> {
+impl<S: Number> Sorted<S> {
     pub(super) fn of(readings: &Photocurrents<S>, limits: &[Limits<S>]) -> Self {
         let mut sorted = Self { usable: ArrayVec::new(), used: Cells::default(), faint: Cells::default() };
         for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {

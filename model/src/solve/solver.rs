@@ -1,8 +1,9 @@
 //! The interface of the solver.
 
+use crate::entries::Scalar;
 use crate::plan::{Optics, Plan, Tier};
 use crate::pose::{Pose, Transform};
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
 
 use super::accept::Fit;
@@ -30,7 +31,7 @@ pub enum Start<'a> {
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
 #[derive(Clone, Debug)]
-pub struct Solver<S: Scalar, P = Plan<S>> {
+pub struct Solver<S: Number, P = Plan<S>> {
     pub(super) compiled: Compiled<S, P>,
     pub(super) max_steps: Option<usize>,
 }
@@ -94,7 +95,7 @@ impl<S: Scalar> Solver<S> {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Solver<S, P> {
+impl<S: Number, P: Optics<S>> Solver<S, P> {
     /// With cell k exposed `offsets_s[k]` seconds after the reference instant.
     ///
     /// # Panics

@@ -1,7 +1,7 @@
 //! Where a search begins.
 
 use crate::pose::{Pose, Transform};
-use crate::scalar::{Scalar, Vector3};
+use crate::scalar::{Number, Vector3};
 
 /// How far the starts lie apart: half the reach of a head.
 const ROTATION_RAD: f64 = 0.3;
@@ -15,7 +15,7 @@ pub(super) const SPREAD: usize = 48;
 
 /// Start `index` of [`AROUND`]: a turn about one axis and a shift along the next, both ways, first from
 /// home, then from `centre`.
-pub(super) fn around<S: Scalar>(centre: &Transform<S>, index: usize) -> Transform<S> {
+pub(super) fn around<S: Number>(centre: &Transform<S>, index: usize) -> Transform<S> {
     let i = index % 12;
     let mut turn = [0.0; 3];
     let mut shift = [0.0; 3];
@@ -28,7 +28,7 @@ pub(super) fn around<S: Scalar>(centre: &Transform<S>, index: usize) -> Transfor
 
 /// Start `index` of [`SPREAD`], or of any number: the generalised golden ratio in six dimensions fills
 /// a box evenly (Roberts 2018), with powers of the inverse of the root of x⁷ = x + 1.
-pub(super) fn spread<S: Scalar>(index: usize) -> Transform<S> {
+pub(super) fn spread<S: Number>(index: usize) -> Transform<S> {
     let mut share = 1.0;
     let coordinates: [f64; 6] = core::array::from_fn(|_| {
         share *= 0.898_653_712_628_699;
@@ -40,6 +40,6 @@ pub(super) fn spread<S: Scalar>(index: usize) -> Transform<S> {
     Transform::of(&Pose::HOME).moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
 }
 
-fn vector<S: Scalar>(v: glam::DVec3) -> S::Vec3 {
+fn vector<S: Number>(v: glam::DVec3) -> S::Vec3 {
     S::Vec3::of(v)
 }

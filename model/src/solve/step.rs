@@ -7,7 +7,7 @@
 use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::rectangle::MOST_MAGNIFICATION;
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
@@ -31,7 +31,7 @@ pub(super) struct Step<S> {
     pub(super) is_by_qr: bool,
 }
 
-impl<S: Scalar, P: Optics<S>> Problem<'_, S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// The step from `at`; `None` if a damped matrix is singular to the precision of the numbers.
     #[inline]
     pub(super) fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {

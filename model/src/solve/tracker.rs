@@ -21,7 +21,7 @@ mod lost;
 
 use crate::plan::{Optics, Plan};
 use crate::pose::{Pose, Rigid};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::compiled::{Bend, Prior};
 use super::filter::{FadingFilter, Filtered, Prediction, TwistEstimate};
@@ -75,7 +75,7 @@ const BETTER: f64 = 0.5;
 
 /// The result of one frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Tracked<S: Scalar = f64> {
+pub struct Tracked<S: Number = f64> {
     /// From this frame alone, but for the twist.
     pub solution: Solution<S>,
     /// Velocity at the reference instant, from this frame and a few before.
@@ -86,7 +86,7 @@ pub struct Tracked<S: Scalar = f64> {
 
 /// Solves consecutive frames.
 #[derive(Clone, Debug)]
-pub struct Tracker<S: Scalar, P = Plan<S>> {
+pub struct Tracker<S: Number, P = Plan<S>> {
     solver: Solver<S, P>,
     period_s: f64,
     /// Frames a second.
@@ -116,7 +116,7 @@ pub struct Tracker<S: Scalar, P = Plan<S>> {
     lost: Lost<S>,
 }
 
-impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
+impl<S: Number, P: Optics<S>> Tracker<S, P> {
     /// For frames `period_s` seconds apart.
     pub fn new(solver: Solver<S, P>, period_s: f64) -> Self {
         Self {
@@ -439,6 +439,6 @@ impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
     }
 }
 
-fn is_misfit<S: Scalar>(solution: &Solution<S>) -> bool {
+fn is_misfit<S: Number>(solution: &Solution<S>) -> bool {
     solution.outcome == Outcome::Degraded(DegradedReason::Misfit)
 }

@@ -12,7 +12,7 @@
 
 use arrayvec::ArrayVec;
 
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
 use super::compiled::Prior;
@@ -23,7 +23,7 @@ const KNOWN: f64 = 1e30;
 
 /// Motion of the tool within a frame, and how well it is known.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion<S: Scalar> {
+pub(super) struct Motion<S: Number> {
     /// Linear and angular.
     pub(super) twist: [S::Vec3; 2],
     /// Half the acceleration, as in [`super::compiled::Bend`]; `None`: zero.
@@ -36,7 +36,7 @@ pub(super) struct Motion<S: Scalar> {
     pub(super) bend_prior: Option<[S; 2]>,
 }
 
-impl<S: Scalar> Motion<S> {
+impl<S: Number> Motion<S> {
     #[inline(always)]
     pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
         let Prior { twist, bend, sigmas } = *prior;
@@ -71,7 +71,7 @@ pub(super) struct Elimination<S> {
     bend: Option<Factor<S>>,
 }
 
-impl<S: Scalar> Elimination<S> {
+impl<S: Number> Elimination<S> {
     /// Of a known motion.
     #[inline(always)]
     pub(super) fn new() -> Self {
@@ -167,12 +167,12 @@ impl<S: Scalar> Elimination<S> {
 
 /// The columns of L⁻¹ times a matrix, in its place.
 #[inline(always)]
-fn columns<S: Scalar>(matrix: &mut Matrix6<S>, factor: &Factor<S>) {
+fn columns<S: Number>(matrix: &mut Matrix6<S>, factor: &Factor<S>) {
     *matrix = matrix.map(|column| factor.forward(&column));
 }
 
 #[inline(always)]
-fn add_prior<S: Scalar>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
+fn add_prior<S: Number>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
     for (i, row) in matrix.iter_mut().enumerate() {
         row[i] += prior[i / 3];
     }
@@ -180,7 +180,7 @@ fn add_prior<S: Scalar>(matrix: &mut Matrix6<S>, prior: [S; 2]) {
 
 /// Takes the products of the columns of `left` and `right` from `matrix`.
 #[inline(always)]
-fn take<S: Scalar>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S>) {
+fn take<S: Number>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S>) {
     for i in 0..6 {
         for j in 0..6 {
             for k in 0..6 {
@@ -193,7 +193,7 @@ fn take<S: Scalar>(matrix: &mut Matrix6<S>, left: &Matrix6<S>, right: &Matrix6<S
 
 /// Takes the products of the `columns` and of `unknowns` from `vector`.
 #[inline(always)]
-fn take_vector<S: Scalar>(vector: &mut Vector6<S>, columns: &Matrix6<S>, unknowns: &Vector6<S>) {
+fn take_vector<S: Number>(vector: &mut Vector6<S>, columns: &Matrix6<S>, unknowns: &Vector6<S>) {
     for i in 0..6 {
         for k in 0..6 {
             let known = columns[i][k] * unknowns[k];

@@ -2,7 +2,7 @@
 
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 
 use super::accept::{Fit, is_elsewhere};
 use super::chi2::redundancy;
@@ -16,7 +16,7 @@ use super::readings::Sorted;
 /// Evaluations that are left to [`Compiled::taken_roughly`], which takes some five near an expected pose.
 const ROUGH_STEPS: usize = 12;
 
-impl<S: Scalar, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose near `start`, where the tool is expected: of all cells; without the one that was
     /// `left_out` in the frame before; without another; or a misfit.
     pub(super) fn follow(

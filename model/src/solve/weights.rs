@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::lanes::{array, zero_half_one};
-use crate::scalar::{Real, Scalar};
+use crate::scalar::{Number, Real};
 use crate::scene::{Scene, Uncertainty};
 
 /// Multiplies the residuals of a cell's two currents into uncorrelated ones of unit variance.
@@ -98,7 +98,7 @@ pub(crate) struct CellNoise<S> {
     dark: S,
 }
 
-impl<S: Scalar> CellNoise<S> {
+impl<S: Number> CellNoise<S> {
     pub(crate) fn compile(scene: &Scene, cell: usize, relative_error: f64) -> Self {
         let detector = &scene.cells[cell].detector;
         let (shot, dark, johnson, converter) = scene.noise.map_or((0.0, 0.0, 0.0, 0.0), |noise| {
@@ -171,7 +171,7 @@ impl<S: Scalar> CellNoise<S> {
 mod tests {
     use super::*;
 
-    fn noise<S: Scalar>(emitter_gain: f64) -> CellNoise<S> {
+    fn noise<S: Number>(emitter_gain: f64) -> CellNoise<S> {
         CellNoise {
             shot: S::of(3.2e-15),
             johnson: S::of(3.4e-21),
@@ -218,7 +218,7 @@ mod tests {
 
     /// What moves light along the detector changes the ratio at a given sum; its weight must not
     /// depend on how little the gain is known.
-    fn ratio_weight<S: Scalar>(emitter_gain: f64) -> f64 {
+    fn ratio_weight<S: Number>(emitter_gain: f64) -> f64 {
         let pair = [S::of(2e-6), S::of(4e-6)];
         let whitener = noise::<S>(emitter_gain).whitener(pair);
         // Of all unit vectors the part across what the gain does.

@@ -17,7 +17,7 @@ use crate::effects::Window;
 use crate::pose::rotation_exp;
 use crate::rectangle::{Edge, Extent, Rectangle, RectangleLight, SideGradient};
 use crate::response::Status;
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Slit;
 
 use super::super::optics::{Light, Place};
@@ -29,7 +29,7 @@ const MOST_TURN: f64 = 0.18;
 /// A slit and a window, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
-pub(super) struct Beam<S: Scalar> {
+pub(super) struct Beam<S: Number> {
     faces: [Face<S>; 2],
     face_count: usize,
     /// Normal of the mask, away from the detector.
@@ -40,7 +40,7 @@ pub(super) struct Beam<S: Scalar> {
 /// What a beam is made of.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-struct Parts<S: Scalar> {
+struct Parts<S: Number> {
     /// Directions along the width and the length of the slit, and half of both.
     across: S::Vec3,
     along: S::Vec3,
@@ -52,7 +52,7 @@ struct Parts<S: Scalar> {
 
 /// One face of the slit: q × a of its two long edges, and the middles of its short ones.
 #[derive(Clone, Copy, Debug)]
-struct Face<S: Scalar> {
+struct Face<S: Number> {
     moments: [S::Vec3; 2],
     ends: [S::Vec3; 2],
 }
@@ -65,7 +65,7 @@ struct Glass<S> {
     excess: S,
 }
 
-impl<S: Scalar> Glass<S> {
+impl<S: Number> Glass<S> {
     /// δ, and its first three derivatives, at tan²θ.
     #[inline(always)]
     fn raise(&self, tangent2: S) -> (S, [S; 3]) {
@@ -77,7 +77,7 @@ impl<S: Scalar> Glass<S> {
     }
 }
 
-impl<S: Scalar> From<Parts<S>> for Beam<S> {
+impl<S: Number> From<Parts<S>> for Beam<S> {
     fn from(parts: Parts<S>) -> Self {
         let Parts { across, along, half_sizes: [half_width, half_length], centre, half_thickness, .. } = parts;
         let normal = across.cross(along);
@@ -96,7 +96,7 @@ impl<S: Scalar> From<Parts<S>> for Beam<S> {
     }
 }
 
-impl<S: Scalar> From<Beam<S>> for Parts<S> {
+impl<S: Number> From<Beam<S>> for Parts<S> {
     fn from(beam: Beam<S>) -> Self {
         beam.parts
     }
@@ -104,7 +104,7 @@ impl<S: Scalar> From<Beam<S>> for Parts<S> {
 
 /// How far the detector appears raised, at the middle ray of the beam.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Raise<S: Scalar> {
+pub(super) struct Raise<S: Number> {
     height: S,
     by_position: S::Vec3,
     /// tan θ along x and along y, and their derivatives by the emitter's position.
@@ -114,7 +114,7 @@ pub(super) struct Raise<S: Scalar> {
     slopes: [S; 3],
 }
 
-impl<S: Scalar> Raise<S> {
+impl<S: Number> Raise<S> {
     fn none() -> Self {
         let zero = S::zero();
         Self {
@@ -158,7 +158,7 @@ impl<S: Scalar> Raise<S> {
 }
 
 /// The spot as a rectangle in the plane of the raised detector, and how its sides move with the emitter.
-pub(super) struct Spot<S: Scalar> {
+pub(super) struct Spot<S: Number> {
     pub(super) rectangle: Rectangle<S>,
     sides: [S::Vec3; 4],
     raise: Raise<S>,
@@ -171,7 +171,7 @@ pub(super) struct Spot<S: Scalar> {
 /// A long edge, projected: the side X = m·e/(m_x − e_y·a_z + e_z·a_y) of the spot, m about the middle of the raised
 /// detector, and one over the denominator.
 #[derive(Clone, Copy)]
-struct Projected<S: Scalar> {
+struct Projected<S: Number> {
     at: S,
     moment: S::Vec3,
     per: S,
@@ -179,12 +179,12 @@ struct Projected<S: Scalar> {
 
 /// A side of the spot: its place on the detector, and the face that bounds it; `None`: the detector does.
 #[derive(Clone, Copy)]
-struct Side<S: Scalar> {
+struct Side<S: Number> {
     at: S,
     face: Option<usize>,
 }
 
-impl<S: Scalar> Beam<S> {
+impl<S: Number> Beam<S> {
     /// `None`: the slit is turned too far for this geometry.
     pub(super) fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
@@ -363,7 +363,7 @@ impl<S: Scalar> Beam<S> {
     }
 }
 
-impl<S: Scalar> Spot<S> {
+impl<S: Number> Spot<S> {
     /// Power and position of the light in terms of the emitter, from those in terms of the sides.
     pub(super) fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
         let (bend, bend_by) = self.raise.bend(&self.rectangle, &self.sides);

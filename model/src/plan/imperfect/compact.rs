@@ -11,7 +11,7 @@ use crate::effects::{AZIMUTHAL_TERMS, Effects};
 use crate::exact;
 use crate::polygon::EmitterGradient;
 use crate::profile::{CompiledProfile, Curve};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 use crate::scene::Cell;
 
 use super::super::optics::{Instant, Receiver, Seen, Source};
@@ -24,7 +24,7 @@ use super::{Sums, azimuthal_factor};
 /// What stands between an emitter and two currents.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(in super::super) struct CompactImperfect<S: Scalar> {
+pub(in super::super) struct CompactImperfect<S: Number> {
     beam: Beam<S>,
     curve: Curve<S>,
     azimuth: Option<Azimuth<S>>,
@@ -34,13 +34,13 @@ pub(in super::super) struct CompactImperfect<S: Scalar> {
 /// Of [`super::ExtendedSource`], that of a point.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-struct Azimuth<S: Scalar> {
+struct Azimuth<S: Number> {
     /// Direction v across the axis, tool frame.
     across: S::Vec3,
     coefficients: [S; AZIMUTHAL_TERMS],
 }
 
-impl<S: Scalar> CompactImperfect<S> {
+impl<S: Number> CompactImperfect<S> {
     /// That of `cell`, its `profile` compiled; or what it has that has no place here.
     pub(in super::super) fn of(cell: &Cell, profile: &CompiledProfile<f64>) -> Result<Self, &'static str> {
         let ideal = Effects::default();
@@ -107,7 +107,7 @@ impl<S: Scalar> CompactImperfect<S> {
     }
 }
 
-impl<S: Scalar> Azimuth<S> {
+impl<S: Number> Azimuth<S> {
     /// `power` times the factor of the ray `to_spot`, cell frame, that ends `x_by` farther along x per motion of the
     /// emitter.
     #[inline(always)]

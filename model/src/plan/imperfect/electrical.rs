@@ -4,7 +4,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Effects, MAX_CONVERTER, MAX_NONLINEARITY, Stray};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::super::CurrentsJacobian;
 use super::super::optics::Receiver;
@@ -13,7 +13,7 @@ use super::Sums;
 /// The electrical effects of one cell, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(super) struct Electrical<S: Scalar> {
+pub(super) struct Electrical<S: Number> {
     per_half_length: S,
     nonlinearity: Option<[S; MAX_NONLINEARITY]>,
     stray: Option<CompiledStray<S>>,
@@ -37,7 +37,7 @@ struct CompiledConverters<S> {
 /// Σ coefficient·xᵏ and its derivative, N even: even and odd powers apart, for each multiplication waits for the one
 /// before.
 #[inline(always)]
-fn polynomial<S: Scalar, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) {
+fn polynomial<S: Number, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) {
     let (square, twice) = (x * x, S::two() * x);
     let [even, odd] = [0, 1].map(|first| {
         let (mut value, mut slope) = (S::zero(), S::zero());
@@ -51,11 +51,11 @@ fn polynomial<S: Scalar, const N: usize>(coefficients: &[S; N], x: S) -> (S, S) 
 }
 
 /// Coefficients, and zeros up to the most that there may be.
-fn filled<S: Scalar, const N: usize>(coefficients: &Vec<f64, N>) -> [S; N] {
+fn filled<S: Number, const N: usize>(coefficients: &Vec<f64, N>) -> [S; N] {
     core::array::from_fn(|k| S::of(coefficients.get(k).copied().unwrap_or(0.0)))
 }
 
-impl<S: Scalar> Electrical<S> {
+impl<S: Number> Electrical<S> {
     pub(super) fn compile(effects: &Effects, half_length_m: f64) -> Self {
         Self {
             per_half_length: S::of(half_length_m).recip(),

@@ -12,12 +12,13 @@ mod passage;
 use heapless::Vec;
 
 use crate::effects::{AZIMUTHAL_TERMS, Effects};
+use crate::entries::Scalar;
 use crate::paper;
 use crate::polygon::MAX_CORNERS;
 use crate::pose::Transform;
 use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
 
 pub(super) use self::compact::CompactImperfect;
@@ -31,7 +32,7 @@ use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
 
 /// The effects of one cell, compiled.
 #[derive(Clone, Debug)]
-pub(super) struct Imperfect<S: Scalar> {
+pub(super) struct Imperfect<S: Number> {
     passage: Passage<S>,
     electrical: Electrical<S>,
     source: ExtendedSource<S>,
@@ -43,7 +44,7 @@ pub(super) struct Imperfect<S: Scalar> {
 
 /// What an emitter has beyond its place, axis and profile.
 #[derive(Clone, Debug)]
-struct ExtendedSource<S: Scalar> {
+struct ExtendedSource<S: Number> {
     /// Directions v and w across the axis, tool frame.
     across: [S::Vec3; 2],
     /// Coefficients of v² − w², 2vw, zv, zw; `None`: the profile has no azimuth.
@@ -68,7 +69,7 @@ const CENTRE_WEIGHT: f64 = 0.25;
 /// √⅔.
 const RING_RADIUS: f64 = 0.816_496_580_927_726;
 
-impl<S: Scalar> Imperfect<S> {
+impl<S: Number> Imperfect<S> {
     /// `None`: the slit on the base is turned too far. The profile's radial part is in the cell's [`CompiledProfile`].
     pub(super) fn compile(cell: &Cell, effects: &Effects) -> Option<Self> {
         Some(Self {
@@ -94,7 +95,7 @@ impl<S: Scalar> Imperfect<S> {
     }
 }
 
-impl<S: Scalar> ExtendedSource<S> {
+impl<S: Number> ExtendedSource<S> {
     fn compile(axis: glam::DVec3, effects: &Effects) -> Self {
         let reference = if axis.z.abs() > core::f64::consts::FRAC_1_SQRT_2 { glam::DVec3::X } else { glam::DVec3::Z };
         let v = (reference - axis * axis.dot(reference)).normalize_or_zero();
@@ -110,7 +111,7 @@ impl<S: Scalar> ExtendedSource<S> {
 /// The factor 1 + Σ azimuthal of the ray along the unit vector `ray`, with the axes v, w and u of the emitter, and its
 /// derivatives by the components of the ray along them, as one vector.
 #[inline(always)]
-fn azimuthal_factor<S: Scalar>(
+fn azimuthal_factor<S: Number>(
     coefficients: &[S; AZIMUTHAL_TERMS],
     [v_axis, w_axis, axis]: [S::Vec3; 3],
     ray: S::Vec3,
@@ -135,7 +136,7 @@ struct Sums<S> {
     moment_by: [S; 6],
 }
 
-impl<S: Scalar> Sums<S> {
+impl<S: Number> Sums<S> {
     fn none() -> Self {
         let zero = S::zero();
         Self { total: zero, moment: zero, total_by: [zero; 6], moment_by: [zero; 6] }
@@ -143,7 +144,7 @@ impl<S: Scalar> Sums<S> {
 }
 
 /// What is known besides of the spot of the cell's own emitter.
-struct Own<S: Scalar> {
+struct Own<S: Number> {
     status: Status,
     slack_m: S,
     photocurrent: S,
@@ -360,7 +361,7 @@ pub(super) fn respond<S: Scalar>(
     }
 }
 
-impl<S: Scalar> Imperfect<S> {
+impl<S: Number> Imperfect<S> {
     /// Solid angle and angle of emission of the light of the emitter's centre.
     fn middle_beam(
         &self,
@@ -388,7 +389,7 @@ impl<S: Scalar> Imperfect<S> {
 }
 
 /// Corners of the spot on the detector.
-pub(super) fn outline<S: Scalar>(
+pub(super) fn outline<S: Number>(
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,

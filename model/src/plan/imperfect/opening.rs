@@ -17,7 +17,7 @@ use crate::polygon::{EmitterGradient, MAX_CORNERS, Motion, Polygon};
 use crate::pose::{Transform, rotation_exp};
 use crate::profile::Emission;
 use crate::response::{Integration, Status};
-use crate::scalar::{Linear3, Scalar, Vector3};
+use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
 
 use super::super::optics::{Light, Place, Receiver, Seen, Source};
@@ -28,14 +28,14 @@ const CIRCLE_CORNERS: usize = 10;
 
 /// An opening, compiled.
 #[derive(Clone, Debug)]
-pub(super) enum Opening<S: Scalar> {
+pub(super) enum Opening<S: Number> {
     Riding(RidingSlit<S>),
     Round(Hole<S>),
 }
 
 /// A slit on the tool, tool frame.
 #[derive(Clone, Debug)]
-pub(super) struct RidingSlit<S: Scalar> {
+pub(super) struct RidingSlit<S: Number> {
     faces: [[S::Vec3; 4]; 2],
     face_count: usize,
     centre: S::Vec3,
@@ -46,7 +46,7 @@ pub(super) struct RidingSlit<S: Scalar> {
 
 /// A round hole, cell frame.
 #[derive(Clone, Debug)]
-pub(super) struct Hole<S: Scalar> {
+pub(super) struct Hole<S: Number> {
     around: [S::Vec3; CIRCLE_CORNERS],
     centre: S::Vec3,
     /// h/f; zero: no lens.
@@ -54,7 +54,7 @@ pub(super) struct Hole<S: Scalar> {
 }
 
 /// The spot, and how far light is bent on the way to it.
-pub(super) struct Spot<S: Scalar> {
+pub(super) struct Spot<S: Number> {
     /// As it would be without a lens.
     polygon: Polygon<S>,
     pub(super) status: Status,
@@ -72,7 +72,7 @@ struct Bent<S> {
     chief_by_z: [S; 2],
 }
 
-impl<S: Scalar> Opening<S> {
+impl<S: Number> Opening<S> {
     /// `None` for a slit on the base.
     pub(super) fn compile(cell: &Cell, kind: Kind) -> Option<Self> {
         let slit = &cell.slit;
@@ -123,7 +123,7 @@ impl<S: Scalar> Opening<S> {
     }
 }
 
-impl<S: Scalar> RidingSlit<S> {
+impl<S: Number> RidingSlit<S> {
     fn compile(cell: &Cell, centre: DVec3) -> Self {
         let (slit, detector) = (&cell.slit, &cell.detector);
         let [x_axis, z_axis] = [detector.x_axis_base, detector.normal_base].map(DVec3::normalize);
@@ -171,7 +171,7 @@ impl<S: Scalar> RidingSlit<S> {
     }
 }
 
-impl<S: Scalar> Hole<S> {
+impl<S: Number> Hole<S> {
     fn spot(&self, receiver: &Receiver<S>, seen: &Seen<S>) -> Result<Spot<S>, Status> {
         let e = seen.position;
         if e.z() <= self.centre.z() {
@@ -187,7 +187,7 @@ impl<S: Scalar> Hole<S> {
     }
 }
 
-impl<S: Scalar> Bent<S> {
+impl<S: Number> Bent<S> {
     /// Of light that goes straight on.
     fn not() -> Self {
         let zero = S::zero();
@@ -246,7 +246,7 @@ impl<S: Scalar> Bent<S> {
 /// Light, and its derivatives by a turn of what rides with the emitter.
 type Turned<S> = (Light<S>, Turn<S>);
 
-impl<S: Scalar> Spot<S> {
+impl<S: Number> Spot<S> {
     /// The light of the spot, and how it changes with a turn of what rides with the emitter.
     pub(super) fn light<E: Emission<S>, const GRADIENT: bool>(
         &self,

@@ -1,6 +1,7 @@
 //! The way of the light of one point through one cell, whatever stands in it: a slit on the base with or without a window,
 //! or another opening.
 
+use crate::entries::Scalar;
 use crate::exact::{self, Orders, Rules, Turn};
 use crate::paper;
 use crate::polygon::{EmitterGradient, Polygon};
@@ -8,7 +9,7 @@ use crate::pose::Transform;
 use crate::profile::Emission;
 use crate::rectangle::{Rectangle, RectangleLight, SideGradient, WALL_SLACK};
 use crate::response::{Integration, Status};
-use crate::scalar::{Linear3, Scalar};
+use crate::scalar::{Linear3, Number};
 
 use super::super::optics::{Light, Seen, Source};
 use super::super::{CompiledCell, CompiledEmitter, Plan};
@@ -17,7 +18,7 @@ use super::opening::Opening;
 
 /// What the light passes through.
 #[derive(Clone, Debug)]
-pub(super) enum Passage<S: Scalar> {
+pub(super) enum Passage<S: Number> {
     /// A slit on the base.
     Beam(Beam<S>),
     Opening(Opening<S>),
@@ -27,7 +28,7 @@ pub(super) enum Passage<S: Scalar> {
 const STEP: f64 = 1e-4;
 
 /// The light of one point of an emitter through one cell.
-pub(super) struct Passed<S: Scalar> {
+pub(super) struct Passed<S: Number> {
     pub(super) light: Option<Light<S>>,
     /// What a turn of a slit on the tool adds to the derivatives.
     pub(super) turn: Option<Turn<S>>,
@@ -108,7 +109,7 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 
 /// The light of a spot that one tensor rule cannot integrate. Its derivatives by the sides are differences.
 #[cold]
-fn divided<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+fn divided<S: Number, E: Emission<S>, const GRADIENT: bool>(
     spot: &Spot<S>,
     seen: &Seen<S>,
     emission: &E,

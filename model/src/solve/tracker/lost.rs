@@ -3,7 +3,7 @@
 use super::Tracker;
 use crate::plan::Optics;
 use crate::pose::Transform;
-use crate::scalar::Scalar;
+use crate::scalar::Number;
 use crate::solve::cold_start::{COLD_WORK, Search};
 use crate::solve::compiled::Prior;
 use crate::solve::normal_equations::Workspace;
@@ -34,7 +34,7 @@ const PAUSE: u32 = 256;
 
 /// A tool that is not where it was expected.
 #[derive(Clone, Debug)]
-pub(super) struct Lost<S: Scalar> {
+pub(super) struct Lost<S: Number> {
     search: Search<S>,
     /// Where it may as well be, if it may be in two places.
     images: Option<[Transform<S>; 2]>,
@@ -44,7 +44,7 @@ pub(super) struct Lost<S: Scalar> {
     pub(super) saved_work: usize,
 }
 
-impl<S: Scalar> Lost<S> {
+impl<S: Number> Lost<S> {
     pub(super) fn new(saved_work: usize) -> Self {
         Self { search: Search::in_pieces(), images: None, wait: 0, saved_work }
     }
@@ -55,7 +55,7 @@ impl<S: Scalar> Lost<S> {
     }
 }
 
-impl<S: Scalar, P: Optics<S>> Tracker<S, P> {
+impl<S: Number, P: Optics<S>> Tracker<S, P> {
     /// Looks for the tool everywhere, a piece of the search a frame.
     pub(super) fn find(&mut self, sorted: &Sorted<S>, motion: &Prior<S>, workspace: &mut Workspace<S>) -> Solution<S> {
         let lost = &mut self.lost;
