@@ -5,7 +5,7 @@ use heapless::Vec;
 use crate::scene::{Cell, Detector, Emitter, MAX_CELLS, Slit};
 
 /// Most cells with effects in a scene: all, with the feature `effects` of this crate; else none.
-pub(crate) const MAX_IMPERFECT: usize = if cfg!(feature = "effects") { MAX_CELLS } else { 0 };
+pub const MAX_IMPERFECT: usize = if cfg!(feature = "effects") { MAX_CELLS } else { 0 };
 
 /// Most coefficients of [`Effects::nonlinearity_m`].
 pub const MAX_NONLINEARITY: usize = 12;
@@ -46,7 +46,7 @@ impl Opening {
 
 /// Whether the light of `emitter`, whose cell shares a detector with `other_axis`, counts on the detector of another cell
 /// `cell`: two cells that read one detector have one emitter, and each counts it as its own.
-pub(crate) fn counts_on(emitter: usize, other_axis: Option<usize>, cell: usize) -> bool {
+pub fn counts_on(emitter: usize, other_axis: Option<usize>, cell: usize) -> bool {
     other_axis.is_none_or(|other| other != cell && other > emitter)
 }
 

@@ -66,7 +66,6 @@ mod aperture;
 mod effects;
 mod entries;
 mod exact;
-mod identify;
 mod lanes;
 mod list;
 mod paper;
@@ -79,7 +78,6 @@ mod rectangle;
 mod response;
 mod scalar;
 mod scene;
-mod solid_angle;
 mod solve;
 #[cfg(feature = "batch")]
 mod width;
@@ -89,7 +87,7 @@ pub use effects::{
     RADIAL_TERMS, Stray, Window,
 };
 pub use entries::Scalar;
-pub use identify::identified_relative_intensity;
+pub use paper::identified_relative_intensity;
 pub use plan::{BOARD_CELLS, CompactPlan, CurrentsJacobian, Plan, Tier};
 pub use pose::{Pose, Twist, rotation_exp, rotation_log};
 pub use response::{Flags, Integration, Pair, Response, Status};

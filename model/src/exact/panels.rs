@@ -16,7 +16,7 @@ use super::order::{ESTIMATED, HORIZON_NODES, MAX_NODES, Nodes};
 const MAX_PANELS: usize = 256;
 
 /// Most evaluations of the profile for the currents of one cell: every division measures two new panels.
-pub(crate) const MAX_EVALUATIONS: usize = 2 * MAX_PANELS * ESTIMATED * ESTIMATED;
+pub const MAX_EVALUATIONS: usize = 2 * MAX_PANELS * ESTIMATED * ESTIMATED;
 
 /// Share of the tolerance for the sum of the estimated errors.
 const SHARE: f64 = 0.5;
@@ -75,7 +75,7 @@ struct Measured<S> {
 }
 
 /// Sums over all slabs.
-pub(super) fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
+pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {

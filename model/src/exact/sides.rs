@@ -19,7 +19,7 @@ const MAX_PIECES: usize = 64;
 const NEGLIGIBLE: f64 = 0.01;
 
 /// Adds the light that the side from `a` to `b` sweeps over. `power`: power of the whole spot.
-pub(super) fn add<S: Number, E: Emission<S>>(
+pub fn add<S: Number, E: Emission<S>>(
     integrand: &Integrand<'_, S, E>,
     line: &Line<S>,
     a: [S; 2],

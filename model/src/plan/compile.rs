@@ -85,7 +85,7 @@ impl Check {
 
 /// Compiles the cells of `scene` into `cells`.
 #[inline(never)]
-pub(super) fn fill<S: Number>(
+pub fn fill<S: Number>(
     cells: &mut List<CompiledCell<S>, MAX_CELLS>,
     imperfect: &mut List<Imperfect<S>, MAX_IMPERFECT>,
     scene: &Scene,

@@ -4,7 +4,7 @@
 mod cells;
 mod compact;
 mod compile;
-pub(crate) mod evaluate;
+pub mod evaluate;
 mod imperfect;
 mod optics;
 mod pack;
@@ -29,7 +29,7 @@ use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start, Tracked,
 
 #[cfg(feature = "batch")]
 pub use cells::WideCells;
-pub(crate) use compact::CompactCell;
+pub use compact::CompactCell;
 pub use compact::{BOARD_CELLS, CompactPlan};
 use imperfect::Imperfect;
 pub use optics::Instant;
@@ -118,7 +118,7 @@ impl<S: Scalar> CellsAtOnce<S> for NoLanes {
 pub type CurrentsJacobian<S> = [[S; 6]; 2];
 
 #[derive(Clone, Debug)]
-struct CompiledCell<S: Number> {
+pub struct CompiledCell<S: Number> {
     receiver: Receiver<S>,
     aperture: Aperture<S>,
     emitter: CompiledEmitter<S>,
@@ -128,7 +128,7 @@ struct CompiledCell<S: Number> {
 
 /// The part of a cell that is mounted on the tool.
 #[derive(Clone, Debug)]
-struct CompiledEmitter<S: Number> {
+pub struct CompiledEmitter<S: Number> {
     source: Source<S>,
     profile: CompiledProfile<S>,
     /// `None` in the paper tier, unless the cell's opening asks for integrals.
@@ -289,7 +289,7 @@ impl<S: Scalar> Plan<S> {
 
     /// Whether the light of `emitter` is to be counted on the detector of `cell`.
     fn has_emitter(&self, cell: usize, emitter: usize) -> bool {
-        let other = self.imperfect_of(&self.cells[emitter]).and_then(Imperfect::other_axis);
+        let other = self.imperfect_of(&self.cells[emitter]).and_then(|effects| effects.other_axis);
         emitter == cell || counts_on(emitter, other, cell)
     }
 
@@ -360,7 +360,7 @@ impl<S: Scalar> Plan<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn lit_together(&self, cell: usize) -> u16 {
-        self.imperfect_of(&self.cells[cell]).map_or(0, Imperfect::lit_together)
+        self.imperfect_of(&self.cells[cell]).map_or(0, |effects| effects.lit_together)
     }
 }
 

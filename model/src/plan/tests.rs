@@ -76,7 +76,7 @@ const TWIST: [DVec3; 2] = [DVec3::new(0.3, -0.2, 0.5), DVec3::new(2.0, 5.0, -3.0
 const BEND: [DVec3; 2] = [DVec3::new(90.0, 150.0, -70.0), DVec3::new(-900.0, 800.0, 1500.0)];
 
 /// Asserts that all cells at once give the same as each cell alone.
-fn check_all_at_once<S: Number>(scene: &Scene, tier: Tier) {
+fn check_all_at_once<S: Scalar>(scene: &Scene, tier: Tier) {
     let plan = Plan::<S>::compile(scene, tier).expect("scene");
     // The tool in motion: every cell at its own instant, or all at one.
     let offsets: Vec<S, MAX_CELLS> = (0..scene.cells.len()).map(|i| S::of(34e-6 * i as f64)).collect();

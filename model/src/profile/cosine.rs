@@ -15,7 +15,7 @@ const LEAST_RATIO: f64 = 1e-3;
 
 /// I_rel = cⁿ.
 #[derive(Clone, Debug)]
-pub(crate) struct Cosine<S> {
+pub struct Cosine<S> {
     power: Power<S>,
     /// Binomial coefficients of n.
     binomials: [S; MAX_TERMS + 1],
@@ -25,7 +25,7 @@ pub(crate) struct Cosine<S> {
 
 impl<S: Number> Cosine<S> {
     /// Compiles the profile with exponent n. `tolerance`: relative error allowed to [`Emission::near`].
-    pub(super) fn compile(exponent: f64, tolerance: f64) -> Self {
+    pub fn compile(exponent: f64, tolerance: f64) -> Self {
         let mut binomial = 1.0;
         let mut binomials = [S::one(); MAX_TERMS + 1];
         let mut spreads = [S::zero(); MAX_TERMS + 1];
@@ -40,7 +40,7 @@ impl<S: Number> Cosine<S> {
         Self { power: Power::compile(exponent), binomials, spreads }
     }
 
-    pub(super) fn power(&self) -> &Power<S> {
+    pub fn power(&self) -> &Power<S> {
         &self.power
     }
 }
@@ -49,7 +49,7 @@ impl<S: Number> Cosine<S> {
 impl<S: Number> Cosine<S> {
     /// [`Emission::near`] for the spot of each lane; NaN where there is no series.
     #[inline(always)]
-    pub(crate) fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
+    pub fn near_lanes<R: Real<Element = S>>(&self, centre: R, spread: R) -> Series<R> {
         let (zero, one) = (centre.constant(0.0), centre.constant(1.0));
         let value = SharedPower::of(centre, &self.power).of_lanes(centre);
         let mut series =

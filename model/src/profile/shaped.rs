@@ -10,7 +10,7 @@ use super::window::rule_nodes;
 use super::{Emission, Falloff, MAX_TERMS, Series};
 
 /// Coefficients of z⁰, z¹, …: those of a fit times those of [`crate::ProfileShape::radial`].
-pub(super) type Shape<S> = Vec<S, { MAX_DEGREE + RADIAL_TERMS + 1 }>;
+pub type Shape<S> = Vec<S, { MAX_DEGREE + RADIAL_TERMS + 1 }>;
 
 /// Shares of the tolerance for terms neglected within a spot, and for the rule that integrates the others.
 const SHARES: [f64; 2] = [0.05, 0.25];
@@ -30,13 +30,13 @@ fn bound_beyond(shape: &[f64], from: usize) -> f64 {
 }
 
 /// The product of two polynomials.
-pub(super) fn product(a: &[f64], b: &[f64]) -> Shape<f64> {
+pub fn product(a: &[f64], b: &[f64]) -> Shape<f64> {
     let of = |k: usize| (0..=k).filter_map(|i| Some(a.get(i)? * b.get(k - i)?)).sum();
     (0..a.len() + b.len() - 1).map(of).collect()
 }
 
 #[derive(Clone, Debug)]
-pub(crate) struct Shaped<S, E> {
+pub struct Shaped<S, E> {
     ideal: E,
     shape: Shape<S>,
     /// Relative errors allowed to neglected terms, and to a rule.
@@ -47,7 +47,7 @@ pub(crate) struct Shaped<S, E> {
 
 impl<S: Number, E> Shaped<S, E> {
     /// `tolerance`: relative error allowed to [`Emission::near`].
-    pub(super) fn new(ideal: E, shape: &Shape<f64>, tolerance: f64) -> Self {
+    pub fn new(ideal: E, shape: &Shape<f64>, tolerance: f64) -> Self {
         let used = shape.iter().rposition(|&coefficient| coefficient != 0.0).unwrap_or(0);
         Self {
             ideal,

@@ -27,14 +27,14 @@ use super::window::{Piecewise, Windows};
 use super::{Emission, Falloff, Series};
 
 /// A table that ends before 90° gets one more point, at 90°.
-pub(super) const MAX_POINTS: usize = MAX_PROFILE_KNOTS + 1;
+pub const MAX_POINTS: usize = MAX_PROFILE_KNOTS + 1;
 
 /// The greatest number of points within a panel for which its ten nodes still show its roughness.
 const RESOLVED_POINTS: usize = 6;
 
 /// A profile from a table.
 #[derive(Clone, Debug)]
-pub(crate) struct Table<S> {
+pub struct Table<S> {
     points: Vec<Point<S>, MAX_POINTS>,
     horizon: S,
     windows: Windows<S>,
@@ -50,7 +50,7 @@ struct Point<S> {
 impl<S: Number> Table<S> {
     /// Compiles valid knots: at least two, ascending from zero, none beyond 90°. `tolerance`: relative
     /// error allowed to [`Emission::near`]; zero if that is not called.
-    pub(super) fn compile(knots: &[(f64, f64)], tolerance: f64) -> Self {
+    pub fn compile(knots: &[(f64, f64)], tolerance: f64) -> Self {
         let right_angle = core::f64::consts::FRAC_PI_2;
         let mut given: Vec<(f64, f64), MAX_POINTS> = knots.iter().copied().collect();
         if given[given.len() - 1].0 < right_angle {

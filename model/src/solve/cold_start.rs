@@ -1,31 +1,28 @@
 //! The pose of a tool that may be anywhere: from the planes, from home, without an outlier, and from starts around.
 //!
-//! The first pose that fits the data is the answer, unless it may have mirror images ([`super::mirror_images`]):
+//! The first pose that fits the data is the answer, unless it may have mirror images ([`super::images`]):
 //! then the search goes on for those, the best one counts, and where two fit alike the answer is ambiguous.
 
 use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
-use crate::scalar::Number;
+use crate::scalar::{Number, Vector3};
 
-use super::accept::{Fit, ROUGH_WORK, is_elsewhere};
-use super::chi2::redundancy;
+use super::accept::{Fit, ROUGH_WORK, is_elsewhere, redundancy};
 use super::compiled::{Compiled, Prior};
+use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image};
 use super::levenberg_marquardt::Stopping;
-use super::minima::{Minima, Seen};
-use super::mirror_images::{IMAGES, SOFT_STEPS, image};
 use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
 use super::readings::Sorted;
-use super::starts;
 
 /// Evaluations of all cells that one cold solve may take: some 2 ms on a desktop core, by currents to
 /// 1e-6 and derivatives. Twice as many on a head with mirror images that has an outlier, too: without it the
 /// search begins anew.
-pub(super) const COLD_WORK: usize = 600;
+pub const COLD_WORK: usize = 600;
 
 /// The same of a head that has mirror images: all places for them are looked at, which takes 500 in the mean.
-pub(super) const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
+pub const WORK_FOR_IMAGES: usize = 2 * COLD_WORK;
 
 /// Evaluations after which a search in pieces ends, if there are no images to be found: of two cold solves, for each piece
 /// begins with the planes again.
@@ -36,12 +33,12 @@ const AGREEING: usize = 8;
 
 /// Share of the χ² that noise explains from which on a better fit is looked for beyond a kink of the currents:
 /// one in 30 honest scans of six cells has more.
-pub(super) const DOUBTED: f64 = 0.25;
+pub const DOUBTED: f64 = 0.25;
 
 /// How far a search for the pose has come: it may be spread over frames, each of which goes on where
 /// the last has stopped, on its own currents.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Search<S: Number> {
+pub struct Search<S: Number> {
     has_begun: bool,
     /// The next of [`Try`].
     next: usize,
@@ -64,7 +61,7 @@ pub(super) struct Search<S: Number> {
 
 impl<S: Number> Search<S> {
     /// One that has not begun, for the currents of one frame.
-    pub(super) fn at_once() -> Self {
+    pub fn at_once() -> Self {
         Self {
             has_begun: false,
             next: 0,
@@ -80,12 +77,12 @@ impl<S: Number> Search<S> {
     }
 
     /// One that has not begun, a piece a frame.
-    pub(super) fn in_pieces() -> Self {
+    pub fn in_pieces() -> Self {
         Self { may_pause: true, outlier: OutlierSearch::new(true), ..Self::at_once() }
     }
 
     /// The two poses that make the answer of a search that is over ambiguous.
-    pub(super) fn images(&self) -> Option<[Transform<S>; 2]> {
+    pub fn images(&self) -> Option<[Transform<S>; 2]> {
         match self.found {
             [Some(best), Some(rival)] if self.is_over => Some([best, rival]),
             _ => None,
@@ -102,12 +99,12 @@ impl<S: Number> Search<S> {
     }
 
     /// Whether a part of it has been done.
-    pub(super) fn has_begun(&self) -> bool {
+    pub fn has_begun(&self) -> bool {
         self.has_begun || self.without.is_some()
     }
 
     /// Whether nothing is left to be tried: what the last piece said is the answer.
-    pub(super) fn is_over(&self) -> bool {
+    pub fn is_over(&self) -> bool {
         self.is_over
     }
 }
@@ -124,21 +121,21 @@ enum Try {
     Soft(usize),
     /// [`image`] of the best pose so far.
     Image(usize),
-    /// [`starts::around`].
+    /// [`around`].
     Around(usize),
-    /// [`starts::spread`].
+    /// [`spread`].
     Spread(usize),
 }
 
 impl Try {
     /// The first that is not to find images but a pose at all.
-    const FURTHER: usize = 2 + SOFT_STEPS + IMAGES + starts::AROUND;
+    const FURTHER: usize = 2 + SOFT_STEPS + IMAGES + STARTS_AROUND;
 
     fn of(index: usize) -> Option<Self> {
         const IMAGE: usize = 2 + SOFT_STEPS;
         const AROUND: usize = IMAGE + IMAGES;
         const SPREAD: usize = Try::FURTHER + 1;
-        const END: usize = SPREAD + starts::SPREAD;
+        const END: usize = SPREAD + STARTS_SPREAD;
         Some(match index {
             0 => Self::Home,
             1 => Self::Exclusion { late: false },
@@ -155,7 +152,7 @@ impl Try {
 impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Two poses between which the currents of the frame before did not decide, on those of this one;
     /// `None` if these do.
-    pub(super) fn still_images(
+    pub fn still_images(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -177,7 +174,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
 
     /// Goes on with `search` until it is over or the work in `workspace` is used up. A search that is not
     /// over has no pose yet.
-    pub(super) fn search(
+    pub fn search(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -363,9 +360,9 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             Try::Image(index) => {
                 Some((image(&self.planes, &sorted.usable, &best?.pose, self.length_scale_m, index)?, false))
             }
-            Try::Around(index) => Some((starts::around(on_planes, index), true)),
+            Try::Around(index) => Some((around(on_planes, index), true)),
             // Without redundancy a rough approach leads past too many poses.
-            Try::Spread(index) => Some((starts::spread(index), redundancy(sorted.usable.len()) > 0)),
+            Try::Spread(index) => Some((spread(index), redundancy(sorted.usable.len()) > 0)),
         }
     }
 
@@ -435,6 +432,47 @@ fn is_unchecked<S: Number>(sorted: &Sorted<S>) -> bool {
     redundancy(sorted.usable.len()) == 0
 }
 
+/// How far the starts lie apart: half the reach of a head.
+const ROTATION_RAD: f64 = 0.3;
+const TRANSLATION_M: f64 = 3e-3;
+
+/// Starts around home and around the pose on the planes, twelve each.
+pub const STARTS_AROUND: usize = 24;
+
+/// Starts spread over the reach of a head.
+pub const STARTS_SPREAD: usize = 48;
+
+/// Start `index` of [`STARTS_AROUND`]: a turn about one axis and a shift along the next, both ways, first from
+/// home, then from `centre`.
+pub fn around<S: Number>(centre: &Transform<S>, index: usize) -> Transform<S> {
+    let i = index % 12;
+    let mut turn = [0.0; 3];
+    let mut shift = [0.0; 3];
+    let sign = if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+    turn[i / 2 % 3] = sign * ROTATION_RAD;
+    shift[(i / 2 + 1) % 3] = sign * TRANSLATION_M * if i < 6 { 1.0 } else { -1.0 };
+    let centre = if index < 12 { Transform::of(&Pose::HOME) } else { *centre };
+    centre.moved(vector::<S>(shift.into()), vector::<S>(turn.into()))
+}
+
+/// Start `index` of [`STARTS_SPREAD`], or of any number: the generalised golden ratio in six dimensions fills
+/// a box evenly (Roberts 2018), with powers of the inverse of the root of x⁷ = x + 1.
+pub fn spread<S: Number>(index: usize) -> Transform<S> {
+    let mut share = 1.0;
+    let coordinates: [f64; 6] = core::array::from_fn(|_| {
+        share *= 0.898_653_712_628_699;
+        let position = (index + 1) as f64 * share;
+        2.0 * (position - libm::floor(position)) - 1.0
+    });
+    let [tx, ty, tz, rx, ry, rz] = coordinates;
+    let (shift, turn) = (glam::DVec3::new(tx, ty, tz), glam::DVec3::new(rx, ry, rz));
+    Transform::of(&Pose::HOME).moved(vector::<S>(shift * 4.0 / 3.0 * TRANSLATION_M), vector::<S>(turn * ROTATION_RAD))
+}
+
+fn vector<S: Number>(v: glam::DVec3) -> S::Vec3 {
+    S::Vec3::of(v)
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::fixture::{compiled, currents, pose};
@@ -443,7 +481,7 @@ mod tests {
     #[test]
     fn everything_is_tried_once_and_an_outlier_before_and_after_the_images() {
         let tries: heapless::Vec<Try, 200> = (0..).map_while(Try::of).collect();
-        assert_eq!(tries.len(), 3 + SOFT_STEPS + IMAGES + starts::AROUND + starts::SPREAD);
+        assert_eq!(tries.len(), 3 + SOFT_STEPS + IMAGES + STARTS_AROUND + STARTS_SPREAD);
         for (i, one) in tries.iter().enumerate() {
             assert!(!tries[..i].contains(one), "{one:?}");
         }

@@ -10,12 +10,12 @@ use crate::pose::Pose;
 use crate::scalar::Number;
 use crate::scene::{MAX_CELLS, Scene, SceneError};
 
+use super::cold_start::spread;
 use super::compiled::Compiled;
 use super::outcome::Solution;
 use super::planes::PlaneCell;
 use super::readings::{Limits, Photocurrents};
 use super::solver::Solver;
-use super::starts;
 use super::tracker::{Budget, Tracker};
 use super::weights::CellNoise;
 
@@ -202,7 +202,7 @@ impl BoardTracker {
 
 /// The greatest relative error of a current of `plan`, over the reach of a head.
 fn worst_error(plan: &CompactPlan<f64>, truth: &Plan<f64>) -> f64 {
-    let poses = core::iter::once(Pose::HOME).chain((0..LOOKS).map(|index| starts::spread::<f64>(index).to_pose()));
+    let poses = core::iter::once(Pose::HOME).chain((0..LOOKS).map(|index| spread::<f64>(index).to_pose()));
     poses.fold(0.0, |worst: f64, pose| {
         let found = plan.currents_at(&pose);
         found.iter().enumerate().fold(worst, |worst, (cell, found)| {
@@ -242,7 +242,7 @@ mod tests {
     /// The derivatives of `compact` are nearly those of `plan`.
     fn check_derivatives(compact: &CompactPlan<f64>, plan: &Plan<f64>, name: &str) {
         for index in 0..40 {
-            let pose = starts::spread::<f64>(index).to_pose();
+            let pose = spread::<f64>(index).to_pose();
             let here = Transform::of(&pose);
             let instant = Instant { pose: &here, twist: [DVec3::ZERO; 2], bend: None, offsets_s: &[] };
             compact.linearise_all(

@@ -12,16 +12,15 @@ use crate::rectangle::{MOST_MAGNIFICATION, WALL_SLACK};
 use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
-use super::accept::DISTINCT_SIGMAS;
+use super::accept::{DISTINCT_SIGMAS, is_singular};
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror, square};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
-use super::observability;
 use super::readings::Usable;
 use super::step::Step;
 
 /// χ² of a step, 20 σ squared, beyond which its end is too far for a kink on the way to matter.
-pub(super) const NEAR: f64 = 400.0;
+pub const NEAR: f64 = 400.0;
 
 /// χ² that is not worth a step on a kink, where derivatives change with the side: a tenth of σ, squared.
 const LITTLE: f64 = 1e-2;
@@ -30,7 +29,7 @@ const LITTLE: f64 = 1e-2;
 const HALVINGS: usize = 12;
 
 /// What there is on a kink between two poses.
-pub(super) enum Astride<S: Number> {
+pub enum Astride<S: Number> {
     /// The first of them is the least of χ². The factor of the side that tells less: the truth may lie there.
     Least(Option<Factor<S>>),
     /// A pose with less χ², and the normal equations there.
@@ -75,7 +74,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// `there`.
     #[cold]
     #[inline(never)]
-    pub(super) fn astride(
+    pub fn astride(
         &self,
         pose: &Transform<S>,
         at: &NormalEquations<S>,
@@ -102,14 +101,14 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// ways, with the least χ² by the covariance; the last linearisation is at `minimum`.
     #[cold]
     #[inline(never)]
-    pub(super) fn beyond_kink(
+    pub fn beyond_kink(
         &self,
         minimum: Minimum<S>,
         whiteners: &Whiteners<S>,
         doubted: S,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !observability::is_singular(factor);
+        let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !is_singular(factor);
         let Some(factor) = minimum.factor.filter(may_tell) else { return minimum };
         let across = |reading: &Usable<S>| {
             let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
@@ -147,7 +146,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// Whether a step from the last linearisation may take an emitter to a wall.
     #[inline(always)]
-    pub(super) fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
+    pub fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
         let most_moved_m = S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.length_scale_m;
         workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
     }
@@ -156,7 +155,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// cells are linearised anew at its end.
     #[cold]
     #[inline(never)]
-    pub(super) fn stepped_again(
+    pub fn stepped_again(
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),
@@ -192,7 +191,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// [`Self::stepped_again`], but only the cells at walls are linearised anew, where the motion is known.
     #[cold]
     #[inline(never)]
-    pub(super) fn behind_walls(
+    pub fn behind_walls(
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),

@@ -23,32 +23,32 @@ const FIRST_DAMPING: f64 = 1e-4;
 const STUCK: f64 = 1e9;
 
 /// Steps after which the minimisation is taken to follow a valley.
-pub(super) const PATIENCE: usize = 12;
+pub const PATIENCE: usize = 12;
 
 /// Predicted reduction of χ² that is not worth a step along a valley: a hundredth of σ, squared.
 const NEGLIGIBLE_REDUCTION: f64 = 1e-4;
 
 /// Relative change of the Jacobian along a step up to which it is reused for the next.
-pub(super) const REUSABLE_CHANGE: f64 = 0.02;
+pub const REUSABLE_CHANGE: f64 = 0.02;
 
 /// Relative change of the Jacobian along a step up to which χ² at its end is as promised to a factor of two in its
 /// reduction.
 const PROMISING_CHANGE: f64 = 0.3;
 
 /// Ratio of the second step to the first above which a reused Jacobian was too old.
-pub(super) const MOST_SECOND_STEP: f64 = 0.2;
+pub const MOST_SECOND_STEP: f64 = 0.2;
 
 /// Cost of a QR step beyond one by normal equations, in evaluations of all cells.
 const QR_WORK: usize = 3;
 
 /// When a minimisation ends.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Stopping<S> {
-    pub(super) max_iterations: usize,
+pub struct Stopping<S> {
+    pub max_iterations: usize,
     /// Distance to the minimum that may remain, in σ of the pose.
-    pub(super) tolerance_sigmas: S,
+    pub tolerance_sigmas: S,
     /// χ² of a minimum that is not worth being reached.
-    pub(super) most_chi2: S,
+    pub most_chi2: S,
 }
 
 /// Steps of a minimisation before it is given up.
@@ -59,41 +59,41 @@ const ROUGH_ITERATIONS: usize = 20;
 
 impl<S: Number> Stopping<S> {
     /// Next to the minimum, so that noise-free data give the pose itself.
-    pub(super) fn exact() -> Self {
+    pub fn exact() -> Self {
         Self { max_iterations: MAX_ITERATIONS, tolerance_sigmas: S::of(1e-7), most_chi2: S::infinity() }
     }
 
     /// As near as noise makes worth while: the bound on the distance is tens of times too cautious, so that a
     /// fiftieth of σ remains in the median.
-    pub(super) fn near() -> Self {
+    pub fn near() -> Self {
         Self { tolerance_sigmas: S::of(0.8), ..Self::exact() }
     }
 
     /// Next to a mirror image, if there is one where it is looked for: most are reached in ten steps.
-    pub(super) fn image() -> Self {
+    pub fn image() -> Self {
         Self { max_iterations: ROUGH_ITERATIONS, ..Self::exact() }
     }
 
     /// In the neighbourhood of a minimum, with coarse weights.
-    pub(super) fn rough() -> Self {
+    pub fn rough() -> Self {
         Self { max_iterations: ROUGH_ITERATIONS, tolerance_sigmas: S::of(1e-2), ..Self::exact() }
     }
 
     /// Without minima of more χ².
-    pub(super) fn if_below(self, most_chi2: S) -> Self {
+    pub fn if_below(self, most_chi2: S) -> Self {
         Self { most_chi2, ..self }
     }
 }
 
 /// Where a minimisation ended.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Minimum<S: Number> {
-    pub(super) pose: Transform<S>,
-    pub(super) chi2: S,
+pub struct Minimum<S: Number> {
+    pub pose: Transform<S>,
+    pub chi2: S,
     /// Of the information; `None` if that is singular to the precision of the numbers.
-    pub(super) factor: Option<Factor<S>>,
-    pub(super) iterations: usize,
-    pub(super) converged: bool,
+    pub factor: Option<Factor<S>>,
+    pub iterations: usize,
+    pub converged: bool,
 }
 
 /// How far a step leads.
@@ -121,7 +121,7 @@ enum Reused<S: Number> {
 
 impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// `pose` after a scaled step.
-    pub(super) fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
+    pub fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
             S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m,
             S::Vec3::new(step[3], step[4], step[5]),
@@ -129,7 +129,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The minimum of χ² that is reached from `start`.
-    pub(super) fn minimise(
+    pub fn minimise(
         &self,
         start: Transform<S>,
         whiteners: &Whiteners<S>,
@@ -159,13 +159,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// The minimum at `end`, where the undamped `step` from where the normal equations are `at` has led.
     #[inline(always)]
-    pub(super) fn end_of(
-        &self,
-        step: &Step<S>,
-        end: Transform<S>,
-        at: &NormalEquations<S>,
-        iterations: usize,
-    ) -> Minimum<S> {
+    pub fn end_of(&self, step: &Step<S>, end: Transform<S>, at: &NormalEquations<S>, iterations: usize) -> Minimum<S> {
         let chi2 = (at.chi2 - step.predicted_reduction).max(S::zero());
         Minimum { pose: end, chi2, factor: Some(step.factor), iterations, converged: true }
     }
@@ -264,7 +258,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The minimum near `start`, where the tool is expected; given up after a few evaluations.
-    pub(super) fn minimise_quickly(
+    pub fn minimise_quickly(
         &self,
         start: Transform<S>,
         whiteners: &Whiteners<S>,
@@ -336,7 +330,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The factor of the information at `pose`.
-    pub(super) fn factor_at(
+    pub fn factor_at(
         &self,
         pose: &Transform<S>,
         whiteners: &Whiteners<S>,
@@ -348,7 +342,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 }
 
 impl<S: Number> Step<S> {
-    pub(super) fn is_finite(&self) -> bool {
+    pub fn is_finite(&self) -> bool {
         self.step.iter().all(|value| value.is_finite())
     }
 

@@ -19,9 +19,9 @@ use crate::scene::MAX_CELLS;
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
 use super::planes::PlaneCell;
 use super::readings::Usable;
-use super::residuals::{ResidualSums, Row};
 use super::twist::{Elimination, Motion};
 use super::weights::{CellNoise, Whitener};
+use super::weights::{ResidualSums, Row};
 
 /// Distance from a guiding plane that counts as one σ.
 const GUIDE_M: f64 = 20e-6;
@@ -30,49 +30,49 @@ const GUIDE_M: f64 = 20e-6;
 const MAX_GUIDES: usize = 4;
 
 /// The data of one minimisation.
-pub(super) struct Problem<'a, S: Number, P> {
-    pub(super) plan: &'a P,
-    pub(super) planes: &'a [PlaneCell<S>],
-    pub(super) noise: &'a [CellNoise<S>],
+pub struct Problem<'a, S: Number, P> {
+    pub plan: &'a P,
+    pub planes: &'a [PlaneCell<S>],
+    pub noise: &'a [CellNoise<S>],
     /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
-    pub(super) offsets_s: &'a [S],
-    pub(super) readings: &'a [Usable<S>],
-    pub(super) motion: Motion<S>,
-    pub(super) length_scale_m: S,
+    pub offsets_s: &'a [S],
+    pub readings: &'a [Usable<S>],
+    pub motion: Motion<S>,
+    pub length_scale_m: S,
     /// Relative change of the derivatives per unit of a scaled step.
-    pub(super) jacobian_change_rate: S,
+    pub jacobian_change_rate: S,
 }
 
 /// One whitening per usable reading.
-pub(super) type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
+pub type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
 
 /// Memory and budget of the minimisations of one frame: the rows of the last linearisation, with the residuals
 /// of the last evaluation.
 #[derive(Debug)]
-pub(super) struct Workspace<S: Number> {
+pub struct Workspace<S: Number> {
     /// Of each usable reading, in order, two each.
-    pub(super) rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
+    pub rows: ArrayVec<[Row<S>; 2], MAX_CELLS>,
     /// Index of a reading whose cell has no spot at the pose, and the row of its plane.
-    pub(super) plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
+    pub plane_rows: ArrayVec<(usize, Row<S>), MAX_GUIDES>,
     /// Weights at the last linearisation of cells whose parts may be displaced.
-    pub(super) displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
+    pub displaced: ArrayVec<Whitener<S>, MAX_CELLS>,
     /// The readings' slacks: see [`crate::plan::CellTerms`].
-    pub(super) slacks_m: ArrayVec<S, MAX_CELLS>,
+    pub slacks_m: ArrayVec<S, MAX_CELLS>,
     /// The readings' distances from walls, if steps cross them: on a board.
-    pub(super) walls_m: ArrayVec<S, BOARD_CELLS>,
-    pub(super) elimination: Elimination<S>,
+    pub walls_m: ArrayVec<S, BOARD_CELLS>,
+    pub elimination: Elimination<S>,
     /// Evaluations of all cells that may still be made: see [`Self::with_work`].
-    pub(super) work: usize,
+    pub work: usize,
     /// Whether there is time for [`Optics::NEAR_UNHURRIED`].
-    pub(super) is_unhurried: bool,
+    pub is_unhurried: bool,
     /// Evaluations made.
-    pub(super) evaluations: usize,
+    pub evaluations: usize,
 }
 
 impl<S: Number> Workspace<S> {
     /// Empty, without a limit to the work.
     #[inline(always)]
-    pub(super) fn new() -> Self {
+    pub fn new() -> Self {
         Self::with_work(usize::MAX)
     }
 
@@ -80,7 +80,7 @@ impl<S: Number> Workspace<S> {
     /// whatever the processor. Minimisations end when the budget is used up; one under way makes three more
     /// evaluations at most.
     #[inline(always)]
-    pub(super) fn with_work(work: usize) -> Self {
+    pub fn with_work(work: usize) -> Self {
         Self {
             work,
             is_unhurried: false,
@@ -104,38 +104,38 @@ impl<S: Number> Workspace<S> {
 
 /// χ² = rᵀr, the information JᵀJ and Jᵀr at a pose, the twist eliminated.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct NormalEquations<S> {
-    pub(super) chi2: S,
-    pub(super) information: Matrix6<S>,
+pub struct NormalEquations<S> {
+    pub chi2: S,
+    pub information: Matrix6<S>,
     /// Jᵀr: minus half the gradient of χ².
-    pub(super) gradient: Vector6<S>,
+    pub gradient: Vector6<S>,
 }
 
 impl<S: Number> NormalEquations<S> {
     /// An estimate, low by √6 at most, of the norm of J: the most that a step of unit length changes the
     /// whitened currents.
-    pub(super) fn steepness(&self) -> S {
+    pub fn steepness(&self) -> S {
         (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).root()
     }
 
     /// The information times a step.
-    pub(super) fn times(&self, step: &Vector6<S>) -> Vector6<S> {
+    pub fn times(&self, step: &Vector6<S>) -> Vector6<S> {
         self.information.map(|row| dot(&row, step))
     }
 
     /// χ² after a step, by the linearisation.
-    pub(super) fn chi2_after(&self, step: &Vector6<S>) -> S {
+    pub fn chi2_after(&self, step: &Vector6<S>) -> S {
         self.chi2 - S::two() * dot(&self.gradient, step) + self.along(step)
     }
 
     /// The length of a step in σ, squared.
-    pub(super) fn along(&self, step: &Vector6<S>) -> S {
+    pub fn along(&self, step: &Vector6<S>) -> S {
         dot(step, &self.times(step))
     }
 }
 
 impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
-    pub(super) fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
+    pub fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
         Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: self.offsets_s }
     }
 
@@ -145,19 +145,19 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// Exposure of a reading's cell in units of the motion's duration.
     #[inline(always)]
-    pub(super) fn share(&self, reading: &Usable<S>) -> S {
+    pub fn share(&self, reading: &Usable<S>) -> S {
         self.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
     }
 
     /// Whether the bend is to be eliminated.
     #[inline(always)]
-    pub(super) fn has_bend(&self) -> bool {
+    pub fn has_bend(&self) -> bool {
         self.motion.bend_prior.is_some()
     }
 
     /// The currents above dark that all cells deliver with the tool at `pose` at the reference
     /// instant.
-    pub(super) fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
+    pub fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
         let mut currents = heapless::Vec::new();
         self.plan.currents_all(
             &self.instant(pose),
@@ -171,12 +171,12 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The weights of the readings.
-    pub(super) fn whiteners(&self) -> Whiteners<S> {
+    pub fn whiteners(&self) -> Whiteners<S> {
         self.readings.iter().map(|reading| self.noise[reading.cell].whitener(reading.pair)).collect()
     }
 
     /// Weights for a pose that is far off: see [`CellNoise::coarse`].
-    pub(super) fn coarse_whiteners(&self) -> Whiteners<S> {
+    pub fn coarse_whiteners(&self) -> Whiteners<S> {
         self.readings
             .iter()
             .map(|reading| {
@@ -187,7 +187,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// χ² and the normal equations at `pose`.
-    pub(super) fn linearise(
+    pub fn linearise(
         &self,
         pose: &Transform<S>,
         whiteners: &Whiteners<S>,
@@ -255,7 +255,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// The rows of a reading whose cell has these `terms`.
     #[inline(always)]
-    pub(super) fn rows(&self, reading: &Usable<S>, terms: &CellTerms<S>, whitener: &Whitener<S>) -> [Row<S>; 2] {
+    pub fn rows(&self, reading: &Usable<S>, terms: &CellTerms<S>, whitener: &Whitener<S>) -> [Row<S>; 2] {
         // Translations are counted in units of the length scale.
         let scaled_whitener = whitener.scaled(self.length_scale_m);
         let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
@@ -291,7 +291,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// χ² and gradients of the residuals in `workspace`.
     #[inline]
-    pub(super) fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
+    pub fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
         let mut sums = ResidualSums::zero(S::zero());
         for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
             sums.add(rows, self.share(reading), self.has_bend());
@@ -312,7 +312,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The whitened residuals at `pose`, in the order of the readings.
-    pub(super) fn whitened(
+    pub fn whitened(
         &self,
         pose: &Transform<S>,
         whiteners: &Whiteners<S>,
@@ -328,7 +328,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// χ² and gradient at `pose`, with the Jacobian of the last linearisation.
-    pub(super) fn reevaluate(
+    pub fn reevaluate(
         &self,
         pose: &Transform<S>,
         whiteners: &Whiteners<S>,

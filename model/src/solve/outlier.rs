@@ -27,19 +27,19 @@ const OUTLIER_THRESHOLD: f64 = 20.0;
 const PROMISED_GATES: f64 = 4.0;
 
 /// Evaluations that must be left for one more cell to be tried.
-pub(super) const LEAST_WORK: usize = 8;
+pub const LEAST_WORK: usize = 8;
 
 /// The cell that was left out of the last pose.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LeftOut {
-    pub(super) cell: usize,
+pub struct LeftOut {
+    pub cell: usize,
     /// Whether to look if it agrees with the others again.
-    pub(super) looks_again: bool,
+    pub looks_again: bool,
 }
 
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
-pub(super) struct OutlierSearch<S: Number> {
+pub struct OutlierSearch<S: Number> {
     /// The next reading to be left out.
     next: usize,
     /// The cell without which χ² is least so far, and where; and whether in an earlier frame.
@@ -62,7 +62,7 @@ struct UnderWay<S: Number> {
 impl<S: Number> OutlierSearch<S> {
     /// One that has not begun; `may_pause`: it goes on with another frame's currents when the work of
     /// one is used up.
-    pub(super) fn new(may_pause: bool) -> Self {
+    pub fn new(may_pause: bool) -> Self {
         Self {
             next: 0,
             best: None,
@@ -75,7 +75,7 @@ impl<S: Number> OutlierSearch<S> {
     }
 
     /// Whether cells are left to be tried.
-    pub(super) fn is_paused(&self) -> bool {
+    pub fn is_paused(&self) -> bool {
         self.is_paused
     }
 
@@ -94,7 +94,7 @@ impl<S: Number> OutlierSearch<S> {
 impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose of all cells but one, if leaving out that one, and no other, makes the data fit: from
     /// the planes of the others. Goes on with `search`, and stops where that is paused.
-    pub(super) fn without_outlier(
+    pub fn without_outlier(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -171,7 +171,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
 
     /// The pose near `start` of all cells but one, if leaving out that one, and no other, makes the data
     /// fit there. The normal equations of all cells at `start` rank the cells; only the first two are tried.
-    pub(super) fn without_outlier_near(
+    pub fn without_outlier_near(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -220,7 +220,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// again.
     #[cold]
     #[inline(never)]
-    pub(super) fn still_without(
+    pub fn still_without(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -317,7 +317,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     }
 }
 
-pub(super) fn exclude<S: Number>(solution: &mut Solution<S>, cell: usize) {
+pub fn exclude<S: Number>(solution: &mut Solution<S>, cell: usize) {
     solution.excluded.insert(cell);
     if solution.outcome.has_pose() {
         solution.outcome = Outcome::Degraded(DegradedReason::CellExcluded);

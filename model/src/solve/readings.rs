@@ -51,32 +51,32 @@ impl Photocurrents {
 
 /// A reading that enters the solve.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Usable<S> {
-    pub(super) cell: usize,
-    pub(super) pair: [S; 2],
+pub struct Usable<S> {
+    pub cell: usize,
+    pub pair: [S; 2],
 }
 
 /// What keeps a cell from entering.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(super) struct Limits<S> {
-    pub(super) faint_a: S,
+pub struct Limits<S> {
+    pub faint_a: S,
     /// Above dark.
-    pub(super) saturation_a: S,
+    pub saturation_a: S,
     /// |I_X2 − I_X1|/I_O beyond which a spot is taken for clipped and left out.
-    pub(super) most_share: S,
+    pub most_share: S,
 }
 
 /// The readings of one solve, sorted by use.
 #[derive(Clone, Debug)]
-pub(super) struct Sorted<S> {
-    pub(super) usable: ArrayVec<Usable<S>, MAX_CELLS>,
-    pub(super) used: Cells,
+pub struct Sorted<S> {
+    pub usable: ArrayVec<Usable<S>, MAX_CELLS>,
+    pub used: Cells,
     /// Cells that were measured and found without enough light.
-    pub(super) faint: Cells,
+    pub faint: Cells,
 }
 
 impl<S: Number> Sorted<S> {
-    pub(super) fn of(readings: &Photocurrents<S>, limits: &[Limits<S>]) -> Self {
+    pub fn of(readings: &Photocurrents<S>, limits: &[Limits<S>]) -> Self {
         let mut sorted = Self { usable: ArrayVec::new(), used: Cells::default(), faint: Cells::default() };
         for (cell, (reading, limits)) in readings.cells.iter().zip(limits).enumerate() {
             let Reading::Light(pair) = reading else {
@@ -102,7 +102,7 @@ impl<S: Number> Sorted<S> {
     }
 
     /// The same without the usable reading `index`; its cell counts as not measured.
-    pub(super) fn without(&self, index: usize) -> Self {
+    pub fn without(&self, index: usize) -> Self {
         let mut sorted = self.clone();
         sorted.used.remove(sorted.usable.remove(index).cell);
         sorted

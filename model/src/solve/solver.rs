@@ -6,12 +6,11 @@ use crate::pose::{Pose, Transform};
 use crate::scalar::Number;
 use crate::scene::{Scene, SceneError};
 
-use super::accept::Fit;
+use super::accept::{Fit, covariance, free_directions};
 use super::cold_start::{COLD_WORK, Search, WORK_FOR_IMAGES};
 use super::compiled::{Compiled, MotionPrior, Prior};
 use super::levenberg_marquardt::Stopping;
 use super::normal_equations::Workspace;
-use super::observability;
 use super::outcome::{DegradedReason, Directions, Outcome, Solution};
 use super::readings::{Photocurrents, Sorted};
 
@@ -32,8 +31,8 @@ pub enum Start<'a> {
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
 #[derive(Clone, Debug)]
 pub struct Solver<S: Number, P = Plan<S>> {
-    pub(super) compiled: Compiled<S, P>,
-    pub(super) max_steps: Option<usize>,
+    pub(crate) compiled: Compiled<S, P>,
+    pub(crate) max_steps: Option<usize>,
 }
 
 impl<S: Scalar> Solver<S> {
@@ -79,7 +78,7 @@ impl<S: Scalar> Solver<S> {
 
     #[inline(always)]
     pub(crate) fn free_directions_here(&self, pose: &Pose) -> Option<Directions> {
-        observability::free_directions(&self.compiled.factor_at(pose)?)
+        free_directions(&self.compiled.factor_at(pose)?)
     }
 
     /// The Cramér–Rao bound at `pose`: the least covariance that an unbiased estimate from one frame
@@ -91,7 +90,7 @@ impl<S: Scalar> Solver<S> {
 
     #[inline(always)]
     pub(crate) fn bound_here(&self, pose: &Pose) -> Option<[[S; 6]; 6]> {
-        observability::covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
+        covariance(&self.compiled.factor_at(pose)?, self.compiled.length_scale_m)
     }
 }
 

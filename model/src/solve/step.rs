@@ -12,29 +12,29 @@ use crate::scalar::{Linear3, Number};
 use super::algebra::{Factor, Triangle, Vector6, add_outer, dot, mirror, square};
 use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
-use super::residuals::{ResidualSums, Row};
 use super::twist::Elimination;
+use super::weights::{ResidualSums, Row};
 
 /// Least ratio of a pivot to its diagonal element, in units of rounding, at which normal equations
 /// are trusted: they then keep more than half of the digits.
-pub(super) const SAFE_ROUNDINGS: f64 = 1e4;
+pub const SAFE_ROUNDINGS: f64 = 1e4;
 
 /// A Gauss–Newton step, damped or not.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Step<S> {
+pub struct Step<S> {
     /// L of JᵀJ + λ·diag JᵀJ = L·Lᵀ.
-    pub(super) factor: Factor<S>,
-    pub(super) step: Vector6<S>,
+    pub factor: Factor<S>,
+    pub step: Vector6<S>,
     /// By how much χ² falls along the step if J stays the same.
-    pub(super) predicted_reduction: S,
+    pub predicted_reduction: S,
     /// Whether it comes from the QR factorisation: `factor` then is too inexact to solve with again.
-    pub(super) is_by_qr: bool,
+    pub is_by_qr: bool,
 }
 
 impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// The step from `at`; `None` if a damped matrix is singular to the precision of the numbers.
     #[inline]
-    pub(super) fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {
+    pub fn step(&self, at: &NormalEquations<S>, damping: S, workspace: &Workspace<S>) -> Option<Step<S>> {
         let safe = S::of(SAFE_ROUNDINGS) * S::epsilon();
         match Factor::of_matrix(&at.information, damping, safe) {
             Some(factor) => {
@@ -82,12 +82,12 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// The factor of the undamped information.
     #[cold]
     #[inline(never)]
-    pub(super) fn factor(&self, at: &NormalEquations<S>, workspace: &Workspace<S>) -> Option<Factor<S>> {
+    pub fn factor(&self, at: &NormalEquations<S>, workspace: &Workspace<S>) -> Option<Factor<S>> {
         self.step(at, S::zero(), workspace).map(|next| next.factor)
     }
 
     /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
-    pub(super) fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
+    pub fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
         let most_moved = S::of(MOST_MAGNIFICATION) * length * self.length_scale_m;
         workspace.slacks_m.iter().all(|&slack_m| slack_m > most_moved)
     }
@@ -96,17 +96,12 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// cell: on its arm that may be less than the length of the step allows.
     #[cold]
     #[inline(never)]
-    pub(super) fn is_smooth_in_each_cell(
-        &self,
-        step: &Vector6<S>,
-        pose: &Transform<S>,
-        workspace: &Workspace<S>,
-    ) -> bool {
+    pub fn is_smooth_in_each_cell(&self, step: &Vector6<S>, pose: &Transform<S>, workspace: &Workspace<S>) -> bool {
         (0..workspace.slacks_m.len()).all(|index| self.is_smooth_in_cell(index, step, pose, workspace))
     }
 
     /// [`Self::is_smooth_in_each_cell`] of the cell of one reading.
-    pub(super) fn is_smooth_in_cell(
+    pub fn is_smooth_in_cell(
         &self,
         index: usize,
         step: &Vector6<S>,
@@ -121,7 +116,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// How far a `step` from `pose` moves the emitter of a reading, metres.
-    pub(super) fn emitter_moves_m(&self, step: &Vector6<S>, pose: &Transform<S>, reading: &Usable<S>) -> S {
+    pub fn emitter_moves_m(&self, step: &Vector6<S>, pose: &Transform<S>, reading: &Usable<S>) -> S {
         let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
         let turn = S::Vec3::new(step[3], step[4], step[5]);
         (shift + turn.cross(self.plan.arm(reading.cell, pose))).length()
@@ -130,7 +125,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// The least share of an error in one cell's currents that stays visible in its residuals, over all
     /// cells: the redundancy number of Baarda (1968), the smaller eigenvalue of I − A·C·Aᵀ, A the cell's rows
     /// and C = (L·Lᵀ)⁻¹. The rest of the error goes into the pose.
-    pub(super) fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
+    pub fn least_visible(&self, factor: &Factor<S>, workspace: &Workspace<S>) -> S {
         workspace.rows.iter().fold(S::one(), |least, rows| {
             let [u, v] = [0, 1].map(|k| factor.forward(&rows[k].by_pose));
             let (uu, vv, uv) = (square(&u), square(&v), dot(&u, &v));
@@ -143,7 +138,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// The least χ² without reading `index`, by the last linearisation; `None` if that leaves a direction
     /// free.
     #[inline(never)]
-    pub(super) fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
+    pub fn least_chi2_without(&self, index: usize, workspace: &Workspace<S>) -> Option<S> {
         let (mut information, mut elimination) = ([[S::zero(); 6]; 6], Elimination::new());
         elimination.begin(&self.motion);
         let mut sums = ResidualSums::zero(S::zero());

@@ -16,29 +16,29 @@ use crate::scalar::Number;
 
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, mirror};
 use super::compiled::Prior;
-use super::residuals::{ResidualSums, Row};
+use super::weights::{ResidualSums, Row};
 
 /// Largest information a prior on the motion can have: it is then known.
 const KNOWN: f64 = 1e30;
 
 /// Motion of the tool within a frame, and how well it is known.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion<S: Number> {
+pub struct Motion<S: Number> {
     /// Linear and angular.
-    pub(super) twist: [S::Vec3; 2],
+    pub twist: [S::Vec3; 2],
     /// Half the acceleration, as in [`super::compiled::Bend`]; `None`: zero.
-    pub(super) bend: Option<[S::Vec3; 2]>,
+    pub bend: Option<[S::Vec3; 2]>,
     /// The largest |τ|, seconds; zero if all cells are exposed at one instant.
-    pub(super) duration: S,
+    pub duration: S,
     /// P⁻¹ of (linear, angular) in units of length scale/duration and 1/duration; `None`: the twist is known.
-    pub(super) prior: Option<[S; 2]>,
+    pub prior: Option<[S; 2]>,
     /// Q⁻¹ in those units per duration; `None`: the bend is known, as with a known twist.
-    pub(super) bend_prior: Option<[S; 2]>,
+    pub bend_prior: Option<[S; 2]>,
 }
 
 impl<S: Number> Motion<S> {
     #[inline(always)]
-    pub(super) fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
+    pub fn new(prior: &Prior<S>, duration: S, length_scale_m: S) -> Self {
         let Prior { twist, bend, sigmas } = *prior;
         // σ by the end of the motion, in units of the scaled pose.
         let prior = |[linear, angular]: [S; 2]| {
@@ -61,7 +61,7 @@ impl<S: Number> Motion<S> {
 
 /// Eliminates the motion from normal equations.
 #[derive(Debug)]
-pub(super) struct Elimination<S> {
+pub struct Elimination<S> {
     /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of
     /// L′⁻¹·N and of L⁻¹·M₃.
     blocks: ArrayVec<Matrix6<S>, 4>,
@@ -74,13 +74,13 @@ pub(super) struct Elimination<S> {
 impl<S: Number> Elimination<S> {
     /// Of a known motion.
     #[inline(always)]
-    pub(super) fn new() -> Self {
+    pub fn new() -> Self {
         Self { blocks: ArrayVec::new(), twist: None, bend: None }
     }
 
     /// Without rows yet, of this motion.
     #[inline(always)]
-    pub(super) fn begin(&mut self, motion: &Motion<S>) {
+    pub fn begin(&mut self, motion: &Motion<S>) {
         (self.twist, self.bend) = (None, None);
         self.blocks.clear();
         if motion.prior.is_some() {
@@ -90,13 +90,13 @@ impl<S: Number> Elimination<S> {
     }
 
     /// Whether there is a motion that is not known.
-    pub(super) fn is_under_way(&self) -> bool {
+    pub fn is_under_way(&self) -> bool {
         self.twist.is_some()
     }
 
     /// Adds the `rows` of one reading, exposed at `share` of the motion's duration.
     #[inline(never)]
-    pub(super) fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N]) {
+    pub fn add<const N: usize>(&mut self, share: S, rows: &[Row<S>; N]) {
         let own = rows.each_ref().map(|row| &row.by_pose);
         let mut weight = share;
         for moment in &mut self.blocks {
@@ -109,7 +109,7 @@ impl<S: Number> Elimination<S> {
     /// Eliminates the motion of the rows that were added, unless it is known. Takes its part from the information M₀; χ² and
     /// gradient of the pose alone.
     #[inline(never)]
-    pub(super) fn eliminate(
+    pub fn eliminate(
         &mut self,
         motion: &Motion<S>,
         information: &mut Matrix6<S>,
@@ -146,7 +146,7 @@ impl<S: Number> Elimination<S> {
     }
 
     /// χ² and gradient of the pose alone.
-    pub(super) fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
+    pub fn apply(&self, sums: &ResidualSums<S>) -> (S, Vector6<S>) {
         let (mut chi2, mut gradient) = (sums.chi2, sums.by_pose);
         let (Some(factor), [mixed, bend_mixed, of_bend @ ..]) = (&self.twist, self.blocks.as_slice()) else {
             return (chi2, gradient);

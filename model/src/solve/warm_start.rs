@@ -4,8 +4,8 @@ use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Number;
 
+use super::accept::redundancy;
 use super::accept::{Fit, is_elsewhere};
-use super::chi2::redundancy;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
@@ -19,7 +19,7 @@ const ROUGH_STEPS: usize = 12;
 impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose near `start`, where the tool is expected: of all cells; without the one that was
     /// `left_out` in the frame before; without another; or a misfit.
-    pub(super) fn follow(
+    pub fn follow(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,
@@ -35,7 +35,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The pose near `start` if all cells agree on it, or all but the one that was `left_out` in the frame before. Else
     /// what `otherwise` makes of the minimum of χ².
     #[inline(always)]
-    pub(super) fn follow_agreeing(
+    pub fn follow_agreeing(
         &self,
         sorted: &Sorted<S>,
         motion: &Prior<S>,

@@ -29,7 +29,7 @@ const MOST_TURN: f64 = 0.18;
 /// A slit and a window, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
-pub(super) struct Beam<S: Number> {
+pub struct Beam<S: Number> {
     faces: [Face<S>; 2],
     face_count: usize,
     /// Normal of the mask, away from the detector.
@@ -104,7 +104,7 @@ impl<S: Number> From<Beam<S>> for Parts<S> {
 
 /// How far the detector appears raised, at the middle ray of the beam.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Raise<S: Number> {
+pub struct Raise<S: Number> {
     height: S,
     by_position: S::Vec3,
     /// tan θ along x and along y, and their derivatives by the emitter's position.
@@ -158,14 +158,14 @@ impl<S: Number> Raise<S> {
 }
 
 /// The spot as a rectangle in the plane of the raised detector, and how its sides move with the emitter.
-pub(super) struct Spot<S: Number> {
-    pub(super) rectangle: Rectangle<S>,
+pub struct Spot<S: Number> {
+    pub rectangle: Rectangle<S>,
     sides: [S::Vec3; 4],
     raise: Raise<S>,
     /// How far the spot may change before an edge of the detector bounds it, or bounds it no more.
-    pub(super) slack_m: S,
+    pub slack_m: S,
     /// How far the emitter may move before the other face of a thick mask bounds the spot.
-    pub(super) wall_m: S,
+    pub wall_m: S,
 }
 
 /// A long edge, projected: the side X = m·e/(m_x − e_y·a_z + e_z·a_y) of the spot, m about the middle of the raised
@@ -186,7 +186,7 @@ struct Side<S: Number> {
 
 impl<S: Number> Beam<S> {
     /// `None`: the slit is turned too far for this geometry.
-    pub(super) fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
+    pub fn compile(slit: &Slit, window: Option<Window>) -> Option<Self> {
         let axes = DMat3::from_quat(rotation_exp(slit.tilt_rad));
         if axes.y_axis.y < libm::sqrt(1.0 - MOST_TURN * MOST_TURN) || axes.x_axis.x < 0.0 || axes.z_axis.z < 0.0 {
             return None;
@@ -282,7 +282,7 @@ impl<S: Number> Beam<S> {
 
     /// The spot of an emitter at `e`, on a detector of half extents `half`. `CUTS`: with how a window moves the sides that
     /// the detector's edges cut off, 10⁻³ of the emitter's way.
-    pub(super) fn spot<const GRADIENT: bool, const CUTS: bool>(
+    pub fn spot<const GRADIENT: bool, const CUTS: bool>(
         &self,
         e: S::Vec3,
         half: [S; 2],
@@ -365,7 +365,7 @@ impl<S: Number> Beam<S> {
 
 impl<S: Number> Spot<S> {
     /// Power and position of the light in terms of the emitter, from those in terms of the sides.
-    pub(super) fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
+    pub fn of_sides<const GRADIENT: bool>(&self, light: &RectangleLight<S>) -> Light<S> {
         let (bend, bend_by) = self.raise.bend(&self.rectangle, &self.sides);
         let x_a = self.rectangle.x.landing + light.centroid.value + bend;
         if !GRADIENT {
@@ -404,7 +404,7 @@ impl<S: Number> Spot<S> {
     /// [`crate::exact::narrow_light`], of which `drift` is what comes second. What bends the light in a window counts, and
     /// how that changes, by 10⁻⁴ of the emitter's way, does not.
     #[inline(always)]
-    pub(super) fn of_narrow(&self, light: &RectangleLight<S>, drift: S) -> (EmitterGradient<S>, S, S::Vec3) {
+    pub fn of_narrow(&self, light: &RectangleLight<S>, drift: S) -> (EmitterGradient<S>, S, S::Vec3) {
         let mut x_a = self.rectangle.x.landing + light.centroid.value;
         if self.raise.height > S::zero() {
             x_a += self.raise.bend(&self.rectangle, &self.sides).0;
@@ -415,7 +415,7 @@ impl<S: Number> Spot<S> {
     }
 
     /// The raised plane's height above the detector, and its derivatives by the emitter's position.
-    pub(super) fn raise(&self) -> (S, S::Vec3) {
+    pub fn raise(&self) -> (S, S::Vec3) {
         (self.raise.height, self.raise.by_position)
     }
 }

@@ -13,7 +13,7 @@ use super::Sums;
 /// The electrical effects of one cell, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
-pub(super) struct Electrical<S: Number> {
+pub struct Electrical<S: Number> {
     per_half_length: S,
     nonlinearity: Option<[S; MAX_NONLINEARITY]>,
     stray: Option<CompiledStray<S>>,
@@ -56,7 +56,7 @@ fn filled<S: Number, const N: usize>(coefficients: &Vec<f64, N>) -> [S; N] {
 }
 
 impl<S: Number> Electrical<S> {
-    pub(super) fn compile(effects: &Effects, half_length_m: f64) -> Self {
+    pub fn compile(effects: &Effects, half_length_m: f64) -> Self {
         Self {
             per_half_length: S::of(half_length_m).recip(),
             nonlinearity: (!effects.nonlinearity_m.is_empty()).then(|| filled(&effects.nonlinearity_m)),
@@ -75,7 +75,7 @@ impl<S: Number> Electrical<S> {
 
     /// The position that the detector shows for light at `x_a`, and its derivative.
     #[inline(always)]
-    pub(super) fn measured(&self, x_a: S) -> (S, S) {
+    pub fn measured(&self, x_a: S) -> (S, S) {
         let Some(nonlinearity) = &self.nonlinearity else {
             return (x_a, S::one());
         };
@@ -86,7 +86,7 @@ impl<S: Number> Electrical<S> {
     /// The currents above dark with the cell's own emitter at `own_level`, relative to nominal, and the tool's origin at
     /// `translation`, and their derivatives by the pose. In the paper tier I_D is divided, too: `divides_dark`.
     #[inline(always)]
-    pub(super) fn currents<const GRADIENT: bool>(
+    pub fn currents<const GRADIENT: bool>(
         &self,
         receiver: &Receiver<S>,
         divides_dark: bool,

@@ -28,14 +28,14 @@ const CIRCLE_CORNERS: usize = 10;
 
 /// An opening, compiled.
 #[derive(Clone, Debug)]
-pub(super) enum Opening<S: Number> {
+pub enum Opening<S: Number> {
     Riding(RidingSlit<S>),
     Round(Hole<S>),
 }
 
 /// A slit on the tool, tool frame.
 #[derive(Clone, Debug)]
-pub(super) struct RidingSlit<S: Number> {
+pub struct RidingSlit<S: Number> {
     faces: [[S::Vec3; 4]; 2],
     face_count: usize,
     centre: S::Vec3,
@@ -46,7 +46,7 @@ pub(super) struct RidingSlit<S: Number> {
 
 /// A round hole, cell frame.
 #[derive(Clone, Debug)]
-pub(super) struct Hole<S: Number> {
+pub struct Hole<S: Number> {
     around: [S::Vec3; CIRCLE_CORNERS],
     centre: S::Vec3,
     /// h/f; zero: no lens.
@@ -54,10 +54,10 @@ pub(super) struct Hole<S: Number> {
 }
 
 /// The spot, and how far light is bent on the way to it.
-pub(super) struct Spot<S: Number> {
+pub struct Spot<S: Number> {
     /// As it would be without a lens.
     polygon: Polygon<S>,
-    pub(super) status: Status,
+    pub status: Status,
     bent: Bent<S>,
 }
 
@@ -74,7 +74,7 @@ struct Bent<S> {
 
 impl<S: Number> Opening<S> {
     /// `None` for a slit on the base.
-    pub(super) fn compile(cell: &Cell, kind: Kind) -> Option<Self> {
+    pub fn compile(cell: &Cell, kind: Kind) -> Option<Self> {
         let slit = &cell.slit;
         let centre = DVec3::new(slit.offset_m.x, slit.offset_m.y, slit.distance_m);
         let hole = |power: f64| {
@@ -101,7 +101,7 @@ impl<S: Number> Opening<S> {
     }
 
     /// The middle of a round hole.
-    pub(super) fn hole_centre(&self) -> Option<S::Vec3> {
+    pub fn hole_centre(&self) -> Option<S::Vec3> {
         match self {
             Self::Riding(_) => None,
             Self::Round(hole) => Some(hole.centre),
@@ -109,7 +109,7 @@ impl<S: Number> Opening<S> {
     }
 
     /// The spot of an emitter `seen` with the tool at `pose`.
-    pub(super) fn spot(
+    pub fn spot(
         &self,
         receiver: &Receiver<S>,
         source: &Source<S>,
@@ -248,7 +248,7 @@ type Turned<S> = (Light<S>, Turn<S>);
 
 impl<S: Number> Spot<S> {
     /// The light of the spot, and how it changes with a turn of what rides with the emitter.
-    pub(super) fn light<E: Emission<S>, const GRADIENT: bool>(
+    pub fn light<E: Emission<S>, const GRADIENT: bool>(
         &self,
         seen: &Seen<S>,
         emission: &E,
@@ -266,18 +266,18 @@ impl<S: Number> Spot<S> {
     }
 
     /// From the emitter to the middle of the spot without a lens.
-    pub(super) fn middle(&self) -> S::Vec3 {
+    pub fn middle(&self) -> S::Vec3 {
         let [x, y] = self.polygon.centroid();
         S::Vec3::new(x, y, -self.polygon.height())
     }
 
     /// The solid angle of the light, steradians.
-    pub(super) fn solid_angle(&self) -> S {
-        crate::solid_angle::of_fan(self.polygon.corners()[0], self.polygon.fan(), self.polygon.height())
+    pub fn solid_angle(&self) -> S {
+        self.polygon.solid_angle()
     }
 
     /// Corners of the spot on the detector.
-    pub(super) fn outline(&self, seen: &Seen<S>) -> heapless::Vec<[S; 2], MAX_CORNERS> {
+    pub fn outline(&self, seen: &Seen<S>) -> heapless::Vec<[S; 2], MAX_CORNERS> {
         let foot = [seen.position.x(), seen.position.y()];
         let on_detector = |corner: &[S; 2]| [0, 1].map(|axis| self.bent.land(axis, foot[axis] + corner[axis]));
         self.polygon.corners().iter().map(on_detector).collect()

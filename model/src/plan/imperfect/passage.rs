@@ -18,7 +18,7 @@ use super::opening::Opening;
 
 /// What the light passes through.
 #[derive(Clone, Debug)]
-pub(super) enum Passage<S: Number> {
+pub enum Passage<S: Number> {
     /// A slit on the base.
     Beam(Beam<S>),
     Opening(Opening<S>),
@@ -28,22 +28,22 @@ pub(super) enum Passage<S: Number> {
 const STEP: f64 = 1e-4;
 
 /// The light of one point of an emitter through one cell.
-pub(super) struct Passed<S: Number> {
-    pub(super) light: Option<Light<S>>,
+pub struct Passed<S: Number> {
+    pub light: Option<Light<S>>,
     /// What a turn of a slit on the tool adds to the derivatives.
-    pub(super) turn: Option<Turn<S>>,
-    pub(super) integration: Option<Integration<S>>,
-    pub(super) status: Status,
-    pub(super) slack_m: S,
+    pub turn: Option<Turn<S>>,
+    pub integration: Option<Integration<S>>,
+    pub status: Status,
+    pub slack_m: S,
     /// How far a window raises the detector, and its derivatives by the emitter's position.
-    pub(super) raise: (S, S::Vec3),
+    pub raise: (S, S::Vec3),
     /// From the emitter to the middle of a hole, which all light passes; `None`: light lands near the middle line.
-    pub(super) to_hole: Option<S::Vec3>,
+    pub to_hole: Option<S::Vec3>,
 }
 
 /// Light of `emission` through what cell `cell` has in its way.
 #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
-pub(super) fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
     cell: &CompiledCell<S>,
     passage: &Passage<S>,
