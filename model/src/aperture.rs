@@ -10,7 +10,6 @@ use crate::pose::rotation_exp;
 use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Slit;
 
-/// The compiled slit.
 #[derive(Clone, Debug)]
 pub enum Aperture<S: Number> {
     /// A thin mask, slit sides parallel to the detector's.
@@ -52,11 +51,9 @@ pub struct Turned<S: Number> {
     pub faces: [[S::Vec3; 4]; 2],
     /// Number of distinct faces: 1 for a thin mask, else 2.
     pub face_count: usize,
-    /// Centre of the slit.
     pub centre: S::Vec3,
     /// Normal of the mask, pointing away from the detector.
     pub normal: S::Vec3,
-    /// Half the mask's thickness.
     pub half_thickness: S,
     /// Weight of the paper tier's definition for a tilted slit: 0 where the slit's sides are parallel to
     /// the detector's, rising to 1 at a rotation of [`TILTED_RAD`].
@@ -109,7 +106,6 @@ impl<S: Number> Aperture<S> {
         })
     }
 
-    /// See [`Turned::skew`].
     pub fn skew(&self) -> S {
         match self {
             Self::Turned(turned) => turned.skew,

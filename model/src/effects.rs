@@ -161,7 +161,6 @@ impl Cell {
         number != cell && counts_on(number, self.other_axis(), cell)
     }
 
-    /// What the cell does beyond the model.
     pub(crate) fn model_error(&self) -> ModelError {
         self.effects().map_or_else(ModelError::default, |effects| effects.model_error)
     }

@@ -23,7 +23,6 @@ pub struct Line<S: Number> {
     pub motion: Motion<S>,
 }
 
-/// How a line moves with the emitter.
 #[derive(Clone, Copy, Debug)]
 pub enum Motion<S: Number> {
     /// An end of the detector, which cuts the spot along x: fixed.

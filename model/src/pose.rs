@@ -184,7 +184,6 @@ impl<S: Number> Rigid<S> {
     }
 }
 
-/// The product of two quaternions.
 fn product<S: Number>([ax, ay, az, aw]: [S; 4], [bx, by, bz, bw]: [S; 4]) -> [S; 4] {
     let (a, b) = (<S::Vec3 as Linear3<S>>::new(ax, ay, az), <S::Vec3 as Linear3<S>>::new(bx, by, bz));
     let v = b * aw + a * bw + a.cross(b);
@@ -308,13 +307,11 @@ impl<S: Number> Transform<S> {
         }
     }
 
-    /// Whether every component is a finite number.
     pub fn is_finite(&self) -> bool {
         let t = self.translation;
         self.rotation.iter().chain(&[t.x(), t.y(), t.z()]).all(|component| component.is_finite())
     }
 
-    /// This transform as a pose.
     pub fn to_pose(self) -> Pose {
         self.to_rigid().to_pose()
     }

@@ -16,10 +16,8 @@ const SEGMENTS: usize = 32;
 /// Tabulated powers of two; for c below 2⁻¹⁴ the library's power is called.
 const OCTAVES: usize = 16;
 
-/// Most terms of the series.
 const MAX_TERMS: usize = 8;
 
-/// The function cⁿ for one exponent n.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Power<S> {
     exponent: S,

@@ -217,7 +217,6 @@ pub struct SideGradient<R: Real> {
 }
 
 impl<R: Real> SideGradient<R> {
-    /// Without derivatives.
     #[inline(always)]
     pub fn of_value(value: R) -> Self {
         let zero = value.constant(0.0);

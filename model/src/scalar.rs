@@ -183,7 +183,7 @@ pub trait Linear3<S>:
     fn y(self) -> S;
     /// Third component.
     fn z(self) -> S;
-    /// Number product.
+    /// Scalar product.
     fn dot(self, other: Self) -> S;
     /// Vector product.
     fn cross(self, other: Self) -> Self;

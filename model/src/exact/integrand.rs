@@ -43,7 +43,6 @@ impl<S: Number> Sums<S> {
     }
 }
 
-/// The integrand, its frame and its accuracy.
 pub struct Integrand<'a, S: Number, E> {
     pub axis: S::Vec3,
     pub height: S,
@@ -58,9 +57,7 @@ pub struct Integrand<'a, S: Number, E> {
     pub unit: S,
     /// The cone outside which a narrow lobe has faded, with s and t as its directions in the plane.
     pub cone: Option<Cone<S>>,
-    /// x of the reference point.
     pub reference: S,
-    /// Greatest distance of a corner from the first one.
     pub size: S,
     /// Nodes that a far emitter takes more; see [`Orders::far`].
     more: usize,

@@ -117,10 +117,8 @@ pub fn rectangle_light_lanes<R: Real, const GRADIENT: bool>(
 /// cos γ over a convex patch of the spot.
 #[derive(Clone, Copy, Debug)]
 struct Cosines<S> {
-    /// Lower bound.
     lower: S,
     middle: S,
-    /// Upper bound.
     upper: S,
 }
 

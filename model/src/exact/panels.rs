@@ -36,11 +36,9 @@ const DIVISIONS: [[usize; 2]; 4] = [[1, 1], [2, 1], [1, 2], [2, 2]];
 /// Enough for four parts of each slab of common spots; others are divided adaptively.
 const MAX_PARTS: usize = 2 * MAX_CORNERS;
 
-/// A rule for a panel.
 struct Rule<'a, S> {
     along_s: Nodes<'a, S>,
     along_t: Vec<(S, S), MAX_ALONG_T>,
-    /// Whether that begins at the horizon.
     is_from_horizon: bool,
     series: Option<Series<S>>,
 }
@@ -58,7 +56,6 @@ impl<S: Number> Rule<'_, S> {
     }
 }
 
-/// A panel and its integrals.
 struct Measured<S> {
     panel: Panel<S>,
     /// Whether it is dark, or too wide to sample its profile.
@@ -74,7 +71,6 @@ struct Measured<S> {
     evaluations: usize,
 }
 
-/// Sums over all slabs.
 pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand: &Integrand<'_, S, E>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
@@ -101,7 +97,6 @@ pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
     divide::<S, E, GRADIENT>(integrand, slabs)
 }
 
-/// A slab in one piece.
 fn whole<S: Number>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
     Panel { slab, share: [S::zero(), S::one()], t: slabs[slab].t }
 }
@@ -301,7 +296,6 @@ impl<S: Number, E: Emission<S>> Integrand<'_, S, E> {
         Some(rule)
     }
 
-    /// The rule of [`Self::sample`].
     fn sampling(&self) -> Rule<'_, S> {
         let (along_s, along_t) = (self.rules.get(ESTIMATED), self.rules.get(ESTIMATED));
         Rule { along_s, along_t: along_t.collect(), is_from_horizon: false, series: None }

@@ -13,10 +13,8 @@ use crate::scalar::{Linear3, Number, Real};
 
 use super::order::{MAX_NODES, Orders};
 
-/// Requirements of a spot on its rule.
 #[derive(Clone, Copy, Debug)]
 pub struct Needs<S> {
-    /// Numbers of nodes along x and y.
     pub nodes: (usize, usize),
     /// cos γ of the ray to the spot's middle, and the greatest relative change of cos γ over the spot.
     pub cosine: S,

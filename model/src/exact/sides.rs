@@ -12,7 +12,6 @@ use super::order::{ESTIMATED, MAX_NODES};
 /// Most pieces waiting: bisection keeps at most one per level.
 const MAX_WAITING: usize = 64;
 
-/// Most pieces of a side.
 const MAX_PIECES: usize = 64;
 
 /// Share of the allowed error below which a piece is left out.
@@ -124,7 +123,6 @@ impl<S: Number, E: Emission<S>> Side<'_, '_, S, E> {
         true
     }
 
-    /// Adds a piece by nodes and weights.
     fn add_nodes(
         &self,
         [low, high]: [S; 2],

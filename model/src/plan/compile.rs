@@ -83,7 +83,6 @@ impl Check {
     }
 }
 
-/// Compiles the cells of `scene` into `cells`.
 #[inline(never)]
 pub fn fill<S: Number>(
     cells: &mut List<CompiledCell<S>, MAX_CELLS>,
@@ -214,7 +213,6 @@ fn check_slit(check: &Check, slit: &Slit) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// What an opening cannot be computed with.
 fn check_opening(index: usize, cell: &Cell, effects: &Effects) -> Result<(), SceneError> {
     let (slit, window) = ("slit", "window");
     let at = |section| Check { cell: Some(index), section };

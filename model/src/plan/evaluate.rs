@@ -34,7 +34,6 @@ impl<S: Number> CompiledCell<S> {
     }
 }
 
-/// The spot's geometry.
 #[allow(clippy::large_enum_variant, reason = "lives on the stack for one evaluation")]
 enum Spot<S: Number> {
     Rectangle(Rectangle<S>),

@@ -252,7 +252,6 @@ impl<S: Scalar> Plan<S> {
         Ok(plan)
     }
 
-    /// A plan without cells.
     #[inline]
     pub(crate) fn empty() -> Self {
         Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, packs: List::new(), wide: None }
@@ -278,7 +277,6 @@ impl<S: Scalar> Plan<S> {
         Ok(())
     }
 
-    /// The effects of `cell`, if it has any.
     #[inline(always)]
     fn imperfect_of(&self, cell: &CompiledCell<S>) -> Option<&Imperfect<S>> {
         match cell.aperture {

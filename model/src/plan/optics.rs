@@ -38,7 +38,6 @@ pub struct Source<R: Real> {
     pub intensity: R,
 }
 
-/// An emitter relative to a cell.
 pub struct Seen<R: Real> {
     /// Position and axis, cell frame.
     pub position: R::Vec3,

@@ -43,7 +43,6 @@ fn cell(index: usize) -> Cell {
     }
 }
 
-/// A scene of `count` cells, each modified by `change`.
 fn scene(count: usize, change: impl Fn(&mut Cell)) -> Scene {
     let cells = (0..count).map(|index| {
         let mut cell = cell(index);
@@ -132,7 +131,6 @@ fn cells_side_by_side_answer_as_cells_alone() {
     }
 }
 
-/// Bits of what the solver sees of a cell.
 #[cfg(feature = "batch")]
 fn bits(terms: &CellTerms<f64>) -> Vec<u64, 16> {
     let numbers = terms.pair.into_iter().chain(terms.jacobian.into_iter().flatten());

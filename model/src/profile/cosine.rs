@@ -17,7 +17,6 @@ const LEAST_RATIO: f64 = 1e-3;
 #[derive(Clone, Debug)]
 pub struct Cosine<S> {
     power: Power<S>,
-    /// Binomial coefficients of n.
     binomials: [S; MAX_TERMS + 1],
     /// `spreads[k]`: the greatest |δ| for which the series may end after k terms.
     spreads: [S; MAX_TERMS + 1],

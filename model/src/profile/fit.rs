@@ -13,7 +13,6 @@ use heapless::Vec;
 
 use crate::scene::MAX_PROFILE_KNOTS;
 
-/// Highest degree of P.
 pub const MAX_DEGREE: usize = 8;
 
 /// Most decimals that count as written; with more, the points stand for themselves to [`EXACT`].
@@ -37,7 +36,6 @@ const NEAREST_RANGE: f64 = 1.5;
 const SECTIONS: usize = 15;
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Places between two points that are checked.
 const CHECKS: usize = 8;
 
 /// The function: n, and the coefficients of z⁰, z¹, …

@@ -97,7 +97,6 @@ impl<R: Real> Falloff<R> for Series<R> {
     }
 }
 
-/// The compiled profile of one emitter.
 #[derive(Clone, Debug)]
 #[allow(clippy::large_enum_variant, reason = "no heap on the board; a plan has at most 16 of them")]
 pub enum CompiledProfile<S> {
@@ -138,12 +137,10 @@ impl<S: Number> CompiledProfile<S> {
         (compiled, exponent)
     }
 
-    /// The power, if the profile is a cosine power.
     pub fn as_power(&self) -> Option<&Power<S>> {
         self.as_cosine().map(Cosine::power)
     }
 
-    /// The profile, if it is a cosine power.
     pub fn as_cosine(&self) -> Option<&Cosine<S>> {
         match self {
             Self::Cosine(cosine) => Some(cosine),

@@ -15,7 +15,6 @@ pub type Shape<S> = Vec<S, { MAX_DEGREE + RADIAL_TERMS + 1 }>;
 /// Shares of the tolerance for terms neglected within a spot, and for the rule that integrates the others.
 const SHARES: [f64; 2] = [0.05, 0.25];
 
-/// Coefficients that most spots need.
 const FEW: usize = 5;
 
 /// Bound of the terms of power `from` and beyond in the expansion of a polynomial around any z of 0…1, in units of
@@ -29,7 +28,6 @@ fn bound_beyond(shape: &[f64], from: usize) -> f64 {
     (from..shape.len()).map(|power| of_power(power) * libm::pow(0.5, (power - from) as f64)).sum()
 }
 
-/// The product of two polynomials.
 pub fn product(a: &[f64], b: &[f64]) -> Shape<f64> {
     let of = |k: usize| (0..=k).filter_map(|i| Some(a.get(i)? * b.get(k - i)?)).sum();
     (0..a.len() + b.len() - 1).map(of).collect()
@@ -132,7 +130,6 @@ impl<S: Number, E> Shaped<S, E> {
         self.product::<{ MAX_TERMS + 1 }>(series, centre, spread, 1)
     }
 
-    /// A bound of the factor.
     fn most(&self) -> S {
         self.shape.iter().fold(S::zero(), |sum, coefficient| sum + coefficient.abs())
     }

@@ -32,7 +32,6 @@ pub const MAX_POINTS: usize = MAX_PROFILE_KNOTS + 1;
 /// The greatest number of points within a panel for which its ten nodes still show its roughness.
 const RESOLVED_POINTS: usize = 6;
 
-/// A profile from a table.
 #[derive(Clone, Debug)]
 pub struct Table<S> {
     points: Vec<Point<S>, MAX_POINTS>,
@@ -69,7 +68,6 @@ impl<S: Number> Table<S> {
         Self { points: points.collect(), horizon: S::of(horizon), windows }
     }
 
-    /// Distance and secant from point i to the next.
     fn step(&self, i: usize) -> (S, S) {
         let (a, b) = (&self.points[i], &self.points[i + 1]);
         let width = b.v - a.v;

@@ -60,7 +60,6 @@ struct Window<S> {
 }
 
 impl<S: Number> Windows<S> {
-    /// No window has a polynomial.
     pub fn none() -> Self {
         let closed = Window { reach: S::zero(), coefficients: [S::zero(); DEGREE + 1] };
         Self { windows: [closed; WINDOWS], density: S::one(), pitch: S::one(), allowed: [S::zero(); 2] }
@@ -215,7 +214,6 @@ const LOWEST: [f64; 7] = [0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8];
 /// Greatest relative error of the polynomial: a few roundings of `f32`.
 const MOST_ERROR: f64 = 1e-6;
 
-/// Places at which it is compared.
 const CHECKS: usize = 200;
 
 /// I_rel = Σ coefficient·(c − c₀)ᵏ from [`Self::lowest`] to 1, c₀ their mean; below, the power of c that goes on as steep.

@@ -22,7 +22,6 @@ use super::normal_equations::{Problem, Whiteners, Workspace};
 use super::outcome::{DegradedReason, Directions, Estimate, Outcome, Solution};
 use super::readings::Sorted;
 
-/// Two poses this many σ apart are two poses.
 pub const DISTINCT_SIGMAS: f64 = 6.0;
 
 /// χ² by which a pose must be worse than the best to be out of the question: a likelihood ratio of
@@ -51,7 +50,6 @@ pub enum Fit {
     None,
     /// The cells that see light fit, but another should see some, too.
     LitOnly,
-    /// All cells agree.
     Full,
 }
 
@@ -249,12 +247,10 @@ pub fn unscaled<S: Number>(covariance: &Matrix6<S>, length_scale_m: S) -> Matrix
     core::array::from_fn(|i| core::array::from_fn(|j| covariance[i][j] * (scale(i) * scale(j))))
 }
 
-/// Whether there are free directions.
 pub fn is_singular<S: Number>(factor: &Factor<S>) -> bool {
     !factor.is_even(S::of(EVEN)) && free_directions(factor).is_some()
 }
 
-/// The free directions; `None` if there is none.
 pub fn free_directions<S: Number>(factor: &Factor<S>) -> Option<Directions> {
     let pairs = factor.singular();
     let largest = pairs[5].0;

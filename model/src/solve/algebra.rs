@@ -12,10 +12,9 @@ use crate::scalar::{Number, Real};
 /// A vector of the six pose coordinates (translation, rotation).
 pub type Vector6<S> = [S; 6];
 
-/// A 6×6 matrix, stored in full.
 pub type Matrix6<S> = [[S; 6]; 6];
 
-/// Number product.
+/// Scalar product.
 #[inline(always)]
 pub fn dot<R: Real>(a: &Vector6<R>, b: &Vector6<R>) -> R {
     let mut sum = a[0].constant(0.0);
@@ -176,7 +175,6 @@ impl<S: Number> Factor<S> {
         Some(factor)
     }
 
-    /// The same in `f64`.
     pub fn widened(&self) -> Factor<f64> {
         Factor { lower: self.lower.map(|row| row.map(S::as_f64)), inverses: self.inverses.map(S::as_f64) }
     }
@@ -207,7 +205,6 @@ impl<S: Number> Factor<S> {
 }
 
 impl<R: Real> Factor<R> {
-    /// The least and the largest singular value.
     #[inline(always)]
     pub fn extreme_singular_values(&self) -> [R; 2] {
         let columns = self.orthogonal_columns(|_, _, _, _| ());

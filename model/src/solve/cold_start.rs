@@ -98,7 +98,6 @@ impl<S: Number> Search<S> {
         solution
     }
 
-    /// Whether a part of it has been done.
     pub fn has_begun(&self) -> bool {
         self.has_begun || self.without.is_some()
     }
@@ -109,7 +108,6 @@ impl<S: Number> Search<S> {
     }
 }
 
-/// What a search tries, in this order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Try {
     Home,
@@ -119,11 +117,8 @@ enum Try {
     },
     /// [`Compiled::softened`] from the best pose so far.
     Soft(usize),
-    /// [`image`] of the best pose so far.
     Image(usize),
-    /// [`around`].
     Around(usize),
-    /// [`spread`].
     Spread(usize),
 }
 
@@ -439,7 +434,6 @@ const TRANSLATION_M: f64 = 3e-3;
 /// Starts around home and around the pose on the planes, twelve each.
 pub const STARTS_AROUND: usize = 24;
 
-/// Starts spread over the reach of a head.
 pub const STARTS_SPREAD: usize = 48;
 
 /// Start `index` of [`STARTS_AROUND`]: a turn about one axis and a shift along the next, both ways, first from

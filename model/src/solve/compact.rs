@@ -239,7 +239,6 @@ mod tests {
         check_derivatives(&CompactPlan::of(&head(), &plan, &plan).expect("slits and cosines"), &plan, "ideal");
     }
 
-    /// The derivatives of `compact` are nearly those of `plan`.
     fn check_derivatives(compact: &CompactPlan<f64>, plan: &Plan<f64>, name: &str) {
         for index in 0..40 {
             let pose = spread::<f64>(index).to_pose();
@@ -333,10 +332,8 @@ mod tests {
         assert_eq!(solved[0], solved[1]);
     }
 
-    /// A name, and what it does to a cell.
     type Change = (&'static str, fn(&mut Cell));
 
-    /// What calibration finds.
     fn changes() -> [Change; 9] {
         [
             ("a thick mask", |cell| cell.slit.thickness_m = 0.15e-3),

@@ -43,7 +43,6 @@ impl MotionPrior {
 /// [`MotionPrior`] in the solver's numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct Prior<S: Number> {
-    /// The twist's linear and angular part.
     pub twist: [S::Vec3; 2],
     /// Standard deviations of the twist per axis, m/s and rad/s.
     pub sigmas: [S; 2],
@@ -74,7 +73,6 @@ impl<S: Number> Prior<S> {
     }
 }
 
-/// A compiled scene.
 #[derive(Clone, Debug)]
 pub struct Compiled<S: Number, P = Plan<S>> {
     pub plan: P,
@@ -93,7 +91,6 @@ pub struct Compiled<S: Number, P = Plan<S>> {
 }
 
 impl<S: Scalar> Compiled<S> {
-    /// Of no scene.
     #[inline(always)]
     pub fn empty() -> Self {
         Self::without_cells(Plan::empty())
@@ -150,7 +147,6 @@ impl<S: Scalar> Compiled<S> {
 }
 
 impl<S: Number, P: Optics<S>> Compiled<S, P> {
-    /// For optics that have no cells yet.
     #[inline(always)]
     pub fn without_cells(plan: P) -> Self {
         Self {
@@ -166,14 +162,12 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
     }
 
-    /// The same with other optics.
     pub fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
         let Self { planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images, .. } =
             self;
         Compiled { plan, planes, noise, limits, gates, offsets_s, length_scale_m, jacobian_change_rate, has_images }
     }
 
-    /// The pose on the planes of `sorted`.
     pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {
         planes::pose_on_planes(&self.planes, &sorted.usable, Transform::of(&Pose::HOME), self.length_scale_m)
     }

@@ -98,13 +98,11 @@ impl<S: Number> Displacement<S> {
         }
     }
 
-    /// Per second.
     fn rates(self, period_s: S) -> [S::Vec3; 2] {
         [self.translation, self.rotation].map(|v| v * period_s.recip())
     }
 }
 
-/// Gains of one frame.
 #[derive(Clone, Copy, Debug)]
 struct Gains<S>([S; 3]);
 
@@ -135,17 +133,14 @@ impl<S: Number> Gains<S> {
     }
 }
 
-/// A number of frames.
 #[inline(always)]
 fn count<S: Number>(frames: u32) -> S {
     S::from(frames).unwrap_or_else(S::infinity)
 }
 
-/// The filter.
 #[derive(Clone, Debug)]
 pub struct FadingFilter<S: Number> {
     period_s: S,
-    /// Longest memory, frames.
     longest: S,
     state: Option<State<S>>,
 }
@@ -157,7 +152,6 @@ struct State<S: Number> {
     bend: Displacement<S>,
     /// Covariance of (X, V, A) in units of a single pose's.
     spread: [[S; 3]; 3],
-    /// Frames taken.
     frames: u32,
     /// Frames of memory: θ = memory/(1 + memory).
     memory: S,
@@ -171,7 +165,6 @@ struct State<S: Number> {
     alarm: S,
 }
 
-/// What is expected of the next frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Prediction<S: Number> {
     pub pose: Rigid<S>,
@@ -317,7 +310,6 @@ fn mean_variances<S: Number>(covariance: &Matrix6<S>) -> [S; 2] {
     [0, 3].map(|i| (covariance[i][i] + covariance[i + 1][i + 1] + covariance[i + 2][i + 2]) * S::of(1.0 / 3.0))
 }
 
-/// As others see it.
 fn twist<S: Number>([linear, angular]: [S::Vec3; 2]) -> Twist {
     Twist { linear_m_per_s: linear.as_dvec3(), angular_rad_per_s: angular.as_dvec3() }
 }
@@ -390,7 +382,6 @@ mod tests {
 
     const PERIOD: f64 = 250e-6;
 
-    /// A covariance.
     const UNIT: Matrix6<f64> = {
         let mut unit = [[0.0; 6]; 6];
         let mut i = 0;

@@ -54,7 +54,6 @@ pub fn head() -> Scene {
     scene
 }
 
-/// [`head`] in the paper tier.
 pub fn compiled() -> Compiled<f64> {
     let mut compiled = Compiled::empty();
     compiled.set_scene(&head(), Tier::Paper).expect("a valid scene");
@@ -66,7 +65,6 @@ pub fn pose() -> Pose {
     Pose::HOME.perturbed(DVec3::new(0.8e-3, -0.5e-3, 0.3e-3), DVec3::new(0.05, 0.03, -0.04))
 }
 
-/// Noise-free currents at `pose`.
 pub fn currents(plan: &Plan<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }

@@ -33,10 +33,8 @@ const REMEMBERED: usize = 15;
 /// Displacement, in σ of a rough approach, up to which two approaches have led to one place.
 const SAME_SIGMAS: f64 = 0.3;
 
-/// Where rough approaches have led.
 pub struct Seen<S: Number> {
     places: ArrayVec<Transform<S>, REMEMBERED>,
-    /// How many led to a known one.
     pub again: usize,
 }
 

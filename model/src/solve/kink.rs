@@ -34,7 +34,6 @@ pub enum Astride<S: Number> {
     Least(Option<Factor<S>>),
     /// A pose with less χ², and the normal equations there.
     Lower(Transform<S>, NormalEquations<S>),
-    /// Nothing better.
     Nothing,
 }
 

@@ -19,7 +19,6 @@ use super::step::Step;
 /// First damping after a step that failed, relative to the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
 
-/// Damping at which the minimisation is stuck.
 const STUCK: f64 = 1e9;
 
 /// Steps after which the minimisation is taken to follow a valley.
@@ -41,7 +40,6 @@ pub const MOST_SECOND_STEP: f64 = 0.2;
 /// Cost of a QR step beyond one by normal equations, in evaluations of all cells.
 const QR_WORK: usize = 3;
 
-/// When a minimisation ends.
 #[derive(Clone, Copy, Debug)]
 pub struct Stopping<S> {
     pub max_iterations: usize,
@@ -51,7 +49,6 @@ pub struct Stopping<S> {
     pub most_chi2: S,
 }
 
-/// Steps of a minimisation before it is given up.
 const MAX_ITERATIONS: usize = 40;
 
 /// Steps of a rough approach before it is given up.
@@ -85,7 +82,6 @@ impl<S: Number> Stopping<S> {
     }
 }
 
-/// Where a minimisation ended.
 #[derive(Clone, Copy, Debug)]
 pub struct Minimum<S: Number> {
     pub pose: Transform<S>,
@@ -96,12 +92,9 @@ pub struct Minimum<S: Number> {
     pub converged: bool,
 }
 
-/// How far a step leads.
 #[derive(Clone, Copy)]
 struct Reach<S> {
-    /// Whether no derivative jumps along it.
     is_smooth: bool,
-    /// Norm of the scaled step.
     length: S,
     /// Bound on the relative change of the Jacobian along the step.
     jacobian_change: S,
@@ -113,9 +106,7 @@ struct Reach<S> {
 enum Reused<S: Number> {
     /// Within the tolerance of the minimum.
     Minimum(Transform<S>, S),
-    /// Nearer to the minimum.
     Nearer(Transform<S>),
-    /// The Jacobian was too old.
     TooOld,
 }
 
@@ -329,7 +320,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         step.predicted_reduction <= S::of(NEAR) && !self.is_smooth(reach.length, workspace)
     }
 
-    /// The factor of the information at `pose`.
     pub fn factor_at(
         &self,
         pose: &Transform<S>,
@@ -353,18 +343,15 @@ impl<S: Number> Step<S> {
     }
 }
 
-/// Whether the Jacobian hardly changes along the step.
 #[inline(always)]
 fn is_reusable<S: Number>(step: &Step<S>, reach: Reach<S>) -> bool {
     !step.is_by_qr && reach.jacobian_change <= S::of(REUSABLE_CHANGE) && reach.is_smooth
 }
 
-/// The damping after a step that failed.
 fn raised<S: Number>(damping: S) -> S {
     (damping * S::of(10.0)).max(S::of(FIRST_DAMPING))
 }
 
-/// The damping after a step that succeeded.
 fn lowered<S: Number>(damping: S) -> S {
     if damping > S::of(FIRST_DAMPING) { damping * S::of(0.1) } else { S::zero() }
 }

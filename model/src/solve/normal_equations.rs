@@ -29,7 +29,6 @@ const GUIDE_M: f64 = 20e-6;
 /// Most guiding planes: more than three fix a pose.
 const MAX_GUIDES: usize = 4;
 
-/// The data of one minimisation.
 pub struct Problem<'a, S: Number, P> {
     pub plan: &'a P,
     pub planes: &'a [PlaneCell<S>],
@@ -43,7 +42,6 @@ pub struct Problem<'a, S: Number, P> {
     pub jacobian_change_rate: S,
 }
 
-/// One whitening per usable reading.
 pub type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
 
 /// Memory and budget of the minimisations of one frame: the rows of the last linearisation, with the residuals
@@ -65,7 +63,6 @@ pub struct Workspace<S: Number> {
     pub work: usize,
     /// Whether there is time for [`Optics::NEAR_UNHURRIED`].
     pub is_unhurried: bool,
-    /// Evaluations made.
     pub evaluations: usize,
 }
 
@@ -94,7 +91,6 @@ impl<S: Number> Workspace<S> {
         }
     }
 
-    /// One more evaluation.
     #[inline(always)]
     fn count(&mut self) {
         self.work = self.work.saturating_sub(1);
@@ -118,7 +114,6 @@ impl<S: Number> NormalEquations<S> {
         (0..6).fold(S::zero(), |most, i| most.max(self.information[i][i])).root()
     }
 
-    /// The information times a step.
     pub fn times(&self, step: &Vector6<S>) -> Vector6<S> {
         self.information.map(|row| dot(&row, step))
     }
@@ -170,7 +165,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         currents
     }
 
-    /// The weights of the readings.
     pub fn whiteners(&self) -> Whiteners<S> {
         self.readings.iter().map(|reading| self.noise[reading.cell].whitener(reading.pair)).collect()
     }
@@ -302,7 +296,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         sums
     }
 
-    /// Adds the rows of planes.
     #[cold]
     #[inline(never)]
     fn add_planes(&self, sums: &mut ResidualSums<S>, workspace: &Workspace<S>) {

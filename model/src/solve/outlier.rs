@@ -40,7 +40,6 @@ pub struct LeftOut {
 /// How far the search for an outlier has come: see [`Compiled::without_outlier`].
 #[derive(Clone, Copy, Debug)]
 pub struct OutlierSearch<S: Number> {
-    /// The next reading to be left out.
     next: usize,
     /// The cell without which χ² is least so far, and where; and whether in an earlier frame.
     best: Option<(usize, Minimum<S>)>,
@@ -74,7 +73,6 @@ impl<S: Number> OutlierSearch<S> {
         }
     }
 
-    /// Whether cells are left to be tried.
     pub fn is_paused(&self) -> bool {
         self.is_paused
     }

@@ -31,7 +31,6 @@ const CLIPPED_WEIGHT: f64 = 0.01;
 /// Pull towards home of directions that the planes leave free, relative to the others.
 pub const PULL: f64 = 1e-6;
 
-/// What the planes need of a cell, base frame.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
 pub struct PlaneCell<S: Number> {
@@ -51,7 +50,6 @@ pub struct PlaneCell<S: Number> {
     rides: bool,
 }
 
-/// Where the light of a reading comes from.
 #[derive(Clone, Copy)]
 enum Plane<S: Number> {
     /// Unit normal of the emitter's plane through the slit.
@@ -192,7 +190,6 @@ impl<S: Number> PlaneCell<S> {
         (row, normal.dot(arm + pose.translation() - origin))
     }
 
-    /// The emitter's place in the tool frame.
     pub fn emitter_tool(&self) -> S::Vec3 {
         self.emitter_tool
     }

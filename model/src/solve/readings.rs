@@ -49,14 +49,12 @@ impl Photocurrents {
     }
 }
 
-/// A reading that enters the solve.
 #[derive(Clone, Copy, Debug)]
 pub struct Usable<S> {
     pub cell: usize,
     pub pair: [S; 2],
 }
 
-/// What keeps a cell from entering.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Limits<S> {
     pub faint_a: S,

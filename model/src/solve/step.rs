@@ -19,7 +19,6 @@ use super::weights::{ResidualSums, Row};
 /// are trusted: they then keep more than half of the digits.
 pub const SAFE_ROUNDINGS: f64 = 1e4;
 
-/// A Gauss–Newton step, damped or not.
 #[derive(Clone, Copy, Debug)]
 pub struct Step<S> {
     /// L of JᵀJ + λ·diag JᵀJ = L·Lᵀ.
@@ -79,7 +78,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         Step { step: factor.backward(&half_way), predicted_reduction: square(&half_way), factor, is_by_qr: true }
     }
 
-    /// The factor of the undamped information.
     #[cold]
     #[inline(never)]
     pub fn factor(&self, at: &NormalEquations<S>, workspace: &Workspace<S>) -> Option<Factor<S>> {

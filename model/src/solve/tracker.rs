@@ -85,7 +85,6 @@ pub struct Tracked<S: Number = f64> {
 pub struct Tracker<S: Number, P = Plan<S>> {
     solver: Solver<S, P>,
     period_s: f64,
-    /// Frames a second.
     frame_rate_hz: S,
     /// Share of σ of a pose that the motion within a frame may be unknown by and yet count as known.
     negligible: S,
@@ -97,17 +96,14 @@ pub struct Tracker<S: Number, P = Plan<S>> {
     last_twist: [S::Vec3; 2],
     /// Cells of the last pose that says something of the motion.
     cells: Cells,
-    /// Weak poses since then.
     weak: u32,
     /// Whether the motion is to be forgotten, if this frame says enough.
     forgets: bool,
-    /// Frames since the last pose.
     coasted: u32,
     /// The cell that was left out of the last pose.
     left_out: Option<usize>,
     /// The frame in which it was looked at again.
     last_look: u64,
-    /// Whether the last pose was a misfit.
     is_misfit: bool,
     lost: Lost<S>,
 }
@@ -166,7 +162,6 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         self
     }
 
-    /// Takes no more evaluations than `budget` allows.
     pub(crate) fn with_budget(mut self, budget: Budget) -> Self {
         self.budget = budget;
         self.lost = Lost::new(budget.first);
@@ -439,7 +434,6 @@ fn is_misfit<S: Number>(solution: &Solution<S>) -> bool {
     solution.outcome == Outcome::Degraded(DegradedReason::Misfit)
 }
 
-/// Evaluations of all cells that frames may take.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
     /// Each of them.
@@ -461,13 +455,11 @@ impl Budget {
 /// Frames between two searches while a misfit is followed.
 const PAUSE: u32 = 256;
 
-/// A tool that is not where it was expected.
 #[derive(Clone, Debug)]
 pub struct Lost<S: Number> {
     search: Search<S>,
     /// Where it may as well be, if it may be in two places.
     images: Option<[Transform<S>; 2]>,
-    /// Frames until the next search.
     pub wait: u32,
     /// Evaluations that a search may take besides those of its frame.
     pub saved_work: usize,

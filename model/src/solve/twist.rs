@@ -59,7 +59,6 @@ impl<S: Number> Motion<S> {
     }
 }
 
-/// Eliminates the motion from normal equations.
 #[derive(Debug)]
 pub struct Elimination<S> {
     /// M₁ and M₂ if the twist is not known, M₃ and M₄ if the bend is not; then, in their places, the columns of L⁻¹·M₁, of

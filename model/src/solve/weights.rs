@@ -79,7 +79,6 @@ impl<R: Real> Whitener<R> {
     }
 }
 
-/// The noise of one cell, compiled.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct CellNoise<S> {
     /// 2qB: variance of the total current per ampere of light.
@@ -96,7 +95,6 @@ pub struct CellNoise<S> {
     pub displacement: S,
     /// Square of the relative error of the arithmetic: of the exact tier's integrals, or rounding.
     arithmetic: S,
-    /// Variance of the dark current.
     dark: S,
 }
 

@@ -1,9 +1,10 @@
 //! Each electrode keeps the tolerance that the exact tier is given, and the tier does not waste nodes on much less.
 
-use crate::common::{KINDS, Kind, generator, pose, scene, uniform, vector};
 use glam::{DQuat, DVec2, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{Cell, Plan, Pose, Profile, Scene, Tier};
+
+use crate::common::{KINDS, Kind, generator, pose, scene, uniform, vector};
 
 /// The rule of [`photocurrents`] on each panel.
 const ORACLE_NODES: usize = 16;

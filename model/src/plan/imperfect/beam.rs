@@ -26,7 +26,6 @@ use crate::polygon::EmitterGradient;
 /// Sine of the greatest turn of a slit for which this geometry stands.
 const MOST_TURN: f64 = 0.18;
 
-/// A slit and a window, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "", from = "Parts<S>", into = "Parts<S>")]
 pub struct Beam<S: Number> {
@@ -37,7 +36,6 @@ pub struct Beam<S: Number> {
     parts: Parts<S>,
 }
 
-/// What a beam is made of.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
 struct Parts<S: Number> {
@@ -264,7 +262,6 @@ impl<S: Number> Beam<S> {
         Projected { at: moment.dot(raised) * per, moment, per }
     }
 
-    /// How that side moves with the emitter at `e`.
     #[inline(always)]
     fn edge_slope(&self, Projected { at, moment: m, per }: Projected<S>, e: S::Vec3, raise: &Raise<S>) -> S::Vec3 {
         let a = self.parts.along;

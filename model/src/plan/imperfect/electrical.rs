@@ -10,7 +10,6 @@ use super::super::CurrentsJacobian;
 use super::super::optics::Receiver;
 use super::Sums;
 
-/// The electrical effects of one cell, compiled.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(bound = "")]
 pub struct Electrical<S: Number> {

@@ -27,15 +27,12 @@ use self::passage::{Passage, Passed, pass};
 use super::optics::{Place, Seen, Source};
 use super::{CellTerms, CompiledCell, CompiledEmitter, Plan};
 
-/// The effects of one cell, compiled.
 #[derive(Clone, Debug)]
 pub struct Imperfect<S: Number> {
     pub passage: Passage<S>,
     pub electrical: Electrical<S>,
     pub source: ExtendedSource<S>,
-    /// See [`Effects::lit_together`].
     pub lit_together: u16,
-    /// See [`Effects::other_axis`].
     pub other_axis: Option<usize>,
 }
 
@@ -375,7 +372,6 @@ impl<S: Number> Imperfect<S> {
     }
 }
 
-/// Corners of the spot on the detector.
 pub fn outline<S: Number>(
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,

@@ -26,7 +26,6 @@ use super::super::optics::{Light, Place, Receiver, Seen, Source};
 /// hole's size moves the light, is 0.1 % more than the circle's.
 const CIRCLE_CORNERS: usize = 10;
 
-/// An opening, compiled.
 #[derive(Clone, Debug)]
 pub enum Opening<S: Number> {
     Riding(RidingSlit<S>),
@@ -100,7 +99,6 @@ impl<S: Number> Opening<S> {
         })
     }
 
-    /// The middle of a round hole.
     pub fn hole_centre(&self) -> Option<S::Vec3> {
         match self {
             Self::Riding(_) => None,
@@ -271,12 +269,10 @@ impl<S: Number> Spot<S> {
         S::Vec3::new(x, y, -self.polygon.height())
     }
 
-    /// The solid angle of the light, steradians.
     pub fn solid_angle(&self) -> S {
         self.polygon.solid_angle()
     }
 
-    /// Corners of the spot on the detector.
     pub fn outline(&self, seen: &Seen<S>) -> heapless::Vec<[S; 2], MAX_CORNERS> {
         let foot = [seen.position.x(), seen.position.y()];
         let on_detector = |corner: &[S; 2]| [0, 1].map(|axis| self.bent.land(axis, foot[axis] + corner[axis]));

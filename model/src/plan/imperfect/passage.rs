@@ -16,7 +16,6 @@ use super::super::{CompiledCell, CompiledEmitter, Plan};
 use super::beam::{Beam, Spot};
 use super::opening::Opening;
 
-/// What the light passes through.
 #[derive(Clone, Debug)]
 pub enum Passage<S: Number> {
     /// A slit on the base.
@@ -82,7 +81,6 @@ pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     }
 }
 
-/// Light of `emission` through the beam's spot.
 fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     plan: &Plan<S>,
     emitter: &CompiledEmitter<S>,
