@@ -4,7 +4,7 @@
 use glam::DVec3;
 
 use crate::aperture::Aperture;
-use crate::effects::{Effects, MAX_IMPERFECT, Opening, RADIAL_TERMS};
+use crate::effects::{Effects, Opening, RADIAL_TERMS};
 use crate::exact::Orders;
 use crate::list::List;
 use crate::profile::CompiledProfile;
@@ -86,7 +86,7 @@ impl Check {
 #[inline(never)]
 pub fn fill<S: Number>(
     cells: &mut List<CompiledCell<S>, MAX_CELLS>,
-    imperfect: &mut List<Imperfect<S>, MAX_IMPERFECT>,
+    imperfect: &mut List<Imperfect<S>, MAX_CELLS>,
     scene: &Scene,
     tier: Tier,
 ) -> Result<(), SceneError> {

@@ -16,7 +16,7 @@ use core::fmt::Debug;
 use heapless::Vec;
 
 use crate::aperture::Aperture;
-use crate::effects::{MAX_IMPERFECT, counts_on};
+use crate::effects::counts_on;
 use crate::entries::Scalar;
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
 use crate::list::List;
@@ -55,7 +55,7 @@ pub enum Tier {
 pub struct Plan<S: Scalar> {
     cells: List<CompiledCell<S>, MAX_CELLS>,
     /// The effects of those cells that have any.
-    imperfect: List<Imperfect<S>, MAX_IMPERFECT>,
+    imperfect: List<Imperfect<S>, MAX_CELLS>,
     is_paper: bool,
     /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
@@ -280,7 +280,7 @@ impl<S: Scalar> Plan<S> {
     #[inline(always)]
     fn imperfect_of(&self, cell: &CompiledCell<S>) -> Option<&Imperfect<S>> {
         match cell.aperture {
-            Aperture::Imperfect(index) if cfg!(feature = "effects") => self.imperfect.get(index),
+            Aperture::Imperfect(index) => self.imperfect.get(index),
             _ => None,
         }
     }

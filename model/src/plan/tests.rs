@@ -410,7 +410,7 @@ fn a_plan_leaves_room_on_the_board() {
     }
     let lists = [
         sizes::<CompiledCell<f32>, MAX_CELLS>(),
-        sizes::<Imperfect<f32>, MAX_IMPERFECT>(),
+        sizes::<Imperfect<f32>, MAX_CELLS>(),
         sizes::<Pack<f32>, MAX_CELLS>(),
     ];
     let size = lists.iter().fold(size_of::<Plan<f32>>(), |size, (here, in_place)| size - here + in_place);

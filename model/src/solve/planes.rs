@@ -46,7 +46,6 @@ pub struct PlaneCell<S: Number> {
     dark: S,
     shortest: S,
     /// Whether the slit is on the tool; `slit` and `along` are then where they are at home.
-    #[cfg(feature = "effects")]
     rides: bool,
 }
 
@@ -55,7 +54,6 @@ enum Plane<S: Number> {
     /// Unit normal of the emitter's plane through the slit.
     Emitter(S::Vec3),
     /// Where the light lands, on the plane of a riding slit.
-    #[cfg(feature = "effects")]
     Landing(S::Vec3),
 }
 
@@ -86,7 +84,6 @@ impl<S: Number> PlaneCell<S> {
             unclipped: S::of(0.5 * (detector.length_m - slit.width_m * magnification * shrunk)),
             dark: S::of(if dark_in_ratio { detector.dark_current_a } else { 0.0 }),
             shortest: S::of((height - slit.distance_m).abs().min(slit.distance_m)),
-            #[cfg(feature = "effects")]
             rides: cell.opening() == Opening::RidingSlit,
         }
     }
@@ -108,7 +105,6 @@ impl<S: Number> PlaneCell<S> {
     /// The plane of a reading, and the weight of the distance from it.
     fn plane(&self, reading: &Usable<S>) -> (Plane<S>, S) {
         let (landing, weight) = self.landing(reading.pair);
-        #[cfg(feature = "effects")]
         if self.rides {
             return (Plane::Landing(landing), weight);
         }
@@ -155,14 +151,12 @@ impl<S: Number> PlaneCell<S> {
     fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         match plane {
             Plane::Emitter(normal) => self.row_from_slit(normal, pose, length_scale_m),
-            #[cfg(feature = "effects")]
             Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
         }
     }
 
     /// Distance of the riding slit's plane from `landing` with the tool at `pose`, metres, and its derivatives by
     /// (δt, arm·δθ): the plane turns with the tool, so that the lever is that of the landing.
-    #[cfg(feature = "effects")]
     #[cold]
     fn row_to(&self, landing: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         let normal = (self.emitter_tool - self.slit).cross(self.along);
@@ -198,7 +192,6 @@ impl<S: Number> PlaneCell<S> {
     /// middle, along the slit: the light lands alike, and is as much. From a riding slit it cannot move away.
     pub fn sides(&self, pose: &Transform<S>) -> [S::Vec3; 2] {
         let here = pose.rotate(self.emitter_tool) + pose.translation();
-        #[cfg(feature = "effects")]
         if self.rides {
             return [here; 2];
         }

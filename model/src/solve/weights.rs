@@ -108,7 +108,7 @@ impl<S: Number> CellNoise<S> {
             (noise.shot_a(), dark, noise.johnson_a2(detector) + dark / 12.0, noise.adc_a * noise.adc_a)
         });
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m } = scene.uncertainty;
-        let error = scene.cells[cell].model_error();
+        let error = scene.cells[cell].effects.model_error;
         let moved = error.position_m / detector.length_m;
         // Two cells that read one detector see the same photons of the same emitter: what is common to both counts
         // twice in each, for their mean knows it no better than one.
@@ -274,7 +274,6 @@ mod tests {
     }
 
     /// The photons and the gain of one emitter, read twice: both readings together know them as well as one does.
-    #[cfg(feature = "effects")]
     #[test]
     fn what_two_axes_share_is_known_no_better_than_by_one() {
         let mut scene = super::super::fixture::head();
