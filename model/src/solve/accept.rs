@@ -16,11 +16,9 @@ use crate::pose::Transform;
 use crate::scalar::Number;
 
 use super::algebra::{Factor, Matrix6};
-use super::compiled::Compiled;
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::normal_equations::{Problem, Whiteners, Workspace};
+use super::normal_equations::{Problem, Workspace};
 use super::outcome::{DegradedReason, Directions, Estimate, Outcome, Solution};
-use super::readings::Sorted;
 
 pub const DISTINCT_SIGMAS: f64 = 6.0;
 
@@ -40,7 +38,7 @@ const TOO_UNLIKE: f64 = 4.0 * DISTINCT_SIGMAS * DISTINCT_SIGMAS;
 /// well below. The pose is then another, or the head.
 const ELSEWHERE: f64 = 0.05;
 
-/// Evaluations that are left to [`Compiled::taken_roughly`], whatever came before: it takes some eight.
+/// Evaluations that are left to [`Problem::taken_roughly`], whatever came before: it takes some eight.
 pub const ROUGH_WORK: usize = 16;
 
 /// How well a pose explains the data, worst first.
@@ -53,14 +51,14 @@ pub enum Fit {
     Full,
 }
 
-impl<S: Number, P: Optics<S>> Compiled<S, P> {
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// How well `minimum` explains the data: χ² by the noise, and no light where none was seen.
-    pub fn fit(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> Fit {
+    pub fn fit(&self, minimum: &Minimum<S>) -> Fit {
         // Written so that NaN does not fit.
-        let fits = minimum.converged && minimum.chi2 <= self.gates[sorted.usable.len()];
+        let fits = minimum.converged && minimum.chi2 <= self.gate();
         if !fits {
             Fit::None
-        } else if sorted.faint.count() == 0 || self.is_dark_where_dark(sorted, problem, minimum) {
+        } else if self.sorted.faint.count() == 0 || self.is_dark_where_dark(minimum) {
             Fit::Full
         } else {
             Fit::LitOnly
@@ -70,32 +68,28 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Whether cells that were found without light are without light at the pose, too.
     #[cold]
     #[inline(never)]
-    fn is_dark_where_dark(&self, sorted: &Sorted<S>, problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
-        let predicted = problem.predicted(&minimum.pose);
-        sorted.faint.iter().all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.limits[cell].faint_a)
+    fn is_dark_where_dark(&self, minimum: &Minimum<S>) -> bool {
+        let predicted = self.predicted(&minimum.pose);
+        self.sorted
+            .faint
+            .iter()
+            .all(|cell| predicted[cell][0] + predicted[cell][1] < S::two() * self.head.limits[cell].faint_a)
     }
 
     /// The solution at a minimum whose linearisation is in `workspace`.
-    pub fn conclude(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S, P>,
-        minimum: &Minimum<S>,
-        workspace: &Workspace<S>,
-        fit: Fit,
-    ) -> Solution<S> {
-        let redundancy = redundancy(sorted.usable.len());
+    pub fn conclude(&self, minimum: &Minimum<S>, workspace: &Workspace<S>, fit: Fit) -> Solution<S> {
+        let redundancy = redundancy(self.sorted.usable.len());
         let mut solution = Solution {
             chi2: minimum.chi2,
             redundancy,
             iterations: minimum.iterations,
             factor: minimum.factor,
-            ..Solution::without_pose(Outcome::Diverged, sorted.used)
+            ..Solution::without_pose(Outcome::Diverged, self.sorted.used)
         };
         let Some(factor) = &minimum.factor else {
             return solution;
         };
-        let Some(covariance) = covariance(factor, self.length_scale_m) else {
+        let Some(covariance) = covariance(factor, self.head.length_scale_m) else {
             let free = free_directions(factor).unwrap_or_default();
             solution.outcome = Outcome::Unobservable(free);
             return solution;
@@ -103,13 +97,13 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         if !minimum.pose.is_finite() {
             return solution;
         }
-        let gate = self.gates[sorted.usable.len()];
+        let gate = self.gate();
         if P::TELLS_RELIABILITY {
-            solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, problem.least_visible(factor, workspace));
+            solution.unnoticed_sigmas = unnoticed_sigmas(gate, redundancy, self.least_visible(factor, workspace));
         }
         solution.outcome = if fit == Fit::None {
             Outcome::Degraded(DegradedReason::Misfit)
-        } else if sorted.usable.len() < self.plan.cell_count() {
+        } else if self.sorted.usable.len() < self.head.plan.cell_count() {
             Outcome::Degraded(DegradedReason::FewerCells)
         } else {
             Outcome::Converged
@@ -123,37 +117,23 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// are off draw the pose less. χ² is by these weights.
     #[cold]
     #[inline(never)]
-    pub fn taken_roughly(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S, P>,
-        start: Transform<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Solution<S> {
-        let whiteners = problem.coarse_whiteners();
-        let minimum = problem.minimise(start, &whiteners, Stopping::near(), workspace);
+    pub fn taken_roughly(&self, start: Transform<S>, workspace: &mut Workspace<S>) -> Solution<S> {
+        let coarse = self.coarse();
+        let minimum = coarse.minimise(start, Stopping::near(), workspace);
         if !minimum.converged {
-            return Solution::without_pose(Outcome::Diverged, sorted.used);
+            return Solution::without_pose(Outcome::Diverged, self.sorted.used);
         }
-        problem.linearise(&minimum.pose, &whiteners, workspace);
-        self.conclude(sorted, problem, &minimum, workspace, Fit::None)
+        coarse.linearise(&minimum.pose, workspace);
+        coarse.conclude(&minimum, workspace, Fit::None)
     }
 
     /// [`Self::conclude`] where the tool is expected and images are not looked for: one that is so near that
     /// the two are one minimum is.
     #[inline(always)]
-    pub fn conclude_near(
-        &self,
-        sorted: &Sorted<S>,
-        problem: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
-        minimum: &Minimum<S>,
-        workspace: &mut Workspace<S>,
-        fit: Fit,
-    ) -> Solution<S> {
-        let mut solution = self.conclude(sorted, problem, minimum, workspace, fit);
-        if self.has_images && fit != Fit::None {
-            self.unless_soft(&mut solution, problem, whiteners, minimum, workspace);
+    pub fn conclude_near(&self, minimum: &Minimum<S>, workspace: &mut Workspace<S>, fit: Fit) -> Solution<S> {
+        let mut solution = self.conclude(minimum, workspace, fit);
+        if self.head.has_images && fit != Fit::None {
+            self.unless_soft(&mut solution, minimum, workspace);
         }
         solution
     }
@@ -161,14 +141,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Leaves `solution` as it is if along its softest directions χ² grows as its covariance says; else an image is so
     /// near that the two are one minimum, and the data leave those directions free.
     #[inline(never)]
-    pub fn unless_soft(
-        &self,
-        solution: &mut Solution<S>,
-        problem: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
-        minimum: &Minimum<S>,
-        workspace: &mut Workspace<S>,
-    ) {
+    pub fn unless_soft(&self, solution: &mut Solution<S>, minimum: &Minimum<S>, workspace: &mut Workspace<S>) {
         let has_free = matches!(solution.outcome, Outcome::Unobservable(_));
         let Some(factor) = minimum.factor.as_ref().filter(|_| has_free || solution.outcome.has_pose()) else {
             return;
@@ -177,7 +150,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         for (value, direction) in &factor.singular()[..SOFT] {
             let grows = |sign: f64, workspace: &mut Workspace<S>| {
                 let far = direction.map(|element| element * (S::of(sign * DISTINCT_SIGMAS) / *value));
-                let there = problem.linearise(&problem.moved(&minimum.pose, &far), whiteners, workspace);
+                let there = self.linearise(&self.moved(&minimum.pose, &far), workspace);
                 (S::of(ALIKE)..S::of(TOO_UNLIKE)).contains(&(there.chi2 - minimum.chi2))
             };
             if is_free(*value) || !(grows(-1.0, workspace) && grows(1.0, workspace)) {
@@ -189,18 +162,18 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             solution.estimate = None;
         }
     }
-}
 
-/// Whether the best pose found is too far from the data to call it one.
-pub fn is_elsewhere<S: Number, P: Optics<S>>(problem: &Problem<'_, S, P>, minimum: &Minimum<S>) -> bool {
-    let predicted = problem.predicted(&minimum.pose);
-    !minimum.converged
-        || problem.readings.iter().any(|reading| {
-            let [first, second] = reading.pair;
-            let [i_x1_a, i_x2_a] = predicted[reading.cell];
-            let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
-            off > S::of(ELSEWHERE) * (first + second)
-        })
+    /// Whether the best pose found is too far from the data to call it one.
+    pub fn is_elsewhere(&self, minimum: &Minimum<S>) -> bool {
+        let predicted = self.predicted(&minimum.pose);
+        !minimum.converged
+            || self.sorted.usable.iter().any(|reading| {
+                let [first, second] = reading.pair;
+                let [i_x1_a, i_x2_a] = predicted[reading.cell];
+                let off = (first - i_x1_a).abs().max((second - i_x2_a).abs());
+                off > S::of(ELSEWHERE) * (first + second)
+            })
+    }
 }
 
 /// How far, in σ of the pose, an error can move it that leaves χ² as likely above its gate as below:

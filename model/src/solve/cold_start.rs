@@ -7,11 +7,11 @@ use crate::plan::Optics;
 use crate::pose::{Pose, Transform};
 use crate::scalar::{Number, Vector3};
 
-use super::accept::{Fit, ROUGH_WORK, is_elsewhere, redundancy};
+use super::accept::{Fit, ROUGH_WORK, redundancy};
 use super::compiled::{Compiled, Prior};
 use super::images::{IMAGES, Minima, SOFT_STEPS, Seen, image};
 use super::levenberg_marquardt::Stopping;
-use super::normal_equations::{Problem, Whiteners, Workspace};
+use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Outcome, Solution};
 use super::outlier::{LEAST_WORK, OutlierSearch, exclude};
 use super::readings::Sorted;
@@ -56,7 +56,8 @@ pub struct Search<S: Number> {
     spent: usize,
     /// Whether it goes on with another frame's currents when its work is used up; else it ends.
     may_pause: bool,
-    is_over: bool,
+    /// Whether nothing is left to be tried: what the last piece said is the answer.
+    pub is_over: bool,
 }
 
 impl<S: Number> Search<S> {
@@ -100,11 +101,6 @@ impl<S: Number> Search<S> {
 
     pub fn has_begun(&self) -> bool {
         self.has_begun || self.without.is_some()
-    }
-
-    /// Whether nothing is left to be tried: what the last piece said is the answer.
-    pub fn is_over(&self) -> bool {
-        self.is_over
     }
 }
 
@@ -154,13 +150,8 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         images: [Transform<S>; 2],
         workspace: &mut Workspace<S>,
     ) -> Option<[Transform<S>; 2]> {
-        let problem = self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
         let mut minima = Minima::new(self.length_scale_m);
-        for image in images {
-            let minimum = problem.minimise(image, &whiteners, Stopping::near(), workspace);
-            minima.add(minimum, self.fit(sorted, &problem, &minimum));
-        }
+        minima.add_near(images.map(Some), &self.problem(sorted, motion), Stopping::near(), workspace);
         match minima.places() {
             [Some(a), Some(b)] if minima.are_alike() => Some([a, b]),
             _ => None,
@@ -224,48 +215,46 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         workspace: &mut Workspace<S>,
     ) -> Solution<S> {
         let problem = &self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
-        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
+        let may_have_images = self.looks_for_images(sorted);
         let on_planes = self.on_planes(sorted);
         let mut minima = Minima::new(self.length_scale_m);
         let mut iterations = 0;
         // Half of a small piece does not suffice to leave out the next cell.
-        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused() && workspace.work / 2 < LEAST_WORK;
+        let is_all_for_outlier = P::HAS_SMALL_FRAMES && search.outlier.is_paused && workspace.work / 2 < LEAST_WORK;
         if !search.has_begun || !may_have_images && !is_all_for_outlier {
             // A start that fails on the currents of one frame may succeed on those of another.
             // It leaves half of a later piece to the starts that have not been tried yet.
             let held_back = if search.has_begun { workspace.work / 2 } else { 0 };
             workspace.work -= held_back;
-            let mut minimum = problem.minimise(on_planes, &whiteners, Stopping::exact(), workspace);
+            let mut minimum = problem.minimise(on_planes, Stopping::exact(), workspace);
             workspace.work += held_back;
-            let gate = self.gates[sorted.usable.len()];
+            let gate = problem.gate();
             if minimum.converged && minimum.chi2 <= gate {
-                minimum = problem.beyond_kink(minimum, &whiteners, S::of(DOUBTED) * gate, workspace);
+                minimum = problem.beyond_kink(minimum, S::of(DOUBTED) * gate, workspace);
             }
-            let fit = self.fit(sorted, problem, &minimum);
+            let fit = problem.fit(&minimum);
             if fit == Fit::Full && !may_have_images {
                 // By far the most frequent end, with the last linearisation still at hand.
                 search.is_over = true;
-                return self.conclude(sorted, problem, &minimum, workspace, fit);
+                return problem.conclude(&minimum, workspace, fit);
             }
             iterations += minimum.iterations;
             minima.add(minimum, fit);
         }
-        for before in search.found.into_iter().flatten().filter(|_| may_have_images && search.fits) {
-            let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
-            iterations += minimum.iterations;
-            minima.add(minimum, self.fit(sorted, problem, &minimum));
+        if may_have_images && search.fits {
+            iterations += minima.add_near(search.found, problem, Stopping::exact(), workspace);
         }
         search.has_begun = true;
         // Of three cells alone no pose will come of it.
-        let unfinished = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
+        let outcome = if is_unchecked(sorted) { Outcome::Ambiguous } else { Outcome::Diverged };
+        let unfinished = |iterations| Solution { iterations, ..nothing(sorted, outcome) };
         let mut seen = Seen::new();
         let mut is_cut_short = false;
         while let Some(next) = Try::of(search.next).filter(|_| !self.is_enough(sorted, &minima, &seen, search.next)) {
             if workspace.work == 0 {
                 if search.may_pause && (may_have_images || search.spent < LONGEST_WORK) {
                     search.spent += workspace.evaluations;
-                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+                    return search.pause(&minima, unfinished(iterations));
                 }
                 is_cut_short = true;
                 break;
@@ -276,8 +265,8 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
                     search.is_over = true;
                     return Solution { iterations: iterations + solution.iterations, ..solution };
                 }
-                if search.outlier.is_paused() {
-                    return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+                if search.outlier.is_paused {
+                    return search.pause(&minima, unfinished(iterations));
                 }
             }
             let start = search.under_way.take().or_else(|| {
@@ -285,7 +274,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             });
             search.next += 1;
             let Some((start, is_rough, before)) = start else { continue };
-            let gate = self.gates[sorted.usable.len()];
+            let gate = problem.gate();
             let stopping = match next {
                 _ if is_rough && fit == Fit::None => Stopping::rough(),
                 _ if is_rough => Stopping::rough().if_below(gate),
@@ -293,9 +282,9 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
                 _ => Stopping::exact(),
             };
             let mut minimum = if is_rough {
-                problem.minimise(start, &problem.coarse_whiteners(), stopping, workspace)
+                problem.coarse().minimise(start, stopping, workspace)
             } else {
-                problem.minimise(start, &whiteners, stopping, workspace)
+                problem.minimise(start, stopping, workspace)
             };
             iterations += minimum.iterations;
             let steps = before + minimum.iterations;
@@ -314,29 +303,30 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
                 if is_hopeless && minimum.chi2 > gate && next != Try::Home {
                     continue;
                 }
-                minimum = problem.minimise(minimum.pose, &whiteners, Stopping::exact(), workspace);
+                minimum = problem.minimise(minimum.pose, Stopping::exact(), workspace);
                 iterations += minimum.iterations;
             }
-            minima.add(minimum, self.fit(sorted, problem, &minimum));
+            minima.add(minimum, problem.fit(&minimum));
         }
         if minima.best_fit() == Fit::None && may_have_images && !search.fits {
             if workspace.work == 0 && search.may_pause {
-                return search.pause(&minima, Solution { iterations, ..nothing(sorted, unfinished) });
+                return search.pause(&minima, unfinished(iterations));
             }
-            for before in search.found.into_iter().flatten() {
-                let minimum = problem.minimise(before, &whiteners, Stopping::exact(), workspace);
-                iterations += minimum.iterations;
-                minima.add(minimum, self.fit(sorted, problem, &minimum));
-            }
+            iterations += minima.add_near(search.found, problem, Stopping::exact(), workspace);
         }
         search.is_over = true;
-        let mut solution = self.judge(sorted, problem, &whiteners, &minima, &on_planes, workspace);
+        let mut solution = self.judge(sorted, problem, &minima, &on_planes, workspace);
         if is_cut_short && self.has_images && solution.outcome.has_pose() && minima.best_fit() != Fit::None {
             // An image may fit as well, and was not looked for to the end.
             solution = nothing(sorted, Outcome::Ambiguous);
         }
         search.found = if solution.outcome == Outcome::Ambiguous { minima.places() } else { [None; 2] };
         Solution { iterations, ..solution }
+    }
+
+    /// Whether poses may have images that are worth the search.
+    fn looks_for_images(&self, sorted: &Sorted<S>) -> bool {
+        self.has_images || sorted.usable.len() < P::UNIQUE_FROM
     }
 
     /// Where `next` starts, and whether that takes a rough approach first; `None` if there is nothing to try.
@@ -363,7 +353,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
 
     /// Whether nothing after [`Try`] `next` can change the answer.
     fn is_enough(&self, sorted: &Sorted<S>, minima: &Minima<S>, seen: &Seen<S>, next: usize) -> bool {
-        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
+        let may_have_images = self.looks_for_images(sorted);
         match minima.best_fit() {
             Fit::None => seen.again >= AGREEING && (!may_have_images || next > Try::FURTHER),
             Fit::Full if !may_have_images || is_unchecked(sorted) => true,
@@ -377,7 +367,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         &self,
         sorted: &Sorted<S>,
         problem: &Problem<'_, S, P>,
-        whiteners: &Whiteners<S>,
         minima: &Minima<S>,
         on_planes: &Transform<S>,
         workspace: &mut Workspace<S>,
@@ -386,33 +375,28 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             return nothing(sorted, Outcome::Diverged);
         };
         // Fewer cells leave a mirror image that may be the pose; there, what fits nowhere has none.
-        let is_nowhere = fit == Fit::None && (sorted.usable.len() < P::UNIQUE_FROM || is_elsewhere(problem, &best));
+        let is_nowhere = fit == Fit::None && (sorted.usable.len() < P::UNIQUE_FROM || problem.is_elsewhere(&best));
         // A valley without an end fits as well: what the data leave free along it is told.
-        let is_valley = fit == Fit::None && best.chi2 <= self.gates[sorted.usable.len()];
+        let is_valley = fit == Fit::None && best.chi2 <= problem.gate();
         if is_nowhere && !is_valley {
             if sorted.usable.len() < P::UNIQUE_FROM {
                 return nothing(sorted, Outcome::Diverged);
             }
             workspace.work = workspace.work.max(ROUGH_WORK);
-            return self.taken_roughly(sorted, problem, *on_planes, workspace);
+            return problem.taken_roughly(*on_planes, workspace);
         }
-        let may_have_images = self.has_images || sorted.usable.len() < P::UNIQUE_FROM;
-        if may_have_images
-            && fit != Fit::None
-            && !minima.is_singular()
-            && (minima.are_alike()
-                || is_unchecked(sorted)
-                || fit == Fit::LitOnly && redundancy(sorted.usable.len()) == 0)
+        let may_have_images = self.looks_for_images(sorted);
+        if may_have_images && fit != Fit::None && !minima.is_singular() && (minima.are_alike() || is_unchecked(sorted))
         {
             return nothing(sorted, Outcome::Ambiguous);
         }
         // The last linearisation belongs to another start.
-        problem.linearise(&best.pose, whiteners, workspace);
-        let mut solution = self.conclude(sorted, problem, &best, workspace, fit);
+        problem.linearise(&best.pose, workspace);
+        let mut solution = problem.conclude(&best, workspace, fit);
         if !may_have_images || fit == Fit::None && !is_valley {
             return solution;
         }
-        self.unless_soft(&mut solution, problem, whiteners, &best, workspace);
+        problem.unless_soft(&mut solution, &best, workspace);
         if is_nowhere && solution.outcome.has_pose() { nothing(sorted, Outcome::Diverged) } else { solution }
     }
 }
@@ -498,7 +482,7 @@ mod tests {
             pieces += 1;
             let workspace = &mut Workspace::with_work(30);
             let solution = head.search(&sorted, &Prior::at_rest(), &mut search, workspace);
-            if search.is_over() {
+            if search.is_over {
                 break solution;
             }
             assert!(!solution.outcome.has_pose() && pieces < 100);

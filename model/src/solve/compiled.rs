@@ -14,7 +14,6 @@ use super::normal_equations::{Problem, Workspace};
 use super::outcome::{Directions, Outcome, Solution};
 use super::planes::{self, PlaneCell, jacobian_change_rate};
 use super::readings::{Limits, Photocurrents, Sorted};
-use super::twist::Motion;
 use super::weights::CellNoise;
 
 /// Cells whose currents, two each, tell the six coordinates of a pose.
@@ -142,7 +141,7 @@ impl<S: Scalar> Compiled<S> {
             return None;
         }
         let problem = self.problem(&sorted, &Prior::at_rest());
-        problem.factor_at(&Transform::of(pose), &problem.whiteners(), &mut Workspace::new())
+        problem.factor_at(&Transform::of(pose), &mut Workspace::new())
     }
 }
 
@@ -183,16 +182,7 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     }
 
     pub fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
-        Problem {
-            plan: &self.plan,
-            planes: &self.planes,
-            noise: &self.noise,
-            offsets_s: &self.offsets_s,
-            readings: &sorted.usable,
-            motion: Motion::new(motion, self.duration_s(), self.length_scale_m),
-            length_scale_m: self.length_scale_m,
-            jacobian_change_rate: self.jacobian_change_rate,
-        }
+        Problem::new(self, sorted, motion)
     }
 
     /// Six unknowns need [`FEWEST_CELLS`].

@@ -22,7 +22,7 @@ use super::algebra::{Factor, Matrix6, square};
 use super::cold_start::spread;
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::normal_equations::Workspace;
+use super::normal_equations::{Problem, Workspace};
 use super::outcome::Solution;
 use super::planes::{PlaneCell, settle};
 use super::readings::{Sorted, Usable};
@@ -86,6 +86,22 @@ impl<S: Number> Minima<S> {
         } else if is_new && is_better(&self.rival) {
             self.rival = Some((minimum, fit));
         }
+    }
+
+    /// Adds the minima that are reached from `places`, in so many steps.
+    pub fn add_near<P: Optics<S>>(
+        &mut self,
+        places: [Option<Transform<S>>; 2],
+        problem: &Problem<'_, S, P>,
+        stopping: Stopping<S>,
+        workspace: &mut Workspace<S>,
+    ) -> usize {
+        let minima = places.into_iter().flatten().map(|place| {
+            let minimum = problem.minimise(place, stopping, workspace);
+            self.add(minimum, problem.fit(&minimum));
+            minimum.iterations
+        });
+        minima.sum()
     }
 
     pub fn places(&self) -> [Option<Transform<S>>; 2] {
@@ -197,14 +213,14 @@ impl<S: Scalar> Compiled<S> {
     /// Whether `pose`, which the readings are of, has an image that fits them nearly as well.
     fn has_image_near(&self, sorted: &Sorted<S>, pose: &Transform<S>) -> bool {
         let problem = self.problem(sorted, &Prior::at_rest());
-        let (whiteners, workspace) = (problem.whiteners(), &mut Workspace::new());
-        let here = problem.minimise(*pose, &whiteners, Stopping::rough(), workspace);
+        let workspace = &mut Workspace::new();
+        let here = problem.minimise(*pose, Stopping::rough(), workspace);
         (0..SOFT_STEPS)
             .map(|index| self.softened(&here, index))
             .chain((0..IMAGES).map(|index| image(&self.planes, &sorted.usable, pose, self.length_scale_m, index)))
             .flatten()
             .any(|start| {
-                let there = problem.minimise(start, &whiteners, Stopping::rough(), workspace);
+                let there = problem.minimise(start, Stopping::rough(), workspace);
                 there.converged && there.chi2 < S::of(NEAR) && are_distinct(&here, &there, self.length_scale_m)
             })
     }
@@ -311,12 +327,11 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         }
         let sigma = factor.length(&loose).recip();
         let problem = self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
-        let here = problem.whitened(&pose, &whiteners, workspace);
+        let here = problem.whitened(&pose, workspace);
         let along = |share: S| loose.map(|value| value * (share * sigma));
         let probe = S::of(PROBE_SIGMAS).min(S::of(LONGEST_PROBE) / sigma);
         let [there, back] =
-            [probe, -probe].map(|share| problem.whitened(&problem.moved(&pose, &along(share)), &whiteners, workspace));
+            [probe, -probe].map(|share| problem.whitened(&problem.moved(&pose, &along(share)), workspace));
         // (j·probe)² and j·c·probe³, both by what one σ along v does.
         let (mut slope, mut bend) = (S::zero(), S::zero());
         for ((here, there), back) in here.iter().zip(&there).zip(&back) {
@@ -336,9 +351,9 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         if distance.abs() <= S::of(DISTINCT_SIGMAS) {
             return Some(twin);
         }
-        let twin = problem.minimise(twin, &whiteners, Stopping::near(), workspace);
+        let twin = problem.minimise(twin, Stopping::near(), workspace);
         let own = Minimum { pose, chi2: solution.chi2, factor: solution.factor, iterations: 0, converged: true };
-        let [own, its] = [&own, &twin].map(|minimum| self.fit(sorted, &problem, minimum));
+        let [own, its] = [&own, &twin].map(|minimum| problem.fit(minimum));
         let is_another = sigmas_between(factor, &pose, &twin.pose, self.length_scale_m) > S::of(DISTINCT_SIGMAS);
         (is_another && its != Fit::None && its >= own).then_some(twin.pose)
     }

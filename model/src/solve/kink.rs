@@ -15,7 +15,7 @@ use crate::scene::MAX_CELLS;
 use super::accept::{DISTINCT_SIGMAS, is_singular};
 use super::algebra::{Factor, Matrix6, Vector6, add_outer, dot, mirror, square};
 use super::levenberg_marquardt::{Minimum, Stopping};
-use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
+use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::readings::Usable;
 use super::step::Step;
 
@@ -79,7 +79,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         at: &NormalEquations<S>,
         there: &NormalEquations<S>,
         step: &Vector6<S>,
-        whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Astride<S> {
         let Some((between, promised)) = on_kink(at, there, step) else { return Astride::Nothing };
@@ -87,11 +86,11 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             if at.along(step) >= there.along(step) {
                 return Astride::Least(self.factor(there, workspace));
             }
-            let at = self.linearise(pose, whiteners, workspace);
+            let at = self.linearise(pose, workspace);
             return Astride::Least(self.factor(&at, workspace));
         }
         let nearer = self.moved(pose, &between);
-        let there = self.linearise(&nearer, whiteners, workspace);
+        let there = self.linearise(&nearer, workspace);
         if there.chi2 < at.chi2 { Astride::Lower(nearer, there) } else { Astride::Nothing }
     }
 
@@ -100,37 +99,31 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// ways, with the least χ² by the covariance; the last linearisation is at `minimum`.
     #[cold]
     #[inline(never)]
-    pub fn beyond_kink(
-        &self,
-        minimum: Minimum<S>,
-        whiteners: &Whiteners<S>,
-        doubted: S,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
+    pub fn beyond_kink(&self, minimum: Minimum<S>, doubted: S, workspace: &mut Workspace<S>) -> Minimum<S> {
         let may_tell = |factor: &Factor<S>| minimum.chi2 > doubted && !is_singular(factor);
         let Some(factor) = minimum.factor.filter(may_tell) else { return minimum };
         let across = |reading: &Usable<S>| {
-            let (row, _) = self.planes[reading.cell].row(reading, &minimum.pose, self.length_scale_m);
+            let (row, _) = self.head.planes[reading.cell].row(reading, &minimum.pose, self.head.length_scale_m);
             let step = factor.solve(&row);
             let length = S::of(DISTINCT_SIGMAS) / factor.length(&step);
             step.map(|element| element * length)
         };
         // It is not known where the kinks of an opening other than a slit lie.
         let may_cross = |&index: &usize| {
-            let step = across(&self.readings[index]);
+            let step = across(&self.sorted.usable[index]);
             workspace.slacks_m[index] > S::zero() && !self.is_smooth_in_cell(index, &step, &minimum.pose, workspace)
         };
-        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(may_cross).collect();
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.sorted.usable.len()).filter(may_cross).collect();
         let mut best = minimum;
         let mut iterations = minimum.iterations;
         for &index in &crossing {
-            let way = across(&self.readings[index]);
+            let way = across(&self.sorted.usable[index]);
             for step in [way, way.map(|element| -element)] {
                 if workspace.work == 0 {
                     break;
                 }
                 let start = self.moved(&minimum.pose, &step);
-                let other = self.minimise(start, whiteners, Stopping::exact(), workspace);
+                let other = self.minimise(start, Stopping::exact(), workspace);
                 iterations += other.iterations;
                 if other.converged && other.chi2 < best.chi2 {
                     best = other;
@@ -138,7 +131,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             }
         }
         if !crossing.is_empty() {
-            self.linearise(&best.pose, whiteners, workspace);
+            self.linearise(&best.pose, workspace);
         }
         Minimum { iterations, ..best }
     }
@@ -146,7 +139,8 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// Whether a step from the last linearisation may take an emitter to a wall.
     #[inline(always)]
     pub fn may_cross_wall(&self, step: &Step<S>, workspace: &Workspace<S>) -> bool {
-        let most_moved_m = S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.length_scale_m;
+        let most_moved_m =
+            S::of(MOST_MAGNIFICATION / WALL_SLACK) * square(&step.step).root() * self.head.length_scale_m;
         workspace.walls_m.iter().any(|&wall_m| wall_m <= most_moved_m)
     }
 
@@ -158,13 +152,12 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),
-        whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
-        if !(0..self.readings.len()).any(|index| self.crosses_wall(index, step, start, workspace)) {
+        if !(0..self.sorted.usable.len()).any(|index| self.crosses_wall(index, step, start, workspace)) {
             return minimum;
         }
-        let at = self.linearise(&minimum.pose, whiteners, workspace);
+        let at = self.linearise(&minimum.pose, workspace);
         self.one_step_on(&at, minimum, workspace)
     }
 
@@ -184,7 +177,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     #[inline(always)]
     fn crosses_wall(&self, index: usize, step: &Step<S>, start: &Transform<S>, workspace: &Workspace<S>) -> bool {
         let wall_m = workspace.walls_m.get(index).copied().unwrap_or(S::infinity());
-        wall_m <= self.emitter_moves_m(&step.step, start, &self.readings[index])
+        wall_m <= self.emitter_moves_m(&step.step, start, &self.sorted.usable[index])
     }
 
     /// [`Self::stepped_again`], but only the cells at walls are linearised anew, where the motion is known.
@@ -194,11 +187,10 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         &self,
         step: &Step<S>,
         (start, minimum): (&Transform<S>, Minimum<S>),
-        whiteners: &Whiteners<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
         let crosses = |&index: &usize| self.crosses_wall(index, step, start, workspace);
-        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.readings.len()).filter(crosses).collect();
+        let crossing: ArrayVec<usize, MAX_CELLS> = (0..self.sorted.usable.len()).filter(crosses).collect();
         // What the other cells say of a motion that is not known, and of a cell without a spot, would have to be found anew.
         if crossing.is_empty() || workspace.elimination.is_under_way() || !workspace.plane_rows.is_empty() {
             return minimum;
@@ -206,15 +198,16 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         for row in workspace.rows.iter_mut().flatten() {
             row.residual -= dot(&row.by_pose, &step.step);
         }
-        let crossing_cell = |cell: usize| crossing.iter().copied().find(|&index| self.readings[index].cell == cell);
+        let crossing_cell =
+            |cell: usize| crossing.iter().copied().find(|&index| self.sorted.usable[index].cell == cell);
         let Workspace { rows, displaced, .. } = &mut *workspace;
-        self.plan.linearise_all(
+        self.head.plan.linearise_all(
             &self.instant(&minimum.pose),
             |cell| crossing_cell(cell).is_some(),
             |cell, terms| {
                 if let Some(index) = crossing_cell(cell) {
-                    let whitener = displaced.get(index).unwrap_or(&whiteners[index]);
-                    rows[index] = self.rows(&self.readings[index], terms, whitener);
+                    let whitener = displaced.get(index).unwrap_or(&self.whiteners[index]);
+                    rows[index] = self.rows(&self.sorted.usable[index], terms, whitener);
                 }
             },
         );

@@ -13,7 +13,7 @@ use crate::scalar::{Linear3, Number};
 
 use super::algebra::{Factor, Vector6, square};
 use super::kink::{Astride, NEAR};
-use super::normal_equations::{NormalEquations, Problem, Whiteners, Workspace};
+use super::normal_equations::{NormalEquations, Problem, Workspace};
 use super::step::Step;
 
 /// First damping after a step that failed, relative to the diagonal.
@@ -114,20 +114,14 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// `pose` after a scaled step.
     pub fn moved(&self, pose: &Transform<S>, step: &Vector6<S>) -> Transform<S> {
         pose.moved(
-            S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m,
+            S::Vec3::new(step[0], step[1], step[2]) * self.head.length_scale_m,
             S::Vec3::new(step[3], step[4], step[5]),
         )
     }
 
     /// The minimum of χ² that is reached from `start`.
-    pub fn minimise(
-        &self,
-        start: Transform<S>,
-        whiteners: &Whiteners<S>,
-        stopping: Stopping<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
-        let at = self.linearise(&start, whiteners, workspace);
+    pub fn minimise(&self, start: Transform<S>, stopping: Stopping<S>, workspace: &mut Workspace<S>) -> Minimum<S> {
+        let at = self.linearise(&start, workspace);
         // Apart from what follows, because most end here where the tool is expected, and a board has little room for
         // fast code.
         let first =
@@ -138,14 +132,14 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             let end = self.end_of(step, self.moved(&start, &step.step), &at, 1);
             if P::CROSSES_WALLS && self.may_cross_wall(step, workspace) {
                 return if workspace.is_unhurried {
-                    self.stepped_again(step, (&start, end), whiteners, workspace)
+                    self.stepped_again(step, (&start, end), workspace)
                 } else {
-                    self.behind_walls(step, (&start, end), whiteners, workspace)
+                    self.behind_walls(step, (&start, end), workspace)
                 };
             }
             return end;
         }
-        self.descend(start, at, first, whiteners, stopping, workspace)
+        self.descend(start, at, first, stopping, workspace)
     }
 
     /// The minimum at `end`, where the undamped `step` from where the normal equations are `at` has led.
@@ -164,7 +158,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         mut pose: Transform<S>,
         mut at: NormalEquations<S>,
         mut first: Option<Step<S>>,
-        whiteners: &Whiteners<S>,
         stopping: Stopping<S>,
         workspace: &mut Workspace<S>,
     ) -> Minimum<S> {
@@ -199,7 +192,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             }
             if is_hardly_damped && iterations < stopping.max_iterations && is_reusable(step, reach) {
                 iterations += 1;
-                match self.reuse_jacobian(step, reach, (&trial, &at), whiteners, stopping, workspace) {
+                match self.reuse_jacobian(step, reach, (&trial, &at), stopping, workspace) {
                     Reused::Minimum(end, chi2) if damping == S::zero() => {
                         return Minimum { pose: end, chi2, factor: Some(step.factor), iterations, converged: true };
                     }
@@ -209,13 +202,13 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
                     }
                     Reused::Nearer(end) => {
                         pose = end;
-                        at = self.linearise(&pose, whiteners, workspace);
+                        at = self.linearise(&pose, workspace);
                         continue;
                     }
                     Reused::TooOld => {}
                 }
             }
-            let there = self.linearise(&trial, whiteners, workspace);
+            let there = self.linearise(&trial, workspace);
             if there.chi2 < at.chi2 {
                 (pose, at) = (trial, there);
                 damping = lowered(damping);
@@ -229,7 +222,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
                 break;
             }
             if damping == S::zero() && self.may_cross_kink(step, reach, workspace) {
-                match self.astride(&pose, &at, &there, &step.step, whiteners, workspace) {
+                match self.astride(&pose, &at, &there, &step.step, workspace) {
                     Astride::Least(factor) => {
                         return Minimum { pose, chi2: at.chi2, factor, iterations, converged: true };
                     }
@@ -241,7 +234,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
                 }
             }
             damping = raised(damping);
-            at = self.linearise(&pose, whiteners, workspace);
+            at = self.linearise(&pose, workspace);
         }
         // Damping is no information: along directions that the data hardly hold it would be most of it.
         let factor = self.factor(&at, workspace);
@@ -249,17 +242,12 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     }
 
     /// The minimum near `start`, where the tool is expected; given up after a few evaluations.
-    pub fn minimise_quickly(
-        &self,
-        start: Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Minimum<S> {
+    pub fn minimise_quickly(&self, start: Transform<S>, workspace: &mut Workspace<S>) -> Minimum<S> {
         let near = if workspace.is_unhurried { P::NEAR_UNHURRIED } else { P::NEAR };
         let held_back = workspace.work.saturating_sub(near.work);
         workspace.work -= held_back;
         let stopping = Stopping { tolerance_sigmas: S::of(near.sigmas), ..Stopping::near() };
-        let minimum = self.minimise(start, whiteners, stopping, workspace);
+        let minimum = self.minimise(start, stopping, workspace);
         workspace.work += held_back;
         minimum
     }
@@ -275,12 +263,12 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         workspace: &Workspace<S>,
     ) -> Reach<S> {
         let length = square(&step.step).root();
-        let jacobian_change = self.jacobian_change_rate * length;
+        let jacobian_change = self.head.jacobian_change_rate * length;
         // At its end the currents differ from the linearised ones by that share of their change at most. In a valley
         // this bound stays above any tolerance, although nothing is left to gain.
         let is_in_valley = iterations > PATIENCE && step.predicted_reduction <= S::of(NEGLIGIBLE_REDUCTION);
         let change = if is_in_valley { step.predicted_reduction.root() } else { length * at.steepness() };
-        let is_tiny = jacobian_change * jacobian_change <= self.jacobian_change_rate * S::epsilon();
+        let is_tiny = jacobian_change * jacobian_change <= self.head.jacobian_change_rate * S::epsilon();
         let is_smooth = self.is_smooth(length, workspace) || self.is_smooth_in_each_cell(&step.step, pose, workspace);
         let is_within = jacobian_change * change <= stopping.tolerance_sigmas && is_smooth;
         Reach { length, jacobian_change, is_smooth, is_last: is_tiny || is_within }
@@ -293,11 +281,10 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         first: &Step<S>,
         reach: Reach<S>,
         (trial, at): (&Transform<S>, &NormalEquations<S>),
-        whiteners: &Whiteners<S>,
         stopping: Stopping<S>,
         workspace: &mut Workspace<S>,
     ) -> Reused<S> {
-        let (chi2, gradient) = self.reevaluate(trial, whiteners, workspace);
+        let (chi2, gradient) = self.reevaluate(trial, workspace);
         let half_way = first.factor.forward(&gradient);
         let (second, reduction) = (first.factor.backward(&half_way), square(&half_way));
         let ratio = (reduction / first.predicted_reduction).root();
@@ -320,13 +307,8 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         step.predicted_reduction <= S::of(NEAR) && !self.is_smooth(reach.length, workspace)
     }
 
-    pub fn factor_at(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> Option<Factor<S>> {
-        let at: NormalEquations<S> = self.linearise(pose, whiteners, workspace);
+    pub fn factor_at(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> Option<Factor<S>> {
+        let at: NormalEquations<S> = self.linearise(pose, workspace);
         self.factor(&at, workspace)
     }
 }
@@ -384,11 +366,11 @@ mod tests {
             dt.length() + 8e-3 * dr.length()
         };
         let workspace = &mut Workspace::new();
-        let exact = problem.minimise(start, &problem.whiteners(), Stopping::exact(), workspace);
+        let exact = problem.minimise(start, Stopping::exact(), workspace);
         assert!(off(&exact) < 1e-12 && exact.chi2 < 1e-12, "{} {}", off(&exact), exact.chi2);
         // Where the tool is expected one evaluation with derivatives and one without do, to a part of σ (1 µm).
         let workspace = &mut Workspace::new();
-        let near = problem.minimise_quickly(start, &problem.whiteners(), workspace);
+        let near = problem.minimise_quickly(start, workspace);
         assert!(off(&near) < 0.2e-6 && workspace.evaluations <= 3, "{} {}", off(&near), workspace.evaluations);
     }
 
@@ -399,7 +381,7 @@ mod tests {
         let problem = head.problem(&sorted, &Prior::at_rest());
         let far = Transform::of(&truth.perturbed(DVec3::splat(1e-3), DVec3::splat(0.1)));
         let workspace = &mut Workspace::with_work(2);
-        let minimum = problem.minimise(far, &problem.whiteners(), Stopping::exact(), workspace);
+        let minimum = problem.minimise(far, Stopping::exact(), workspace);
         assert!(!minimum.converged && workspace.evaluations <= 5, "{}", workspace.evaluations);
     }
 }

@@ -17,10 +17,10 @@ use crate::scalar::Number;
 use crate::scene::MAX_CELLS;
 
 use super::algebra::{Matrix6, Vector6, add_outer, dot, mirror};
-use super::planes::PlaneCell;
-use super::readings::Usable;
+use super::compiled::{Compiled, Prior};
+use super::readings::{Sorted, Usable};
 use super::twist::{Elimination, Motion};
-use super::weights::{CellNoise, Whitener};
+use super::weights::Whitener;
 use super::weights::{ResidualSums, Row};
 
 /// Distance from a guiding plane that counts as one σ.
@@ -30,16 +30,11 @@ const GUIDE_M: f64 = 20e-6;
 const MAX_GUIDES: usize = 4;
 
 pub struct Problem<'a, S: Number, P> {
-    pub plan: &'a P,
-    pub planes: &'a [PlaneCell<S>],
-    pub noise: &'a [CellNoise<S>],
-    /// Exposure of each cell relative to the reference instant, seconds; empty: all at it.
-    pub offsets_s: &'a [S],
-    pub readings: &'a [Usable<S>],
+    pub head: &'a Compiled<S, P>,
+    pub sorted: &'a Sorted<S>,
     pub motion: Motion<S>,
-    pub length_scale_m: S,
-    /// Relative change of the derivatives per unit of a scaled step.
-    pub jacobian_change_rate: S,
+    /// The weights of the readings.
+    pub whiteners: Whiteners<S>,
 }
 
 pub type Whiteners<S> = ArrayVec<Whitener<S>, MAX_CELLS>;
@@ -129,19 +124,25 @@ impl<S: Number> NormalEquations<S> {
     }
 }
 
-impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
+impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
+    pub fn new(head: &'a Compiled<S, P>, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Self {
+        let motion = Motion::new(motion, head.duration_s(), head.length_scale_m);
+        let whitener = |reading: &Usable<S>| head.noise[reading.cell].whitener(reading.pair);
+        Self { head, sorted, motion, whiteners: sorted.usable.iter().map(whitener).collect() }
+    }
+
     pub fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
-        Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: self.offsets_s }
+        Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: &self.head.offsets_s }
     }
 
     fn wants(&self, cell: usize) -> bool {
-        self.readings.iter().any(|reading| reading.cell == cell)
+        self.sorted.usable.iter().any(|reading| reading.cell == cell)
     }
 
     /// Exposure of a reading's cell in units of the motion's duration.
     #[inline(always)]
     pub fn share(&self, reading: &Usable<S>) -> S {
-        self.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
+        self.head.offsets_s.get(reading.cell).map_or(S::zero(), |&offset| offset / self.motion.duration)
     }
 
     /// Whether the bend is to be eliminated.
@@ -154,7 +155,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// instant.
     pub fn predicted(&self, pose: &Transform<S>) -> heapless::Vec<[S; 2], MAX_CELLS> {
         let mut currents = heapless::Vec::new();
-        self.plan.currents_all(
+        self.head.plan.currents_all(
             &self.instant(pose),
             |_| true,
             |_, pair| {
@@ -165,28 +166,22 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         currents
     }
 
-    pub fn whiteners(&self) -> Whiteners<S> {
-        self.readings.iter().map(|reading| self.noise[reading.cell].whitener(reading.pair)).collect()
+    /// With weights for a pose that is far off: see [`CellNoise::coarse`](super::weights::CellNoise::coarse).
+    pub fn coarse(&self) -> Self {
+        let whitener = |reading: &Usable<S>| {
+            let length = self.head.planes[reading.cell].detector_length_m();
+            self.head.noise[reading.cell].coarse(length).whitener(reading.pair)
+        };
+        Self { whiteners: self.sorted.usable.iter().map(whitener).collect(), ..*self }
     }
 
-    /// Weights for a pose that is far off: see [`CellNoise::coarse`].
-    pub fn coarse_whiteners(&self) -> Whiteners<S> {
-        self.readings
-            .iter()
-            .map(|reading| {
-                let length = self.planes[reading.cell].detector_length_m();
-                self.noise[reading.cell].coarse(length).whitener(reading.pair)
-            })
-            .collect()
+    /// The largest χ² that noise explains.
+    pub fn gate(&self) -> S {
+        self.head.gates[self.sorted.usable.len()]
     }
 
     /// χ² and the normal equations at `pose`.
-    pub fn linearise(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> NormalEquations<S> {
+    pub fn linearise(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> NormalEquations<S> {
         workspace.count();
         let Workspace { rows: all_rows, plane_rows, displaced, slacks_m, walls_m, elimination, .. } = workspace;
         slacks_m.clear();
@@ -197,27 +192,27 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let mut information = [[S::zero(); 6]; 6];
         let is_twist_known = self.motion.prior.is_none();
         elimination.begin(&self.motion);
-        self.plan.linearise_all(
+        self.head.plan.linearise_all(
             &self.instant(pose),
             |cell| self.wants(cell),
             |cell, terms| {
                 // Readings come in the order of their cells, as terms do.
                 let index = all_rows.len();
-                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                let Some(reading) = self.sorted.usable.get(index).filter(|reading| reading.cell == cell) else {
                     return;
                 };
                 slacks_m.push(terms.slack_m);
                 if P::CROSSES_WALLS {
                     walls_m.push(terms.wall_m);
                 }
-                let variance = self.noise[cell].displacement;
+                let variance = self.head.noise[cell].displacement;
                 let looser;
                 let whitener = if variance > S::zero() {
-                    looser = whiteners[index].displaced(&terms.jacobian, variance);
+                    looser = self.whiteners[index].displaced(&terms.jacobian, variance);
                     displaced.push(looser);
                     &looser
                 } else {
-                    &whiteners[index]
+                    &self.whiteners[index]
                 };
                 let rows = self.rows(reading, terms, whitener);
                 let own = [&rows[0].by_pose, &rows[1].by_pose];
@@ -251,7 +246,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     #[inline(always)]
     pub fn rows(&self, reading: &Usable<S>, terms: &CellTerms<S>, whitener: &Whitener<S>) -> [Row<S>; 2] {
         // Translations are counted in units of the length scale.
-        let scaled_whitener = whitener.scaled(self.length_scale_m);
+        let scaled_whitener = whitener.scaled(self.head.length_scale_m);
         let residual = whitener.apply([reading.pair[0] - terms.pair[0], reading.pair[1] - terms.pair[1]]);
         let mut rows = residual.map(|residual| Row { by_pose: [S::zero(); 6], residual });
         for axis in 0..6 {
@@ -276,9 +271,9 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     /// there, but its plane leads back.
     #[inline(never)]
     fn guide(&self, reading: &Usable<S>, pose: &Transform<S>) -> Row<S> {
-        let (row, distance) = self.planes[reading.cell].row(reading, pose, self.length_scale_m);
+        let (row, distance) = self.head.planes[reading.cell].row(reading, pose, self.head.length_scale_m);
         Row {
-            by_pose: row.map(|value| value * self.length_scale_m / S::of(GUIDE_M)),
+            by_pose: row.map(|value| value * self.head.length_scale_m / S::of(GUIDE_M)),
             residual: -distance / S::of(GUIDE_M),
         }
     }
@@ -287,7 +282,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     #[inline]
     pub fn residual_sums(&self, workspace: &Workspace<S>) -> ResidualSums<S> {
         let mut sums = ResidualSums::zero(S::zero());
-        for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
+        for (reading, rows) in self.sorted.usable.iter().zip(&workspace.rows) {
             sums.add(rows, self.share(reading), self.has_bend());
         }
         if !workspace.plane_rows.is_empty() {
@@ -300,44 +295,34 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     #[inline(never)]
     fn add_planes(&self, sums: &mut ResidualSums<S>, workspace: &Workspace<S>) {
         for (index, row) in &workspace.plane_rows {
-            sums.add(core::slice::from_ref(row), self.share(&self.readings[*index]), self.has_bend());
+            sums.add(core::slice::from_ref(row), self.share(&self.sorted.usable[*index]), self.has_bend());
         }
     }
 
     /// The whitened residuals at `pose`, in the order of the readings.
-    pub fn whitened(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> ArrayVec<[S; 2], MAX_CELLS> {
+    pub fn whitened(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> ArrayVec<[S; 2], MAX_CELLS> {
         workspace.count();
         let currents = self.predicted(pose);
         let of = |(reading, whitener): (&Usable<S>, &Whitener<S>)| {
             let [first, second] = currents[reading.cell];
             whitener.apply([reading.pair[0] - first, reading.pair[1] - second])
         };
-        self.readings.iter().zip(whiteners).map(of).collect()
+        self.sorted.usable.iter().zip(&self.whiteners).map(of).collect()
     }
 
     /// χ² and gradient at `pose`, with the Jacobian of the last linearisation.
-    pub fn reevaluate(
-        &self,
-        pose: &Transform<S>,
-        whiteners: &Whiteners<S>,
-        workspace: &mut Workspace<S>,
-    ) -> (S, Vector6<S>) {
+    pub fn reevaluate(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> (S, Vector6<S>) {
         let mut index = 0;
         workspace.count();
-        self.plan.currents_all(
+        self.head.plan.currents_all(
             &self.instant(pose),
             |cell| self.wants(cell),
             |cell, currents| {
-                let Some(reading) = self.readings.get(index).filter(|reading| reading.cell == cell) else {
+                let Some(reading) = self.sorted.usable.get(index).filter(|reading| reading.cell == cell) else {
                     return;
                 };
                 let residual = [reading.pair[0] - currents[0], reading.pair[1] - currents[1]];
-                let whitener = workspace.displaced.get(index).unwrap_or(&whiteners[index]);
+                let whitener = workspace.displaced.get(index).unwrap_or(&self.whiteners[index]);
                 for (row, residual) in workspace.rows[index].iter_mut().zip(whitener.apply(residual)) {
                     row.residual = residual;
                 }
@@ -345,7 +330,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             },
         );
         for (index, row) in &mut workspace.plane_rows {
-            row.residual = self.guide(&self.readings[*index], pose).residual;
+            row.residual = self.guide(&self.sorted.usable[*index], pose).residual;
         }
         let sums = self.residual_sums(workspace);
         workspace.elimination.apply(&sums)

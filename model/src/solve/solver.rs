@@ -177,8 +177,8 @@ impl<S: Number, P: Optics<S>> Solver<S, P> {
         let problem = self.compiled.problem(sorted, motion);
         let workspace = &mut Workspace::new();
         let stopping = Stopping { max_iterations, ..Stopping::exact() };
-        let minimum = problem.minimise(start, &problem.whiteners(), stopping, workspace);
-        let mut solution = self.compiled.conclude(sorted, &problem, &minimum, workspace, Fit::Full);
+        let minimum = problem.minimise(start, stopping, workspace);
+        let mut solution = problem.conclude(&minimum, workspace, Fit::Full);
         if solution.outcome.has_pose() && !minimum.converged {
             solution.outcome = Outcome::Degraded(DegradedReason::Unfinished);
         }

@@ -68,11 +68,11 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
             let powers = &powers[3 - N / 6..];
             triangle.add(core::array::from_fn(|i| row.by_pose[i % 6] * powers[i / 6]), row.residual);
         };
-        for (reading, rows) in self.readings.iter().zip(&workspace.rows) {
+        for (reading, rows) in self.sorted.usable.iter().zip(&workspace.rows) {
             rows.iter().for_each(|row| add(row, self.share(reading)));
         }
         for (index, row) in &workspace.plane_rows {
-            add(row, self.share(&self.readings[*index]));
+            add(row, self.share(&self.sorted.usable[*index]));
         }
         let (factor, half_way) = triangle.last_six();
         Step { step: factor.backward(&half_way), predicted_reduction: square(&half_way), factor, is_by_qr: true }
@@ -86,7 +86,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
 
     /// Whether a step of this `length` moves no spot of the last linearisation so far that derivatives jump.
     pub fn is_smooth(&self, length: S, workspace: &Workspace<S>) -> bool {
-        let most_moved = S::of(MOST_MAGNIFICATION) * length * self.length_scale_m;
+        let most_moved = S::of(MOST_MAGNIFICATION) * length * self.head.length_scale_m;
         workspace.slacks_m.iter().all(|&slack_m| slack_m > most_moved)
     }
 
@@ -106,18 +106,18 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         pose: &Transform<S>,
         workspace: &Workspace<S>,
     ) -> bool {
-        let reading = &self.readings[index];
-        let arm = self.plan.arm(reading.cell, pose);
+        let reading = &self.sorted.usable[index];
+        let arm = self.head.plan.arm(reading.cell, pose);
         // The most that a step of that length moves this emitter, by its length.
-        let most = (S::one() + arm.dot(arm) / (self.length_scale_m * self.length_scale_m)).root();
+        let most = (S::one() + arm.dot(arm) / (self.head.length_scale_m * self.head.length_scale_m)).root();
         workspace.slacks_m[index] * most > S::of(MOST_MAGNIFICATION) * self.emitter_moves_m(step, pose, reading)
     }
 
     /// How far a `step` from `pose` moves the emitter of a reading, metres.
     pub fn emitter_moves_m(&self, step: &Vector6<S>, pose: &Transform<S>, reading: &Usable<S>) -> S {
-        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.length_scale_m;
+        let shift = S::Vec3::new(step[0], step[1], step[2]) * self.head.length_scale_m;
         let turn = S::Vec3::new(step[3], step[4], step[5]);
-        (shift + turn.cross(self.plan.arm(reading.cell, pose))).length()
+        (shift + turn.cross(self.head.plan.arm(reading.cell, pose))).length()
     }
 
     /// The least share of an error in one cell's currents that stays visible in its residuals, over all
@@ -143,7 +143,7 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
         let of_readings = workspace.rows.iter().enumerate().map(|(reading, rows)| (reading, rows.as_slice()));
         let of_planes = workspace.plane_rows.iter().map(|(reading, row)| (*reading, core::slice::from_ref(row)));
         for (reading, rows) in of_readings.chain(of_planes).filter(|(reading, _)| *reading != index) {
-            let reading = &self.readings[reading];
+            let reading = &self.sorted.usable[reading];
             for row in rows {
                 add_outer(&mut information, [&row.by_pose], [&row.by_pose]);
                 elimination.add(self.share(reading), &[*row]);
@@ -187,7 +187,7 @@ mod tests {
             let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas, bend });
             let workspace = &mut Workspace::new();
             let start = Transform::of(&truth);
-            let at = problem.linearise(&start, &problem.whiteners(), workspace);
+            let at = problem.linearise(&start, workspace);
             let reach = |sigmas: [f64; 2], time_s: f64| [sigmas[0] * time_s / head.length_scale_m, sigmas[1] * time_s];
             let (duration, mut sigma) = (400e-6, [[0.0; 12]; 12]);
             let (p, q) = (reach(sigmas, duration), reach(bend_sigmas, duration * duration));
@@ -259,7 +259,7 @@ mod tests {
         let sorted = Sorted::of(&crate::Photocurrents::of_pairs(seen), &head.limits);
         let chi2 = |bend| {
             let problem = head.problem(&sorted, &Prior { twist: TWIST, sigmas: [0.0; 2], bend });
-            problem.linearise(&Transform::of(&truth), &problem.whiteners(), &mut Workspace::new()).chi2
+            problem.linearise(&Transform::of(&truth), &mut Workspace::new()).chi2
         };
         let known = chi2(Some(Bend { half_acceleration: HALF_ACCELERATION, sigmas: [0.0; 2] }));
         // Turns are small ones: the third power of 1.3 mrad.

@@ -493,7 +493,7 @@ impl<S: Number, P: Optics<S>> Tracker<S, P> {
         workspace.work += lost.saved_work;
         let solution = self.solver.compiled.search(sorted, motion, &mut lost.search, workspace);
         lost.saved_work = lost.saved_work.min(workspace.work).min(self.budget.most_saved);
-        if lost.search.is_over() {
+        if lost.search.is_over {
             lost.images = lost.search.images();
             lost.search = Search::in_pieces();
             lost.wait = if self.is_misfit { PAUSE } else { 0 };

@@ -4,8 +4,8 @@ use crate::plan::Optics;
 use crate::pose::Transform;
 use crate::scalar::Number;
 
+use super::accept::Fit;
 use super::accept::redundancy;
-use super::accept::{Fit, is_elsewhere};
 use super::compiled::{Compiled, Prior};
 use super::levenberg_marquardt::{Minimum, Stopping};
 use super::normal_equations::Workspace;
@@ -44,15 +44,14 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
         workspace: &mut Workspace<S>,
         otherwise: impl FnOnce(&Minimum<S>, &mut Workspace<S>) -> Solution<S>,
     ) -> Solution<S> {
-        let problem = self.problem(sorted, motion);
         if let Some(solution) = left_out.and_then(|cell| self.still_without(sorted, motion, cell, start, workspace)) {
             return solution;
         }
-        let whiteners = problem.whiteners();
-        let minimum = problem.minimise_quickly(start, &whiteners, workspace);
-        let fit = self.fit(sorted, &problem, &minimum);
+        let problem = self.problem(sorted, motion);
+        let minimum = problem.minimise_quickly(start, workspace);
+        let fit = problem.fit(&minimum);
         if fit != Fit::None {
-            return self.conclude_near(sorted, &problem, &whiteners, &minimum, workspace, fit);
+            return problem.conclude_near(&minimum, workspace, fit);
         }
         otherwise(&minimum, workspace)
     }
@@ -74,26 +73,25 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
             return Solution { iterations: iterations + solution.iterations, ..solution };
         }
         let problem = self.problem(sorted, motion);
-        let whiteners = problem.whiteners();
         let mut minimum = *minimum;
         if !minimum.converged {
             let held_back = workspace.work.min(ROUGH_STEPS);
             workspace.work -= held_back;
-            minimum = problem.minimise(minimum.pose, &whiteners, Stopping::near(), workspace);
+            minimum = problem.minimise(minimum.pose, Stopping::near(), workspace);
             workspace.work += held_back;
             iterations += minimum.iterations;
         }
-        let fit = self.fit(sorted, &problem, &minimum);
-        let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !is_elsewhere(&problem, &minimum);
+        let fit = problem.fit(&minimum);
+        let has_pose = fit != Fit::None || redundancy(sorted.usable.len()) > 0 && !problem.is_elsewhere(&minimum);
         if !has_pose {
             if sorted.usable.len() >= P::UNIQUE_FROM {
-                let solution = self.taken_roughly(sorted, &problem, start, workspace);
+                let solution = problem.taken_roughly(start, workspace);
                 return Solution { iterations: iterations + solution.iterations, ..solution };
             }
             return Solution { iterations, ..Solution::without_pose(Outcome::Diverged, sorted.used) };
         }
         // The last linearisation may be of other cells.
-        problem.linearise(&minimum.pose, &whiteners, workspace);
-        Solution { iterations, ..self.conclude_near(sorted, &problem, &whiteners, &minimum, workspace, fit) }
+        problem.linearise(&minimum.pose, workspace);
+        Solution { iterations, ..problem.conclude_near(&minimum, workspace, fit) }
     }
 }
