@@ -113,17 +113,6 @@ fn too_little_light_says_so() {
 }
 
 #[test]
-fn equal_rolls_leave_directions_free() {
-    let solver = Solver::<f64>::new(&six_cells(7.5, 0.4, [0.0, 0.0]), Tier::Paper).expect("scene");
-    let solution = cold(&solver, &seen(solver.plan(), &Pose::HOME));
-    let Outcome::Unobservable(free) = solution.outcome else {
-        panic!("{:?}", solution.outcome);
-    };
-    assert_eq!(free.names().collect::<Vec<_>>(), ["tz", "rx", "ry"]);
-    assert!(solution.estimate.is_none());
-}
-
-#[test]
 fn a_pose_from_currents_that_are_none_is_finite() {
     let solver = Solver::<f64>::new(&wide(), Tier::Paper).expect("scene");
     for bad in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300, -1e300] {
