@@ -7,7 +7,7 @@ use slitpose_model::{
 };
 
 use crate::common::{
-    base, cold, errors_in_sigmas, generator, near, noisy, pairs, pose_in_box, seen, six_cells, uniform, vector, wide,
+    base, cold, errors_in_sigmas, generator, near, noisy, pairs, pose_in_box, seen, uniform, vector, wide,
 };
 
 fn lit(plan: &Plan<f64>, pose: &Pose) -> bool {

@@ -192,8 +192,9 @@ fn narrow(scene: &mut Scene, rng: &mut ChaCha8Rng) {
 #[test]
 fn each_electrode_keeps_the_tolerance() {
     type Change = fn(&mut Scene, &mut ChaCha8Rng);
+    type Condition<'a> = (&'a str, Change, f64, &'a [Kind], &'a [f64], [usize; 2]);
     let as_they_are: Change = |_, _| ();
-    let conditions: [(&str, Change, f64, &[Kind], &[f64], [usize; 2]); 6] = [
+    let conditions: [Condition<'_>; 6] = [
         ("ordinary", as_they_are, 0.4, &KINDS, &[1e-3, 1e-6, 1e-9], [1000, 150]),
         ("across the horizon", as_they_are, 1.6, &KINDS, &[1e-6, 1e-9], [500, 50]),
         ("near", sizes, 0.4, &KINDS, &[1e-3, 1e-4, 1e-6, 1e-10], [250, 20]),
