@@ -129,7 +129,7 @@ fn cells_that_are_there_twice_tell_no_more_than_once() {
 #[test]
 fn a_head_of_equal_rolls_is_refused_where_it_is_singular_only() {
     let mut rng = generator();
-    // What is free at home: see PHYSICS of one cell in the module on observability.
+    // What is free at home: see the singular values of its factor.
     for (roll_deg, free) in [(45.0, "tz;rz"), (90.0, "rz")] {
         let solver = Solver::<f64>::new(&rolled(roll_deg, 0.0), Tier::Paper).expect("scene");
         assert_eq!(solver.free_directions(&Pose::HOME).expect("singular").to_string(), free);
